@@ -1,0 +1,35 @@
+//! Waveforms, frames and range-Doppler maps of the BGT60TR13C radar chip. Pure maths: no files, no sockets, no threads.
+//!
+//! What flows: [`FrameSource`] -> [`Frame`] -> `RdmProcessor` -> [`Rdm`].
+//!
+//! # Conventions
+//! The whole workspace keeps these; they are stated here once.
+//! - **Units.** SI, and the unit stands in the name: `start_frequency_hz`, `range_m`. Angles are in radians.
+//! - **Samples** are real 12-bit codes in `u16`, `[rx][chirp][sample]`; a recording is `[frame][rx][chirp][sample]`.
+//! - **Maps** are `f32` dB, `[rx][doppler][range]`. Zero Doppler is at index `M/2`; the velocity of index `i` is
+//!   `(i - M/2) * velocity_step`, **positive when receding**. Range bin `k` is at `k * range_step`. Both steps follow
+//!   from the band that is *sampled* ([`Waveform`]), not from the one requested.
+//! - **Signs.** Fields and materials in `e^{+jwt}`, propagation `e^{-jkR}`. The beat of a path with delay `tau` and
+//!   complex amplitude `A` (every coefficient but the propagation phase) is
+//!   `Re[ conj(A) exp(+j 2 pi (f0 tau + S tau t - S tau^2 / 2)) ]`: a receding target raises `tau`, the phase rises
+//!   from chirp to chirp, the velocity is positive.
+//! - **Windows** are periodic (DFT-even) unless they say otherwise.
+//! - **Decibels.** 0 dBFS is a full-scale sine after correction for the coherent gain of the windows. The floor is
+//!   named in the [`RdmSpec`]; `-inf` never appears. NaN and infinity stay visible and are flagged.
+//! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
+
+mod frame;
+pub mod rdm;
+mod waveform;
+mod window;
+
+pub use frame::{Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, SourceError, SourceEvent, Truth};
+pub use rdm::{MapFlags, Rdm, RdmShape, RdmSpec};
+pub use waveform::{
+    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformError,
+    WaveformMismatch, WaveformRequest,
+};
+pub use window::Window;
+
+/// Speed of light in vacuum, m/s.
+pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;

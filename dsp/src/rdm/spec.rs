@@ -1,0 +1,254 @@
+//! What a map is made of.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::RdmShape;
+use crate::{Waveform, Window};
+
+/// How codes become numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SampleScale {
+    /// `(code - 2048) / 2048`: the house scale, in which a full-scale sine has amplitude 1.
+    FullScale,
+    /// `code / 4095`, as the vendor's Avian API.
+    ZeroToOne,
+    /// `2 code / 4095 - 1`, as the vendor's FMCW API and the paper.
+    MinusOneToOne,
+}
+
+impl SampleScale {
+    /// `(factor, offset)` of `x = code * factor + offset`.
+    pub fn affine(self) -> (f64, f64) {
+        match self {
+            SampleScale::FullScale => (1.0 / 2048.0, -1.0),
+            SampleScale::ZeroToOne => (1.0 / 4095.0, 0.0),
+            SampleScale::MinusOneToOne => (2.0 / 4095.0, -1.0),
+        }
+    }
+}
+
+/// Which receive channels a map shows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Channels {
+    /// One map for each channel of the frame.
+    All,
+    /// One channel by its index in the frame, 0-based.
+    One(usize),
+    /// One map: the mean power of all channels.
+    IncoherentSum,
+}
+
+/// How what does not move is taken out, per channel and range, before the Doppler FFT.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StaticRemoval {
+    /// It is left in.
+    None,
+    /// The mean over slow time is subtracted.
+    SlowTimeMean,
+    /// `y = x - h; h <- alpha x + (1 - alpha) h` on raw samples from frame to frame, as the vendor's examples do
+    /// (0.8 there). The first frame passes unsuppressed, and so does the first after a gap.
+    RecursiveMti {
+        /// Weight of the newest frame in the background, in (0, 1].
+        alpha: f64,
+    },
+}
+
+/// What the slow-time axis consists of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SlowTime {
+    /// The chirps of one frame.
+    Chirps,
+    /// The last `frames` frames, each the mean of its chirps: seconds of slow time, for people who sit and breathe.
+    Frames {
+        /// Length of the window.
+        frames: usize,
+    },
+}
+
+/// What 0 dB stands for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AmplitudeScale {
+    /// `2|X| / (sum of window products)`, factor 1 at DC and Nyquist: a full-scale sine reads 0 dBFS.
+    FullScaleSine,
+    /// `|X|` as it comes, as the paper's statistics are.
+    Unnormalised,
+    /// `2/N |X|` in range and `1/M` in Doppler without window correction, as the vendor's examples do.
+    Vendor,
+}
+
+/// Everything that decides what a map is, except the waveform. Travels inside datasets and models.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RdmSpec {
+    /// How codes become numbers.
+    pub scale: SampleScale,
+    /// Which receive channels.
+    pub channels: Channels,
+    /// Whether each chirp's own mean is subtracted before its window.
+    pub chirp_mean_removal: bool,
+    /// How what stands still is removed.
+    pub static_removal: StaticRemoval,
+    /// Taper over samples.
+    pub range_window: Window,
+    /// Taper over slow time.
+    pub doppler_window: Window,
+    /// Points of the range FFT; the samples of a chirp if absent. Zero-padding is done at the end.
+    #[serde(default)]
+    pub range_fft_length: Option<usize>,
+    /// Points of the Doppler FFT; the length of slow time if absent.
+    #[serde(default)]
+    pub doppler_fft_length: Option<usize>,
+    /// What slow time is.
+    pub slow_time: SlowTime,
+    /// What 0 dB is.
+    pub amplitude: AmplitudeScale,
+    /// No cell reads less than this, dB.
+    pub floor_db: f64,
+}
+
+impl Default for RdmSpec {
+    /// The house's map: codes minus 2048 over 2048, periodic Hann on both axes, nothing removed, dBFS, floor -200 dB.
+    fn default() -> Self {
+        RdmSpec {
+            scale: SampleScale::FullScale,
+            channels: Channels::All,
+            chirp_mean_removal: false,
+            static_removal: StaticRemoval::None,
+            range_window: Window::Hann,
+            doppler_window: Window::Hann,
+            range_fft_length: None,
+            doppler_fft_length: None,
+            slow_time: SlowTime::Chirps,
+            amplitude: AmplitudeScale::FullScaleSine,
+            floor_db: -200.0,
+        }
+    }
+}
+
+impl RdmSpec {
+    /// The preset in which the paper's statistics and noise sweep are evaluated (DESIGN.md section 3).
+    pub fn paper() -> Self {
+        RdmSpec {
+            scale: SampleScale::MinusOneToOne,
+            channels: Channels::One(0),
+            static_removal: StaticRemoval::SlowTimeMean,
+            amplitude: AmplitudeScale::Unnormalised,
+            ..RdmSpec::default()
+        }
+    }
+
+    /// The vendor's example chain: Avian scale, chirp mean removed, MTI 0.8, symmetric Blackman-Harris, padded twofold
+    /// on both axes, its own normalisation.
+    pub fn sdk(waveform: &Waveform) -> Self {
+        RdmSpec {
+            scale: SampleScale::ZeroToOne,
+            chirp_mean_removal: true,
+            static_removal: StaticRemoval::RecursiveMti { alpha: 0.8 },
+            range_window: Window::BlackmanHarrisSymmetric,
+            doppler_window: Window::BlackmanHarrisSymmetric,
+            range_fft_length: Some(2 * waveform.request.samples_per_chirp),
+            doppler_fft_length: Some(2 * waveform.request.chirps_per_frame),
+            amplitude: AmplitudeScale::Vendor,
+            ..RdmSpec::default()
+        }
+    }
+
+    /// Samples of slow time that go into one map.
+    pub fn slow_time_length(&self, waveform: &Waveform) -> usize {
+        match self.slow_time {
+            SlowTime::Chirps => waveform.request.chirps_per_frame,
+            SlowTime::Frames { frames } => frames,
+        }
+    }
+
+    /// Shape of the maps that this makes of a waveform's frames.
+    pub fn shape(&self, waveform: &Waveform) -> Result<RdmShape, SpecError> {
+        let frame = waveform.shape();
+        let rx = match self.channels {
+            Channels::All => frame.rx,
+            Channels::IncoherentSum => 1,
+            Channels::One(index) if index < frame.rx => 1,
+            Channels::One(index) => return Err(SpecError::NoSuchChannel { index, rx: frame.rx }),
+        };
+        let slow = self.slow_time_length(waveform);
+        if slow < 2 {
+            return Err(SpecError::TooShort { axis: "slow time", length: slow });
+        }
+        let range_fft = self.range_fft_length.unwrap_or(frame.samples);
+        let doppler = self.doppler_fft_length.unwrap_or(slow);
+        for (axis, fft, data) in [("range", range_fft, frame.samples), ("Doppler", doppler, slow)] {
+            if fft < data {
+                return Err(SpecError::FftTooShort { axis, fft, data });
+            }
+        }
+        if let StaticRemoval::RecursiveMti { alpha } = self.static_removal
+            && !(alpha > 0.0 && alpha <= 1.0)
+        {
+            return Err(SpecError::Alpha { alpha });
+        }
+        if !self.floor_db.is_finite() || self.floor_db < -370.0 {
+            return Err(SpecError::Floor { floor_db: self.floor_db });
+        }
+        Ok(RdmShape { rx, doppler, range: range_fft / 2 })
+    }
+
+    /// Range and velocity step of the maps that this makes of a waveform's frames: (m, m/s).
+    pub fn steps(&self, waveform: &Waveform) -> (f64, f64) {
+        let range_fft = self.range_fft_length.unwrap_or(waveform.request.samples_per_chirp);
+        let doppler_fft = self.doppler_fft_length.unwrap_or(self.slow_time_length(waveform));
+        let velocity = match self.slow_time {
+            SlowTime::Chirps => waveform.velocity_step_m_per_s(doppler_fft),
+            SlowTime::Frames { .. } => waveform.slow_time_velocity_step_m_per_s(doppler_fft),
+        };
+        (waveform.range_step_m(range_fft), velocity)
+    }
+}
+
+/// A spec that cannot be applied to a waveform.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SpecError {
+    /// The channel does not exist.
+    #[error("map spec: channel index {index} asked for, but frames have {rx} channels (0 to {max})", max = rx - 1)]
+    NoSuchChannel {
+        /// Index asked for.
+        index: usize,
+        /// Channels that a frame has.
+        rx: usize,
+    },
+    /// An FFT would cut data off.
+    #[error("map spec: the {axis} FFT has {fft} points but there are {data} samples; zero-padding only lengthens")]
+    FftTooShort {
+        /// Which axis.
+        axis: &'static str,
+        /// Points asked for.
+        fft: usize,
+        /// Samples there are.
+        data: usize,
+    },
+    /// An axis needs at least two samples.
+    #[error("map spec: {axis} has {length} samples, at least 2 are needed")]
+    TooShort {
+        /// Which axis.
+        axis: &'static str,
+        /// Samples there are.
+        length: usize,
+    },
+    /// The MTI weight is out of range.
+    #[error("map spec: MTI alpha is {alpha}, allowed is above 0 and up to 1")]
+    Alpha {
+        /// What was given.
+        alpha: f64,
+    },
+    /// The floor is not a number that f32 power can hold.
+    #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
+    Floor {
+        /// What was given.
+        floor_db: f64,
+    },
+}

@@ -1,0 +1,445 @@
+//! What the chip transmits and samples, and every quantity that follows from it.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::SPEED_OF_LIGHT_M_PER_S;
+
+/// Reference clock of the BGT60TR13C; all its timers count its cycles.
+pub const REFERENCE_CLOCK_HZ: f64 = 80e6;
+/// Sampling starts this long after the requested start frequency has been passed: `(8*31 + 1) / 80 MHz`
+/// with the vendor's default timing, so the first part of the requested band is never sampled.
+pub const ADC_START_DELAY_S: f64 = 249.0 / REFERENCE_CLOCK_HZ;
+/// One step of the ramp register RSU: `640 MHz / 2^20` in each reference clock cycle.
+pub const SLOPE_STEP_HZ_PER_S: f64 = 640e6 / 1_048_576.0 * REFERENCE_CLOCK_HZ;
+/// Shortest and longest ADC clock divider.
+pub const ADC_DIVIDER_RANGE: (u32, u32) = (20, 1023);
+/// Chirp intervals are realised in steps of eight reference clock cycles.
+pub const CHIRP_INTERVAL_STEP_S: f64 = 8.0 / REFERENCE_CLOCK_HZ;
+/// Time that the chip needs beside the samples in each chirp: ramp start, ADC delay, end delay and baseband reset.
+pub const CHIRP_OVERHEAD_S: f64 = 8.0e-6;
+/// Frequencies that the synthesiser reaches (datasheet: RF band).
+pub const RF_BAND_HZ: (f64, f64) = (57.4e9, 63.6e9);
+/// Samples that the chip's FIFO holds.
+pub const FIFO_SAMPLES: usize = 16_384;
+
+/// Receive antennas in use: bit 0 is RX1.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<u8>", into = "Vec<u8>")]
+pub struct RxMask(u8);
+
+impl RxMask {
+    /// All three receivers.
+    pub const ALL: RxMask = RxMask(0b111);
+
+    /// From 1-based antenna numbers, as recordings list them.
+    pub fn from_antennas(antennas: &[u8]) -> Result<Self, WaveformError> {
+        let mut mask = 0u8;
+        for &antenna in antennas {
+            if !(1..=3).contains(&antenna) || mask & (1 << (antenna - 1)) != 0 {
+                return Err(WaveformError::Antennas { got: antennas.to_vec() });
+            }
+            mask |= 1 << (antenna - 1);
+        }
+        if mask == 0 {
+            return Err(WaveformError::Antennas { got: antennas.to_vec() });
+        }
+        Ok(RxMask(mask))
+    }
+
+    /// 1-based numbers of the enabled antennas, ascending.
+    pub fn antennas(self) -> Vec<u8> {
+        (1..=3).filter(|a| self.0 & (1 << (a - 1)) != 0).collect()
+    }
+
+    /// How many receivers are enabled.
+    pub fn count(self) -> usize {
+        self.0.count_ones() as usize
+    }
+
+    /// The bits, RX1 lowest.
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+}
+
+impl TryFrom<Vec<u8>> for RxMask {
+    type Error = WaveformError;
+    fn try_from(antennas: Vec<u8>) -> Result<Self, Self::Error> {
+        RxMask::from_antennas(&antennas)
+    }
+}
+
+impl From<RxMask> for Vec<u8> {
+    fn from(mask: RxMask) -> Self {
+        mask.antennas()
+    }
+}
+
+/// What a user, a scene or a recording asks for. Written and read as TOML and JSON with these names.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WaveformRequest {
+    /// Frequency at which the transmitter is switched on, Hz.
+    pub start_frequency_hz: f64,
+    /// Frequency at which the ramp ends, Hz.
+    pub end_frequency_hz: f64,
+    /// ADC samples in a chirp.
+    pub samples_per_chirp: usize,
+    /// Chirps in a frame.
+    pub chirps_per_frame: usize,
+    /// ADC rate, Hz.
+    pub sample_rate_hz: f64,
+    /// From the start of one chirp to that of the next, s.
+    pub chirp_interval_s: f64,
+    /// From the start of one frame to that of the next, s.
+    pub frame_interval_s: f64,
+    /// Enabled receivers, 1-based; `[1, 2, 3]` by default.
+    #[serde(default = "all_receivers")]
+    pub rx_antennas: RxMask,
+    /// Transmit power setting, 0..=31 (31 is about 4 dBm).
+    #[serde(default = "full_power")]
+    pub tx_power_level: u8,
+    /// Gain from mixer to ADC, dB: 18..=60 in steps of 5 or so.
+    #[serde(default = "default_gain")]
+    pub if_gain_db: f64,
+    /// First-order high-pass of the IF chain, Hz.
+    #[serde(default = "default_high_pass")]
+    pub high_pass_cutoff_hz: f64,
+    /// Anti-alias filter of the IF chain, Hz.
+    #[serde(default = "default_anti_alias")]
+    pub anti_alias_cutoff_hz: f64,
+}
+
+fn all_receivers() -> RxMask {
+    RxMask::ALL
+}
+fn full_power() -> u8 {
+    31
+}
+fn default_gain() -> f64 {
+    33.0
+}
+fn default_high_pass() -> f64 {
+    80e3
+}
+fn default_anti_alias() -> f64 {
+    500e3
+}
+
+impl WaveformRequest {
+    /// The paper's waveform (paper.md section 3) with what the paper leaves open as DESIGN.md fixes it:
+    /// 882.35 MHz about 60 GHz, 256 samples at 1 MHz, 128 chirps every 500 us, a frame every 100 ms.
+    pub fn paper() -> Self {
+        WaveformRequest {
+            start_frequency_hz: 60e9 - 441.175e6,
+            end_frequency_hz: 60e9 + 441.175e6,
+            samples_per_chirp: 256,
+            chirps_per_frame: 128,
+            sample_rate_hz: 1e6,
+            chirp_interval_s: 500e-6,
+            frame_interval_s: 0.1,
+            rx_antennas: RxMask::ALL,
+            tx_power_level: 31,
+            if_gain_db: 48.0,
+            high_pass_cutoff_hz: 20e3,
+            anti_alias_cutoff_hz: 500e3,
+        }
+    }
+}
+
+/// A waveform as the chip realises it: the request beside what its registers make of it.
+///
+/// The band that is *sampled* is narrower than the one requested; all axes follow from the sampled one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Waveform {
+    /// What was asked for.
+    pub request: WaveformRequest,
+    /// Slope of the ramp, Hz/s, on the grid of the ramp register.
+    pub slope_hz_per_s: f64,
+    /// Realised ADC rate, Hz.
+    pub sample_rate_hz: f64,
+    /// Realised chirp interval, s.
+    pub chirp_interval_s: f64,
+    /// Transmit frequency at the first sample of a chirp, Hz.
+    pub sampled_start_frequency_hz: f64,
+}
+
+/// A waveform that the chip cannot produce.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum WaveformError {
+    /// A value lies outside what the chip can do.
+    #[error("waveform: {name} is {value} {unit}, allowed is {min} to {max} {unit}")]
+    OutOfRange {
+        /// Field of [`WaveformRequest`].
+        name: &'static str,
+        /// What was given.
+        value: f64,
+        /// Least allowed value.
+        min: f64,
+        /// Largest allowed value.
+        max: f64,
+        /// Unit of all three.
+        unit: &'static str,
+    },
+    /// The antenna list is empty, repeats one, or names one that the chip lacks.
+    #[error("waveform: rx_antennas is {got:?}, expected one to three different numbers out of 1, 2, 3")]
+    Antennas {
+        /// What was given.
+        got: Vec<u8>,
+    },
+    /// The chirps do not fit between the start of two chirps or frames.
+    #[error("waveform: {what} take {needed_s:.6} s, but {interval} is {given_s:.6} s; lengthen it or sample less")]
+    DoesNotFit {
+        /// What does not fit.
+        what: &'static str,
+        /// The interval that is too short.
+        interval: &'static str,
+        /// Time needed.
+        needed_s: f64,
+        /// Time given.
+        given_s: f64,
+    },
+}
+
+/// Two waveforms whose maps cannot stand for each other.
+#[derive(Debug, Clone, PartialEq, Error)]
+#[error(
+    "waveforms differ in {what}: {expected} is needed, {got} was given\n\nhint: capture with the waveform that the model names, or train a model for this one"
+)]
+pub struct WaveformMismatch {
+    /// Quantity that differs.
+    pub what: &'static str,
+    /// Value needed, with unit.
+    pub expected: String,
+    /// Value given, with unit.
+    pub got: String,
+}
+
+fn within(name: &'static str, value: f64, (min, max): (f64, f64), unit: &'static str) -> Result<(), WaveformError> {
+    // The negated form also refuses NaN.
+    if !(value >= min && value <= max) {
+        return Err(WaveformError::OutOfRange { name, value, min, max, unit });
+    }
+    Ok(())
+}
+
+impl Waveform {
+    /// Checks a request and computes what the chip makes of it (hardware.md section 4).
+    pub fn realise(request: WaveformRequest) -> Result<Self, WaveformError> {
+        let r = &request;
+        within("start_frequency_hz", r.start_frequency_hz, RF_BAND_HZ, "Hz")?;
+        within("end_frequency_hz", r.end_frequency_hz, (r.start_frequency_hz + 1e6, RF_BAND_HZ.1), "Hz")?;
+        within("samples_per_chirp", r.samples_per_chirp as f64, (8.0, 4095.0), "samples")?;
+        within("chirps_per_frame", r.chirps_per_frame as f64, (1.0, 4095.0), "chirps")?;
+        let (divider_min, divider_max) = ADC_DIVIDER_RANGE;
+        let rates = (REFERENCE_CLOCK_HZ / f64::from(divider_max), REFERENCE_CLOCK_HZ / f64::from(divider_min));
+        within("sample_rate_hz", r.sample_rate_hz, rates, "Hz")?;
+        within("tx_power_level", f64::from(r.tx_power_level), (0.0, 31.0), "(setting)")?;
+        within("if_gain_db", r.if_gain_db, (18.0, 60.0), "dB")?;
+        within("high_pass_cutoff_hz", r.high_pass_cutoff_hz, (20e3, 80e3), "Hz")?;
+        within("anti_alias_cutoff_hz", r.anti_alias_cutoff_hz, (400e3, 700e3), "Hz")?;
+        within("chirp_interval_s", r.chirp_interval_s, (1e-6, 1.0), "s")?;
+        within("frame_interval_s", r.frame_interval_s, (1e-6, 100.0), "s")?;
+
+        let sample_rate_hz = REFERENCE_CLOCK_HZ / (REFERENCE_CLOCK_HZ / r.sample_rate_hz).round();
+        let sampling_s = r.samples_per_chirp as f64 / sample_rate_hz;
+        let wanted_slope = (r.end_frequency_hz - r.start_frequency_hz) / (sampling_s + ADC_START_DELAY_S);
+        within("slope", wanted_slope, (SLOPE_STEP_HZ_PER_S, 400e12), "Hz/s")?;
+        let slope_hz_per_s = (wanted_slope / SLOPE_STEP_HZ_PER_S).round() * SLOPE_STEP_HZ_PER_S;
+        let chirp_interval_s = (r.chirp_interval_s / CHIRP_INTERVAL_STEP_S).round() * CHIRP_INTERVAL_STEP_S;
+
+        let needed_s = sampling_s + CHIRP_OVERHEAD_S;
+        if needed_s > chirp_interval_s {
+            return Err(WaveformError::DoesNotFit {
+                what: "the samples of a chirp",
+                interval: "chirp_interval_s",
+                needed_s,
+                given_s: chirp_interval_s,
+            });
+        }
+        let needed_s = r.chirps_per_frame as f64 * chirp_interval_s;
+        if needed_s > r.frame_interval_s {
+            return Err(WaveformError::DoesNotFit {
+                what: "the chirps of a frame",
+                interval: "frame_interval_s",
+                needed_s,
+                given_s: r.frame_interval_s,
+            });
+        }
+        let sampled_start_frequency_hz = r.start_frequency_hz + slope_hz_per_s * ADC_START_DELAY_S;
+        Ok(Waveform { slope_hz_per_s, sample_rate_hz, chirp_interval_s, sampled_start_frequency_hz, request })
+    }
+
+    /// Receivers, chirps and samples of a frame.
+    pub fn shape(&self) -> crate::FrameShape {
+        crate::FrameShape {
+            rx: self.request.rx_antennas.count(),
+            chirps: self.request.chirps_per_frame,
+            samples: self.request.samples_per_chirp,
+        }
+    }
+
+    /// From the start of one frame to that of the next, s.
+    pub fn frame_interval_s(&self) -> f64 {
+        self.request.frame_interval_s
+    }
+
+    /// Band swept while samples are taken, Hz.
+    pub fn sampled_bandwidth_hz(&self) -> f64 {
+        self.slope_hz_per_s * self.request.samples_per_chirp as f64 / self.sample_rate_hz
+    }
+
+    /// Middle of the sampled band, Hz: the frequency of the velocity axis.
+    pub fn centre_frequency_hz(&self) -> f64 {
+        self.sampled_start_frequency_hz + 0.5 * self.sampled_bandwidth_hz()
+    }
+
+    /// Wavelength in the middle of the sampled band, m.
+    pub fn wavelength_m(&self) -> f64 {
+        SPEED_OF_LIGHT_M_PER_S / self.centre_frequency_hz()
+    }
+
+    /// Range resolution `c / 2B` of the sampled band, m: one bin of an unpadded range FFT.
+    pub fn range_resolution_m(&self) -> f64 {
+        SPEED_OF_LIGHT_M_PER_S / (2.0 * self.sampled_bandwidth_hz())
+    }
+
+    /// Range at which the beat reaches half the ADC rate, m.
+    pub fn max_range_m(&self) -> f64 {
+        0.5 * self.request.samples_per_chirp as f64 * self.range_resolution_m()
+    }
+
+    /// Range of one bin of a range FFT with `fft_length` points, m.
+    pub fn range_step_m(&self, fft_length: usize) -> f64 {
+        SPEED_OF_LIGHT_M_PER_S * self.sample_rate_hz / (2.0 * self.slope_hz_per_s * fft_length as f64)
+    }
+
+    /// Largest radial speed without ambiguity, m/s.
+    pub fn max_velocity_m_per_s(&self) -> f64 {
+        self.wavelength_m() / (4.0 * self.chirp_interval_s)
+    }
+
+    /// Velocity of one bin of a Doppler FFT over the chirps of a frame with `fft_length` points, m/s.
+    pub fn velocity_step_m_per_s(&self, fft_length: usize) -> f64 {
+        self.wavelength_m() / (2.0 * self.chirp_interval_s * fft_length as f64)
+    }
+
+    /// Velocity of one bin of a Doppler FFT over `fft_length` frames, m/s.
+    pub fn slow_time_velocity_step_m_per_s(&self, fft_length: usize) -> f64 {
+        self.wavelength_m() / (2.0 * self.frame_interval_s() * fft_length as f64)
+    }
+
+    /// Packed 12-bit samples that leave the chip, bit/s.
+    pub fn data_rate_bit_per_s(&self) -> f64 {
+        self.shape().codes() as f64 * 12.0 / self.frame_interval_s()
+    }
+
+    /// Whether frames of `self` may be judged by what was made for `needed`: same shape of chirps and samples, range step and
+    /// velocity step within 1 %, frame interval within 5 %. More receivers than needed are no obstacle.
+    pub fn check_compatible(&self, needed: &Waveform) -> Result<(), WaveformMismatch> {
+        let differ = |what, expected, got| Err(WaveformMismatch { what, expected, got });
+        let (a, b) = (&self.request, &needed.request);
+        if (a.samples_per_chirp, a.chirps_per_frame) != (b.samples_per_chirp, b.chirps_per_frame) {
+            return differ(
+                "map size",
+                format!("{} chirps x {} samples", b.chirps_per_frame, b.samples_per_chirp),
+                format!("{} chirps x {} samples", a.chirps_per_frame, a.samples_per_chirp),
+            );
+        }
+        if b.rx_antennas.bits() & !a.rx_antennas.bits() != 0 {
+            return differ(
+                "receivers",
+                format!("{:?}", b.rx_antennas.antennas()),
+                format!("{:?}", a.rx_antennas.antennas()),
+            );
+        }
+        let near = |x: f64, y: f64, tolerance: f64| (x / y - 1.0).abs() <= tolerance;
+        if !near(self.range_resolution_m(), needed.range_resolution_m(), 0.01) {
+            return differ(
+                "range step",
+                format!("{:.4} m", needed.range_resolution_m()),
+                format!("{:.4} m", self.range_resolution_m()),
+            );
+        }
+        let steps = (self.velocity_step_m_per_s(1), needed.velocity_step_m_per_s(1));
+        if !near(steps.0, steps.1, 0.01) {
+            return differ("unambiguous velocity span", format!("{:.4} m/s", steps.1), format!("{:.4} m/s", steps.0));
+        }
+        if !near(self.frame_interval_s(), needed.frame_interval_s(), 0.05) {
+            return differ(
+                "frame interval",
+                format!("{:.4} s", needed.frame_interval_s()),
+                format!("{:.4} s", self.frame_interval_s()),
+            );
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn vendor_default() -> Waveform {
+        Waveform::realise(WaveformRequest {
+            start_frequency_hz: 58e9,
+            end_frequency_hz: 63e9,
+            samples_per_chirp: 64,
+            chirps_per_frame: 64,
+            sample_rate_hz: 2e6,
+            ..WaveformRequest::paper()
+        })
+        .expect("valid")
+    }
+
+    /// Register dump of the vendor's default list: RSU 0x0B64, sampled band 58.441..62.998 GHz = 4.556 GHz.
+    #[test]
+    fn sampled_band_of_the_vendor_default_is_narrower_than_requested() {
+        let w = vendor_default();
+        assert_eq!((w.slope_hz_per_s / SLOPE_STEP_HZ_PER_S).round() as u32, 0x0B64);
+        assert!((w.sampled_bandwidth_hz() - 4.556e9).abs() < 1e6);
+        assert!((w.sampled_start_frequency_hz - 58.441e9).abs() < 3e6);
+    }
+
+    /// The recording of a breathing person: 58-63.5 GHz, 64 samples at 2 MHz, bins of 29.9 mm up to 0.957 m.
+    #[test]
+    fn axes_of_a_real_recording_follow_the_sampled_band() {
+        let request = WaveformRequest { end_frequency_hz: 63.5e9, ..vendor_default().request };
+        let w = Waveform::realise(request).expect("valid");
+        assert!((w.range_resolution_m() - 0.0299).abs() < 5e-5, "{}", w.range_resolution_m());
+        assert!((w.max_range_m() - 0.957).abs() < 1e-3, "{}", w.max_range_m());
+    }
+
+    #[test]
+    fn paper_waveform_is_realised_within_one_percent() {
+        let w = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        assert!((w.range_resolution_m() / 0.17 - 1.0).abs() < 0.02);
+        assert!((w.max_velocity_m_per_s() - 2.5).abs() < 0.01);
+        // Slope as requested (band over sampling plus delay) against the register's grid: about half a percent here.
+        let wanted = 882.35e6 / (256e-6 + ADC_START_DELAY_S);
+        let deviation = (w.slope_hz_per_s / wanted - 1.0).abs();
+        assert!(deviation > 0.001 && deviation < 0.01, "{deviation}");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn values_out_of_range_name_field_and_interval() {
+            let request = WaveformRequest { sample_rate_hz: f64::NAN, ..WaveformRequest::paper() };
+            let message = Waveform::realise(request).expect_err("NaN").to_string();
+            assert!(message.contains("sample_rate_hz") && message.contains("4000000"), "{message}");
+            let request = WaveformRequest { chirp_interval_s: 200e-6, ..WaveformRequest::paper() };
+            let message = Waveform::realise(request).expect_err("too short").to_string();
+            assert!(message.contains("chirp_interval_s"), "{message}");
+        }
+
+        #[test]
+        fn antennas_are_checked() {
+            for bad in [&[][..], &[4], &[1, 1], &[0]] {
+                assert!(RxMask::from_antennas(bad).is_err(), "{bad:?}");
+            }
+        }
+    }
+}
