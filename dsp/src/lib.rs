@@ -18,13 +18,16 @@
 //!   named in the [`RdmSpec`]; `-inf` never appears. NaN and infinity stay visible and are flagged.
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
+pub mod decibel;
 mod frame;
+mod noise;
 pub mod rdm;
 mod waveform;
 mod window;
 
 pub use frame::{Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, SourceError, SourceEvent, Truth};
-pub use rdm::{MapFlags, Rdm, RdmShape, RdmSpec};
+pub use noise::noise_floor_db;
+pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
 pub use waveform::{
     ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformError,
     WaveformMismatch, WaveformRequest,

@@ -1,7 +1,10 @@
 //! Range-Doppler maps: what to compute ([`RdmSpec`]), how (`RdmProcessor`), and the slow reference.
 
+mod processor;
+pub mod reference;
 mod spec;
 
+pub use processor::{MapError, MapStatus, RdmProcessor};
 pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, SpecError, StaticRemoval};
 
 /// Lengths of the axes of a map, in order.
@@ -80,3 +83,6 @@ impl Rdm {
         Some((index / (doppler * range), index / range % doppler, index % range))
     }
 }
+
+#[cfg(test)]
+mod tests;

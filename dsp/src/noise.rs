@@ -1,0 +1,32 @@
+//! Noise floor of a map.
+
+use crate::Rdm;
+
+/// Mean noise power of each range bin of one channel in dB: the median of the power over Doppler, over `ln 2`.
+///
+/// The power of complex Gaussian noise is exponential, whose median is `ln 2` of its mean; targets and clutter fill few
+/// Doppler cells and hardly move a median. `guard_bins` cells on either side of zero Doppler are left out.
+/// Non-finite cells are left out too; a bin without any finite cell reads NaN.
+pub fn noise_floor_db(map: &Rdm, rx: usize, guard_bins: usize) -> Vec<f32> {
+    let zero = map.shape.doppler / 2;
+    let mut column = Vec::with_capacity(map.shape.doppler);
+    (0..map.shape.range)
+        .map(|range| {
+            column.clear();
+            column.extend(
+                (0..map.shape.doppler)
+                    .filter(|d| d.abs_diff(zero) > guard_bins)
+                    .map(|d| map.at(rx, d, range))
+                    .filter(|v| v.is_finite()),
+            );
+            if column.is_empty() {
+                return f32::NAN;
+            }
+            column.sort_unstable_by(f32::total_cmp);
+            let middle = column.len() / 2;
+            let median_db =
+                if column.len() % 2 == 1 { column[middle] } else { 0.5 * (column[middle - 1] + column[middle]) };
+            median_db - 10.0 * std::f32::consts::LN_2.log10()
+        })
+        .collect()
+}
