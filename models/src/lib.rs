@@ -1,1 +1,17 @@
-//! stub
+//! Datasets of labelled range-Doppler maps, networks that count people in them, training and evaluation.
+//!
+//! This crate knows maps and labels, never where they came from.
+//!
+//! What flows: [`dataset::Dataset`] -> [`train::train`] -> model file -> [`Classifier`] -> probabilities.
+//!
+//! # Conventions
+//! - A network's input is one map, `[1][range][doppler]`: the transpose of [`radome_dsp::Rdm`]'s `[rx][doppler][range]`
+//!   for one channel. Inside, feature maps are channel-last: `[batch][range][doppler][channel]`.
+//! - Classes are [`radome_dsp::Occupancy`] in the order of its index.
+//! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
+//!   the same kernel level ([`layer::KernelLevel`]).
+
+pub mod quantum;
+mod random;
+
+pub use random::stream;

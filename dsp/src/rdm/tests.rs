@@ -97,7 +97,9 @@ fn every_option_agrees_with_the_formula_in_f64() {
         let frames =
             if matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. }) { &frames } else { &frames[2..] };
         let worst = worst_error_dbc(&spec, &w, frames);
-        assert!(worst < -130.0, "{worst} dBc in {spec:?}");
+        // Static removal lowers the peak by some 20 dB but not the rounding of what it removes.
+        let bound = if spec.static_removal == StaticRemoval::None { -130.0 } else { -115.0 };
+        assert!(worst < bound, "{worst} dBc in {spec:?}");
     }
 }
 
