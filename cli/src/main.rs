@@ -1,1 +1,46 @@
-fn main() {}
+//! `radome`: occupancy from a 60 GHz radar. Data goes to stdout, talk to stderr.
+
+// A program talks; the libraries below it only report.
+#![allow(clippy::print_stdout, clippy::print_stderr)]
+
+mod command;
+mod files;
+mod live;
+mod output;
+mod plot;
+mod source;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+#[derive(Parser)]
+#[command(name = "radome", version, about, propagate_version = true, max_term_width = 100)]
+struct Arguments {
+    /// More talk on stderr: -v for what happens, -vv for every detail
+    #[arg(short, long, global = true, action = clap::ArgAction::Count)]
+    verbose: u8,
+    #[command(subcommand)]
+    command: command::Command,
+}
+
+fn main() -> ExitCode {
+    let arguments = Arguments::parse();
+    start_log(arguments.verbose);
+    match command::run(arguments.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        // Whoever read our output has had enough: that is no failure.
+        Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", output::chain(&error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn start_log(verbose: u8) {
+    let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
+    let filter = tracing_subscriber::EnvFilter::try_from_env("RADOME_LOG")
+        .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+}
