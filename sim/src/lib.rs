@@ -1,1 +1,3 @@
-//! stub
+//! Chirp frames from physics: scenes, people, fields, receiver.
+
+pub mod receiver;
