@@ -1,0 +1,37 @@
+//! Time of a training step and of one classification: CPU milliseconds, beside a fixed calibration kernel.
+#![allow(clippy::print_stdout)]
+
+use std::time::Instant;
+
+use candle_core::{Device, Tensor};
+use radome_models::layer::{KernelLevel, cross_entropy};
+use radome_models::network::Hqnn;
+
+fn best_of(times: usize, mut f: impl FnMut() -> candle_core::Result<()>) -> candle_core::Result<f64> {
+    let mut best = f64::INFINITY;
+    for _ in 0..times {
+        let start = Instant::now();
+        f()?;
+        best = best.min(start.elapsed().as_secs_f64() * 1e3);
+    }
+    Ok(best)
+}
+
+fn main() -> candle_core::Result<()> {
+    for level in [KernelLevel::Portable, KernelLevel::Avx2] {
+        let network = Hqnn::initialise(1, 0, level)?;
+        let input = Tensor::randn(0f32, 1.0, (32, 128, 128), &Device::Cpu)?;
+        let labels: Vec<usize> = (0..32).map(|i| i % 3).collect();
+        let forward = best_of(7, || network.stages(&input).map(|_| ()))?;
+        let step = best_of(7, || {
+            let loss = cross_entropy(&network.stages(&input)?.logits, &labels, &[1.0; 3])?;
+            loss.backward().map(|_| ())
+        })?;
+        let one = input.narrow(0, 0, 1)?.contiguous()?;
+        let single = best_of(30, || network.stages(&one).map(|_| ()))?;
+        println!(
+            "{level:?}: batch 32 forward {forward:.1} ms, forward and backward {step:.1} ms; batch 1 {single:.2} ms"
+        );
+    }
+    Ok(())
+}

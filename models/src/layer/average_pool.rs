@@ -1,0 +1,113 @@
+//! Adaptive average pooling: any map size to a fixed one.
+
+use candle_core::{CpuStorage, CustomOp1, Error, Layout, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::{values, with_values};
+
+const NAME: &str = "adaptive_average_pool";
+
+/// Means over bins: `[batch][row][column][channel]` to `[batch][channel * rows * columns]`, flattened channel-first as
+/// PyTorch's `AdaptiveAvgPool2d` and `Flatten` would, so that weights are interchangeable.
+///
+/// Bin `i` of `n` over a length `l` runs from `floor(i l / n)` to `ceil((i + 1) l / n)`.
+pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Result<Tensor> {
+    input.apply_op1(AveragePool { rows, columns })
+}
+
+/// First and end index of bin `index` of `bins` over `length` cells.
+pub(super) fn bin(index: usize, bins: usize, length: usize) -> (usize, usize) {
+    (index * length / bins, ((index + 1) * length).div_ceil(bins))
+}
+
+struct AveragePool {
+    rows: usize,
+    columns: usize,
+}
+
+impl AveragePool {
+    fn sizes(&self, dims: &[usize]) -> Result<[usize; 4]> {
+        match *dims {
+            [batch, rows, columns, channels]
+                if rows > 0 && columns > 0 && channels > 0 && self.rows > 0 && self.columns > 0 =>
+            {
+                Ok([batch, rows, columns, channels])
+            }
+            _ => Err(Error::Msg(format!(
+                "{NAME}: expected [batch, rows, columns, channels] without empty axes, got {dims:?} to ({}, {})",
+                self.rows, self.columns
+            ))
+            .bt()),
+        }
+    }
+
+    /// Calls `f(bin index, first cell, end cell of each row range)` with the weight of a cell in its bin.
+    fn for_each_bin(&self, rows: usize, columns: usize, mut f: impl FnMut(usize, (usize, usize), (usize, usize), f32)) {
+        for i in 0..self.rows {
+            let row_range = bin(i, self.rows, rows);
+            for j in 0..self.columns {
+                let column_range = bin(j, self.columns, columns);
+                let cells = (row_range.1 - row_range.0) * (column_range.1 - column_range.0);
+                f(i * self.columns + j, row_range, column_range, 1.0 / cells as f32);
+            }
+        }
+    }
+}
+
+impl CustomOp1 for AveragePool {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn cpu_fwd(&self, input: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
+        let [batch, rows, columns, channels] = self.sizes(layout.dims())?;
+        let input = values(NAME, input, layout)?;
+        let bins = self.rows * self.columns;
+        let mut result = vec![0.0f32; batch * channels * bins];
+        result.par_chunks_exact_mut(channels * bins).zip(input.par_chunks_exact(rows * columns * channels)).for_each(
+            |(out, map)| {
+                let mut sums = vec![0.0f32; channels];
+                self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
+                    sums.fill(0.0);
+                    for row in top..bottom {
+                        let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
+                        for cell in cells.chunks_exact(channels) {
+                            sums.iter_mut().zip(cell).for_each(|(s, &v)| *s += v);
+                        }
+                    }
+                    for (channel, &sum) in sums.iter().enumerate() {
+                        out[channel * bins + index] = sum * weight;
+                    }
+                });
+            },
+        );
+        Ok((CpuStorage::F32(result), Shape::from((batch, channels * bins))))
+    }
+
+    fn bwd(&self, input: &Tensor, _result: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        let [_, rows, columns, channels] = self.sizes(input.dims())?;
+        let bins = self.rows * self.columns;
+        let mut input_gradient = vec![0.0f32; input.elem_count()];
+        with_values(NAME, gradient, |gradient| {
+            input_gradient
+                .par_chunks_exact_mut(rows * columns * channels)
+                .zip(gradient.par_chunks_exact(channels * bins))
+                .for_each(|(map, g)| {
+                    let mut share = vec![0.0f32; channels];
+                    self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
+                        for (channel, share) in share.iter_mut().enumerate() {
+                            *share = g[channel * bins + index] * weight;
+                        }
+                        for row in top..bottom {
+                            let cells = &mut map[(row * columns + left) * channels..(row * columns + right) * channels];
+                            for cell in cells.chunks_exact_mut(channels) {
+                                cell.iter_mut().zip(&share).for_each(|(v, &s)| *v += s);
+                            }
+                        }
+                    });
+                });
+            Ok(())
+        })?;
+        Ok(Some(Tensor::from_vec(input_gradient, input.shape(), input.device())?))
+    }
+}

@@ -1,0 +1,315 @@
+//! Inner loops, in a portable and an AVX2 version chosen at run time.
+//!
+//! Both do the same sums in the same order, but AVX2 fuses multiply and add: unlike machines agree bit for bit only at
+//! the same level, so the level is recorded with every trained model and can be chosen.
+
+use serde::{Deserialize, Serialize};
+
+/// Which instructions the inner loops use.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum KernelLevel {
+    /// Plain Rust: separate multiply and add.
+    Portable,
+    /// AVX2 with fused multiply-add; falls back to `Portable` where the processor lacks it.
+    Avx2,
+}
+
+impl KernelLevel {
+    /// The fastest that this machine has.
+    pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
+            return KernelLevel::Avx2;
+        }
+        KernelLevel::Portable
+    }
+
+    /// This level, or the portable one where the processor lacks it.
+    pub fn available(self) -> Self {
+        if self == KernelLevel::Avx2 { Self::detect() } else { self }
+    }
+}
+
+/// Output channels that the convolution kernel handles at once.
+pub(super) const LANES: usize = 16;
+/// Index of a pooling window whose maximum is not above zero: ReLU passes no gradient.
+pub(super) const DEAD: u8 = 4;
+
+#[inline(always)]
+fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+    if FUSED { a.mul_add(b, c) } else { a * b + c }
+}
+
+/// Calls the generic function with `FUSED` true inside a function compiled for AVX2, or false in plain code.
+macro_rules! dispatch {
+    ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),*) $(-> $ret:ty)? = $generic:ident) => {
+        $(#[$doc])*
+        #[allow(clippy::too_many_arguments)]
+        $vis fn $name(level: KernelLevel, $($arg: $type),*) $(-> $ret)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2,fma")]
+                #[allow(clippy::too_many_arguments)]
+                fn avx2($($arg: $type),*) $(-> $ret)? {
+                    $generic::<true>($($arg),*)
+                }
+                if level.available() == KernelLevel::Avx2 {
+                    // SAFETY: `available` returned this level, so the processor has AVX2 and FMA.
+                    return unsafe { avx2($($arg),*) };
+                }
+            }
+            let _ = level;
+            $generic::<false>($($arg),*)
+        }
+    };
+}
+
+/// Geometry of a 3x3 convolution with padding 1 followed by 2x2 pooling.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Block {
+    /// Rows of the input.
+    pub rows: usize,
+    /// Columns of the input.
+    pub columns: usize,
+    /// Input channels.
+    pub inputs: usize,
+    /// Output channels.
+    pub outputs: usize,
+}
+
+impl Block {
+    /// Length of a padded input: one cell more on each side.
+    pub fn padded_length(&self) -> usize {
+        (self.rows + 2) * (self.columns + 2) * self.inputs
+    }
+
+    /// Length of the pooled output.
+    pub fn pooled_length(&self) -> usize {
+        (self.rows / 2) * (self.columns / 2) * self.outputs
+    }
+
+    /// Cells of one output channel's kernel.
+    pub fn taps(&self) -> usize {
+        9 * self.inputs
+    }
+
+    /// Length of weights packed by [`Block::pack`].
+    pub fn packed_length(&self) -> usize {
+        self.outputs.div_ceil(LANES) * self.taps() * LANES
+    }
+
+    /// Copies an input `[row][column][channel]` into the middle of a padded one whose border is zero.
+    pub fn pad(&self, input: &[f32], padded: &mut [f32]) {
+        let (line, padded_line) = (self.columns * self.inputs, (self.columns + 2) * self.inputs);
+        for (source, target) in input.chunks_exact(line).zip(padded.chunks_exact_mut(padded_line).skip(1)) {
+            target[self.inputs..self.inputs + line].copy_from_slice(source);
+        }
+    }
+
+    /// Reverse of [`Block::pad`].
+    pub fn crop(&self, padded: &[f32], input: &mut [f32]) {
+        let (line, padded_line) = (self.columns * self.inputs, (self.columns + 2) * self.inputs);
+        for (target, source) in input.chunks_exact_mut(line).zip(padded.chunks_exact(padded_line).skip(1)) {
+            target.copy_from_slice(&source[self.inputs..self.inputs + line]);
+        }
+    }
+
+    /// Weights `[output][input][row][column]` to `[output / 16][row][column][input][output % 16]`, zero-filled, for the
+    /// forward pass.
+    pub fn pack(&self, weight: &[f32]) -> Vec<f32> {
+        let mut packed = vec![0.0; self.packed_length()];
+        for (o, kernel) in weight.chunks_exact(self.taps()).enumerate() {
+            for (i, plane) in kernel.chunks_exact(9).enumerate() {
+                for (t, &w) in plane.iter().enumerate() {
+                    packed[((o / LANES) * self.taps() + t * self.inputs + i) * LANES + o % LANES] = w;
+                }
+            }
+        }
+        packed
+    }
+
+    /// Weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward pass.
+    pub fn to_channel_last(&self, weight: &[f32]) -> Vec<f32> {
+        let mut out = vec![0.0; weight.len()];
+        for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
+            for (k, value) in target.iter_mut().enumerate() {
+                *value = source[(k % self.inputs) * 9 + k / self.inputs];
+            }
+        }
+        out
+    }
+
+    /// Reverse of [`Block::to_channel_last`].
+    pub fn to_channel_first(&self, weight: &[f32]) -> Vec<f32> {
+        let mut out = vec![0.0; weight.len()];
+        for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
+            for (k, &value) in source.iter().enumerate() {
+                target[(k % self.inputs) * 9 + k / self.inputs] = value;
+            }
+        }
+        out
+    }
+}
+
+dispatch! {
+    /// Convolution, bias, ReLU and pooling of one sample. `winner` gets the index 0..4 of the largest cell of each
+    /// window (row-major, the first of equals) or [`DEAD`].
+    pub(super) fn forward(
+        block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
+    ) = forward_generic
+}
+
+#[inline(always)]
+fn forward_generic<const FUSED: bool>(
+    block: Block,
+    padded: &[f32],
+    packed: &[f32],
+    bias: &[f32],
+    pooled: &mut [f32],
+    winner: &mut [u8],
+) {
+    let Block { rows, columns, inputs, outputs } = block;
+    let line = (columns + 2) * inputs;
+    let tile = block.taps() * LANES;
+    for (group, weights) in packed.chunks_exact(tile).enumerate() {
+        let first = group * LANES;
+        let lanes = LANES.min(outputs - first);
+        let mut start = [0.0f32; LANES];
+        start[..lanes].copy_from_slice(&bias[first..first + lanes]);
+        for y in 0..rows / 2 {
+            for x in 0..columns / 2 {
+                let corner = 2 * y * line + 2 * x * inputs;
+                let mut sums = [start; 4];
+                for ky in 0..3 {
+                    // Three taps of one row are contiguous in channel-last order; so are their weights.
+                    let at = |row: usize, column: usize| {
+                        let from = corner + (ky + row) * line + column * inputs;
+                        &padded[from..from + 3 * inputs]
+                    };
+                    let cells = [at(0, 0), at(0, 1), at(1, 0), at(1, 1)];
+                    let weights = &weights[ky * 3 * inputs * LANES..(ky + 1) * 3 * inputs * LANES];
+                    accumulate::<FUSED>(&mut sums, cells, weights);
+                }
+                let at = (y * (columns / 2) + x) * outputs + first;
+                let (pooled, winner) = (&mut pooled[at..at + lanes], &mut winner[at..at + lanes]);
+                for lane in 0..lanes {
+                    let (mut best, mut index) = (sums[0][lane], 0u8);
+                    for (candidate, sum) in sums.iter().enumerate().skip(1) {
+                        if sum[lane] > best {
+                            (best, index) = (sum[lane], candidate as u8);
+                        }
+                    }
+                    // NaN fails the comparison and must pass through, to be found by whoever looks for it.
+                    let dead = best <= 0.0;
+                    pooled[lane] = if dead { 0.0 } else { best };
+                    winner[lane] = if dead { DEAD } else { index };
+                }
+            }
+        }
+    }
+}
+
+/// `sums[p][lane] += cells[p][k] * weights[k][lane]` over all k, in order.
+#[inline(always)]
+fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4], weights: &[f32]) {
+    let mut acc = *sums;
+    let taps = weights.len() / LANES;
+    let [c0, c1, c2, c3] = cells.map(|c| &c[..taps]);
+    let (weights, _) = weights.as_chunks::<LANES>();
+    for k in 0..taps {
+        let w = &weights[k];
+        for (sum, cell) in acc.iter_mut().zip([c0[k], c1[k], c2[k], c3[k]]) {
+            for lane in 0..LANES {
+                sum[lane] = multiply_add::<FUSED>(cell, w[lane], sum[lane]);
+            }
+        }
+    }
+    *sums = acc;
+}
+
+dispatch! {
+    /// Gradients of one sample. `gradient` belongs to the pooled output; weights and `weight_gradient` are
+    /// channel-last. `input_gradient` is padded, or empty where nobody needs it. All gradients are added to.
+    pub(super) fn backward(
+        block: Block, padded: &[f32], weight: &[f32], winner: &[u8], gradient: &[f32],
+        weight_gradient: &mut [f32], bias_gradient: &mut [f32], input_gradient: &mut [f32]
+    ) = backward_generic
+}
+
+#[inline(always)]
+#[allow(clippy::too_many_arguments)]
+fn backward_generic<const FUSED: bool>(
+    block: Block,
+    padded: &[f32],
+    weight: &[f32],
+    winner: &[u8],
+    gradient: &[f32],
+    weight_gradient: &mut [f32],
+    bias_gradient: &mut [f32],
+    input_gradient: &mut [f32],
+) {
+    let Block { rows, columns, inputs, outputs } = block;
+    let line = (columns + 2) * inputs;
+    let (taps, run) = (block.taps(), 3 * inputs);
+    for y in 0..rows / 2 {
+        for x in 0..columns / 2 {
+            let at = (y * (columns / 2) + x) * outputs;
+            let (winner, gradient) = (&winner[at..at + outputs], &gradient[at..at + outputs]);
+            for o in 0..outputs {
+                let (index, g) = (winner[o] as usize, gradient[o]);
+                if index == DEAD as usize {
+                    continue;
+                }
+                bias_gradient[o] += g;
+                let corner = (2 * y + index / 2) * line + (2 * x + index % 2) * inputs;
+                let kernel_gradient = &mut weight_gradient[o * taps..(o + 1) * taps];
+                for (ky, kernel_gradient) in kernel_gradient.chunks_exact_mut(run).enumerate() {
+                    let from = corner + ky * line;
+                    add_scaled::<FUSED>(kernel_gradient, g, &padded[from..from + run]);
+                }
+                if !input_gradient.is_empty() {
+                    let kernel = &weight[o * taps..(o + 1) * taps];
+                    for (ky, kernel) in kernel.chunks_exact(run).enumerate() {
+                        let from = corner + ky * line;
+                        add_scaled::<FUSED>(&mut input_gradient[from..from + run], g, kernel);
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `target += factor * source`.
+#[inline(always)]
+fn add_scaled<const FUSED: bool>(target: &mut [f32], factor: f32, source: &[f32]) {
+    for (t, &s) in target.iter_mut().zip(source) {
+        *t = multiply_add::<FUSED>(factor, s, *t);
+    }
+}
+
+dispatch! {
+    /// `target += factor * source`.
+    pub(super) fn axpy(target: &mut [f32], factor: f32, source: &[f32]) = add_scaled
+}
+
+dispatch! {
+    /// Scalar product, summed in 16 interleaved parts and then in order of the parts.
+    pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 = dot_generic
+}
+
+#[inline(always)]
+fn dot_generic<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
+    let mut parts = [0.0f32; LANES];
+    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
+    for (a, b) in a.iter().zip(b) {
+        for lane in 0..LANES {
+            parts[lane] = multiply_add::<FUSED>(a[lane], b[lane], parts[lane]);
+        }
+    }
+    let mut sum = parts.iter().sum();
+    for (&a, &b) in a_rest.iter().zip(b_rest) {
+        sum = multiply_add::<FUSED>(a, b, sum);
+    }
+    sum
+}

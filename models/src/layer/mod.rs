@@ -1,0 +1,56 @@
+//! Layers as candle custom ops with hand-written gradients: f32, CPU, channel-last.
+//!
+//! candle's own max-pool gradient is wrong (scaled by the share of maxima in a window) and its convolution backward
+//! pass several times slower than it need be, so what the networks here are made of is written out:
+//! - [`conv_relu_pool`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the winner of each pooling window
+//!   has a gradient, so the backward pass does a quarter of the dense work or less, and the convolution's output never
+//!   touches memory.
+//! - [`adaptive_average_pool`], [`linear`], [`circuit`], [`cross_entropy`].
+//!
+//! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
+//! threads. [`reference`] holds the slow obvious versions.
+
+mod average_pool;
+mod circuit;
+mod conv_relu_pool;
+mod cross_entropy;
+mod kernel;
+mod linear;
+pub mod reference;
+#[cfg(test)]
+mod tests;
+
+pub use average_pool::adaptive_average_pool;
+pub use circuit::circuit;
+pub use conv_relu_pool::{InputGradient, conv_relu_pool};
+pub use cross_entropy::cross_entropy;
+pub use kernel::KernelLevel;
+pub use linear::linear;
+
+use candle_core::{CpuStorage, DType, Error, Layout, Result, Storage, Tensor};
+
+/// The f32 values of a contiguous CPU tensor, or an error that names the layer.
+fn values<'a>(layer: &'static str, storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
+    let CpuStorage::F32(data) = storage else {
+        return Err(Error::UnsupportedDTypeForOp(storage_dtype(storage), layer).bt());
+    };
+    let Some((start, end)) = layout.contiguous_offsets() else {
+        return Err(Error::RequiresContiguous { op: layer }.bt());
+    };
+    data.get(start..end).ok_or_else(|| Error::Msg(format!("{layer}: layout {start}..{end} exceeds storage")).bt())
+}
+
+fn storage_dtype(storage: &CpuStorage) -> DType {
+    use candle_core::backend::BackendStorage;
+    storage.dtype()
+}
+
+/// Runs `f` on the f32 values of a tensor, made contiguous first if need be.
+pub(crate) fn with_values<R>(layer: &'static str, tensor: &Tensor, f: impl FnOnce(&[f32]) -> Result<R>) -> Result<R> {
+    let tensor = tensor.contiguous()?;
+    let (storage, layout) = tensor.storage_and_layout();
+    match &*storage {
+        Storage::Cpu(cpu) => f(values(layer, cpu, layout)?),
+        _ => candle_core::bail!("{layer}: tensor is not on the CPU"),
+    }
+}

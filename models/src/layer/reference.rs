@@ -1,0 +1,73 @@
+//! The layers in f64, straight from their formulas, channel-first: what the fast ones are tested against.
+
+/// 3x3 convolution, padding 1. `input` `[i][rows][columns]`, `weight` `[o][i][3][3]`; result `[o][rows][columns]`.
+pub fn conv3x3(input: &[f64], rows: usize, columns: usize, weight: &[f64], bias: &[f64]) -> Vec<f64> {
+    let inputs = input.len() / (rows * columns);
+    let mut out = Vec::with_capacity(bias.len() * rows * columns);
+    for (o, b) in bias.iter().enumerate() {
+        for y in 0..rows {
+            for x in 0..columns {
+                let mut sum = *b;
+                for i in 0..inputs {
+                    for ky in 0..3 {
+                        for kx in 0..3 {
+                            let (row, column) = (y + ky, x + kx);
+                            if (1..=rows).contains(&row) && (1..=columns).contains(&column) {
+                                sum += weight[((o * inputs + i) * 3 + ky) * 3 + kx]
+                                    * input[(i * rows + row - 1) * columns + column - 1];
+                            }
+                        }
+                    }
+                }
+                out.push(sum);
+            }
+        }
+    }
+    out
+}
+
+/// `max(x, 0)`.
+pub fn relu(input: &[f64]) -> Vec<f64> {
+    input.iter().map(|v| v.max(0.0)).collect()
+}
+
+/// 2x2 max-pooling with stride 2 of `[channel][rows][columns]`; an odd last row or column is dropped.
+pub fn max_pool2(input: &[f64], rows: usize, columns: usize) -> Vec<f64> {
+    let mut out = Vec::new();
+    for plane in input.chunks_exact(rows * columns) {
+        for y in 0..rows / 2 {
+            for x in 0..columns / 2 {
+                let at = |dy: usize, dx: usize| plane[(2 * y + dy) * columns + 2 * x + dx];
+                out.push(at(0, 0).max(at(0, 1)).max(at(1, 0)).max(at(1, 1)));
+            }
+        }
+    }
+    out
+}
+
+/// Adaptive average pooling of `[channel][rows][columns]` to `[channel][to.0][to.1]`.
+pub fn adaptive_average_pool(input: &[f64], rows: usize, columns: usize, to: (usize, usize)) -> Vec<f64> {
+    let mut out = Vec::new();
+    for plane in input.chunks_exact(rows * columns) {
+        for i in 0..to.0 {
+            let (top, bottom) = (i * rows / to.0, ((i + 1) * rows).div_ceil(to.0));
+            for j in 0..to.1 {
+                let (left, right) = (j * columns / to.1, ((j + 1) * columns).div_ceil(to.1));
+                let cells = (top..bottom).flat_map(|y| (left..right).map(move |x| plane[y * columns + x]));
+                out.push(cells.sum::<f64>() / ((bottom - top) * (right - left)) as f64);
+            }
+        }
+    }
+    out
+}
+
+/// `weight x + bias` for one sample.
+pub fn linear(input: &[f64], weight: &[f64], bias: &[f64]) -> Vec<f64> {
+    let rows = weight.chunks_exact(input.len());
+    rows.zip(bias).map(|(w, b)| b + w.iter().zip(input).map(|(w, x)| w * x).sum::<f64>()).collect()
+}
+
+/// Cross-entropy of one sample.
+pub fn cross_entropy(logits: &[f64], label: usize) -> f64 {
+    logits.iter().map(|z| z.exp()).sum::<f64>().ln() - logits[label]
+}

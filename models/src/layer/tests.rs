@@ -1,0 +1,272 @@
+use candle_core::{Device, Tensor, Var};
+use rand::Rng;
+
+use super::*;
+use crate::stream;
+
+fn random(count: usize, purpose: &str) -> Vec<f32> {
+    let mut rng = stream(3, purpose, 0);
+    (0..count).map(|_| rng.random_range(-1.0..1.0)).collect()
+}
+
+fn var(values: &[f32], shape: &[usize]) -> Var {
+    Var::from_tensor(&Tensor::from_slice(values, shape, &Device::Cpu).expect("tensor")).expect("var")
+}
+
+fn to_f64(values: &[f32]) -> Vec<f64> {
+    values.iter().map(|&v| f64::from(v)).collect()
+}
+
+fn flat(tensor: &Tensor) -> Vec<f32> {
+    tensor.flatten_all().expect("flat").to_vec1().expect("f32")
+}
+
+fn close(name: &str, got: &[f32], want: &[f64], tolerance: f64) {
+    assert_eq!(got.len(), want.len(), "{name}");
+    let scale = want.iter().fold(1e-3f64, |m, v| m.max(v.abs()));
+    for (k, (g, w)) in got.iter().zip(want).enumerate() {
+        assert!(
+            w.is_nan() || (f64::from(*g) - w).abs() <= tolerance * scale,
+            "{name}[{k}]: {g} instead of {w} (scale {scale})"
+        );
+    }
+}
+
+/// Central differences of a scalar function in f64, at no more than about a hundred evenly spread coordinates; NaN
+/// elsewhere, which [`close`] passes over.
+fn differences(at: &[f64], f: impl Fn(&[f64]) -> f64) -> Vec<f64> {
+    let h = 1e-6;
+    let step = at.len().div_ceil(100);
+    // A step that shares factors with the axes would see the same channels and taps again and again.
+    let step = (step..).find(|s| [2, 3, 5, 7].iter().all(|p| s % p != 0) || *s == 1).unwrap_or(1);
+    let mut moved = at.to_vec();
+    (0..at.len())
+        .map(|k| {
+            if k % step != 0 {
+                return f64::NAN;
+            }
+            moved[k] = at[k] + h;
+            let plus = f(&moved);
+            moved[k] = at[k] - h;
+            let minus = f(&moved);
+            moved[k] = at[k];
+            (plus - minus) / (2.0 * h)
+        })
+        .collect()
+}
+
+fn weighted_sum(values: &[f64], weights: &[f64]) -> f64 {
+    values.iter().zip(weights).map(|(v, w)| v * w).sum()
+}
+
+/// `[sample][channel][row][column]` to `[sample][row][column][channel]`.
+fn channel_last(values: &[f32], channels: usize, cells: usize) -> Vec<f32> {
+    values
+        .chunks_exact(channels * cells)
+        .flat_map(|s| (0..cells).flat_map(move |p| (0..channels).map(move |c| s[c * cells + p])))
+        .collect()
+}
+
+fn levels() -> [KernelLevel; 2] {
+    [KernelLevel::Portable, KernelLevel::Avx2]
+}
+
+/// (batch, rows, columns, inputs, outputs): first layer, second layer, odd sizes, channels that fill no vector.
+const CASES: [(usize, usize, usize, usize, usize); 4] =
+    [(3, 8, 6, 1, 16), (2, 6, 8, 16, 32), (2, 7, 5, 3, 5), (1, 4, 4, 2, 20)];
+
+#[test]
+fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
+    for (batch, rows, columns, inputs, outputs) in CASES {
+        let x = random(batch * inputs * rows * columns, "x");
+        let w = random(outputs * inputs * 9, "w");
+        let b = random(outputs, "b");
+        let pooled = (rows / 2) * (columns / 2);
+        let upstream = random(batch * outputs * pooled, "g");
+        let (xd, wd, bd, gd) = (to_f64(&x), to_f64(&w), to_f64(&b), to_f64(&upstream));
+        let forward = |x: &[f64], w: &[f64], b: &[f64]| -> Vec<f64> {
+            x.chunks_exact(inputs * rows * columns)
+                .flat_map(|s| {
+                    let conv = reference::conv3x3(s, rows, columns, w, b);
+                    reference::max_pool2(&reference::relu(&conv), rows, columns)
+                })
+                .collect()
+        };
+        let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
+        for level in levels() {
+            let input = var(&channel_last(&x, inputs, rows * columns), &[batch, rows, columns, inputs]);
+            let (weight, bias) = (var(&w, &[outputs, inputs, 3, 3]), var(&b, &[outputs]));
+            let out = conv_relu_pool(&input, &weight, &bias, InputGradient::Needed, level).expect("forward");
+            let want: Vec<f32> = forward(&xd, &wd, &bd).iter().map(|&v| v as f32).collect();
+            close("output", &flat(&out), &to_f64(&channel_last(&want, outputs, pooled)), 1e-6);
+            let g = var(&channel_last(&upstream, outputs, pooled), out.dims());
+            let scalar = (&out * g.as_tensor()).and_then(|t| t.sum_all()).expect("loss");
+            let grads = scalar.backward().expect("backward");
+            let dx: Vec<f32> = differences(&xd, |x| loss(x, &wd, &bd)).iter().map(|&v| v as f32).collect();
+            let got = |v: &Var| flat(grads.get(v).expect("gradient"));
+            close("dx", &got(&input), &to_f64(&channel_last(&dx, inputs, rows * columns)), 1e-5);
+            close("dw", &got(&weight), &differences(&wd, |w| loss(&xd, w, &bd)), 1e-5);
+            close("db", &got(&bias), &differences(&bd, |b| loss(&xd, &wd, b)), 1e-5);
+        }
+    }
+}
+
+/// candle's own max-pooling gives 0.25 here: its gradient is scaled by the share of maxima in the window.
+#[test]
+fn pooling_passes_the_whole_gradient_to_the_winner() {
+    let input = var(&[1.0, 2.0, 3.0, 4.0], &[1, 2, 2, 1]);
+    let mut identity = [0.0; 9];
+    identity[4] = 1.0;
+    let (weight, bias) = (var(&identity, &[1, 1, 3, 3]), var(&[0.0], &[1]));
+    let out = conv_relu_pool(&input, &weight, &bias, InputGradient::Needed, KernelLevel::detect()).expect("forward");
+    let grads = out.sum_all().and_then(|s| s.backward()).expect("backward");
+    assert_eq!(flat(grads.get(&input).expect("gradient")), [0.0, 0.0, 0.0, 1.0]);
+}
+
+#[test]
+fn adaptive_average_pool_agrees_with_the_reference_and_with_finite_differences() {
+    for (rows, columns, to) in [(32, 32, (2, 15)), (7, 20, (2, 15)), (3, 5, (2, 15)), (4, 4, (4, 4))] {
+        let (batch, channels) = (2, 3);
+        let x = random(batch * channels * rows * columns, "x");
+        let upstream = random(batch * channels * to.0 * to.1, "g");
+        let gd = to_f64(&upstream);
+        let forward = |x: &[f64]| -> Vec<f64> {
+            x.chunks_exact(channels * rows * columns)
+                .flat_map(|s| reference::adaptive_average_pool(s, rows, columns, to))
+                .collect()
+        };
+        let input = var(&channel_last(&x, channels, rows * columns), &[batch, rows, columns, channels]);
+        let out = adaptive_average_pool(&input, to.0, to.1).expect("forward");
+        close("output", &flat(&out), &forward(&to_f64(&x)), 1e-6);
+        let scalar = (&out * var(&upstream, out.dims()).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
+        let grads = scalar.backward().expect("backward");
+        let dx = differences(&to_f64(&x), |x| weighted_sum(&forward(x), &gd));
+        let dx: Vec<f32> = dx.iter().map(|&v| v as f32).collect();
+        close(
+            "dx",
+            &flat(grads.get(&input).expect("gradient")),
+            &to_f64(&channel_last(&dx, channels, rows * columns)),
+            1e-5,
+        );
+    }
+}
+
+#[test]
+fn linear_agrees_with_the_reference_and_with_finite_differences() {
+    let (batch, inputs, outputs) = (5, 37, 6);
+    let (x, w, b) = (random(batch * inputs, "x"), random(outputs * inputs, "w"), random(outputs, "b"));
+    let upstream = random(batch * outputs, "g");
+    let (xd, wd, bd, gd) = (to_f64(&x), to_f64(&w), to_f64(&b), to_f64(&upstream));
+    let forward = |x: &[f64], w: &[f64], b: &[f64]| -> Vec<f64> {
+        x.chunks_exact(inputs).flat_map(|s| reference::linear(s, w, b)).collect()
+    };
+    for level in levels() {
+        let (input, weight, bias) = (var(&x, &[batch, inputs]), var(&w, &[outputs, inputs]), var(&b, &[outputs]));
+        let out = linear(&input, &weight, &bias, level).expect("forward");
+        close("output", &flat(&out), &forward(&xd, &wd, &bd), 1e-6);
+        let scalar = (&out * var(&upstream, out.dims()).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
+        let grads = scalar.backward().expect("backward");
+        let got = |v: &Var| flat(grads.get(v).expect("gradient"));
+        close("dx", &got(&input), &differences(&xd, |x| weighted_sum(&forward(x, &wd, &bd), &gd)), 1e-5);
+        close("dw", &got(&weight), &differences(&wd, |w| weighted_sum(&forward(&xd, w, &bd), &gd)), 1e-5);
+        close("db", &got(&bias), &differences(&bd, |b| weighted_sum(&forward(&xd, &wd, b), &gd)), 1e-5);
+    }
+}
+
+#[test]
+fn circuit_and_cross_entropy_agree_with_finite_differences() {
+    let batch = 6;
+    let x: Vec<f32> = random(batch * 2, "x").iter().map(|v| 1.5 + 1.5 * v).collect();
+    let (theta, upstream) = (random(4, "theta"), random(batch * 2, "g"));
+    let gd = to_f64(&upstream);
+    let forward = |x: &[f64], t: &[f64]| -> f64 {
+        let t = [t[0], t[1], t[2], t[3]];
+        let out: Vec<f64> =
+            x.chunks_exact(2).flat_map(|r| crate::quantum::state_vector::run([r[0], r[1]], t).expectations()).collect();
+        weighted_sum(&out, &gd)
+    };
+    let (input, angles) = (var(&x, &[batch, 2]), var(&theta, &[4]));
+    let out = circuit(&input, &angles).expect("forward");
+    let scalar = (&out * var(&upstream, &[batch, 2]).as_tensor()).and_then(|t| t.sum_all()).expect("loss");
+    let grads = scalar.backward().expect("backward");
+    close(
+        "dx",
+        &flat(grads.get(&input).expect("gradient")),
+        &differences(&to_f64(&x), |x| forward(x, &to_f64(&theta))),
+        1e-5,
+    );
+    close(
+        "dtheta",
+        &flat(grads.get(&angles).expect("gradient")),
+        &differences(&to_f64(&theta), |t| forward(&to_f64(&x), t)),
+        1e-5,
+    );
+
+    let (logits, labels, weights) = (random(4 * 3, "logits"), [0, 2, 1, 2], [0.5f32, 1.0, 2.0]);
+    let loss = |z: &[f64]| {
+        let terms =
+            z.chunks_exact(3).zip(labels).map(|(row, l)| f64::from(weights[l]) * reference::cross_entropy(row, l));
+        terms.sum::<f64>() / labels.iter().map(|&l| f64::from(weights[l])).sum::<f64>()
+    };
+    let z = var(&logits, &[4, 3]);
+    let out = cross_entropy(&z, &labels, &weights).expect("loss");
+    close("loss", &flat(&out), &[loss(&to_f64(&logits))], 1e-6);
+    let grads = out.backward().expect("backward");
+    close("dz", &flat(grads.get(&z).expect("gradient")), &differences(&to_f64(&logits), loss), 1e-5);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+            pool.install(|| {
+                let input = var(&random(7 * 12 * 10 * 16, "x"), &[7, 12, 10, 16]);
+                let (w, b) = (var(&random(32 * 144, "w"), &[32, 16, 3, 3]), var(&random(32, "b"), &[32]));
+                let out =
+                    conv_relu_pool(&input, &w, &b, InputGradient::Needed, KernelLevel::detect()).expect("forward");
+                let out = adaptive_average_pool(&out, 2, 4).expect("pool");
+                let (fw, fb) = (var(&random(5 * 256, "fw"), &[5, 256]), var(&random(5, "fb"), &[5]));
+                let out = linear(&out, &fw, &fb, KernelLevel::detect()).expect("linear");
+                let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
+                [&input, &w, &b, &fw, &fb].map(|v| flat(grads.get(v).expect("gradient")))
+            })
+        };
+        let one = run(1);
+        for threads in [2, 3, 5] {
+            let many = run(threads);
+            for (a, b) in one.iter().flatten().zip(many.iter().flatten()) {
+                assert_eq!(a.to_bits(), b.to_bits());
+            }
+        }
+    }
+
+    #[test]
+    fn wrong_shapes_name_the_layer_and_what_was_expected() {
+        let x = var(&random(16, "x"), &[1, 4, 4, 1]);
+        let (w, b) = (var(&random(18, "w"), &[1, 2, 3, 3]), var(&[0.0], &[1]));
+        let error =
+            conv_relu_pool(&x, &w, &b, InputGradient::Needed, KernelLevel::detect()).expect_err("channels differ");
+        assert!(error.to_string().contains("conv_relu_pool: expected input"), "{error}");
+        let error = linear(&x, &w, &b, KernelLevel::detect()).expect_err("not a matrix");
+        assert!(error.to_string().contains("linear: expected input"), "{error}");
+        let logits = var(&[0.0; 6], &[2, 3]);
+        let error = cross_entropy(&logits, &[0, 3], &[1.0; 3]).expect_err("no class 3");
+        assert!(error.to_string().contains("labels below 3"), "{error}");
+    }
+
+    #[test]
+    fn a_batch_of_one_class_and_enormous_logits_keep_the_loss_finite() {
+        let logits = var(&[1e30, -1e30, 0.0, 0.0, 1e4, -1e4], &[2, 3]);
+        let loss = cross_entropy(&logits, &[0, 0], &[1.0, 0.0, 0.0]).expect("loss");
+        let grads = loss.backward().expect("backward");
+        assert!(
+            flat(&loss)[0].is_finite() && flat(grads.get(&logits).expect("gradient")).iter().all(|v| v.is_finite())
+        );
+        // Every class of the batch has weight zero: nothing to learn from, nothing divided by zero.
+        let loss = cross_entropy(&logits, &[1, 1], &[1.0, 0.0, 0.0]).expect("loss");
+        assert_eq!(flat(&loss), [0.0]);
+    }
+}
