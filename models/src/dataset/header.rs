@@ -1,0 +1,38 @@
+//! `dataset.json`.
+
+use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform, rdm::SpecError};
+use serde::{Deserialize, Serialize};
+
+/// Version of the format that is written; older ones are read.
+pub const FORMAT_VERSION: u32 = 1;
+
+/// What all maps of a dataset share.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DatasetHeader {
+    /// [`FORMAT_VERSION`] of the writer.
+    pub format_version: u32,
+    /// Waveform of the frames, as realised.
+    pub waveform: Waveform,
+    /// How maps were made of frames.
+    pub rdm_spec: RdmSpec,
+    /// Shape of each map.
+    pub shape: RdmShape,
+    /// Names of the axes of a map as stored, slowest first.
+    pub dimensions: Vec<String>,
+    /// Names of the classes by index.
+    pub class_names: Vec<String>,
+}
+
+impl DatasetHeader {
+    /// The header for maps that `rdm_spec` makes of the frames of `waveform`.
+    pub fn new(waveform: Waveform, rdm_spec: RdmSpec) -> Result<Self, SpecError> {
+        Ok(DatasetHeader {
+            format_version: FORMAT_VERSION,
+            shape: rdm_spec.shape(&waveform)?,
+            waveform,
+            rdm_spec,
+            dimensions: ["rx", "doppler", "range"].map(str::to_owned).to_vec(),
+            class_names: Occupancy::ALL.map(|o| o.name().to_owned()).to_vec(),
+        })
+    }
+}

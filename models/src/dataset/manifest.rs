@@ -1,0 +1,92 @@
+//! `manifest.jsonl`: a row for each map.
+
+use radome_dsp::Occupancy;
+use serde::{Deserialize, Serialize};
+
+/// Where frames came from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Domain {
+    /// The simulator.
+    Sim,
+    /// A sensor.
+    Real,
+}
+
+/// What a map may be used for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Split {
+    /// To learn from.
+    Train,
+    /// To choose by.
+    Validation,
+    /// To judge by, once.
+    Test,
+}
+
+impl std::fmt::Display for Split {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Split::Train => "train",
+            Split::Validation => "validation",
+            Split::Test => "test",
+        })
+    }
+}
+
+/// What is known of one map.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ManifestRow {
+    /// Where the frame came from.
+    pub domain: Domain,
+    /// Scene or place.
+    pub scene: String,
+    /// Recording (file or simulation run).
+    pub recording: String,
+    /// Who is in it, where known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subject: Option<String>,
+    /// Stretch of frames that belong together: no two splits share one.
+    pub sequence: String,
+    /// Sequence number of the (last) frame within its recording.
+    pub frame: u64,
+    /// Common name of a simulated map and the measured one that it imitates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pair: Option<String>,
+    /// The class.
+    pub label: Occupancy,
+    /// Someone is entering or leaving.
+    #[serde(default)]
+    pub transition: bool,
+    /// Split, where fixed by whoever made the dataset.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub split: Option<Split>,
+    /// Seed of the simulation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+    /// SHA-256 of the map's cells (f32, little-endian), hex; filled in by the writer.
+    #[serde(default)]
+    pub hash: String,
+}
+
+impl ManifestRow {
+    /// A row with what must be known; the rest is empty.
+    pub fn new(domain: Domain, scene: &str, recording: &str, sequence: &str, frame: u64, label: Occupancy) -> Self {
+        ManifestRow {
+            domain,
+            scene: scene.to_owned(),
+            recording: recording.to_owned(),
+            subject: None,
+            sequence: sequence.to_owned(),
+            frame,
+            pair: None,
+            label,
+            transition: false,
+            split: None,
+            seed: None,
+            hash: String::new(),
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! Reads a dataset folder, or holds one in memory.
+
+use std::fs::{self, File};
+use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Rdm, RdmShape};
+use sha2::{Digest, Sha256};
+
+use super::{
+    DatasetError, DatasetHeader, FORMAT_VERSION, MAPS_PER_SHARD, ManifestRow, Split, SplitSpec, network_input,
+    shard_name,
+    writer::{check_map, hex, map_hash},
+};
+
+/// Labelled maps.
+#[derive(Debug, Clone)]
+pub struct Dataset {
+    header: DatasetHeader,
+    rows: Vec<ManifestRow>,
+    cells: Cells,
+}
+
+#[derive(Debug, Clone)]
+enum Cells {
+    Memory(Vec<Vec<f32>>),
+    /// Path of each shard and where its data begin.
+    Shards(Vec<(PathBuf, u64)>),
+}
+
+impl Dataset {
+    /// Opens a folder: reads header and manifest, and checks that the shards hold as many maps as the manifest lists.
+    /// Cells are read when asked for.
+    pub fn open(dir: &Path) -> Result<Self, DatasetError> {
+        let path = dir.join("dataset.json");
+        let text = fs::read_to_string(&path).map_err(DatasetError::io(&path, "reading"))?;
+        let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
+        // The version alone first: a newer header may have other fields.
+        #[derive(serde::Deserialize)]
+        struct Version {
+            format_version: u32,
+        }
+        let found = serde_json::from_str::<Version>(&text).map_err(json)?.format_version;
+        if found > FORMAT_VERSION {
+            return Err(DatasetError::Newer { path, found, supported: FORMAT_VERSION });
+        }
+        let header: DatasetHeader = serde_json::from_str(&text).map_err(json)?;
+        let expected = header.rdm_spec.shape(&header.waveform)?;
+        if header.shape != expected {
+            return Err(DatasetError::Inconsistent {
+                path,
+                expected: format!("maps of {expected}, as waveform and map spec give"),
+                found: header.shape.to_string(),
+            });
+        }
+
+        let path = dir.join("manifest.jsonl");
+        let text = fs::read_to_string(&path).map_err(DatasetError::io(&path, "reading"))?;
+        let rows: Vec<ManifestRow> = text
+            .lines()
+            .enumerate()
+            .filter(|(_, line)| !line.trim().is_empty())
+            .map(|(index, line)| {
+                serde_json::from_str(line).map_err(|source| DatasetError::Json {
+                    path: path.clone(),
+                    line: index + 1,
+                    source,
+                })
+            })
+            .collect::<Result<_, _>>()?;
+
+        let mut shards = Vec::new();
+        for (shard, rows) in rows.chunks(MAPS_PER_SHARD).enumerate() {
+            let path = dir.join(shard_name(shard));
+            let offset = check_shard(&path, header.shape, rows.len())?;
+            shards.push((path, offset));
+        }
+        Ok(Dataset { header, rows, cells: Cells::Shards(shards) })
+    }
+
+    /// A dataset in memory. Hashes of the rows are filled in.
+    pub fn from_maps(header: DatasetHeader, maps: Vec<(Rdm, ManifestRow)>) -> Result<Self, DatasetError> {
+        let mut rows = Vec::with_capacity(maps.len());
+        let mut cells = Vec::with_capacity(maps.len());
+        for (map, mut row) in maps {
+            check_map(&map.db, map.shape, header.shape, map.sequence)?;
+            row.hash = map_hash(&map.db);
+            rows.push(row);
+            cells.push(map.db);
+        }
+        Ok(Dataset { header, rows, cells: Cells::Memory(cells) })
+    }
+
+    /// What all maps share.
+    pub fn header(&self) -> &DatasetHeader {
+        &self.header
+    }
+
+    /// A row for each map.
+    pub fn rows(&self) -> &[ManifestRow] {
+        &self.rows
+    }
+
+    /// Number of maps.
+    pub fn len(&self) -> usize {
+        self.rows.len()
+    }
+
+    /// Whether there is no map.
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Cells of a map, `[rx][doppler][range]` dB, all finite.
+    pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
+        let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
+        let db = match &self.cells {
+            Cells::Memory(maps) => maps.get(index).ok_or_else(missing)?.clone(),
+            Cells::Shards(shards) => {
+                let (path, offset) = shards.get(index / MAPS_PER_SHARD).ok_or_else(missing)?;
+                if index >= self.rows.len() {
+                    return Err(missing());
+                }
+                let bytes = self.header.shape.cells() * 4;
+                let mut buffer = vec![0u8; bytes];
+                let mut read = || -> std::io::Result<()> {
+                    let mut file = File::open(path)?;
+                    file.seek(SeekFrom::Start(offset + ((index % MAPS_PER_SHARD) * bytes) as u64))?;
+                    file.read_exact(&mut buffer)
+                };
+                read().map_err(DatasetError::io(path, "reading"))?;
+                buffer.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+            }
+        };
+        let cells = db.iter().filter(|v| !v.is_finite()).count();
+        if cells > 0 {
+            return Err(DatasetError::NonFinite { map: index.to_string(), cells });
+        }
+        Ok(db)
+    }
+
+    /// One channel of a map as a network sees it, `[range][doppler]` dB.
+    pub fn input(&self, index: usize, rx: usize) -> Result<Vec<f32>, DatasetError> {
+        let shape = self.header.shape;
+        network_input(&self.map(index)?, shape, rx).ok_or_else(|| DatasetError::Inconsistent {
+            path: PathBuf::from(format!("map {index}")),
+            expected: format!("a channel with index {rx}"),
+            found: shape.to_string(),
+        })
+    }
+
+    /// The split of each map ([`SplitSpec::assign`]).
+    pub fn splits(&self, spec: &SplitSpec) -> Result<Vec<Split>, DatasetError> {
+        spec.assign(&self.rows)
+    }
+
+    /// SHA-256 over header and manifest (which holds the hash of every map), hex.
+    pub fn hash(&self) -> String {
+        let mut hash = Sha256::new();
+        // Neither type holds a map with keys that are no strings, the one thing that fails to serialise.
+        hash.update(serde_json::to_vec(&self.header).unwrap_or_default());
+        for row in &self.rows {
+            hash.update(serde_json::to_vec(row).unwrap_or_default());
+        }
+        hex(&hash.finalize())
+    }
+
+    /// Reads every map and compares it with its hash.
+    pub fn verify(&self) -> Result<(), DatasetError> {
+        for (index, row) in self.rows.iter().enumerate() {
+            let found = map_hash(&self.map(index)?);
+            if found != row.hash {
+                let path = match &self.cells {
+                    Cells::Shards(shards) => shards.get(index / MAPS_PER_SHARD).map(|s| s.0.clone()),
+                    Cells::Memory(_) => None,
+                };
+                return Err(DatasetError::Hash {
+                    path: path.unwrap_or_default(),
+                    index,
+                    expected: row.hash.clone(),
+                    found,
+                });
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Checks type, shape and length of a shard; returns where its data begin.
+fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
+    let inconsistent =
+        |expected: String, found: String| DatasetError::Inconsistent { path: path.to_owned(), expected, found };
+    let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
+    let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
+    let mut reader = BufReader::new(file);
+    let header = npyz::NpyHeader::from_reader(&mut reader).map_err(DatasetError::io(path, "reading the npy header"))?;
+    let want = [maps, shape.rx, shape.doppler, shape.range].map(|n| n as u64);
+    if header.dtype().descr() != "'<f4'" || header.order() != npyz::Order::C || header.shape() != want {
+        return Err(inconsistent(
+            format!("little-endian f32 in C order, shape {want:?}"),
+            format!("{}, {:?} order, shape {:?}", header.dtype().descr(), header.order(), header.shape()),
+        ));
+    }
+    let offset = reader.stream_position().map_err(DatasetError::io(path, "reading"))?;
+    let bytes = offset + (maps * shape.cells() * 4) as u64;
+    if length != bytes {
+        return Err(inconsistent(format!("{bytes} bytes"), format!("{length} bytes")));
+    }
+    Ok(offset)
+}

@@ -1,0 +1,169 @@
+use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
+
+use super::*;
+
+fn header() -> DatasetHeader {
+    let request = WaveformRequest { samples_per_chirp: 16, chirps_per_frame: 8, ..WaveformRequest::paper() };
+    DatasetHeader::new(Waveform::realise(request).expect("waveform"), RdmSpec::paper()).expect("header")
+}
+
+fn map(header: &DatasetHeader, sequence: u64) -> Rdm {
+    let db = (0..header.shape.cells()).map(|k| k as f32 - 1000.0 * sequence as f32).collect();
+    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
+    Rdm { shape: header.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags: MapFlags::default() }
+}
+
+fn row(sequence: &str, frame: u64, label: Occupancy) -> ManifestRow {
+    ManifestRow::new(Domain::Sim, "corridor", "run-1", sequence, frame, label)
+}
+
+#[test]
+fn what_is_written_is_read_back_across_shards() {
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("set");
+    let header = header();
+    let mut writer = DatasetWriter::create(&path, &header).expect("create");
+    let maps = MAPS_PER_SHARD + 3;
+    for index in 0..maps {
+        let label = Occupancy::from_index(index % 3).expect("class");
+        writer.push(&map(&header, index as u64), row("a", index as u64, label)).expect("push");
+    }
+    assert!(!path.exists(), "nothing has the final name before it is complete");
+    writer.finish().expect("finish");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1, "no temporary folder is left");
+    let set = Dataset::open(&path).expect("open");
+    assert_eq!((set.len(), set.header()), (maps, &header));
+    for index in [0, 1, MAPS_PER_SHARD - 1, MAPS_PER_SHARD, maps - 1] {
+        assert_eq!(set.map(index).expect("map"), map(&header, index as u64).db);
+        assert_eq!(set.rows()[index].frame, index as u64);
+    }
+    set.verify().expect("hashes agree");
+    assert!(matches!(set.map(maps), Err(DatasetError::NoSuchMap { .. })));
+    assert!(matches!(DatasetWriter::create(&path, &header), Err(DatasetError::Exists { .. })));
+}
+
+#[test]
+fn a_network_sees_range_by_doppler() {
+    let header = header();
+    let map = map(&header, 0);
+    let input = network_input(&map.db, map.shape, 0).expect("input");
+    for range in 0..map.shape.range {
+        for doppler in 0..map.shape.doppler {
+            assert_eq!(input[range * map.shape.doppler + doppler], map.at(0, doppler, range));
+        }
+    }
+    assert!(network_input(&map.db, map.shape, 1).is_none());
+}
+
+#[test]
+fn sequences_stay_whole_and_every_split_sees_every_class() {
+    let mut rows = Vec::new();
+    for s in 0..30 {
+        for frame in 0..5 {
+            rows.push(row(&format!("s{s}"), frame, Occupancy::from_index(s % 3).expect("class")));
+        }
+    }
+    let spec = SplitSpec::default();
+    let splits = spec.assign(&rows).expect("splits");
+    for (a, split_a) in rows.iter().zip(&splits) {
+        for (b, split_b) in rows.iter().zip(&splits) {
+            assert!(a.sequence != b.sequence || split_a == split_b);
+        }
+    }
+    for split in [Split::Train, Split::Validation, Split::Test] {
+        for class in Occupancy::ALL {
+            assert!(rows.iter().zip(&splits).any(|(r, s)| *s == split && r.label == class), "{split} {class}");
+        }
+    }
+    // The order of rows does not matter; the seed does.
+    let backwards: Vec<ManifestRow> = rows.iter().rev().cloned().collect();
+    let mut reversed = spec.assign(&backwards).expect("splits");
+    reversed.reverse();
+    assert_eq!(reversed, splits);
+    assert_ne!(SplitSpec { seed: 1, ..spec }.assign(&rows).expect("splits"), splits);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_sequence_in_two_splits_is_refused() {
+        let mut rows = vec![row("a", 0, Occupancy::Empty), row("b", 0, Occupancy::One), row("a", 1, Occupancy::Empty)];
+        rows[0].split = Some(Split::Train);
+        rows[2].split = Some(Split::Test);
+        let error = SplitSpec::default().assign(&rows).expect_err("leak").to_string();
+        assert!(error.contains("sequence 'a' is in two splits, train and test"), "{error}");
+        // A split given to one row holds for its whole sequence.
+        rows[2].split = None;
+        assert_eq!(SplitSpec::default().assign(&rows).expect("splits")[2], Split::Train);
+        for (validation, test) in [(0.5, 0.5), (-0.1, 0.2), (f64::NAN, 0.1)] {
+            let spec = SplitSpec { validation, test, ..SplitSpec::default() };
+            assert!(matches!(spec.assign(&rows), Err(DatasetError::Fractions { .. })));
+        }
+    }
+
+    #[test]
+    fn an_unfinished_writer_leaves_nothing_behind() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+        writer.push(&map(&header(), 0), row("a", 0, Occupancy::Empty)).expect("push");
+        drop(writer);
+        assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 0);
+    }
+
+    #[test]
+    fn maps_with_nan_or_another_shape_are_refused() {
+        let dir = tempfile::tempdir().expect("folder");
+        let header = header();
+        let mut writer = DatasetWriter::create(&dir.path().join("set"), &header).expect("create");
+        let mut bad = map(&header, 7);
+        bad.db[3] = f32::NAN;
+        let error = writer.push(&bad, row("a", 7, Occupancy::Empty)).expect_err("NaN").to_string();
+        assert!(error.contains("frame 7") && error.contains("1 cells"), "{error}");
+        let mut bad = map(&header, 7);
+        bad.db.pop();
+        assert!(matches!(writer.push(&bad, row("a", 7, Occupancy::Empty)), Err(DatasetError::Shape { .. })));
+    }
+
+    #[test]
+    fn damage_is_named_with_its_file() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+        for frame in 0..4 {
+            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
+        }
+        writer.finish().expect("finish");
+        let shard = path.join("maps-00000.npy");
+        let whole = std::fs::read(&shard).expect("read");
+
+        let mut flipped = whole.clone();
+        *flipped.last_mut().expect("byte") ^= 1;
+        std::fs::write(&shard, &flipped).expect("write");
+        let error = Dataset::open(&path).expect("lengths agree").verify().expect_err("changed").to_string();
+        assert!(error.contains("maps-00000.npy") && error.contains("map 3"), "{error}");
+
+        for length in [0, 5, 60, whole.len() - 1] {
+            std::fs::write(&shard, &whole[..length]).expect("write");
+            let error = Dataset::open(&path).expect_err("truncated").to_string();
+            assert!(error.contains("maps-00000.npy"), "{error}");
+        }
+        std::fs::write(&shard, &whole).expect("write");
+
+        let manifest = path.join("manifest.jsonl");
+        let rows = std::fs::read_to_string(&manifest).expect("read");
+        std::fs::write(&manifest, rows.replacen("\"one\"", "\"seven\"", 1)).expect("write");
+        let error = Dataset::open(&path).expect_err("no such class").to_string();
+        assert!(error.contains("manifest.jsonl, line 1") && error.contains("seven"), "{error}");
+        std::fs::write(&manifest, &rows[..rows.len() / 2]).expect("write");
+        assert!(Dataset::open(&path).is_err());
+        std::fs::write(&manifest, rows).expect("write");
+
+        let head = path.join("dataset.json");
+        let text = std::fs::read_to_string(&head).expect("read");
+        std::fs::write(&head, text.replace("\"format_version\": 1", "\"format_version\": 99")).expect("write");
+        let error = Dataset::open(&path).expect_err("newer").to_string();
+        assert!(error.contains("format 99 is newer than 1"), "{error}");
+    }
+}

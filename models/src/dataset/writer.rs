@@ -1,0 +1,144 @@
+//! Writes a dataset folder.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use npyz::WriterBuilder;
+use radome_dsp::{Rdm, RdmShape};
+use sha2::{Digest, Sha256};
+
+use super::{DatasetError, DatasetHeader, MAPS_PER_SHARD, ManifestRow, shard_name};
+
+/// Writes maps one by one; nothing has the final name before [`DatasetWriter::finish`].
+pub struct DatasetWriter {
+    target: PathBuf,
+    temporary: PathBuf,
+    header: DatasetHeader,
+    manifest: BufWriter<File>,
+    pending: Vec<f32>,
+    maps: usize,
+    finished: bool,
+}
+
+pub(super) fn map_hash(db: &[f32]) -> String {
+    let mut hash = Sha256::new();
+    for value in db {
+        hash.update(value.to_le_bytes());
+    }
+    hex(&hash.finalize())
+}
+
+pub(crate) fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}
+
+pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: u64) -> Result<(), DatasetError> {
+    if shape != expected || db.len() != expected.cells() {
+        return Err(DatasetError::Shape { sequence: frame, expected, got: shape });
+    }
+    let cells = db.iter().filter(|v| !v.is_finite()).count();
+    if cells > 0 {
+        return Err(DatasetError::NonFinite { map: format!("of frame {frame}"), cells });
+    }
+    Ok(())
+}
+
+impl DatasetWriter {
+    /// Starts a dataset that will be at `dir`, which must not exist.
+    pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
+        if dir.exists() {
+            return Err(DatasetError::Exists { path: dir.to_owned() });
+        }
+        let mut name = dir.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".partial-{}", std::process::id()));
+        let temporary = dir.with_file_name(name);
+        fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
+        let path = temporary.join("manifest.jsonl");
+        let manifest = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;
+        Ok(DatasetWriter {
+            target: dir.to_owned(),
+            temporary,
+            header: header.clone(),
+            manifest: BufWriter::new(manifest),
+            pending: Vec::new(),
+            maps: 0,
+            finished: false,
+        })
+    }
+
+    /// Appends a map; its hash is filled in here. A map with NaN, infinity or another shape is refused.
+    pub fn push(&mut self, map: &Rdm, mut row: ManifestRow) -> Result<(), DatasetError> {
+        check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
+        row.hash = map_hash(&map.db);
+        let path = self.temporary.join("manifest.jsonl");
+        serde_json::to_writer(&mut self.manifest, &row).map_err(|source| DatasetError::Json {
+            path: path.clone(),
+            line: self.maps + 1,
+            source,
+        })?;
+        self.manifest.write_all(b"\n").map_err(DatasetError::io(&path, "writing"))?;
+        self.pending.extend_from_slice(&map.db);
+        self.maps += 1;
+        if self.pending.len() >= MAPS_PER_SHARD * self.header.shape.cells() {
+            self.write_shard()?;
+        }
+        Ok(())
+    }
+
+    /// Maps so far.
+    pub fn maps(&self) -> usize {
+        self.maps
+    }
+
+    fn write_shard(&mut self) -> Result<(), DatasetError> {
+        if self.pending.is_empty() {
+            return Ok(());
+        }
+        let RdmShape { rx, doppler, range } = self.header.shape;
+        let path = self.temporary.join(shard_name((self.maps - 1) / MAPS_PER_SHARD));
+        let maps = self.pending.len() / self.header.shape.cells();
+        let write = || -> std::io::Result<()> {
+            let mut file = BufWriter::new(File::create(&path)?);
+            let mut writer = npyz::WriteOptions::new()
+                .default_dtype()
+                .shape(&[maps as u64, rx as u64, doppler as u64, range as u64])
+                .writer(&mut file)
+                .begin_nd()?;
+            writer.extend(self.pending.iter().copied())?;
+            writer.finish()?;
+            file.into_inner().map_err(|e| e.into_error())?.sync_all()
+        };
+        write().map_err(DatasetError::io(&path, "writing"))?;
+        self.pending.clear();
+        Ok(())
+    }
+
+    /// Writes what is left and gives the folder its name.
+    pub fn finish(mut self) -> Result<(), DatasetError> {
+        self.write_shard()?;
+        let path = self.temporary.join("manifest.jsonl");
+        self.manifest.flush().map_err(DatasetError::io(&path, "writing"))?;
+        self.manifest.get_ref().sync_all().map_err(DatasetError::io(&path, "writing"))?;
+        let path = self.temporary.join("dataset.json");
+        let text = serde_json::to_string_pretty(&self.header).map_err(|source| DatasetError::Json {
+            path: path.clone(),
+            line: 1,
+            source,
+        })?;
+        fs::write(&path, text + "\n").map_err(DatasetError::io(&path, "writing"))?;
+        // Renaming over an empty folder succeeds; over anything else it fails, as it should.
+        fs::rename(&self.temporary, &self.target).map_err(DatasetError::io(&self.target, "renaming to"))?;
+        self.finished = true;
+        Ok(())
+    }
+}
+
+impl Drop for DatasetWriter {
+    /// A writer that was not finished leaves nothing behind.
+    fn drop(&mut self) {
+        if !self.finished {
+            let _ = fs::remove_dir_all(&self.temporary);
+        }
+    }
+}
