@@ -1,0 +1,56 @@
+//! Antenna patterns: separable `cos^q` from the half-power beamwidths, with a floor for side and back lobes.
+
+use glam::DVec3;
+
+/// One-way field pattern of one element, in the radar's frame: x boresight, y left, z up.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Pattern {
+    azimuth_exponent: f64,
+    elevation_exponent: f64,
+    floor_power: f64,
+}
+
+impl Pattern {
+    /// From one-way half-power beamwidths and a floor relative to boresight.
+    pub fn new(azimuth_beamwidth_rad: f64, elevation_beamwidth_rad: f64, floor_db: f64) -> Self {
+        let exponent = |beamwidth: f64| 0.5f64.ln() / (0.5 * beamwidth).cos().ln();
+        Pattern {
+            azimuth_exponent: exponent(azimuth_beamwidth_rad),
+            elevation_exponent: exponent(elevation_beamwidth_rad),
+            floor_power: 10f64.powf(0.1 * floor_db),
+        }
+    }
+
+    /// The same in all directions.
+    pub fn isotropic() -> Self {
+        Pattern { azimuth_exponent: 0.0, elevation_exponent: 0.0, floor_power: 1.0 }
+    }
+
+    /// Field relative to boresight for a unit direction away from the antenna.
+    pub fn field(&self, direction_radar: DVec3) -> f64 {
+        let horizontal = direction_radar.x.hypot(direction_radar.y);
+        let lobe = if direction_radar.x > 0.0 {
+            (direction_radar.x / horizontal).powf(self.azimuth_exponent) * horizontal.powf(self.elevation_exponent)
+        } else {
+            0.0
+        };
+        (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn half_power_at_half_the_beamwidth_in_both_planes() {
+        let (azimuth, elevation) = (30.5f64.to_radians(), 60.5f64.to_radians());
+        let pattern = Pattern::new(azimuth, elevation, -200.0);
+        let (s, c) = (0.5 * azimuth).sin_cos();
+        assert!((pattern.field(DVec3::new(c, s, 0.0)).powi(2) - 0.5).abs() < 1e-12);
+        let (s, c) = (0.5 * elevation).sin_cos();
+        assert!((pattern.field(DVec3::new(c, 0.0, s)).powi(2) - 0.5).abs() < 1e-12);
+        assert!((pattern.field(DVec3::X) - 1.0).abs() < 1e-12);
+        assert!(pattern.field(-DVec3::X) < 1e-9);
+    }
+}

@@ -1,0 +1,178 @@
+//! What a scene file may say beyond its types.
+
+use std::path::Path;
+
+use super::file::{SCENE_FORMAT, SceneFile};
+use super::{SceneError, line_of_key};
+
+/// A value that makes no sense.
+pub(super) struct Fault {
+    key: &'static str,
+    value: String,
+    expected: String,
+}
+
+impl Fault {
+    pub(super) fn at(self, path: &Path, text: &str) -> SceneError {
+        SceneError::Value {
+            path: path.to_owned(),
+            line: line_of_key(text, self.key),
+            key: self.key.to_owned(),
+            value: self.value,
+            expected: self.expected,
+        }
+    }
+}
+
+fn fault(key: &'static str, value: impl std::fmt::Debug, expected: impl Into<String>) -> Result<(), Fault> {
+    Err(Fault { key, value: format!("{value:?}"), expected: expected.into() })
+}
+
+fn within(key: &'static str, value: f64, min: f64, max: f64, unit: &str) -> Result<(), Fault> {
+    if value >= min && value <= max {
+        return Ok(());
+    }
+    fault(key, value, format!("{min} to {max} {unit}"))
+}
+
+fn interval(key: &'static str, [low, high]: [f64; 2], min: f64, max: f64, unit: &str) -> Result<(), Fault> {
+    if low >= min && high <= max && low <= high {
+        return Ok(());
+    }
+    fault(key, [low, high], format!("[least, largest] within {min} to {max} {unit}"))
+}
+
+pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
+    if file.format != SCENE_FORMAT {
+        return fault("format", file.format, "1, the only version that this program reads");
+    }
+    let room = &file.room;
+    let size = room.size_m;
+    if !size.iter().all(|&s| (0.5..=100.0).contains(&s)) {
+        return fault("size_m", size, "three lengths from 0.5 to 100 m");
+    }
+    within("max_reflections", f64::from(room.max_reflections), 0.0, 4.0, "reflections")?;
+    within("max_body_reflections", f64::from(room.max_body_reflections), 0.0, 3.0, "reflections")?;
+    for surface in [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] {
+        within("thickness_m", surface.thickness_m, 0.0, 10.0, "m")?;
+    }
+    let radar = &file.radar;
+    let inside = |p: f64, size: f64| p >= 0.01 && p <= size - 0.01;
+    if !radar.position_m.iter().zip(size).all(|(&p, s)| inside(p, s)) {
+        return fault(
+            "position_m",
+            radar.position_m,
+            format!("a place in the room, 1 cm or more from its walls {size:?}"),
+        );
+    }
+    within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
+    within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
+    for f in &file.furniture {
+        let fits = (0..3)
+            .all(|i| f.position_m[i] >= 0.0 && f.size_m[i] >= 0.0 && f.position_m[i] + f.size_m[i] <= size[i] + 1e-9);
+        if !fits {
+            return fault("furniture", (&f.name, f.position_m, f.size_m), format!("a box within the room {size:?}"));
+        }
+        within("cross_section_dbsm", f.cross_section_dbsm, -100.0, 60.0, "dBsm")?;
+        within("points", f.points as f64, 1.0, 64.0, "points")?;
+    }
+    for seat in &file.seat {
+        if !(0..2).all(|i| seat.position_m[i] >= 0.0 && seat.position_m[i] <= size[i]) {
+            return fault("seat", seat.position_m, format!("a place in the room {size:?}"));
+        }
+        within("heading_deg", seat.heading_deg, -360.0, 360.0, "degrees")?;
+        within("height_m", seat.height_m, 0.2, 1.0, "m")?;
+    }
+    for door in &file.door {
+        let [x, y] = door.position_m;
+        let on_x = (x.abs() < 1e-6 || (x - size[0]).abs() < 1e-6) && y > 0.0 && y < size[1];
+        let on_y = (y.abs() < 1e-6 || (y - size[1]).abs() < 1e-6) && x > 0.0 && x < size[0];
+        if on_x == on_y {
+            return fault(
+                "door",
+                door.position_m,
+                format!("a place on one upright wall: x is 0 or {}, or y is 0 or {}", size[0], size[1]),
+            );
+        }
+        within("width_m", door.width_m, 0.4, 10.0, "m")?;
+    }
+    check_people(file)
+}
+
+fn check_people(file: &SceneFile) -> Result<(), Fault> {
+    let people = &file.people;
+    let programs = usize::from(!people.actor.is_empty())
+        + usize::from(people.visits.is_some())
+        + usize::from(people.desk.is_some());
+    if programs != 1 {
+        return fault("people", programs, "exactly one of [[people.actor]], [people.visits], [people.desk]");
+    }
+    within("actor", people.actor.len() as f64, 0.0, 2.0, "people (the classes end at two)")?;
+    for actor in &people.actor {
+        within("height_m", actor.height_m, 0.5, 2.5, "m")?;
+        within("start_s", actor.start_s, -1e6, 1e9, "s")?;
+        if actor.step.first().is_none_or(|s| s.walk_to_m.is_none()) {
+            return fault("step", actor.step.len(), "a first step with walk_to_m: where the person begins");
+        }
+        for step in &actor.step {
+            let given = [step.walk_to_m.is_some(), step.stand_s.is_some(), step.sit_s.is_some()];
+            if given.iter().filter(|&&g| g).count() != 1 {
+                return fault("step", given, "one of walk_to_m, stand_s, sit_s in each step");
+            }
+            for xy in step.walk_to_m.iter().flatten() {
+                within("walk_to_m", *xy, -1000.0, 1000.0, "m")?;
+            }
+            within("speed_m_per_s", step.speed_m_per_s.unwrap_or(1.0), 0.05, 5.0, "m/s")?;
+            within("stand_s", step.stand_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+            within("sit_s", step.sit_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+            if step.seat.is_some_and(|s| s >= file.seat.len()) {
+                return fault(
+                    "seat",
+                    step.seat,
+                    format!("an index below the number of [[seat]] tables, {}", file.seat.len()),
+                );
+            }
+        }
+    }
+    if let Some(v) = &people.visits {
+        if file.door.is_empty() {
+            return fault("visits", "without a door", "at least one [[door]] to come in by");
+        }
+        within("max_people", v.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        interval("first_absence_s", v.first_absence_s, 0.0, 1e6, "s")?;
+        interval("absence_s", v.absence_s, 0.1, 1e6, "s")?;
+        interval("speed_m_per_s", v.speed_m_per_s, 0.05, 5.0, "m/s")?;
+        interval("height_m", v.height_m, 0.5, 2.5, "m")?;
+        interval("lateral_m", v.lateral_m, 0.0, 100.0, "m")?;
+        interval("pause_s", v.pause_s, 0.0, 1e6, "s")?;
+        interval("sit_s", v.sit_s, 0.0, 1e6, "s")?;
+        interval("pace_legs", v.pace_legs, 0.0, 1000.0, "legs")?;
+        for (key, p) in [
+            ("turn_probability", v.turn_probability),
+            ("pause_probability", v.pause_probability),
+            ("sit_probability", v.sit_probability),
+            ("pace_probability", v.pace_probability),
+        ] {
+            within(key, p, 0.0, 1.0, "(probability)")?;
+        }
+        if let Some([low, high]) = v.pace_area_m {
+            let size = file.room.size_m;
+            if !(0..2).all(|i| low[i] >= 0.0 && low[i] <= high[i] && high[i] <= size[i]) {
+                return fault(
+                    "pace_area_m",
+                    [low, high],
+                    format!("[[x_low, y_low], [x_high, y_high]] in the room {size:?}"),
+                );
+            }
+        }
+    }
+    if let Some(d) = &people.desk {
+        within("max_people", d.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
+        within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
+        within("fidget_probability", d.fidget_probability, 0.0, 1.0, "(probability)")?;
+        within("objects_probability", d.objects_probability, 0.0, 1.0, "(probability)")?;
+        interval("height_m", d.height_m, 0.5, 2.5, "m")?;
+    }
+    Ok(())
+}

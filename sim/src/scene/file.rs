@@ -1,0 +1,298 @@
+//! Scene files: the TOML schema. Each field's doc states unit and default; an unknown key is an error.
+//!
+//! Frames of reference: the room is the box `0..size_m`, x and y horizontal, z up. Azimuth turns from +x towards +y. The radar's
+//! own axes are x boresight, y left, z up (before tilt); `tilt_down_deg` lowers the boresight.
+
+use radome_dsp::WaveformRequest;
+use serde::Deserialize;
+use toml::Spanned;
+
+use super::material::Material;
+
+/// Version of the schema that this crate reads.
+pub const SCENE_FORMAT: u32 = 1;
+
+/// A scene as its file states it.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SceneFile {
+    /// Version of the schema: 1.
+    pub format: u32,
+    /// Short name, for messages and provenance.
+    pub name: String,
+    /// Path of a receiver file, relative to the scene file, or the receiver's own table. Datasheet typicals if absent.
+    #[serde(default)]
+    pub receiver: Option<Spanned<toml::Value>>,
+    /// The room.
+    pub room: RoomFile,
+    /// Where the radar is.
+    pub radar: RadarFile,
+    /// What it transmits and samples.
+    pub waveform: WaveformRequest,
+    /// Static reflectors.
+    #[serde(default)]
+    pub furniture: Vec<FurnitureFile>,
+    /// Places to sit.
+    #[serde(default)]
+    pub seat: Vec<SeatFile>,
+    /// Doors, each in one of the four upright walls.
+    #[serde(default)]
+    pub door: Vec<DoorFile>,
+    /// Who comes, and what they do.
+    pub people: PeopleFile,
+}
+
+/// The room: a box with a slab for each surface.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoomFile {
+    /// Inner size along x, y, z, m.
+    pub size_m: [f64; 3],
+    /// Reflections at walls that a path may have in all. Default 3, at most 4.
+    #[serde(default = "three")]
+    pub max_reflections: u32,
+    /// Reflections that a path by way of a person or of furniture may have in all. Default 2, at most 3.
+    #[serde(default = "two")]
+    pub max_body_reflections: u32,
+    /// Surface at x = 0.
+    pub x_low: SurfaceFile,
+    /// Surface at x = size.
+    pub x_high: SurfaceFile,
+    /// Surface at y = 0.
+    pub y_low: SurfaceFile,
+    /// Surface at y = size.
+    pub y_high: SurfaceFile,
+    /// Floor.
+    pub floor: SurfaceFile,
+    /// Ceiling.
+    pub ceiling: SurfaceFile,
+}
+
+/// A slab.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SurfaceFile {
+    /// Material.
+    pub material: Material,
+    /// Thickness, m. Default 0.1.
+    #[serde(default = "tenth")]
+    pub thickness_m: f64,
+}
+
+/// Where the radar is and where it looks.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RadarFile {
+    /// Position in the room, m.
+    pub position_m: [f64; 3],
+    /// Boresight from +x towards +y, degrees. Default 0.
+    #[serde(default)]
+    pub azimuth_deg: f64,
+    /// Boresight below the horizon, degrees. Default 0.
+    #[serde(default)]
+    pub tilt_down_deg: f64,
+}
+
+/// A static box, reduced to scattering points on the faces that the radar sees: their places and phases are drawn from the
+/// seed, and together they have the stated radar cross-section.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FurnitureFile {
+    /// Name, for messages.
+    pub name: String,
+    /// Corner with the least coordinates, m.
+    pub position_m: [f64; 3],
+    /// Size along x, y, z, m.
+    pub size_m: [f64; 3],
+    /// Radar cross-section of all points together, dBsm. Default -10.
+    #[serde(default = "minus_ten")]
+    pub cross_section_dbsm: f64,
+    /// Points. Default 6, at most 64.
+    #[serde(default = "six")]
+    pub points: usize,
+}
+
+/// A place to sit.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SeatFile {
+    /// Where the hips come to rest, m.
+    pub position_m: [f64; 2],
+    /// Where one looks, from +x towards +y, degrees.
+    pub heading_deg: f64,
+    /// Height of the seat, m. Default 0.45.
+    #[serde(default = "seat_height")]
+    pub height_m: f64,
+}
+
+/// A door.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DoorFile {
+    /// Middle of the door on a wall: x or y is 0 or the room's size, m.
+    pub position_m: [f64; 2],
+    /// Width, m. Default 0.9.
+    #[serde(default = "door_width")]
+    pub width_m: f64,
+}
+
+/// Who comes, and what they do: exactly one of the three programs.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PeopleFile {
+    /// People with written way-points.
+    #[serde(default)]
+    pub actor: Vec<ActorFile>,
+    /// People who come and go by chance.
+    #[serde(default)]
+    pub visits: Option<VisitsFile>,
+    /// People who sit before the radar.
+    #[serde(default)]
+    pub desk: Option<DeskFile>,
+}
+
+/// A person with a script.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ActorFile {
+    /// When the script begins, s. Default 0. Before that the person waits at the first way-point.
+    #[serde(default)]
+    pub start_s: f64,
+    /// Body height, m. Default 1.75.
+    #[serde(default = "body_height")]
+    pub height_m: f64,
+    /// What they do, in order. The first one must be a position.
+    pub step: Vec<StepFile>,
+}
+
+/// One line of a script: `{ walk_to_m = [x, y], speed_m_per_s = 1.2 }`, `{ stand_s = 3 }` or `{ sit_s = 20, seat = 0 }`.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepFile {
+    /// Walk there (the first step: be there), m.
+    #[serde(default)]
+    pub walk_to_m: Option<[f64; 2]>,
+    /// Speed of the walk, m/s. Default 1.2.
+    #[serde(default)]
+    pub speed_m_per_s: Option<f64>,
+    /// Stand so long, s.
+    #[serde(default)]
+    pub stand_s: Option<f64>,
+    /// Sit so long, s.
+    #[serde(default)]
+    pub sit_s: Option<f64>,
+    /// On this seat (index). Where one is, if absent.
+    #[serde(default)]
+    pub seat: Option<usize>,
+}
+
+/// An endless stream of visits in each of a few slots. Pairs are the least and the largest value drawn.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VisitsFile {
+    /// Slots: the most people at a time. Default 2.
+    pub max_people: usize,
+    /// Before the first visit of a slot, s. Default [1.5, 5].
+    pub first_absence_s: [f64; 2],
+    /// Between two visits of a slot, s. Default [2.5, 6].
+    pub absence_s: [f64; 2],
+    /// Walking speed, m/s. Default [0.9, 1.7].
+    pub speed_m_per_s: [f64; 2],
+    /// Body height, m. Default [1.55, 1.92].
+    pub height_m: [f64; 2],
+    /// Distance of the path from the middle, m: slots keep to different sides. Default [0.2, 0.55].
+    pub lateral_m: [f64; 2],
+    /// Probability of turning round on the way and leaving by the same door. Default 0.25.
+    pub turn_probability: f64,
+    /// Probability of standing still on the way. Default 0.25.
+    pub pause_probability: f64,
+    /// Duration of that, s. Default [0.8, 2.5].
+    pub pause_s: [f64; 2],
+    /// Probability of going to a seat, where there is one. Default 0.
+    pub sit_probability: f64,
+    /// Time on the seat, s. Default [8, 25].
+    pub sit_s: [f64; 2],
+    /// Probability of pacing to and fro (for those who do not sit). Default 0.
+    pub pace_probability: f64,
+    /// Legs paced. Default [3, 8].
+    pub pace_legs: [f64; 2],
+    /// Where people pace: `[[x_low, y_low], [x_high, y_high]]`, m. The inner half of the room if absent.
+    pub pace_area_m: Option<[[f64; 2]; 2]>,
+}
+
+/// Nobody, one or two people sitting before the radar, for good.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DeskFile {
+    /// Most people. Default 2.
+    pub max_people: usize,
+    /// Distance of the chest from the radar, m. Default [0.25, 0.9].
+    pub distance_m: [f64; 2],
+    /// Most that they sit off the boresight, degrees. Default 20.
+    pub off_boresight_deg: f64,
+    /// Probability that a person moves a little rather than sits still. Default 0.5.
+    pub fidget_probability: f64,
+    /// Probability that static objects stand on the desk. Default 0.5.
+    pub objects_probability: f64,
+    /// Body height, m. Default [1.55, 1.92].
+    pub height_m: [f64; 2],
+}
+
+impl Default for VisitsFile {
+    fn default() -> Self {
+        VisitsFile {
+            max_people: 2,
+            first_absence_s: [1.5, 5.0],
+            absence_s: [2.5, 6.0],
+            speed_m_per_s: [0.9, 1.7],
+            height_m: [1.55, 1.92],
+            lateral_m: [0.2, 0.55],
+            turn_probability: 0.25,
+            pause_probability: 0.25,
+            pause_s: [0.8, 2.5],
+            sit_probability: 0.0,
+            sit_s: [8.0, 25.0],
+            pace_probability: 0.0,
+            pace_legs: [3.0, 8.0],
+            pace_area_m: None,
+        }
+    }
+}
+
+impl Default for DeskFile {
+    fn default() -> Self {
+        DeskFile {
+            max_people: 2,
+            distance_m: [0.25, 0.9],
+            off_boresight_deg: 20.0,
+            fidget_probability: 0.5,
+            objects_probability: 0.5,
+            height_m: [1.55, 1.92],
+        }
+    }
+}
+
+fn two() -> u32 {
+    2
+}
+fn three() -> u32 {
+    3
+}
+fn six() -> usize {
+    6
+}
+fn tenth() -> f64 {
+    0.1
+}
+fn minus_ten() -> f64 {
+    -10.0
+}
+fn seat_height() -> f64 {
+    0.45
+}
+fn door_width() -> f64 {
+    0.9
+}
+fn body_height() -> f64 {
+    1.75
+}

@@ -1,0 +1,88 @@
+//! Materials by ITU-R P.2040: `eps' = a f^b`, `sigma = c f^d` (f in GHz), `eps'' = 17.98 sigma / f`.
+
+use num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+
+/// A building material with constants of the recommendation's table 3, or a metal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Material {
+    /// Concrete.
+    Concrete,
+    /// Brick; 60 GHz lies outside the table's range (1..40 GHz).
+    Brick,
+    /// Plasterboard.
+    Plasterboard,
+    /// Wood.
+    Wood,
+    /// Glass.
+    Glass,
+    /// Ceiling board.
+    CeilingBoard,
+    /// Chipboard.
+    Chipboard,
+    /// Plywood; 60 GHz lies outside the table's range (1..40 GHz).
+    Plywood,
+    /// Marble.
+    Marble,
+    /// Floorboard.
+    Floorboard,
+    /// Metal: a perfect conductor here.
+    Metal,
+    /// No surface at all: nothing comes back.
+    Open,
+}
+
+impl Material {
+    /// Coefficients (a, b, c, d); `None` for what is no dielectric.
+    pub fn coefficients(self) -> Option<[f64; 4]> {
+        match self {
+            Material::Concrete => Some([5.24, 0.0, 0.0462, 0.7822]),
+            Material::Brick => Some([3.91, 0.0, 0.0238, 0.16]),
+            Material::Plasterboard => Some([2.73, 0.0, 0.0085, 0.9395]),
+            Material::Wood => Some([1.99, 0.0, 0.0047, 1.0718]),
+            Material::Glass => Some([6.31, 0.0, 0.0036, 1.3394]),
+            Material::CeilingBoard => Some([1.48, 0.0, 0.0011, 1.0750]),
+            Material::Chipboard => Some([2.58, 0.0, 0.0217, 0.78]),
+            Material::Plywood => Some([2.71, 0.0, 0.33, 0.0]),
+            Material::Marble => Some([7.074, 0.0, 0.0055, 0.9262]),
+            Material::Floorboard => Some([3.66, 0.0, 0.0044, 1.3515]),
+            Material::Metal | Material::Open => None,
+        }
+    }
+
+    /// Complex relative permittivity `eps' - j eps''`; `None` for what is no dielectric.
+    pub fn permittivity(self, frequency_hz: f64) -> Option<Complex64> {
+        let [a, b, c, d] = self.coefficients()?;
+        let ghz = frequency_hz * 1e-9;
+        Some(Complex64::new(a * ghz.powf(b), -17.98 * c * ghz.powf(d) / ghz))
+    }
+}
+
+/// Skin at 60 GHz, `7.98 - j 10.9` (Gabriel's model, as the literature quotes it).
+pub const SKIN_PERMITTIVITY: Complex64 = Complex64::new(7.98, -10.9);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Columns "eps' @60" and "eps'' @60" of the table as printed for 60 GHz.
+    #[test]
+    fn table_at_60_ghz() {
+        let rows = [
+            (Material::Concrete, 5.24, 0.341),
+            (Material::Plasterboard, 2.73, 0.119),
+            (Material::Wood, 1.99, 0.113),
+            (Material::Glass, 6.31, 0.260),
+            (Material::CeilingBoard, 1.48, 0.0269),
+            (Material::Chipboard, 2.58, 0.159),
+            (Material::Marble, 7.07, 0.0731),
+            (Material::Floorboard, 3.66, 0.334),
+        ];
+        for (material, real, imaginary) in rows {
+            let eps = material.permittivity(60e9).expect("dielectric");
+            assert!((eps.re - real).abs() < 0.006, "{material:?} {eps}");
+            assert!((-eps.im / imaginary - 1.0).abs() < 0.005, "{material:?} {eps}");
+        }
+    }
+}

@@ -1,0 +1,266 @@
+//! Scenes: what a file says, checked and resolved.
+
+pub mod file;
+pub mod material;
+
+mod check;
+
+use std::path::{Path, PathBuf};
+
+use glam::{DMat3, DVec3};
+use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
+use thiserror::Error;
+
+use crate::field::image::{BoxRoom, Element, Wall};
+use crate::field::pattern::Pattern;
+use crate::receiver::Receiver;
+use file::{SceneFile, SurfaceFile};
+use material::Material;
+
+/// A scene that cannot be used.
+#[derive(Debug, Error)]
+pub enum SceneError {
+    /// A file cannot be read.
+    #[error("{path}: cannot be read: {source}")]
+    Read {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A file is no TOML, or has a wrong key or type.
+    #[error("{path}:{line}: {message}")]
+    Parse {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1.
+        line: usize,
+        /// What the parser found and expected.
+        message: String,
+    },
+    /// A value makes no sense.
+    #[error("{path}:{line}: {key} is {value}, expected {expected}")]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1; the file's first if the key is not written there.
+        line: usize,
+        /// Key.
+        key: String,
+        /// What was given.
+        value: String,
+        /// What would do.
+        expected: String,
+    },
+    /// The chip cannot produce the waveform.
+    #[error("{path}:{line}: {source}")]
+    Waveform {
+        /// The file.
+        path: PathBuf,
+        /// Line of the waveform's table.
+        line: usize,
+        /// Why.
+        source: WaveformError,
+    },
+}
+
+/// Where the transmit and receive antennas sit on the package, in the radar's frame (x boresight, y left, z up), m.
+/// The receivers form an L with RX3 in the corner, 2.5 mm apart: RX1 & RX3 give azimuth, RX2 & RX3 elevation.
+/// The distance from TX to the corner is an estimate.
+pub const ANTENNA_OFFSETS_M: AntennaOffsets = AntennaOffsets {
+    tx: DVec3::new(0.0, -0.003, 0.0),
+    rx: [DVec3::new(0.0, 0.0045, 0.0), DVec3::new(0.0, 0.002, 0.0025), DVec3::new(0.0, 0.002, 0.0)],
+};
+
+/// See [`ANTENNA_OFFSETS_M`].
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AntennaOffsets {
+    /// Transmitter.
+    pub tx: DVec3,
+    /// Receivers RX1, RX2, RX3.
+    pub rx: [DVec3; 3],
+}
+
+/// A scene, checked and ready to be simulated.
+#[derive(Debug, Clone)]
+pub struct Scene {
+    file: SceneFile,
+    path: PathBuf,
+    waveform: Waveform,
+    receiver: Receiver,
+}
+
+impl Scene {
+    /// Reads a scene file and the receiver file that it names.
+    pub fn load(path: &Path) -> Result<Self, SceneError> {
+        let text = read(path)?;
+        Self::parse(&text, path)
+    }
+
+    /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
+    pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
+        let file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        let receiver = match &file.receiver {
+            None => Receiver::typical(),
+            Some(value) => {
+                let line = line_of(text, value.span().start);
+                match value.get_ref() {
+                    toml::Value::String(relative) => {
+                        let receiver_path = path.parent().unwrap_or(Path::new("")).join(relative);
+                        load_receiver(&receiver_path)?
+                    }
+                    inline => {
+                        let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
+                            let message = format!("receiver: {}", e.message());
+                            SceneError::Parse { path: path.to_owned(), line, message }
+                        })?;
+                        check_receiver(&receiver, path, text)?;
+                        receiver
+                    }
+                }
+            }
+        };
+        let waveform = Waveform::realise(file.waveform.clone()).map_err(|source| {
+            let line = line_of_key(text, "[waveform]");
+            SceneError::Waveform { path: path.to_owned(), line, source }
+        })?;
+        check::check(&file).map_err(|fault| fault.at(path, text))?;
+        Ok(Scene { file, path: path.to_owned(), waveform, receiver })
+    }
+
+    /// The waveform as the chip realises it.
+    pub fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    /// The receiver's constants.
+    pub fn receiver(&self) -> &Receiver {
+        &self.receiver
+    }
+
+    /// The scene as its file states it.
+    pub fn file(&self) -> &SceneFile {
+        &self.file
+    }
+
+    /// Name of the scene.
+    pub fn name(&self) -> &str {
+        &self.file.name
+    }
+
+    /// Where it was read.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// The same scene with another receiver.
+    pub fn with_receiver(mut self, receiver: Receiver) -> Self {
+        self.receiver = receiver;
+        self
+    }
+
+    /// Rotation from room axes to radar axes (x boresight, y left, z up).
+    pub fn radar_from_world(&self) -> DMat3 {
+        let azimuth = self.file.radar.azimuth_deg.to_radians();
+        let tilt = self.file.radar.tilt_down_deg.to_radians();
+        (DMat3::from_rotation_z(azimuth) * DMat3::from_rotation_y(tilt)).transpose()
+    }
+
+    /// Position of the radar, m.
+    pub fn radar_position(&self) -> DVec3 {
+        DVec3::from_array(self.file.radar.position_m)
+    }
+
+    /// Wave number in the middle of the sampled band, 1/m.
+    pub fn wavenumber_per_m(&self) -> f64 {
+        std::f64::consts::TAU * self.waveform.centre_frequency_hz() / SPEED_OF_LIGHT_M_PER_S
+    }
+
+    /// The room with its walls.
+    pub fn room(&self) -> BoxRoom {
+        let room = &self.file.room;
+        let surfaces = [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling];
+        let frequency_hz = self.waveform.centre_frequency_hz();
+        BoxRoom {
+            size_m: DVec3::from_array(room.size_m),
+            walls: surfaces.map(|s| wall(s, frequency_hz)),
+            wavenumber_per_m: self.wavenumber_per_m(),
+        }
+    }
+
+    /// The transmitter and the waveform's enabled receivers, vertical polarisation.
+    pub fn elements(&self) -> (Element, Vec<Element>) {
+        let radar_from_world = self.radar_from_world();
+        let world_from_radar = radar_from_world.transpose();
+        let antenna = &self.receiver.antenna;
+        let pattern = Pattern::new(
+            antenna.azimuth_beamwidth_deg.to_radians(),
+            antenna.elevation_beamwidth_deg.to_radians(),
+            antenna.side_lobe_floor_db,
+        );
+        let element = |offset: DVec3| Element {
+            position: self.radar_position() + world_from_radar * offset,
+            polarisation: world_from_radar * DVec3::Z,
+            radar_from_world,
+            pattern,
+        };
+        let enabled = self.waveform.request.rx_antennas.antennas();
+        let offsets = ANTENNA_OFFSETS_M.rx;
+        let rx = enabled.iter().filter_map(|&a| offsets.get(usize::from(a) - 1)).map(|&o| element(o)).collect();
+        (element(ANTENNA_OFFSETS_M.tx), rx)
+    }
+}
+
+fn wall(surface: SurfaceFile, frequency_hz: f64) -> Wall {
+    match (surface.material, surface.material.permittivity(frequency_hz)) {
+        (_, Some(permittivity)) => Wall::Slab { permittivity, thickness_m: surface.thickness_m },
+        (Material::Metal, None) => Wall::Conductor,
+        _ => Wall::Open,
+    }
+}
+
+/// Reads and checks a receiver file.
+pub fn load_receiver(path: &Path) -> Result<Receiver, SceneError> {
+    let text = read(path)?;
+    let receiver: Receiver = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;
+    check_receiver(&receiver, path, &text)?;
+    Ok(receiver)
+}
+
+fn check_receiver(receiver: &Receiver, path: &Path, text: &str) -> Result<(), SceneError> {
+    match receiver.first_fault() {
+        None => Ok(()),
+        Some((key, value, expected)) => Err(SceneError::Value {
+            path: path.to_owned(),
+            line: line_of_key(text, key),
+            key: key.to_owned(),
+            value,
+            expected: expected.to_owned(),
+        }),
+    }
+}
+
+fn read(path: &Path) -> Result<String, SceneError> {
+    std::fs::read_to_string(path).map_err(|source| SceneError::Read { path: path.to_owned(), source })
+}
+
+fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {
+    let line = error.span().map_or(1, |span| line_of(text, span.start));
+    SceneError::Parse { path: path.to_owned(), line, message: error.message().to_owned() }
+}
+
+fn line_of(text: &str, offset: usize) -> usize {
+    1 + text.bytes().take(offset).filter(|&b| b == b'\n').count()
+}
+
+/// First line on which a key (or a table header) is written; 1 if nowhere.
+fn line_of_key(text: &str, key: &str) -> usize {
+    let written = |line: &str| {
+        let line = line.split('#').next().unwrap_or("");
+        line.match_indices(key).any(|(at, _)| {
+            let edge = |c: Option<char>| c.is_none_or(|c| !(c.is_alphanumeric() || c == '_'));
+            edge(line[..at].chars().next_back()) && edge(line[at + key.len()..].chars().next())
+        })
+    };
+    text.lines().position(written).map_or(1, |i| i + 1)
+}
