@@ -1,0 +1,45 @@
+use std::path::PathBuf;
+
+use crate::files;
+
+/// `radome demo`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Frames to watch
+    #[arg(long, default_value_t = 300)]
+    frames: u64,
+    /// Seed of the people's ways; the shipped model was trained on seeds below 100000
+    #[arg(long, default_value_t = 100_001)]
+    seed: u64,
+    /// Times real time; 0 is as fast as it goes
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// Another scene than the corridor
+    #[arg(long)]
+    scene: Option<PathBuf>,
+    /// Another model than the shipped one
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// One object a frame and one at the end
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    view: crate::live::view::Arguments,
+}
+
+/// The main job with nothing attached.
+pub fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
+    let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;
+    super::live::watch(&super::live::Watch {
+        source: &format!("emulated:{}", scene.display()),
+        model: &model,
+        seed: arguments.seed,
+        people: None,
+        frames: Some(arguments.frames),
+        speed: (arguments.speed > 0.0).then_some(arguments.speed),
+        json: arguments.json,
+        smoothing: Default::default(),
+        view: &arguments.view,
+    })
+}

@@ -1,0 +1,44 @@
+use std::time::Duration;
+
+use radome_driver::emulator::{EmulatedBoard, EmulatorOptions, Pace};
+use serde_json::json;
+
+use crate::output;
+use crate::source::{self, SourceOptions};
+
+/// `radome emulate`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recording or SCENE.toml to serve
+    #[arg(long)]
+    from: String,
+    /// Times real time; 0 is as fast as the host reads
+    #[arg(long, default_value_t = 1.0)]
+    speed: f64,
+    /// Seed of a simulation
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// One object with the path
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints the path of a pty that behaves as a board, and serves until stopped.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    let source = source::open(&arguments.from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
+    let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
+    let board = EmulatedBoard::spawn(source.frames, EmulatorOptions { pace, ..Default::default() })?;
+    let path = board.path().display().to_string();
+    if arguments.json {
+        output::json_line(&json!({ "port": path }))?;
+    } else {
+        output::text_line(&path)?;
+    }
+    eprintln!("an emulated board with {}; Ctrl-C stops it", source.description);
+    while !output::interrupted() {
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    board.stop();
+    Ok(())
+}

@@ -1,0 +1,71 @@
+//! One file per command.
+
+mod bench;
+mod circuit;
+mod config;
+mod dataset;
+mod demo;
+mod devices;
+mod emulate;
+mod evaluate;
+mod live;
+mod models;
+mod rdm;
+mod record;
+mod simulate;
+mod train;
+
+use clap::Subcommand;
+
+/// What the program can do.
+#[derive(Subcommand)]
+pub enum Command {
+    /// The main job with nothing attached: an emulated board streams a simulated corridor, a trained network watches
+    Demo(demo::Arguments),
+    /// Boards and debug probes on this machine, those without permission too
+    Devices(devices::Arguments),
+    /// Check a waveform: derived ranges, resolutions, data rate
+    Config(config::Arguments),
+    /// Capture a source to a file, lossless or loud
+    Record(record::Arguments),
+    /// Say while it happens whether the room is empty or holds one person or two
+    Live(live::Arguments),
+    /// An emulated board on a pty that serves any source until stopped
+    Emulate(emulate::Arguments),
+    /// Range-Doppler maps of a source as an array
+    Rdm(rdm::Arguments),
+    /// Simulate a scene: raw frames, truth and labels
+    Simulate(simulate::Arguments),
+    /// Datasets of labelled maps
+    Dataset(dataset::Arguments),
+    /// Train a network on a dataset
+    Train(train::Arguments),
+    /// Metrics of a model on a dataset
+    Evaluate(evaluate::Arguments),
+    /// The networks: parameters, multiply-adds, input
+    Models(models::Arguments),
+    /// The quantum layer at one point: expectations and gradients
+    Circuit(circuit::Arguments),
+    /// Speed against error
+    Bench(bench::Arguments),
+}
+
+/// Runs a command.
+pub fn run(command: Command) -> anyhow::Result<()> {
+    match command {
+        Command::Demo(arguments) => demo::run(arguments),
+        Command::Devices(arguments) => devices::run(&arguments),
+        Command::Config(arguments) => config::run(&arguments),
+        Command::Record(arguments) => record::run(&arguments),
+        Command::Live(arguments) => live::run(&arguments),
+        Command::Emulate(arguments) => emulate::run(&arguments),
+        Command::Rdm(arguments) => rdm::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Dataset(arguments) => dataset::run(&arguments),
+        Command::Train(arguments) => train::run(&arguments),
+        Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Models(arguments) => models::run(&arguments),
+        Command::Circuit(arguments) => circuit::run(&arguments),
+        Command::Bench(arguments) => bench::run(&arguments),
+    }
+}

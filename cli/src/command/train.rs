@@ -1,0 +1,53 @@
+use std::path::PathBuf;
+
+use radome_models::dataset::Dataset;
+use radome_models::{TrainSpec, train};
+use serde_json::json;
+
+use crate::{files, output};
+
+/// `radome train`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Model file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Passes over the training split
+    #[arg(long)]
+    epochs: Option<usize>,
+    /// Seed of initial weights and order
+    #[arg(long)]
+    seed: Option<u64>,
+    /// One object an epoch and one at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Trains the HQNN and writes the weights of its best epoch.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    files::check_parent(&arguments.output)?;
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let mut spec = TrainSpec::default();
+    if let Some(epochs) = arguments.epochs {
+        spec.epochs = epochs;
+    }
+    if let Some(seed) = arguments.seed {
+        spec.seed = seed;
+    }
+    let mut trouble = None;
+    let outcome = train(&dataset, &spec, &mut |report| {
+        let said = if arguments.json { output::json_line(&report) } else { output::text_line(&report.to_string()) };
+        trouble = trouble.take().or(said.err());
+    })?;
+    if let Some(error) = trouble {
+        return Err(error);
+    }
+    outcome.model.save(&arguments.output)?;
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        return output::json_line(&json!({ "model": file, "training": outcome.model.card().training }));
+    }
+    output::text_line(&format!("{file} written"))
+}

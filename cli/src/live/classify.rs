@@ -1,0 +1,301 @@
+//! One classifier at the end of a pipeline: frames in, answers out, and what to say at the end.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use radome_dsp::{Frame, Gap, MapStatus, Occupancy, Rdm, RdmProcessor};
+use radome_models::{Classifier, evaluate::Metrics};
+use serde::Serialize;
+
+use super::occupancy::{Hysteresis, OccupancyFilter, most_likely};
+use super::pipeline::{Inlet, Item};
+
+/// Probabilities of the classes by name.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Probabilities {
+    empty: f32,
+    one: f32,
+    two: f32,
+}
+
+impl From<[f32; 3]> for Probabilities {
+    fn from([empty, one, two]: [f32; 3]) -> Self {
+        Probabilities { empty, one, two }
+    }
+}
+
+/// What is said about one frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct Answer {
+    /// Sequence number of the frame.
+    pub sequence: u64,
+    /// Time since the acquisition started, s.
+    pub time_s: f64,
+    /// Most likely class; `None` while a window over frames fills.
+    pub label: Option<Occupancy>,
+    /// Probabilities of the filter over the frames so far.
+    pub probabilities: Option<Probabilities>,
+    /// Probabilities by this frame's map alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_probabilities: Option<Probabilities>,
+    /// Whether the room counts as occupied, with delays against flicker.
+    pub occupied: bool,
+    /// `n/K` while a window over K frames fills.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub warming_up: Option<String>,
+    /// What is known to be true.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<Occupancy>,
+    /// Whether someone is partly in the room.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transition: Option<bool>,
+    /// Codes at either end of the ADC.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub saturated_samples: u32,
+    /// From the frame's last byte to its label, ms.
+    pub latency_ms: f64,
+}
+
+fn is_zero(n: &u32) -> bool {
+    *n == 0
+}
+
+/// Quantiles of the latency, ms.
+#[derive(Debug, Clone, Serialize)]
+pub struct Latency {
+    /// Median.
+    pub p50: f64,
+    /// 99 of 100 are faster.
+    pub p99: f64,
+}
+
+/// What a run amounts to.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// Frames that arrived.
+    pub frames: u64,
+    /// Frames that were lost on the way.
+    pub dropped: u64,
+    /// The same by reason.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub dropped_by_reason: BTreeMap<&'static str, u64>,
+    /// Frames with a label.
+    pub labelled: u64,
+    /// How often each label was given.
+    pub labels: BTreeMap<&'static str, u64>,
+    /// Mean recall over the classes that occurred, over all frames with truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balanced_accuracy: Option<f64>,
+    /// All figures over all frames with truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics: Option<Metrics>,
+    /// The same over the frames in which nobody was entering or leaving.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics_without_transitions: Option<Metrics>,
+    /// Frames in which somebody was.
+    pub transition_frames: u64,
+    /// The same metrics with the map of each frame judged alone, without the filter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics_unfiltered: Option<Metrics>,
+    /// From last byte to label.
+    pub latency_ms: Latency,
+    /// From the start of the program to the first label, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_label_s: Option<f64>,
+}
+
+/// Settings of the filter over frames.
+#[derive(Debug, Clone, Copy)]
+pub struct Smoothing {
+    /// Mean time that a number of people stays, s.
+    pub dwell_s: f64,
+    /// Weight of one frame's evidence.
+    pub weight: f64,
+    /// Delays of `occupied`, s.
+    pub on_delay_s: f64,
+    /// See `on_delay_s`.
+    pub off_delay_s: f64,
+}
+
+impl Default for Smoothing {
+    fn default() -> Self {
+        Smoothing { dwell_s: 8.0, weight: 0.5, on_delay_s: 0.5, off_delay_s: 3.0 }
+    }
+}
+
+/// Judges frames one after the other.
+pub struct FrameClassifier {
+    classifier: Classifier,
+    processor: RdmProcessor,
+    map: Rdm,
+    filter: OccupancyFilter,
+    hysteresis: Hysteresis,
+    started: Instant,
+    first_label_s: Option<f64>,
+    latencies_ms: Vec<f64>,
+    dropped: BTreeMap<&'static str, u64>,
+    frames: u64,
+    labels: [u64; 3],
+    transition_frames: u64,
+    all: Vec<(Occupancy, Occupancy)>,
+    settled: Vec<(Occupancy, Occupancy)>,
+    unfiltered: Vec<(Occupancy, Occupancy)>,
+}
+
+impl FrameClassifier {
+    /// Refuses frames of a waveform that the model was not made for.
+    pub fn new(
+        classifier: Classifier,
+        waveform: &radome_dsp::Waveform,
+        smoothing: Smoothing,
+        started: Instant,
+    ) -> anyhow::Result<Self> {
+        waveform.check_compatible(classifier.waveform())?;
+        let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
+        Ok(FrameClassifier {
+            map: processor.empty_map(),
+            processor,
+            classifier,
+            filter: OccupancyFilter::new(smoothing.dwell_s, smoothing.weight),
+            hysteresis: Hysteresis::new(smoothing.on_delay_s, smoothing.off_delay_s),
+            started,
+            first_label_s: None,
+            latencies_ms: Vec::new(),
+            dropped: BTreeMap::new(),
+            frames: 0,
+            labels: [0; 3],
+            transition_frames: 0,
+            all: Vec::new(),
+            settled: Vec::new(),
+            unfiltered: Vec::new(),
+        })
+    }
+
+    /// The last map that was made.
+    pub fn map(&self) -> &Rdm {
+        &self.map
+    }
+
+    /// Notes missing frames and forgets what must not reach across them.
+    pub fn gap(&mut self, gap: &Gap) {
+        *self.dropped.entry(gap.reason.name()).or_default() += gap.frames;
+        self.processor.reset();
+    }
+
+    /// Judges a frame that arrived at `arrived`.
+    pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
+        self.frames += 1;
+        let status = self.processor.process(frame, &mut self.map)?;
+        let mut answer = Answer {
+            sequence: frame.sequence,
+            time_s: frame.time_s(),
+            label: None,
+            probabilities: None,
+            frame_probabilities: None,
+            occupied: false,
+            warming_up: None,
+            truth: frame.truth.map(|t| t.occupancy),
+            transition: frame.truth.map(|t| t.transition),
+            saturated_samples: 0,
+            latency_ms: 0.0,
+        };
+        match status {
+            MapStatus::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
+            MapStatus::Ready => {
+                let raw = self.classifier.classify(&self.map)?;
+                let filtered = self.filter.update(answer.time_s, raw);
+                let label = most_likely(filtered);
+                answer.saturated_samples = self.map.flags.saturated_samples;
+                answer.frame_probabilities = Some(raw.into());
+                answer.probabilities = Some(filtered.into());
+                answer.label = Some(label);
+                answer.occupied = self.hysteresis.update(answer.time_s, label);
+                self.labels[label.index()] += 1;
+                if let Some(truth) = frame.truth {
+                    self.all.push((truth.occupancy, label));
+                    self.unfiltered.push((truth.occupancy, most_likely(raw)));
+                    if truth.transition {
+                        self.transition_frames += 1;
+                    } else {
+                        self.settled.push((truth.occupancy, label));
+                    }
+                }
+                self.first_label_s.get_or_insert_with(|| self.started.elapsed().as_secs_f64());
+            }
+        }
+        answer.latency_ms = arrived.elapsed().as_secs_f64() * 1e3;
+        self.latencies_ms.push(answer.latency_ms);
+        Ok(answer)
+    }
+
+    /// What the run amounts to; `missed` frames were dropped for want of time.
+    pub fn summary(&mut self, missed: u64) -> Summary {
+        if missed > 0 {
+            self.dropped.insert(radome_dsp::GapReason::QueueFull.name(), missed);
+        }
+        self.latencies_ms.sort_by(f64::total_cmp);
+        let quantile = |q: f64| {
+            let last = self.latencies_ms.len().saturating_sub(1);
+            self.latencies_ms.get((q * last as f64).round() as usize).copied().unwrap_or(0.0)
+        };
+        let metrics = |pairs: &[(Occupancy, Occupancy)]| (!pairs.is_empty()).then(|| Metrics::of(pairs));
+        let all = metrics(&self.all);
+        Summary {
+            frames: self.frames,
+            dropped: self.dropped.values().sum(),
+            dropped_by_reason: self.dropped.clone(),
+            labelled: self.labels.iter().sum(),
+            labels: Occupancy::ALL.iter().map(|o| (o.name(), self.labels[o.index()])).collect(),
+            balanced_accuracy: all.as_ref().map(|m| m.balanced_accuracy),
+            metrics: all,
+            metrics_without_transitions: metrics(&self.settled),
+            transition_frames: self.transition_frames,
+            metrics_unfiltered: metrics(&self.unfiltered),
+            latency_ms: Latency { p50: quantile(0.5), p99: quantile(0.99) },
+            first_label_s: self.first_label_s,
+        }
+    }
+}
+
+/// Runs until the stream ends: hands every answer and gap to `say`, returns the summary.
+pub fn run(
+    inlet: &Inlet,
+    judge: &mut FrameClassifier,
+    patience: Duration,
+    mut say: impl FnMut(&FrameClassifier, Event) -> anyhow::Result<()>,
+) -> anyhow::Result<Summary> {
+    loop {
+        if crate::output::interrupted() {
+            break;
+        }
+        let delivery = match inlet.receiver.recv_timeout(patience) {
+            Ok(delivery) => delivery,
+            Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
+            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => break,
+        };
+        match delivery.item {
+            Item::Frame(frame) => {
+                let answer = judge.frame(&frame, delivery.arrived)?;
+                say(judge, Event::Answer(answer))?;
+            }
+            Item::Gap(gap) => {
+                judge.gap(&gap);
+                say(judge, Event::Gap(gap))?;
+            }
+            Item::End(end) => {
+                end.map_err(anyhow::Error::from_boxed)?;
+                break;
+            }
+        }
+    }
+    Ok(judge.summary(inlet.missed.load(Ordering::Relaxed)))
+}
+
+/// What happens on a live run.
+pub enum Event {
+    /// A frame has been judged.
+    Answer(Answer),
+    /// Frames are missing.
+    Gap(Gap),
+}

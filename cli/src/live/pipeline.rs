@@ -1,0 +1,272 @@
+//! A reader thread that hands reference-counted frames from a pool to consumers, each with its own policy.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
+use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent};
+
+/// What a consumer receives.
+pub enum Item {
+    /// A frame, shared with the other consumers.
+    Frame(Arc<Frame>),
+    /// Frames are missing here.
+    Gap(Gap),
+    /// The last item.
+    End(Result<(), SourceError>),
+}
+
+/// An item and when the host had it.
+pub struct Delivery {
+    /// What.
+    pub item: Item,
+    /// When its last byte had arrived.
+    pub arrived: Instant,
+}
+
+/// What happens when a consumer is slower than the source.
+#[derive(Debug, Clone, Copy)]
+pub enum Policy {
+    /// The reader waits: for sources that can wait (files, simulations), where every frame counts.
+    Wait,
+    /// The oldest waiting frame is dropped and counted: for views and classifiers of a live board.
+    DropOldest,
+    /// Nothing may be lost: if the consumer stalls for this long, the pipeline stops with an error.
+    Lossless(Duration),
+}
+
+struct Outlet {
+    name: &'static str,
+    policy: Policy,
+    sender: Sender<Delivery>,
+    /// The other end, to take the oldest from.
+    receiver: Receiver<Delivery>,
+    missed: Arc<AtomicU64>,
+}
+
+/// The consumer's end of a queue.
+pub struct Inlet {
+    /// Items in order.
+    pub receiver: Receiver<Delivery>,
+    /// Frames dropped because this consumer was too slow.
+    pub missed: Arc<AtomicU64>,
+}
+
+/// Consumers to be, before the reader starts.
+pub struct Pipeline {
+    outlets: Vec<Outlet>,
+}
+
+/// The running reader.
+pub struct Reader {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Pipeline {
+    /// A pipeline without consumers.
+    pub fn new() -> Self {
+        Pipeline { outlets: Vec::new() }
+    }
+
+    /// Adds a consumer with a queue of `capacity` items.
+    pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
+        let (sender, receiver) = bounded(capacity);
+        let missed = Arc::new(AtomicU64::new(0));
+        self.outlets.push(Outlet { name, policy, sender, receiver: receiver.clone(), missed: missed.clone() });
+        Inlet { receiver, missed }
+    }
+
+    /// Starts reading. `limit` ends the stream after so many frames.
+    pub fn start(self, source: Box<dyn FrameSource>, limit: Option<u64>) -> Reader {
+        let stop = Arc::new(AtomicBool::new(false));
+        let told = stop.clone();
+        let outlets = self.outlets;
+        let thread = std::thread::spawn(move || {
+            let end = read(source, &outlets, limit, &told);
+            // An error can be shown once; the first consumer that takes it does so.
+            let mut end = Some(end);
+            for outlet in &outlets {
+                let item = Item::End(end.take().unwrap_or(Ok(())));
+                let _ = outlet.sender.send_timeout(Delivery { item, arrived: Instant::now() }, Duration::from_secs(10));
+            }
+        });
+        Reader { stop, thread: Some(thread) }
+    }
+}
+
+impl Reader {
+    /// Asks for an end after the frame that is being read.
+    pub fn stop(&self) {
+        self.stop.store(true, Ordering::SeqCst);
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.stop();
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+fn read(
+    mut source: Box<dyn FrameSource>,
+    outlets: &[Outlet],
+    limit: Option<u64>,
+    stop: &AtomicBool,
+) -> Result<(), SourceError> {
+    let shape = source.waveform().shape();
+    // One frame for every place in a queue, one in each consumer's hands, one being read.
+    let places: usize = outlets.iter().map(|o| o.receiver.capacity().unwrap_or(1) + 1).sum();
+    let mut pool: Vec<Arc<Frame>> = (0..places + 1).map(|_| Arc::new(Frame::zeroed(shape))).collect();
+    let mut frames = 0;
+    while !stop.load(Ordering::SeqCst) && limit.is_none_or(|limit| frames < limit) {
+        let free = pool.iter().position(|frame| Arc::strong_count(frame) == 1);
+        let mut slot = match free {
+            Some(index) => pool.swap_remove(index),
+            // A consumer keeps frames for longer than agreed; lend it one more.
+            None => Arc::new(Frame::zeroed(shape)),
+        };
+        let event = match Arc::get_mut(&mut slot) {
+            Some(frame) => source.next_frame(frame)?,
+            None => continue,
+        };
+        let arrived = Instant::now();
+        match event {
+            SourceEvent::Frame => {
+                frames += 1;
+                for outlet in outlets {
+                    outlet.send(Delivery { item: Item::Frame(slot.clone()), arrived })?;
+                }
+            }
+            SourceEvent::Gap(gap) => {
+                for outlet in outlets {
+                    outlet.send(Delivery { item: Item::Gap(gap), arrived })?;
+                }
+            }
+            SourceEvent::End => return Ok(()),
+        }
+        pool.push(slot);
+    }
+    Ok(())
+}
+
+impl Outlet {
+    fn send(&self, delivery: Delivery) -> Result<(), SourceError> {
+        match self.policy {
+            // A consumer that has gone away is no reason to stop the others.
+            Policy::Wait => {
+                let _ = self.sender.send(delivery);
+            }
+            Policy::Lossless(deadline) => {
+                if let Err(error) = self.sender.send_timeout(delivery, deadline)
+                    && error.is_timeout()
+                {
+                    return Err(format!(
+                        "the {} has not taken a frame for {:.1} s; stopped, because it must not lose any\n\nhint: write to a faster disk",
+                        self.name,
+                        deadline.as_secs_f64()
+                    )
+                    .into());
+                }
+            }
+            Policy::DropOldest => {
+                let mut delivery = delivery;
+                while let Err(TrySendError::Full(back)) = self.sender.try_send(delivery) {
+                    delivery = back;
+                    if self.receiver.try_recv().is_ok() {
+                        self.missed.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radome_dsp::{GapReason, Waveform, WaveformRequest};
+
+    struct Counter {
+        waveform: Waveform,
+        next: u64,
+        end: u64,
+    }
+
+    impl Counter {
+        fn new(end: u64) -> Box<Self> {
+            let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
+            Box::new(Counter { waveform: Waveform::realise(request).expect("valid"), next: 0, end })
+        }
+    }
+
+    impl FrameSource for Counter {
+        fn waveform(&self) -> &Waveform {
+            &self.waveform
+        }
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            if self.next == self.end {
+                return Ok(SourceEvent::End);
+            }
+            frame.sequence = self.next;
+            frame.codes.fill(self.next as u16);
+            self.next += 1;
+            if self.next == 5 {
+                let gap = Gap { first_sequence: 4, frames: 1, reason: GapReason::PacketLost };
+                return Ok(SourceEvent::Gap(gap));
+            }
+            Ok(SourceEvent::Frame)
+        }
+    }
+
+    #[test]
+    fn every_consumer_gets_every_frame_in_order_and_the_gap_in_its_place() {
+        let mut pipeline = Pipeline::new();
+        let inlets = [pipeline.consumer("a", 2, Policy::Wait), pipeline.consumer("b", 64, Policy::DropOldest)];
+        let _reader = pipeline.start(Counter::new(50), None);
+        for inlet in inlets {
+            let mut expected = 0;
+            loop {
+                match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item {
+                    Item::Frame(frame) => {
+                        assert_eq!(frame.sequence, expected);
+                        assert!(frame.codes.iter().all(|c| u64::from(*c) == expected));
+                    }
+                    Item::Gap(gap) => assert_eq!(gap.first_sequence, expected),
+                    Item::End(end) => break end.expect("no error"),
+                }
+                expected += 1;
+            }
+            assert_eq!(expected, 50);
+            assert_eq!(inlet.missed.load(Ordering::Relaxed), 0);
+        }
+    }
+
+    #[test]
+    fn a_slow_view_misses_the_oldest_and_knows_how_many() {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("view", 3, Policy::DropOldest);
+        drop(pipeline.start(Counter::new(1000), Some(20)));
+        let left: Vec<_> = inlet.receiver.try_iter().collect();
+        assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
+        assert_eq!(inlet.missed.load(Ordering::Relaxed) as usize + left.len() - 1, 20 + 1);
+    }
+
+    #[test]
+    fn a_stalled_recorder_stops_the_pipeline_loudly() {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("recorder", 2, Policy::Lossless(Duration::from_millis(50)));
+        let reader = pipeline.start(Counter::new(1000), None);
+        std::thread::sleep(Duration::from_millis(200));
+        let items: Vec<_> = inlet.receiver.iter().collect();
+        drop(reader);
+        let Some(Delivery { item: Item::End(Err(error)), .. }) = items.last() else { panic!("no error") };
+        assert!(error.to_string().contains("recorder"), "{error}");
+    }
+}
