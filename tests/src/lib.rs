@@ -1,1 +1,70 @@
-//! stub
+//! What the end-to-end tests share: the built program, its files, and its answers.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+/// Root of the source tree.
+pub fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A file under `fixtures/`.
+pub fn fixture(name: &str) -> PathBuf {
+    root().join("fixtures").join(name)
+}
+
+/// A file of the data that lies beside the project: in the folder that `RADOME_SHARED` names, or in `../shared`.
+/// `None`, with a word on stderr, where it is absent: such a test then has nothing to check.
+#[allow(clippy::print_stderr)]
+pub fn shared(name: &str) -> Option<PathBuf> {
+    let folder = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
+    let path = folder.join(name);
+    if !path.exists() {
+        eprintln!("skipped: {} is absent; RADOME_SHARED names the folder that holds data/", path.display());
+        return None;
+    }
+    Some(path)
+}
+
+/// The built program.
+///
+/// # Panics
+/// If it has not been built.
+pub fn radome() -> Command {
+    let folder = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.parent()?.to_owned()));
+    let program = folder.unwrap_or_default().join("radome");
+    assert!(program.exists(), "{} is absent: run tests/run, which builds it", program.display());
+    let mut command = Command::new(program);
+    command.current_dir(root());
+    command
+}
+
+/// Runs and returns the JSON lines of stdout.
+///
+/// # Panics
+/// If the program fails or prints anything but JSON lines.
+pub fn json_lines(command: &mut Command) -> Vec<Value> {
+    let output = run(command);
+    assert!(output.status.success(), "{command:?} failed: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout)
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap_or_else(|e| panic!("{e} in {line}")))
+        .collect()
+}
+
+/// Runs and expects failure with exit status 1; returns what was said on stderr.
+///
+/// # Panics
+/// If the program succeeds or fails in another way.
+pub fn failure(command: &mut Command) -> String {
+    let output = run(command);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{command:?}: {said}");
+    said
+}
+
+fn run(command: &mut Command) -> Output {
+    command.output().unwrap_or_else(|e| panic!("cannot run {command:?}: {e}"))
+}

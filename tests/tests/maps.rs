@@ -1,0 +1,53 @@
+//! `radome rdm` on the real recording against the formula in f64, written out here on its own.
+
+use std::f64::consts::TAU;
+
+use radome_tests::{json_lines, radome, shared};
+
+#[test]
+fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
+    let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = folder.path().join("maps.npy");
+    let said = json_lines(radome().arg("rdm").arg(&recording).arg("-o").arg(&output).arg("--json"));
+    assert_eq!(said[0]["shape"], serde_json::json!([256, 3, 8, 32]));
+
+    let read = |path: &std::path::Path| std::io::BufReader::new(std::fs::File::open(path).expect("readable"));
+    let maps: Vec<f32> = npyz::NpyFile::new(read(&output)).expect("npy").into_vec().expect("f32");
+    let codes: Vec<u16> =
+        npyz::NpyFile::new(read(&recording.join("RadarIfxAvian_00/radar.npy"))).expect("npy").into_vec().expect("u16");
+
+    let (m, n) = (8usize, 64usize);
+    let hann = |length: usize| (0..length).map(|i| 0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).collect::<Vec<_>>();
+    let (doppler_window, range_window) = (hann(m), hann(n));
+    let norm = doppler_window.iter().sum::<f64>() * range_window.iter().sum::<f64>();
+    let mut worst = 0.0f64;
+    for map in 0..256 * 3 {
+        let chirp = |c: usize| &codes[(map * m + c) * n..(map * m + c + 1) * n];
+        for k in 0..n / 2 {
+            let profile: Vec<(f64, f64)> = (0..m)
+                .map(|c| {
+                    chirp(c).iter().enumerate().fold((0.0, 0.0), |(re, im), (s, code)| {
+                        let x = (f64::from(*code) - 2048.0) / 2048.0 * range_window[s] * doppler_window[c];
+                        let (sin, cos) = (TAU * ((k * s) % n) as f64 / n as f64).sin_cos();
+                        (re + x * cos, im - x * sin)
+                    })
+                })
+                .collect();
+            for i in 0..m {
+                let l = (i + m / 2) % m;
+                let (re, im) = profile.iter().enumerate().fold((0.0, 0.0), |(re, im), (c, (a, b))| {
+                    let (sin, cos) = (TAU * ((l * c) % m) as f64 / m as f64).sin_cos();
+                    (re + a * cos + b * sin, im + b * cos - a * sin)
+                });
+                let amplitude = if k == 0 { 1.0 } else { 2.0 } * f64::hypot(re, im) / norm;
+                let want = (20.0 * amplitude.log10()).max(-200.0);
+                let got = f64::from(maps[(map * m + i) * (n / 2) + k]);
+                if want > -100.0 {
+                    worst = worst.max((got - want).abs());
+                }
+            }
+        }
+    }
+    assert!(worst < 0.01, "{worst} dB");
+}

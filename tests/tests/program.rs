@@ -1,0 +1,80 @@
+//! The small commands, and the manners of all of them.
+
+use std::process::Stdio;
+
+use radome_tests::{failure, json_lines, radome, shared};
+
+#[test]
+fn models_lists_the_hqnn_with_its_parameters() {
+    let lists = json_lines(radome().args(["models", "--json"]));
+    let hqnn = lists[0].as_array().expect("a list").iter().find(|n| n["name"] == "hqnn").expect("hqnn");
+    assert_eq!(hqnn["parameters"], 66_447);
+}
+
+#[test]
+fn circuit_agrees_with_qiskit() {
+    let Some(path) = shared("data/qiskit_pqc.json") else { return };
+    let reference: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON");
+    let list = |v: &serde_json::Value| {
+        v.as_array().expect("list").iter().map(|x| format!("{:.17e}", x.as_f64().expect("number"))).collect::<Vec<_>>().join(",")
+    };
+    for point in reference["reps"]["1"]["points"].as_array().expect("points").iter().step_by(7) {
+        let (x, theta) = (list(&point["x"]), list(&point["theta"]));
+        let args = ["circuit", "--x", &x, "--theta", &theta, "--repetitions", "1", "--json"];
+        let got = &json_lines(radome().args(args))[0];
+        let near = |got: &serde_json::Value, want: &serde_json::Value, tolerance: f64| {
+            let (got, want) = (got.as_f64().expect("number"), want.as_f64().expect("number"));
+            assert!((got - want).abs() < tolerance, "{got} against {want} at {point}");
+        };
+        near(&got["zi"], &point["exp"]["ZI"], 1e-12);
+        near(&got["iz"], &point["exp"]["IZ"], 1e-12);
+        for (name, gradient, observable) in [
+            ("zi_grad_theta", "grad_theta", "ZI"),
+            ("iz_grad_theta", "grad_theta", "IZ"),
+            ("zi_grad_x", "grad_x", "ZI"),
+            ("iz_grad_x", "grad_x", "IZ"),
+        ] {
+            let wanted = point[gradient][observable].as_array().expect("list");
+            for (i, want) in wanted.iter().enumerate() {
+                near(&got[name][i], want, 1e-9);
+            }
+        }
+    }
+}
+
+#[test]
+fn config_derives_axes_from_the_sampled_band() {
+    let paper = &json_lines(radome().args(["config", "paper", "--json"]))[0];
+    let resolution = paper["range_resolution_m"].as_f64().expect("number");
+    assert!((resolution - 0.171).abs() < 0.003, "{resolution}");
+    let velocity = paper["max_velocity_m_per_s"].as_f64().expect("number");
+    assert!((velocity - 2.5).abs() < 0.01, "{velocity}");
+}
+
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let mut child =
+        radome().args(["models", "--json"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("ends");
+    assert!(output.status.success());
+    assert!(output.stderr.is_empty(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn errors_say_what_and_what_to_do() {
+    let said = failure(radome().args(["live", "nowhere.mcap", "--model", "nothing.safetensors"]));
+    assert!(said.starts_with("error: ") && said.contains("nothing.safetensors"), "{said}");
+    let said = failure(radome().args(["rdm", "/nonexistent", "-o", "/tmp/never.npy"]));
+    assert!(said.contains("/nonexistent"), "{said}");
+    let said = failure(radome().args(["circuit", "--x", "1", "--theta", "1,2,3,4"]));
+    assert!(said.contains("two numbers"), "{said}");
+    let wrong_use = radome().args(["live"]).output().expect("runs");
+    assert_eq!(wrong_use.status.code(), Some(2));
+}
+
+#[test]
+fn devices_answers_on_a_machine_without_usb() {
+    json_lines(radome().args(["devices", "--json"]));
+}
