@@ -1,0 +1,60 @@
+//! CRC-16/CCITT-FALSE: polynomial 0x1021, initial value 0xFFFF, not reflected, nothing xored out.
+
+const POLYNOMIAL: u16 = 0x1021;
+const INITIAL: u16 = 0xFFFF;
+
+const fn shifted(mut crc: u16) -> u16 {
+    let mut bit = 0;
+    while bit < 8 {
+        crc = if crc & 0x8000 != 0 { (crc << 1) ^ POLYNOMIAL } else { crc << 1 };
+        bit += 1;
+    }
+    crc
+}
+
+const TABLE: [u16; 256] = {
+    let mut table = [0; 256];
+    let mut i = 0;
+    while i < 256 {
+        table[i] = shifted((i as u16) << 8);
+        i += 1;
+    }
+    table
+};
+
+/// CRC of these bytes, a table look-up each.
+pub fn crc16(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(INITIAL, |crc, &byte| (crc << 8) ^ TABLE[usize::from((crc >> 8) as u8 ^ byte)])
+}
+
+/// CRC of these bytes, bit by bit from the definition: what [`crc16`] is tested against.
+pub fn crc16_bitwise(bytes: &[u8]) -> u16 {
+    bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// The check value of the CRC catalogue.
+    #[test]
+    fn check_value() {
+        assert_eq!(crc16(b"123456789"), 0x29B1);
+        assert_eq!(crc16_bitwise(b"123456789"), 0x29B1);
+    }
+
+    proptest! {
+        #[test]
+        fn table_agrees_with_definition(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            prop_assert_eq!(crc16(&bytes), crc16_bitwise(&bytes));
+        }
+
+        #[test]
+        fn crc_over_message_and_crc_is_zero(bytes in prop::collection::vec(any::<u8>(), 0..100)) {
+            let mut bytes = bytes;
+            bytes.extend(crc16(&bytes).to_be_bytes());
+            prop_assert_eq!(crc16(&bytes), 0);
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! What boards say and hear, as pure functions over bytes. Each decoder stands beside its encoder; nothing here does I/O.
+
+pub mod crc;
+pub mod fifo;
+pub mod packed12;
+pub mod strata;

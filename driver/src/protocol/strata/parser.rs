@@ -1,0 +1,193 @@
+//! Messages out of a stream of bytes that may hold garbage.
+
+use super::{MAX_MESSAGE, Packet, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
+use crate::protocol::crc::crc16;
+
+/// What a board sent.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoardEvent<'a> {
+    /// An answer.
+    Response(Response<'a>),
+    /// A piece of data.
+    Packet(Packet<'a>),
+    /// Bytes that are no message were skipped, or a message whose CRC is wrong.
+    Damaged {
+        /// Bytes skipped.
+        bytes: usize,
+    },
+}
+
+enum Candidate {
+    /// Needs this many bytes to decide.
+    Incomplete,
+    /// No message begins here.
+    No,
+    /// A whole message of this length.
+    Message(usize),
+}
+
+fn candidate(bytes: &[u8]) -> Candidate {
+    let Some(&first) = bytes.first() else { return Candidate::Incomplete };
+    let length = if first & 0xF0 == 0xD0 {
+        let Some(header) = bytes.first_chunk() else {
+            return if bytes.get(1).is_some_and(|channel| *channel != 0) {
+                Candidate::No
+            } else {
+                Candidate::Incomplete
+            };
+        };
+        match Packet::header(header) {
+            Some((_, length)) => Packet::HEADER_LENGTH + length + 2,
+            None => return Candidate::No,
+        }
+    } else if RequestKind::from_code(first).is_some() {
+        let Some(&[_, _, l0, l1]) = bytes.first_chunk() else { return Candidate::Incomplete };
+        Response::HEADER_LENGTH + usize::from(u16::from_le_bytes([l0, l1])) + 2
+    } else {
+        return Candidate::No;
+    };
+    match bytes.get(..length) {
+        _ if length > MAX_MESSAGE => Candidate::No,
+        None => Candidate::Incomplete,
+        Some(message) if crc16(message) == 0 => Candidate::Message(length),
+        Some(_) => Candidate::No,
+    }
+}
+
+/// Finds the messages of a board in what the host received. A message counts only if its CRC is right; after a wrong
+/// one the search goes on at the next byte, so that a message cut short does not take its successor with it.
+#[derive(Debug, Default)]
+pub struct BoardParser {
+    buffer: Vec<u8>,
+    /// Bytes of `buffer` that have been handed out.
+    used: usize,
+}
+
+impl BoardParser {
+    /// An empty parser.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        if self.used > 0 {
+            self.buffer.drain(..self.used);
+            self.used = 0;
+        }
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next message or stretch of garbage; `None` until more bytes come.
+    pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
+        let start = self.used;
+        let mut at = start;
+        loop {
+            let rest = self.buffer.get(at..).unwrap_or(&[]);
+            match candidate(rest) {
+                Candidate::No => at += 1,
+                _ if at > start => {
+                    self.used = at;
+                    return Some(BoardEvent::Damaged { bytes: at - start });
+                }
+                Candidate::Incomplete => return None,
+                Candidate::Message(length) => {
+                    self.used = at + length;
+                    return self.buffer.get(at..at + length).and_then(decode);
+                }
+            }
+        }
+    }
+
+    /// To be called when the line has been silent: a message that is still incomplete will not come any more, and its
+    /// header may have been garbage that hides a real message. Gives up on one byte; ask [`Self::next_event`] again.
+    pub fn on_silence(&mut self) {
+        self.used = (self.used + 1).min(self.buffer.len());
+    }
+
+    /// Whether the start of a message waits for the rest.
+    pub fn is_waiting(&self) -> bool {
+        self.used < self.buffer.len()
+    }
+
+    /// Forgets everything received.
+    pub fn clear(&mut self) {
+        self.buffer.clear();
+        self.used = 0;
+    }
+}
+
+/// A message whose length and CRC have been checked.
+fn decode(message: &[u8]) -> Option<BoardEvent<'_>> {
+    let (body, _) = message.split_last_chunk::<2>()?;
+    if let Some((header, payload)) = body.split_first_chunk()
+        && let Some((flags, _)) = Packet::header(header)
+    {
+        let counter = u16::from_le_bytes([header[2], header[3]]);
+        return Some(BoardEvent::Packet(Packet { flags, channel: header[1], counter, payload }));
+    }
+    let (&[kind_code, status, _, _], payload) = body.split_first_chunk::<4>()?;
+    Some(BoardEvent::Response(Response { kind_code, status: Status::from_code(status), payload }))
+}
+
+/// What a host sent, as the firmware sees it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum HostEvent {
+    /// A request.
+    Request(Request),
+    /// Something that the firmware refuses with this status; the first byte is echoed.
+    Refused {
+        /// First byte of what came.
+        kind_code: u8,
+        /// Why.
+        status: Status,
+    },
+}
+
+/// Finds requests in what a board received, refusing what the firmware refuses.
+#[derive(Debug, Default)]
+pub struct HostParser {
+    buffer: Vec<u8>,
+}
+
+impl HostParser {
+    /// An empty parser.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next request; `None` until more bytes come. What is refused empties the buffer, as the firmware flushes
+    /// its input then.
+    pub fn next_event(&mut self) -> Option<HostEvent> {
+        let header: &[u8; REQUEST_HEADER_LENGTH] = match self.buffer.first_chunk() {
+            Some(header) => header,
+            None => return None,
+        };
+        let kind_code = header[0];
+        let Some(payload) = Request::payload_length(header) else {
+            self.buffer.clear();
+            return Some(HostEvent::Refused { kind_code, status: Status::RequestTypeInvalid });
+        };
+        let length = REQUEST_HEADER_LENGTH + payload + 2;
+        if length > MAX_MESSAGE {
+            self.buffer.clear();
+            return Some(HostEvent::Refused { kind_code, status: Status::RequestPayloadTooLong });
+        }
+        let message = self.buffer.get(..length)?;
+        match Request::decode(message) {
+            Ok(request) => {
+                self.buffer.drain(..length);
+                Some(HostEvent::Request(request))
+            }
+            Err(_) => {
+                self.buffer.clear();
+                Some(HostEvent::Refused { kind_code, status: Status::RequestCrc })
+            }
+        }
+    }
+}

@@ -1,0 +1,343 @@
+//! Requests: 8-byte header, payload, CRC.
+
+use thiserror::Error;
+
+use super::{COMPONENT_AVIAN, FIFO_ADDRESS, Status};
+use crate::protocol::crc::crc16;
+
+/// Bytes of a request before its payload.
+pub const REQUEST_HEADER_LENGTH: usize = 8;
+
+const BOARD: u8 = 0x80;
+const COMPONENT: u8 = 0x20;
+const DATA: u8 = 0x0D;
+
+/// An SPI word as on the chip's MOSI line.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SpiWord {
+    /// Register address, 0..=0x7F.
+    pub address: u8,
+    /// Whether the word writes; otherwise it reads.
+    pub write: bool,
+    /// 24-bit content.
+    pub value: u32,
+}
+
+impl SpiWord {
+    /// A word that writes a register.
+    pub fn write(address: u8, value: u32) -> Self {
+        SpiWord { address, write: true, value }
+    }
+
+    /// A word that reads a register.
+    pub fn read(address: u8) -> Self {
+        SpiWord { address, write: false, value: 0 }
+    }
+
+    /// The four bytes, in the order of the line.
+    pub fn to_bytes(self) -> [u8; 4] {
+        let [_, a, b, c] = self.value.to_be_bytes();
+        [self.address << 1 | u8::from(self.write), a, b, c]
+    }
+
+    /// From four bytes in the order of the line.
+    pub fn from_bytes([command, a, b, c]: [u8; 4]) -> Self {
+        SpiWord { address: command >> 1, write: command & 1 != 0, value: u32::from_be_bytes([0, a, b, c]) }
+    }
+}
+
+/// Direction of a request's payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RequestKind {
+    /// Payload to the board.
+    Write,
+    /// Payload from the board; the header's length is what is wanted.
+    Read,
+    /// Payload both ways.
+    Transfer,
+}
+
+impl RequestKind {
+    /// Byte on the wire.
+    pub fn code(self) -> u8 {
+        match self {
+            RequestKind::Write => 0x40,
+            RequestKind::Read => 0xC0,
+            RequestKind::Transfer => 0x43,
+        }
+    }
+
+    /// From the byte on the wire.
+    pub fn from_code(code: u8) -> Option<Self> {
+        [RequestKind::Write, RequestKind::Read, RequestKind::Transfer].into_iter().find(|k| k.code() == code)
+    }
+}
+
+/// A request as it stands on the wire.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    /// Direction of the payload.
+    pub kind: RequestKind,
+    /// Group of functions (bRequest).
+    pub request: u8,
+    /// Function or component (wValue).
+    pub value: u16,
+    /// Index or function of a component (wIndex).
+    pub index: u16,
+    /// Bytes of payload sent, or wanted by a read (wLength).
+    pub length: u16,
+    /// What is sent.
+    pub payload: Vec<u8>,
+}
+
+impl Request {
+    /// The bytes on the wire.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut bytes = vec![self.kind.code(), self.request];
+        for word in [self.value, self.index, self.length] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend(&self.payload);
+        bytes.extend(crc16(&bytes).to_be_bytes());
+        bytes
+    }
+
+    /// Bytes of payload that follow a header, from the header itself; `None` if the kind is unknown.
+    pub fn payload_length(header: &[u8; REQUEST_HEADER_LENGTH]) -> Option<usize> {
+        let length = usize::from(u16::from_le_bytes([header[6], header[7]]));
+        RequestKind::from_code(header[0]).map(|kind| if kind == RequestKind::Read { 0 } else { length })
+    }
+
+    /// From one whole message.
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        let short = DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + 2 };
+        let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>().ok_or(short)?;
+        let kind = RequestKind::from_code(header[0]).ok_or(DecodeError::Kind { got: header[0] })?;
+        let payload = Request::payload_length(header).unwrap_or(0);
+        if rest.len() != payload + 2 {
+            return Err(DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + payload + 2 });
+        }
+        if crc16(bytes) != 0 {
+            return Err(DecodeError::Crc);
+        }
+        let word = |i: usize| u16::from_le_bytes([header[i], header[i + 1]]);
+        let payload = rest.get(..payload).unwrap_or(&[]).to_vec();
+        Ok(Request { kind, request: header[1], value: word(2), index: word(4), length: word(6), payload })
+    }
+}
+
+/// Bytes that are no request.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum DecodeError {
+    /// Too few or too many bytes.
+    #[error("strata request: {got} bytes, its header asks for {need}")]
+    Short {
+        /// Bytes given.
+        got: usize,
+        /// Bytes that the header asks for.
+        need: usize,
+    },
+    /// Unknown direction.
+    #[error("strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer)")]
+    Kind {
+        /// What was given.
+        got: u8,
+    },
+    /// The CRC disagrees.
+    #[error("strata request: the CRC does not match")]
+    Crc,
+}
+
+/// How the board packs samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DataFormat {
+    /// Two codes in three bytes.
+    Packed12,
+    /// One code in two bytes, little-endian.
+    Raw16,
+}
+
+impl DataFormat {
+    fn code(self) -> u8 {
+        match self {
+            DataFormat::Packed12 => 0x10,
+            DataFormat::Raw16 => 0x02,
+        }
+    }
+}
+
+/// What a request means: the part of the protocol that this program uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Command {
+    /// USB ids and name.
+    BoardInfo,
+    /// Versions of firmware and protocol.
+    FirmwareVersion,
+    /// 16 bytes of identity.
+    Uuid,
+    /// Free text about the firmware.
+    ExtendedVersion,
+    /// How many components of a type the board has.
+    ComponentCount {
+        /// Type, such as [`COMPONENT_AVIAN`].
+        component: u16,
+    },
+    /// Index of the radar chip's data channel.
+    DataIndex,
+    /// Writes consecutive registers.
+    WriteRegisters {
+        /// First register.
+        address: u8,
+        /// 24-bit contents.
+        values: Vec<u32>,
+    },
+    /// Reads consecutive registers.
+    ReadRegisters {
+        /// First register.
+        address: u8,
+        /// How many.
+        count: u8,
+    },
+    /// Pulls the chip's reset pin.
+    HardwareReset,
+    /// SPI words, verbatim.
+    Execute {
+        /// The words.
+        words: Vec<SpiWord>,
+        /// Whether what the chip answers comes back.
+        answer: bool,
+    },
+    /// Says how the FIFO is to be read. Stops a running acquisition.
+    ConfigureData {
+        /// Packing of samples.
+        format: DataFormat,
+        /// Codes in a slice, even.
+        slice_samples: u16,
+    },
+    /// Flags of the data channel.
+    DataStatus,
+    /// Starts reading slices.
+    StartData,
+    /// Stops reading slices.
+    StopData,
+}
+
+/// wIndex of a function of a component's interface.
+const fn function(interface: u16, function: u16) -> u16 {
+    function << 8 | interface << 4
+}
+
+const WRITE_BURST: u16 = function(1, 3);
+const READ_BURST: u16 = function(1, 4);
+const DATA_INDEX: u16 = function(0, 2);
+const RESET_PIN: u16 = function(2, 5);
+const EXECUTE: u16 = function(3, 1);
+
+impl Command {
+    /// As a request.
+    pub fn to_request(&self) -> Request {
+        use RequestKind::{Read, Transfer, Write};
+        let write = |request, value, index, payload: Vec<u8>| Request {
+            kind: Write,
+            request,
+            value,
+            index,
+            length: payload.len() as u16,
+            payload,
+        };
+        let transfer =
+            |request, value, index, payload| Request { kind: Transfer, ..write(request, value, index, payload) };
+        let read =
+            |request, value, index, length| Request { kind: Read, request, value, index, length, payload: Vec::new() };
+        match self {
+            Command::BoardInfo => transfer(BOARD, 0, 0, Vec::new()),
+            Command::FirmwareVersion => read(BOARD, 1, 0, 16),
+            Command::Uuid => read(BOARD, 2, 0, 16),
+            Command::ExtendedVersion => transfer(BOARD, 3, 0, Vec::new()),
+            Command::ComponentCount { component } => read(COMPONENT, 0, *component, 1),
+            Command::DataIndex => read(COMPONENT, COMPONENT_AVIAN, DATA_INDEX, 1),
+            Command::WriteRegisters { address, values } => {
+                let mut payload: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                payload.push(*address);
+                write(COMPONENT, COMPONENT_AVIAN, WRITE_BURST, payload)
+            }
+            Command::ReadRegisters { address, count } => {
+                transfer(COMPONENT, COMPONENT_AVIAN, READ_BURST, vec![*count, *address])
+            }
+            Command::HardwareReset => write(COMPONENT, COMPONENT_AVIAN, RESET_PIN, Vec::new()),
+            Command::Execute { words, answer } => {
+                let payload = words.iter().flat_map(|w| w.to_bytes()).collect();
+                let request = write(COMPONENT, COMPONENT_AVIAN, EXECUTE, payload);
+                Request { kind: if *answer { Transfer } else { Write }, ..request }
+            }
+            Command::ConfigureData { format, slice_samples } => {
+                let mut payload = vec![format.code(), 0, 0, 0, 0, 0, 0, 0];
+                payload.extend(FIFO_ADDRESS.to_le_bytes());
+                payload.extend(slice_samples.to_le_bytes());
+                write(DATA, 1, 0, payload)
+            }
+            Command::DataStatus => read(DATA, 0, 0, 4),
+            Command::StartData => write(DATA, 3, 0, Vec::new()),
+            Command::StopData => write(DATA, 4, 0, Vec::new()),
+        }
+    }
+
+    /// From a request, or the status that the board answers to one that it does not know.
+    pub fn from_request(request: &Request) -> Result<Self, Status> {
+        use RequestKind::{Read, Transfer, Write};
+        let Request { kind, payload, .. } = request;
+        match (request.request, *kind, request.value, request.index) {
+            (BOARD, Transfer, 0, _) => Ok(Command::BoardInfo),
+            (BOARD, Read, 1, _) => Ok(Command::FirmwareVersion),
+            (BOARD, Read, 2, _) => Ok(Command::Uuid),
+            (BOARD, Transfer, 3, _) => Ok(Command::ExtendedVersion),
+            (BOARD, ..) => Err(Status::RequestValueInvalid),
+            (COMPONENT, Read, 0, component) => Ok(Command::ComponentCount { component }),
+            (COMPONENT, _, COMPONENT_AVIAN, index) => match (index, *kind) {
+                (DATA_INDEX, Read) => Ok(Command::DataIndex),
+                (WRITE_BURST, Write) => match payload.split_last() {
+                    Some((&address, values)) if values.len() % 4 == 0 && !values.is_empty() => {
+                        let values = values.as_chunks::<4>().0.iter().map(|v| u32::from_le_bytes(*v)).collect();
+                        Ok(Command::WriteRegisters { address, values })
+                    }
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (READ_BURST, Transfer) => match payload.as_slice() {
+                    &[count, address] => Ok(Command::ReadRegisters { address, count }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (RESET_PIN, Write) => Ok(Command::HardwareReset),
+                (EXECUTE, Write | Transfer) => match payload.as_chunks::<4>() {
+                    (words, []) => Ok(Command::Execute {
+                        words: words.iter().map(|w| SpiWord::from_bytes(*w)).collect(),
+                        answer: *kind == Transfer,
+                    }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                _ => Err(Status::RequestFunctionInvalid),
+            },
+            (COMPONENT, ..) => Err(Status::RequestValueInvalid),
+            (DATA, Write, 1, _) => decode_data_configuration(payload),
+            (DATA, Read, 0, _) => Ok(Command::DataStatus),
+            (DATA, Write, 3, _) => Ok(Command::StartData),
+            (DATA, Write, 4, _) => Ok(Command::StopData),
+            (DATA, ..) => Err(Status::RequestValueInvalid),
+            _ => Err(Status::RequestInvalid),
+        }
+    }
+}
+
+fn decode_data_configuration(payload: &[u8]) -> Result<Command, Status> {
+    let (properties, readouts) = payload.split_first_chunk::<8>().ok_or(Status::InvalidSize)?;
+    let &[a0, a1, c0, c1] = readouts else { return Err(Status::InvalidSize) };
+    let format = match properties[0] {
+        0x10 | 0xFF => DataFormat::Packed12,
+        0x02 => DataFormat::Raw16,
+        _ => return Err(Status::InvalidParameter),
+    };
+    let slice_samples = u16::from_le_bytes([c0, c1]);
+    if u16::from_le_bytes([a0, a1]) != FIFO_ADDRESS || slice_samples == 0 || !slice_samples.is_multiple_of(2) {
+        return Err(Status::InvalidParameter);
+    }
+    Ok(Command::ConfigureData { format, slice_samples })
+}

@@ -1,0 +1,91 @@
+//! How a slice of the FIFO is cut into packets, and which slice to ask for.
+
+use radome_dsp::FIFO_SAMPLES;
+
+use super::MAX_PACKET_PAYLOAD;
+use crate::protocol::packed12::packed_length;
+
+/// Bytes of the board's clock at the end of a slice.
+pub const TIMESTAMP_LENGTH: usize = 8;
+
+/// A slice in Packed12 with timestamp: sizes of its packets.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SliceLayout {
+    /// Codes in a slice, even.
+    pub samples: usize,
+}
+
+impl SliceLayout {
+    /// The slice to ask for so that frames of this many codes come with as little delay as the link allows:
+    /// as few equal parts of a frame as fit half the FIFO. Slices that would trip the firmware (see [`Self::is_safe`])
+    /// are passed over. Frames with an odd number of codes cannot be cut so and share slices with their neighbours.
+    pub fn for_frame(codes: usize) -> Self {
+        let half = FIFO_SAMPLES / 2;
+        let codes = codes.max(1);
+        let exact = (codes.div_ceil(half)..=codes.div_ceil(half) * 16)
+            .filter(|parts| codes.is_multiple_of(*parts))
+            .map(|parts| SliceLayout { samples: codes / parts })
+            .find(|slice| slice.is_safe());
+        let joined = (2..=half / codes).map(|frames| SliceLayout { samples: frames * codes });
+        let any = (1..=half / 2).rev().map(|pairs| SliceLayout { samples: 2 * pairs });
+        exact
+            .or_else(|| joined.into_iter().find(|slice| slice.is_safe()))
+            .or_else(|| any.into_iter().find(|slice| slice.is_safe()))
+            .unwrap_or(SliceLayout { samples: 6144 })
+    }
+
+    /// Whether the firmware can send it: an even count of at most half the FIFO, and not one whose last packet would
+    /// hold less than the timestamp, for which firmware 2.x computes a negative length and sends 64 KiB of garbage.
+    pub fn is_safe(self) -> bool {
+        let tail = (self.data_bytes() + TIMESTAMP_LENGTH) % MAX_PACKET_PAYLOAD;
+        self.samples > 0
+            && self.samples.is_multiple_of(2)
+            && self.samples <= FIFO_SAMPLES / 2
+            && !(1..TIMESTAMP_LENGTH).contains(&tail)
+    }
+
+    /// Packed bytes of the codes.
+    pub fn data_bytes(self) -> usize {
+        packed_length(self.samples)
+    }
+
+    /// Packets that the slice comes in.
+    pub fn packets(self) -> usize {
+        (self.data_bytes() + TIMESTAMP_LENGTH).div_ceil(MAX_PACKET_PAYLOAD)
+    }
+
+    /// Payload length of one of its packets, timestamp included.
+    pub fn payload_length(self, packet: usize) -> usize {
+        (self.data_bytes() + TIMESTAMP_LENGTH).saturating_sub(packet * MAX_PACKET_PAYLOAD).min(MAX_PACKET_PAYLOAD)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The vendor's default of 6144 samples comes in packets of 4095, 4095 and 1058 bytes.
+    #[test]
+    fn default_slice_is_cut_as_in_the_transcript() {
+        let slice = SliceLayout::for_frame(64 * 64 * 3);
+        assert_eq!(slice.samples, 6144);
+        let lengths: Vec<_> = (0..slice.packets()).map(|p| slice.payload_length(p) + 8).collect();
+        assert_eq!(lengths, [4095, 4095, 1058]);
+    }
+
+    #[test]
+    fn paper_frames_come_in_twelve_slices() {
+        assert_eq!(SliceLayout::for_frame(3 * 128 * 256).samples, 8192);
+    }
+
+    #[test]
+    fn every_choice_is_safe_for_the_firmware() {
+        for codes in 1..20_000 {
+            let slice = SliceLayout::for_frame(codes);
+            assert!(slice.is_safe(), "{codes} -> {slice:?}");
+        }
+        // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6, half of it 4087 + 7: three equal parts are taken.
+        assert!(!SliceLayout { samples: 5448 }.is_safe());
+        assert_eq!(SliceLayout::for_frame(5448).samples, 1816);
+    }
+}
