@@ -1,0 +1,102 @@
+//! The main job from outside: emulated board, protocol, maps, labels.
+
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+
+use radome_tests::{failure, fixture, json_lines, radome, shared};
+use serde_json::Value;
+
+#[test]
+fn demo_counts_people_through_the_emulated_board() {
+    let lines = json_lines(radome().args(["demo", "--frames", "200", "--speed", "0", "--json", "--seed", "100003"]));
+    let (summary, frames) = lines.split_last().expect("some lines");
+    assert_eq!(frames.len(), 200);
+    for (i, frame) in frames.iter().enumerate() {
+        assert_eq!(frame["sequence"], i as u64);
+        assert!(["empty", "one", "two"].contains(&frame["label"].as_str().expect("a label")), "{frame}");
+        assert!(frame["truth"].is_string() && frame["time_s"].is_number() && frame["latency_ms"].is_number());
+        let p = &frame["probabilities"];
+        let sum: f64 = ["empty", "one", "two"].iter().map(|c| p[c].as_f64().expect("number")).sum();
+        assert!((sum - 1.0).abs() < 1e-4, "{frame}");
+    }
+    let summary = &summary["summary"];
+    assert_eq!((&summary["frames"], &summary["dropped"]), (&Value::from(200), &Value::from(0)));
+    assert!(summary["balanced_accuracy"].as_f64().expect("number") >= 0.90, "{summary}");
+    assert!(summary["latency_ms"]["p50"].is_number() && summary["latency_ms"]["p99"].is_number());
+}
+
+#[test]
+fn the_real_recording_warms_up_and_is_then_labelled() {
+    let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
+    let model = fixture("models/desk-hqnn.safetensors");
+    let lines = json_lines(radome().arg("live").arg(recording).arg("--model").arg(model).arg("--json"));
+    let (summary, frames) = lines.split_last().expect("some lines");
+    assert_eq!(frames.len(), 256);
+    let labelled = frames.iter().filter(|f| !f["label"].is_null()).count();
+    assert!(labelled >= 100, "{labelled}");
+    assert!(frames[0]["label"].is_null() && frames[0]["warming_up"].is_string(), "{}", frames[0]);
+    assert!(frames.iter().all(|f| f.get("truth").is_none()));
+    assert_eq!(summary["summary"]["labelled"], labelled as u64);
+}
+
+#[test]
+fn a_model_refuses_frames_of_another_waveform_and_names_both() {
+    let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
+    let model = fixture("models/paper-hqnn.safetensors");
+    let said = failure(radome().arg("live").arg(recording).arg("--model").arg(model));
+    assert!(said.contains("256 samples") && said.contains("64 samples") && said.contains("hint:"), "{said}");
+}
+
+/// The sign convention from scene to page: someone who walks away has positive velocity in what the browser gets.
+#[test]
+fn who_walks_away_has_positive_velocity_on_the_page() {
+    for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
+        let head = &corridor[..corridor.find("[people").expect("a people table")];
+        let people = format!(
+            "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from}, 1.0] }}, {{ walk_to_m = [{to}, 1.0], speed_m_per_s = 1.2 }}]\n"
+        );
+        let scene = folder.path().join("walk.toml");
+        std::fs::write(&scene, format!("{head}{people}")).expect("writable");
+        let mut child = radome()
+            .args(["demo", "--frames", "60", "--speed", "1", "--json", "--view", "--listen", "127.0.0.1:0", "--scene"])
+            .arg(&scene)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("starts");
+        let said = BufReader::new(child.stderr.take().expect("piped"));
+        let lines = said.lines().map_while(Result::ok);
+        let address = lines
+            .into_iter()
+            .find_map(|line| line.strip_prefix("live page: http://").map(str::to_owned))
+            .expect("an address");
+        let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
+        let (mut with, mut against) = (0, 0);
+        while let Ok(message) = socket.read() {
+            let bytes = message.into_data();
+            let Some(length) = bytes.get(..4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize) else {
+                continue;
+            };
+            let head: Value = serde_json::from_slice(&bytes[4..4 + length]).expect("a header");
+            if head["answer"]["time_s"].as_f64().expect("a time") < 1.5 {
+                continue;
+            }
+            let cells = &bytes[4 + length..];
+            let range = head["range"].as_u64().expect("number") as usize;
+            let doppler = head["doppler"].as_u64().expect("number") as usize;
+            // The body, not the limbs: the strongest cell beyond the first metre.
+            let peak = (0..doppler * range).filter(|i| i % range > 6).max_by_key(|i| cells[*i]).expect("cells");
+            let velocity = (peak / range) as f64 - (doppler / 2) as f64;
+            let velocity = velocity * head["velocity_step_m_per_s"].as_f64().expect("number");
+            if velocity * sign > 0.4 {
+                with += 1;
+            } else if velocity * sign < -0.4 {
+                against += 1;
+            }
+        }
+        child.wait().expect("ends");
+        assert!(with > 10 && against <= with / 8, "sign {sign}: {with} with, {against} against");
+    }
+}

@@ -1,0 +1,77 @@
+//! Simulations into recordings: the same bytes whatever the threads, and whole through board and file.
+
+use radome_tests::{failure, fixture, json_lines, radome};
+
+fn simulate(folder: &std::path::Path, name: &str, threads: &str) -> Vec<u8> {
+    let path = folder.join(name);
+    let lines = json_lines(
+        radome()
+            .env("RAYON_NUM_THREADS", threads)
+            .arg("simulate")
+            .arg(fixture("scenes/corridor.toml"))
+            .args(["--frames", "40", "--seed", "7", "--people", "2", "--json", "-o"])
+            .arg(&path),
+    );
+    assert_eq!(lines[0]["frames"], 40);
+    assert!(lines[0]["seconds"].is_number() && lines[0]["frames_per_second"].is_number());
+    std::fs::read(path).expect("written")
+}
+
+#[test]
+fn a_scene_gives_the_same_bytes_twice_and_on_one_and_two_threads() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let first = simulate(folder.path(), "a.mcap", "2");
+    assert!(first == simulate(folder.path(), "b.mcap", "2"), "a second run differs");
+    assert!(first == simulate(folder.path(), "c.mcap", "1"), "one thread differs from two");
+}
+
+#[test]
+fn what_goes_through_the_emulated_board_is_what_was_simulated() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = fixture("scenes/corridor.toml");
+    let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
+    json_lines(radome().arg("simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct));
+    let emulated = format!("emulated:{}", scene.display());
+    let args = ["--frames", "12", "--seed", "3", "--waveform", "paper", "--json", "-o"];
+    let said = json_lines(radome().args(["record", &emulated]).args(args).arg(&recorded));
+    assert_eq!((&said[0]["frames"], &said[0]["dropped"]), (&12.into(), &0.into()));
+    let codes = |path: &std::path::Path| {
+        let mut source = radome_driver::recording::open(path).expect("a recording");
+        let mut frame = radome_dsp::Frame::zeroed(source.waveform().shape());
+        let mut all = Vec::new();
+        while source.next_frame(&mut frame).expect("readable") == radome_dsp::SourceEvent::Frame {
+            all.push((frame.sequence, frame.codes.clone(), frame.truth));
+        }
+        all
+    };
+    let (a, b) = (codes(&direct), codes(&recorded));
+    assert_eq!(a.len(), 12);
+    assert!(a == b);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_wrong_key_in_a_scene_names_file_line_and_key() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
+        let scene = folder.path().join("bad.toml");
+        std::fs::write(&scene, text.replace("position_m", "position")).expect("writable");
+        let said = failure(radome().arg("simulate").arg(&scene).arg("-o").arg(folder.path().join("x.mcap")));
+        assert!(said.contains("bad.toml") && said.contains("position"), "{said}");
+        assert!(!folder.path().join("x.mcap").exists());
+    }
+
+    #[test]
+    fn a_recording_cut_short_gives_its_whole_frames_or_says_where_it_ends() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let bytes = simulate(folder.path(), "whole.mcap", "2");
+        let path = folder.path().join("cut.mcap");
+        std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
+        let output = radome().arg("rdm").arg(&path).arg("-o").arg(folder.path().join("maps.npy")).output().expect("runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(!said.contains("panicked"), "{said}");
+        assert!(output.status.success() || said.contains("cut.mcap"), "{said}");
+    }
+}
