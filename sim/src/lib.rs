@@ -1,6 +1,27 @@
 //! Chirp frames from physics: scenes, people, fields, receiver.
+//!
+//! [`Scene::load`] reads a room, a radar, a receiver and what people do in it; a [`Simulator`] makes frames of it, as a
+//! [`radome_dsp::FrameSource`] or one by one. One frame goes: [`actor`] (where are the people's thirteen ellipsoids at the key
+//! times) -> [`echo`] (what each of them reflects by every audible pair of image antennas) -> [`slow_time`] (every chirp between
+//! the keys) -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding).
+//!
+//! Conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up; the radar's own axes are
+//! x boresight, y left, z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in whatever
+//! order and on however many threads they are made.
 
+pub mod actor;
+pub mod chirp;
+pub mod echo;
 pub mod field;
 pub mod random;
 pub mod receiver;
 pub mod scene;
+pub mod shadow;
+pub mod simulator;
+pub mod slow_time;
+pub mod stage;
+pub mod synthesis;
+
+pub use receiver::Receiver;
+pub use scene::{Scene, SceneError, load_receiver};
+pub use simulator::{FrameReport, PersonState, SimError, SimulateOptions, Simulator};

@@ -1,5 +1,8 @@
 //! From the field at the antennas to 12-bit codes.
 
+pub mod adc;
+pub mod budget;
 mod file;
+pub mod noise;
 
 pub use file::{Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, RECEIVER_FORMAT, Receiver, RxChannel, Transient};

@@ -1,0 +1,258 @@
+//! Who is in the room when: written scripts, endless visits, or people at a desk. All drawn from (seed, slot, visit).
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use glam::{DVec3, EulerRot};
+use rand::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::motion::{Motion, MotionBuilder, Person};
+use crate::random::{Purpose, generator};
+use crate::scene::Scene;
+use crate::scene::file::{ActorFile, DeskFile, DoorFile, SeatFile, VisitsFile};
+
+/// The people of a scene over all time.
+#[derive(Debug)]
+pub struct Program {
+    fixed: Vec<Arc<Motion>>,
+    visits: Option<Visits>,
+}
+
+/// Each slot's visits so far, in order of time; later ones are drawn when they are first asked for.
+#[derive(Debug)]
+struct Visits {
+    seed: u64,
+    file: VisitsFile,
+    size_m: [f64; 2],
+    doors: Vec<DoorFile>,
+    seats: Vec<SeatFile>,
+    slots: Vec<Mutex<Vec<Arc<Motion>>>>,
+}
+
+impl Program {
+    /// The people of a scene; `people` overrides how many there are at most.
+    pub fn new(scene: &Scene, seed: u64, people: Option<usize>) -> Self {
+        let file = scene.file();
+        let mut program = Program { fixed: Vec::new(), visits: None };
+        if let Some(visits) = &file.people.visits {
+            let slots = people.unwrap_or(visits.max_people);
+            program.visits = Some(Visits {
+                seed,
+                file: visits.clone(),
+                size_m: [file.room.size_m[0], file.room.size_m[1]],
+                doors: file.door.clone(),
+                seats: file.seat.clone(),
+                slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
+            });
+        } else if let Some(desk) = &file.people.desk {
+            program.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
+        } else {
+            let all = file.people.actor.iter().enumerate();
+            let count = people.unwrap_or(usize::MAX);
+            program.fixed = all.take(count).map(|(i, a)| Arc::new(scripted(a, &file.seat, seed, i as u64))).collect();
+        }
+        program
+    }
+
+    /// Everybody who exists at some time of an interval, with a slot number.
+    pub fn between(&self, start_s: f64, end_s: f64) -> Vec<(usize, Arc<Motion>)> {
+        let overlaps = |m: &Motion| m.start_s <= end_s && m.end_s >= start_s;
+        let mut all: Vec<_> =
+            self.fixed.iter().enumerate().filter(|(_, m)| overlaps(m)).map(|(slot, m)| (slot, Arc::clone(m))).collect();
+        if let Some(visits) = &self.visits {
+            for slot in 0..visits.slots.len() {
+                all.extend(visits.between(slot, start_s, end_s).into_iter().map(|m| (slot, m)));
+            }
+        }
+        all
+    }
+}
+
+fn scripted(actor: &ActorFile, seats: &[SeatFile], seed: u64, index: u64) -> Motion {
+    let person = Person::draw(seed, [index, 0], actor.height_m);
+    let place = actor.step.first().and_then(|s| s.walk_to_m).unwrap_or_default();
+    let next = actor.step.iter().skip(1).find_map(|s| s.walk_to_m).unwrap_or(place);
+    let facing = (next[1] - place[1]).atan2(next[0] - place[0]);
+    let mut builder = MotionBuilder::new(person, actor.start_s, place, facing);
+    for step in actor.step.iter().skip(1) {
+        if let Some(to) = step.walk_to_m {
+            builder = builder.walk_to(to, step.speed_m_per_s.unwrap_or(1.2));
+        }
+        if let Some(duration_s) = step.stand_s {
+            builder = builder.stand(duration_s);
+        }
+        if let Some(duration_s) = step.sit_s {
+            let (heading, height) = match step.seat.and_then(|s| seats.get(s)) {
+                Some(seat) => (seat.heading_deg.to_radians(), seat.height_m),
+                None => (facing, 0.45),
+            };
+            builder = builder.sit(heading, height, duration_s);
+        }
+    }
+    let mut motion = builder.stay();
+    motion.start_s = f64::NEG_INFINITY;
+    motion
+}
+
+fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
+    let mut rng = generator(seed, Purpose::Desk, [0, 0]);
+    let drawn = rng.random_range(0..=desk.max_people);
+    let count = people.unwrap_or(drawn);
+    let radar = scene.radar_position();
+    let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
+    let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
+    let [nearest, farthest] = desk.distance_m;
+    let middle = 0.5 * (nearest + farthest);
+    let mut all = Vec::new();
+    for slot in 0..count {
+        let mut rng = generator(seed, Purpose::Desk, [1, slot as u64]);
+        // Two people share the stretch, one nearer and one farther, to either side: bodies do not overlap.
+        let span = match (count, slot) {
+            (0 | 1, _) => (nearest, farthest),
+            (_, 0) => (nearest, middle - 0.08),
+            _ => (middle + 0.12, farthest),
+        };
+        let distance = if span.1 > span.0 { rng.random_range(span.0..=span.1) } else { span.0 };
+        let side = if slot % 2 == 0 { first_side } else { -first_side };
+        let angle = azimuth + side * desk.off_boresight_deg.to_radians() * rng.random_range(0.1..1.0);
+        let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
+        let mut person = Person::draw(seed, [slot as u64, 1 << 20], height);
+        person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
+        // The chest's front surface is about this far before the hips.
+        let hips = distance + 0.115 * person.build.girth;
+        let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];
+        let facing = angle + std::f64::consts::PI + rng.random_range(-0.3..0.3);
+        let mut motion = MotionBuilder::new(person, 0.0, place, facing).seated(0.45).stay();
+        motion.start_s = f64::NEG_INFINITY;
+        all.push(motion);
+    }
+    all
+}
+
+fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
+    low + (high - low) * rng.random::<f64>()
+}
+
+impl Visits {
+    fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
+        let Some(visits) = self.slots.get(slot) else { return Vec::new() };
+        let mut visits = visits.lock().unwrap_or_else(PoisonError::into_inner);
+        while visits.last().is_none_or(|v| v.start_s <= end_s) {
+            let number = visits.len() as u64;
+            let mut rng = generator(self.seed, Purpose::Visit, [slot as u64, number]);
+            let begin = match visits.last() {
+                None => draw(&mut rng, self.file.first_absence_s),
+                Some(last) => last.end_s + draw(&mut rng, self.file.absence_s),
+            };
+            visits.push(Arc::new(self.visit(slot, number, begin, &mut rng)));
+        }
+        let first = visits.partition_point(|v| v.end_s < start_s);
+        visits.iter().skip(first).take_while(|v| v.start_s <= end_s).cloned().collect()
+    }
+
+    /// Unit vector into the room at a door.
+    fn inward(&self, door: &DoorFile) -> [f64; 2] {
+        let [x, y] = door.position_m;
+        if x < 1e-6 {
+            [1.0, 0.0]
+        } else if x > self.size_m[0] - 1e-6 {
+            [-1.0, 0.0]
+        } else if y < 1e-6 {
+            [0.0, 1.0]
+        } else {
+            [0.0, -1.0]
+        }
+    }
+
+    /// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
+    fn at_door(&self, door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+        let [nx, ny] = self.inward(door);
+        let room = (0.5 * door.width_m - 0.3).max(0.0);
+        let shift = lateral.clamp(-room, room);
+        // Sideways is +y for doors in x walls and +x for those in y walls, whichever way one goes.
+        let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
+        [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
+    }
+
+    fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
+        let [w, d] = self.size_m;
+        let [low, high] = self.file.pace_area_m.unwrap_or([[0.25 * w, 0.25 * d], [0.75 * w, 0.75 * d]]);
+        [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])]
+    }
+
+    fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
+        const OUTSIDE_M: f64 = -0.75;
+        let f = &self.file;
+        let speed = draw(rng, f.speed_m_per_s);
+        let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
+        let side = if slot % 2 == 0 { 1.0 } else { -1.0 };
+        let lateral = side * draw(rng, f.lateral_m);
+        let pick = rng.random_range(0..self.doors.len().max(1));
+        let other = if self.doors.len() > 1 {
+            (pick + 1 + rng.random_range(0..self.doors.len() - 1)) % self.doors.len()
+        } else {
+            pick
+        };
+        // `check` refuses visits without a door; a default keeps this total.
+        let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
+        let entry = self.doors.get(pick).unwrap_or(&fallback);
+        let exit = self.doors.get(other).unwrap_or(&fallback);
+        let outside = self.at_door(entry, OUTSIDE_M, lateral);
+        let [nx, ny] = self.inward(entry);
+        let mut path = MotionBuilder::new(person, begin_s, outside, ny.atan2(nx));
+        path = path.walk_to(self.at_door(entry, 0.6, lateral), speed);
+
+        let sits = rng.random::<f64>() < f.sit_probability && !self.seats.is_empty();
+        let paces = rng.random::<f64>() < f.pace_probability;
+        let turns = rng.random::<f64>() < f.turn_probability;
+        let pause_s = if rng.random::<f64>() < f.pause_probability { draw(rng, f.pause_s) } else { 0.0 };
+        let mut leave_by = exit;
+        if sits {
+            // Slots have their own seats, so that no two people share one.
+            let seat = self.seats.get(slot % self.seats.len()).copied();
+            if let Some(seat) = seat {
+                let heading = seat.heading_deg.to_radians();
+                let front = [seat.position_m[0] + 0.35 * heading.cos(), seat.position_m[1] + 0.35 * heading.sin()];
+                let sit_s = draw(rng, f.sit_s);
+                path = path.walk_to(front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
+                path = path.walk_to(front, 0.6);
+            }
+        } else if paces {
+            for _ in 0..draw(rng, f.pace_legs).round() as usize {
+                let to = self.pace_point(rng);
+                path = path.walk_to(to, speed);
+                if rng.random::<f64>() < f.pause_probability {
+                    path = path.stand(draw(rng, f.pause_s));
+                }
+            }
+        } else {
+            let (from, to) = (path.place(), self.at_door(exit, 0.6, lateral));
+            if self.doors.len() > 1 {
+                let fraction = rng.random_range(0.3..0.8);
+                let stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
+                if turns {
+                    leave_by = entry;
+                    path = path.walk_to(stop, speed).stand(pause_s);
+                } else if pause_s > 0.0 {
+                    path = path.walk_to(stop, speed).stand(pause_s);
+                }
+            } else {
+                let to = self.pace_point(rng);
+                path = path.walk_to(to, speed).stand(pause_s);
+            }
+        }
+        path = path.walk_to(self.at_door(leave_by, 0.6, lateral), speed);
+        path.walk_to(self.at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
+    }
+}
+
+/// Half the extent of an ellipsoid along the room's axes, m.
+pub fn half_extent(e: &crate::field::highlight::Ellipsoid) -> DVec3 {
+    let scaled = glam::DMat3::from_cols(
+        e.axes.x_axis * e.semi_axes_m.x,
+        e.axes.y_axis * e.semi_axes_m.y,
+        e.axes.z_axis * e.semi_axes_m.z,
+    );
+    let t = scaled.transpose();
+    DVec3::new(t.x_axis.length(), t.y_axis.length(), t.z_axis.length())
+}

@@ -1,0 +1,216 @@
+//! Echoes of people: highlights of their segments by every audible pair of images, at key times.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+
+use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
+use crate::actor::motion::Motion;
+use crate::actor::track::smooth_step;
+use crate::field::fresnel::half_space;
+use crate::field::highlight::Ellipsoid;
+use crate::field::image::{ImageIndex, order};
+use crate::field::{Phasor3, incidence_frame};
+use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::shadow::{self, Column};
+use crate::slow_time::Key;
+use crate::stage::Stage;
+
+/// Distances below this are clamped in amplitudes (never in delays), m.
+pub const LEAST_DISTANCE_M: f64 = 0.1;
+/// Half of the interval over which velocities are taken, s.
+const VELOCITY_STEP_S: f64 = 2e-4;
+/// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
+const BODY_BOUND_M: f64 = 0.25;
+
+/// Somebody at one key time.
+#[derive(Debug, Clone)]
+pub struct Snapshot {
+    /// The body now, a little before and a little after.
+    pub body: [Ellipsoid; SEGMENTS],
+    before: [Ellipsoid; SEGMENTS],
+    after: [Ellipsoid; SEGMENTS],
+    /// What stands in other paths' way.
+    pub column: Column,
+    trunk: Column,
+}
+
+impl Snapshot {
+    /// Somebody at a time.
+    pub fn new(motion: &Motion, time_s: f64) -> Self {
+        let body = motion.body(time_s);
+        let middle = 0.5 * (body[CHEST].centre + body[PELVIS].centre);
+        let top = body[0].centre.z + body[0].semi_axes_m.z;
+        let girth = body[CHEST].semi_axes_m;
+        let column = Column { x: middle.x, y: middle.y, radius_m: 0.5 * (girth.x + girth.y), height_m: top };
+        Snapshot {
+            before: motion.body(time_s - VELOCITY_STEP_S),
+            after: motion.body(time_s + VELOCITY_STEP_S),
+            body,
+            column,
+            trunk: Column { radius_m: girth.x, height_m: top - 0.3, ..column },
+        }
+    }
+
+    /// Velocity of the material at a highlight, m/s.
+    fn velocity(&self, segment: usize, unit: DVec3) -> DVec3 {
+        (self.after[segment].surface(unit) - self.before[segment].surface(unit)) / (2.0 * VELOCITY_STEP_S)
+    }
+}
+
+/// Counts what happened while echoes were computed.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct EchoReport {
+    /// Paths (segments times image pairs) that were evaluated.
+    pub paths: usize,
+    /// Amplitudes whose distance was clamped, or whose antenna lay inside a body.
+    pub clamped: usize,
+}
+
+/// Image pairs through which somebody may be heard, by a bound at the trunk.
+pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
+    let body = motion.body(time_s);
+    let centre = body[CHEST].centre;
+    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let lsb = stage.lsb.iter().copied().fold(0.0, f64::max) * aperture * BODY_BOUND_M;
+    let reach = |index: ImageIndex| {
+        let i = stage.room.illuminate(&stage.tx, index, centre);
+        (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
+    };
+    let audible = |&(p, q): &(ImageIndex, ImageIndex)| {
+        if order(p) + order(q) == 0 {
+            return true;
+        }
+        let ((a, r), (b, s)) = (reach(p), reach(q));
+        let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
+        lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
+    };
+    stage.body_pairs.iter().filter(|pair| audible(pair)).copied().collect()
+}
+
+/// Which segment may hide a limb: the same limb of the other side.
+fn opposite(segment: usize) -> Option<usize> {
+    (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
+}
+
+/// Field left on the way between a point on a segment and an antenna (by an image).
+fn visibility(
+    stage: &Stage,
+    people: &[Snapshot],
+    me: usize,
+    segment: usize,
+    image: ImageIndex,
+    source: DVec3,
+    antenna: DVec3,
+    point: DVec3,
+) -> f64 {
+    let Some(own) = people.get(me) else { return 0.0 };
+    let wavelength_m = stage.wavelength_m;
+    let mut weight = 1.0;
+    // The leg that touches the body, in the unfolded room (long enough: bodies are far smaller than rooms).
+    if segment >= 3 {
+        weight *= shadow::past(point, source, &own.trunk, wavelength_m);
+        if let Some(other) = opposite(segment).and_then(|i| own.body.get(i)) {
+            let radius_m = other.semi_axes_m.x.min(other.semi_axes_m.y);
+            let column = Column {
+                x: other.centre.x,
+                y: other.centre.y,
+                radius_m,
+                height_m: other.centre.z + other.semi_axes_m.z,
+            };
+            weight *= shadow::past(point, source, &column, wavelength_m);
+        }
+    }
+    if order(image) == 0 {
+        for (i, other) in people.iter().enumerate() {
+            if i != me {
+                weight *= shadow::past(point, antenna, &other.column, wavelength_m);
+            }
+        }
+        return weight;
+    }
+    let polyline = stage.room.polyline(image, antenna, point);
+    let last = polyline.len().saturating_sub(2);
+    for (leg, ends) in polyline.windows(2).enumerate() {
+        let [a, b] = ends else { continue };
+        for (i, other) in people.iter().enumerate() {
+            if i != me || leg != last {
+                weight *= shadow::past(*a, *b, &other.column, wavelength_m);
+            }
+        }
+    }
+    weight
+}
+
+/// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`. Paths that do not exist have amplitude zero.
+#[allow(clippy::too_many_arguments)]
+pub fn echoes(
+    stage: &Stage,
+    motion: &Motion,
+    people: &[Snapshot],
+    me: usize,
+    pairs: &[(ImageIndex, ImageIndex)],
+    out: &mut Vec<Key>,
+    report: &mut EchoReport,
+) {
+    let Some(own) = people.get(me) else { return };
+    let Some(first_rx) = stage.rx.first() else { return };
+    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    for &(p, q) in pairs {
+        let source = stage.room.image_position(p, stage.tx.position);
+        let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
+        for (segment, ellipsoid) in own.body.iter().enumerate() {
+            report.paths += 1;
+            let Some(h) = ellipsoid.highlight(source, sinks.first().copied().unwrap_or(source), None) else {
+                let delay_s = (source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
+                let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
+                out.extend(sinks.iter().map(|_| nothing));
+                continue;
+            };
+            let weight = inside_room(stage, h.point)
+                * visibility(stage, people, me, segment, p, source, stage.tx.position, h.point)
+                * visibility(stage, people, me, segment, q, sinks[0], first_rx.position, h.point)
+                // Grazing highlights fade: forward scattering is not theirs to tell.
+                * smooth_step((h.cosine - 0.2) / 0.1);
+            let there = stage.room.illuminate(&stage.tx, p, h.point);
+            let back = stage.room.illuminate(first_rx, q, h.point);
+            let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
+            let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
+            report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
+            let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
+            let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
+            let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
+            let amplitude = reflected.received_by(back.field) * (spreading * cloth * weight);
+            let velocity = own.velocity(segment, h.unit);
+            for (rx, sink) in sinks.iter().enumerate() {
+                let to_rx = *sink - h.point;
+                let distance_r = if h.inside.1 { h.distances_m.1 } else { to_rx.length() };
+                let rate_t = if h.inside.0 { 0.0 } else { -h.towards.0.dot(velocity) };
+                let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
+                let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
+                let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
+                let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
+                out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
+            }
+        }
+    }
+}
+
+/// 1 in the room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall.
+fn inside_room(stage: &Stage, point: DVec3) -> f64 {
+    let size = stage.room.size_m;
+    let depth = point.x.min(size.x - point.x).min(point.y).min(size.y - point.y);
+    smooth_step((depth + 0.05) / 0.05)
+}
+
+/// Field reflected by skin: TE and TM with their own coefficients at the true incidence.
+pub fn reflect_at_skin(incident: Phasor3, direction: DVec3, normal: DVec3) -> Phasor3 {
+    let cosine = (-direction.dot(normal)).clamp(0.0, 1.0);
+    let skin = half_space(SKIN_PERMITTIVITY, cosine);
+    let (te, tm) = incidence_frame(direction, normal);
+    let outgoing = direction + normal * (2.0 * cosine);
+    let tm_out = te.cross(outgoing);
+    Phasor3::combine(skin.te * incident.along(te), te, skin.tm * incident.along(tm), tm_out)
+}

@@ -1,0 +1,26 @@
+//! What the receiver adds to every chirp whatever is in front of it, and the converter.
+
+use radome_dsp::{MAX_CODE, Waveform};
+
+use super::RxChannel;
+
+/// Leakage and settling over one chirp, LSB.
+pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
+    (0..waveform.request.samples_per_chirp)
+        .map(|n| {
+            let t = n as f64 / waveform.sample_rate_hz;
+            let tones = channel.leakage.iter().map(|l| {
+                let turns = waveform.slope_hz_per_s * l.delay_s * t;
+                l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).cos()
+            });
+            let settling = channel.transient.iter().map(|s| s.amplitude_lsb * (-t / s.time_constant_s).exp());
+            (tones.sum::<f64>() + settling.sum::<f64>()) as f32
+        })
+        .collect()
+}
+
+/// Rounds to the nearest code and clips at both ends; NaN reads 0.
+pub fn quantise(lsb: f32) -> u16 {
+    // `as` saturates and takes NaN to 0.
+    ((lsb + 0.5).floor() as u16).min(MAX_CODE)
+}

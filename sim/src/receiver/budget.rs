@@ -1,0 +1,75 @@
+//! From path amplitudes to LSB: link budget and IF filters, all in analogue, before sampling.
+
+use num_complex::Complex64;
+use radome_dsp::Waveform;
+
+use super::Receiver;
+
+/// Impedance for which conversion gain is stated, ohm.
+const REFERENCE_OHM: f64 = 50.0;
+/// Poles of the anti-alias filter (datasheet: four; Butterworth assumed).
+const ANTI_ALIAS_POLES: i32 = 4;
+
+/// High-pass (first order) and anti-alias filter of the IF chain.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Filters {
+    high_pass_hz: f64,
+    anti_alias_hz: f64,
+}
+
+impl Filters {
+    /// As the waveform sets them, with the receiver's deviations.
+    pub fn new(receiver: &Receiver, waveform: &Waveform) -> Self {
+        Filters {
+            high_pass_hz: waveform.request.high_pass_cutoff_hz * receiver.high_pass_cutoff_scale,
+            anti_alias_hz: waveform.request.anti_alias_cutoff_hz * receiver.anti_alias_cutoff_scale,
+        }
+    }
+
+    /// Complex response at a true beat frequency (before folding), of either sign.
+    pub fn response(&self, frequency_hz: f64) -> Complex64 {
+        let x = frequency_hz / self.high_pass_hz;
+        let high_pass = Complex64::new(0.0, x) / Complex64::new(1.0, x);
+        // Butterworth of order four: two pole pairs with damping 2 sin(pi/8) and 2 sin(3 pi/8).
+        let y = frequency_hz / self.anti_alias_hz;
+        let section = |damping: f64| Complex64::new(1.0 - y * y, damping * y);
+        high_pass / (section(0.765_366_864_730_179_6) * section(1.847_759_065_022_573_5))
+    }
+
+    /// Power response of the high-pass alone.
+    pub fn high_pass_power(&self, frequency_hz: f64) -> f64 {
+        let x = frequency_hz / self.high_pass_hz;
+        x * x / (1.0 + x * x)
+    }
+
+    /// Power response of the anti-alias filter alone.
+    pub fn anti_alias_power(&self, frequency_hz: f64) -> f64 {
+        1.0 / (1.0 + (frequency_hz / self.anti_alias_hz).powi(2 * ANTI_ALIAS_POLES))
+    }
+}
+
+/// LSB in one volt.
+pub fn lsb_per_volt(receiver: &Receiver) -> f64 {
+    4096.0 / receiver.adc_full_scale_v
+}
+
+/// Peak LSB at the ADC of a path whose amplitude (isotropic antennas, aperture `lambda/4 pi` contained) is 1, before the
+/// filters: `sqrt(2 * 50 ohm * P_tx G_t G_r) * 10^((conversion + IF + correction)/20)`.
+pub fn lsb_per_unit_amplitude(receiver: &Receiver, waveform: &Waveform) -> f64 {
+    let power_dbm = receiver.transmit_power_dbm
+        - receiver.transmit_power_step_db * f64::from(31 - waveform.request.tx_power_level.min(31))
+        + receiver.antenna.tx_gain_dbi
+        + receiver.antenna.rx_gain_dbi;
+    let gain_db = receiver.conversion_gain_db + waveform.request.if_gain_db + receiver.gain_correction_db;
+    let watt = 1e-3 * 10f64.powf(0.1 * power_dbm);
+    (2.0 * REFERENCE_OHM * watt).sqrt() * 10f64.powf(0.05 * gain_db) * lsb_per_volt(receiver)
+}
+
+/// Thermal noise density at the ADC before the filters, LSB^2 per sample: `k T0 F G * fs/2`.
+pub fn thermal_lsb2(receiver: &Receiver, waveform: &Waveform) -> f64 {
+    const BOLTZMANN_T0_DBM_PER_HZ: f64 = -173.975;
+    let density_dbm =
+        BOLTZMANN_T0_DBM_PER_HZ + receiver.noise_figure_db + receiver.conversion_gain_db + waveform.request.if_gain_db;
+    let volt2_per_hz = 1e-3 * 10f64.powf(0.1 * density_dbm) * REFERENCE_OHM;
+    volt2_per_hz * 0.5 * waveform.sample_rate_hz * lsb_per_volt(receiver).powi(2)
+}

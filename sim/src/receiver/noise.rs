@@ -1,0 +1,108 @@
+//! Receiver noise with the measured spectrum: white Gaussian bins shaped by the density, one inverse real FFT a chirp.
+
+use std::sync::Arc;
+
+use num_complex::Complex;
+use radome_dsp::Waveform;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+use realfft::{ComplexToReal, RealFftPlanner};
+
+use super::Receiver;
+use super::budget::{Filters, thermal_lsb2};
+
+/// Variance that rounding adds, LSB^2.
+const ROUNDING_LSB2: f64 = 1.0 / 12.0;
+
+/// Density for each fast-time bin 0..=N/2, LSB^2 per sample, rounding contained (see [`super::Noise`]).
+pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
+    let samples = waveform.request.samples_per_chirp;
+    let noise = &receiver.noise;
+    if let Some(measured) = &noise.psd_lsb2
+        && measured.len() == samples / 2 + 1
+    {
+        return measured.clone();
+    }
+    let filters = Filters::new(receiver, waveform);
+    let thermal = thermal_lsb2(receiver, waveform);
+    let bin_hz = waveform.sample_rate_hz / samples as f64;
+    (0..=samples / 2)
+        .map(|bin| {
+            // 1/f has no value at zero: the lowest bin holds what lies within a quarter bin.
+            let f = (bin as f64 * bin_hz).max(0.25 * bin_hz);
+            let amplifier = (noise.amplifier_flicker_corner_hz / f).powf(noise.flicker_exponent);
+            let ahead = |f: f64, flicker: f64| {
+                (noise.baseband_white_lsb.powi(2) + thermal * (filters.high_pass_power(f) + flicker))
+                    * filters.anti_alias_power(f)
+            };
+            let folded: f64 = (1..=2)
+                .map(|zone| {
+                    let base = f64::from(zone) * waveform.sample_rate_hz;
+                    ahead(base - f, 0.0) + ahead(base + f, 0.0)
+                })
+                .sum();
+            noise.adc_white_lsb.powi(2)
+                + ahead(f, amplifier)
+                + folded
+                + noise.flicker_lsb2_at_100khz * (1e5 / f).powf(noise.flicker_exponent)
+        })
+        .collect()
+}
+
+/// Adds noise of a density to chirps.
+#[derive(Clone)]
+pub struct NoiseShaper {
+    amplitude: Vec<f32>,
+    samples: usize,
+    inverse: Arc<dyn ComplexToReal<f32>>,
+}
+
+/// Buffers of a [`NoiseShaper`].
+#[derive(Debug, Default)]
+pub struct NoiseScratch {
+    spectrum: Vec<Complex<f32>>,
+    chirp: Vec<f32>,
+    fft: Vec<Complex<f32>>,
+}
+
+impl std::fmt::Debug for NoiseShaper {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("NoiseShaper").field("samples", &self.samples).finish_non_exhaustive()
+    }
+}
+
+impl NoiseShaper {
+    /// For a density as [`density_lsb2`] gives it; what rounding will add is left out.
+    pub fn new(density_lsb2: &[f64], samples: usize) -> Self {
+        let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(samples);
+        let bins = samples / 2 + 1;
+        let amplitude = (0..bins)
+            .map(|bin| {
+                let density = (density_lsb2.get(bin).copied().unwrap_or(0.0) - ROUNDING_LSB2).max(0.0);
+                let unpaired = bin == 0 || 2 * bin == samples;
+                (density / (samples as f64 * if unpaired { 1.0 } else { 2.0 })).sqrt() as f32
+            })
+            .collect();
+        NoiseShaper { amplitude, samples, inverse }
+    }
+
+    /// Adds one chirp of noise, scaled.
+    pub fn add(&self, rng: &mut Xoshiro256PlusPlus, scale: f32, out: &mut [f32], scratch: &mut NoiseScratch) {
+        scratch.spectrum.clear();
+        for (bin, &a) in self.amplitude.iter().enumerate() {
+            let re: f32 = StandardNormal.sample(rng);
+            let im: f32 = if bin == 0 || 2 * bin == self.samples { 0.0 } else { StandardNormal.sample(rng) };
+            scratch.spectrum.push(Complex::new(re * a, im * a));
+        }
+        scratch.chirp.resize(self.samples, 0.0);
+        scratch.fft.resize(self.inverse.get_scratch_len(), Complex::default());
+        // Lengths agree by construction, so this cannot fail.
+        let done =
+            self.inverse.process_with_scratch(&mut scratch.spectrum, &mut scratch.chirp, &mut scratch.fft).is_ok();
+        if done {
+            for (x, n) in out.iter_mut().zip(&scratch.chirp) {
+                *x += scale * n;
+            }
+        }
+    }
+}

@@ -1,0 +1,214 @@
+//! A placement: everything about a scene that does not change while people move.
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
+use rand::Rng;
+
+use crate::chirp::Chirp;
+use crate::field::image::{BoxRoom, Element, ImageIndex, images, order};
+use crate::random::{Purpose, generator};
+use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
+use crate::receiver::noise::density_lsb2;
+use crate::receiver::{Receiver, RxChannel};
+use crate::scene::Scene;
+
+/// A static path: a wall's reflection or an echo of furniture.
+#[derive(Debug, Clone, PartialEq)]
+pub struct StaticPath {
+    /// For each receiver: phase at the middle of a chirp (cycles), cycles per sample, amplitude at the ADC (LSB).
+    pub tones: Vec<(f64, f64, Complex64)>,
+    /// Corners of the path, radar to radar, for shadows.
+    pub polyline: Vec<DVec3>,
+    /// Phases of its slow drift, rad.
+    pub drift: [f64; 3],
+}
+
+/// Geometry, link budget and static paths of a scene for one seed.
+#[derive(Debug, Clone)]
+pub struct Stage {
+    /// The room.
+    pub room: BoxRoom,
+    /// The transmitter.
+    pub tx: Element,
+    /// The enabled receivers.
+    pub rx: Vec<Element>,
+    /// Constants of each enabled receiver.
+    pub channels: Vec<RxChannel>,
+    /// IF filters.
+    pub filters: Filters,
+    /// Chirp constants.
+    pub chirp: Chirp,
+    /// Peak LSB of unit amplitude, for each receiver.
+    pub lsb: Vec<f64>,
+    /// Wave length, m.
+    pub wavelength_m: f64,
+    /// Image pairs (transmitter, receiver) that paths by way of a body may use.
+    pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
+    /// What stands still.
+    pub static_paths: Vec<StaticPath>,
+    /// Paths weaker than this at the ADC cannot be seen in any map, LSB.
+    pub threshold_lsb: f64,
+}
+
+/// Amplitude (LSB) of a tone that stands `margin_db` below the mean thermal noise of a cell of the range-Doppler map:
+/// `2 sigma sqrt(1/(N M)) 10^(-margin/20)`, with sigma^2 the least density of the noise over the band.
+pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -> f64 {
+    let density = density_lsb2(receiver, waveform);
+    let least = density.iter().copied().fold(f64::INFINITY, f64::min).max(1e-3);
+    let cells = (waveform.request.samples_per_chirp * waveform.request.chirps_per_frame) as f64;
+    2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
+}
+
+impl Stage {
+    /// Traces what is static, once.
+    pub fn new(scene: &Scene, seed: u64, margin_db: f64) -> Self {
+        let (receiver, waveform) = (scene.receiver(), scene.waveform());
+        let (tx, rx) = scene.elements();
+        let typical = Receiver::typical();
+        let channels: Vec<RxChannel> = waveform
+            .request
+            .rx_antennas
+            .antennas()
+            .iter()
+            .map(|&antenna| {
+                let index = usize::from(antenna) - 1;
+                receiver.rx.get(index).or_else(|| typical.rx.get(index)).cloned().unwrap_or_default()
+            })
+            .collect();
+        let base = lsb_per_unit_amplitude(receiver, waveform);
+        let max_body = scene.file().room.max_body_reflections;
+        let all = images(max_body);
+        let body_pairs = all
+            .iter()
+            .flat_map(|&p| all.iter().map(move |&q| (p, q)))
+            .filter(|&(p, q)| order(p) + order(q) <= max_body)
+            .collect();
+        let mut stage = Stage {
+            room: scene.room(),
+            tx,
+            lsb: channels.iter().map(|c| base * 10f64.powf(0.05 * c.gain_db)).collect(),
+            rx,
+            channels,
+            filters: Filters::new(receiver, waveform),
+            chirp: Chirp::new(waveform),
+            wavelength_m: std::f64::consts::TAU / scene.wavenumber_per_m(),
+            body_pairs,
+            static_paths: Vec::new(),
+            threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
+        };
+        stage.add_walls(scene.file().room.max_reflections);
+        stage.add_furniture(scene, seed);
+        for (i, path) in stage.static_paths.iter_mut().enumerate() {
+            let mut rng = generator(seed, Purpose::Drift, [i as u64, 0]);
+            path.drift = std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU));
+        }
+        stage
+    }
+
+    /// Amplitude at the ADC of a path (as it multiplies `exp(+j...)`) from its field amplitude: conjugated, with link budget
+    /// and the IF filters at its true beat.
+    pub fn at_adc(&self, rx: usize, amplitude: Complex64, beat_hz: f64) -> Complex64 {
+        let lsb = self.lsb.get(rx).copied().unwrap_or(0.0);
+        amplitude.conj() * lsb * self.filters.response(beat_hz)
+    }
+
+    fn static_tone(&self, rx: usize, amplitude: Complex64, length_m: f64) -> (f64, f64, Complex64) {
+        let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
+        let beat_hz = self.chirp.beat_hz(delay_s, 0.0);
+        (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
+    }
+
+    fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: Vec<DVec3>) {
+        if tones.iter().any(|t| t.2.norm() > self.threshold_lsb) {
+            self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
+        }
+    }
+
+    /// Bare reflections of the walls: geometrical optics, exact for infinite planes.
+    fn add_walls(&mut self, max_reflections: u32) {
+        for index in images(max_reflections).into_iter().skip(1) {
+            let tones = (0..self.rx.len())
+                .filter_map(|i| self.rx.get(i).map(|rx| (i, rx)))
+                .map(|(i, rx)| {
+                    let (amplitude, length_m) = self.room.direct(&self.tx, index, rx);
+                    self.static_tone(i, amplitude, length_m)
+                })
+                .collect();
+            let end = self.rx.first().map_or(self.tx.position, |rx| rx.position);
+            let polyline = self.room.polyline(index, self.tx.position, end);
+            self.keep(tones, polyline);
+        }
+    }
+
+    /// Echo of an isotropic point of a cross-section by a pair of images.
+    fn point_path(
+        &self,
+        point: DVec3,
+        cross_section_m2: f64,
+        phase: f64,
+        p: ImageIndex,
+        q: ImageIndex,
+    ) -> Vec<(f64, f64, Complex64)> {
+        let there = self.room.illuminate(&self.tx, p, point);
+        self.rx
+            .iter()
+            .enumerate()
+            .map(|(i, rx)| {
+                let back = self.room.illuminate(rx, q, point);
+                let (r_t, r_r) = (there.distance_m.max(0.1), back.distance_m.max(0.1));
+                let aperture = self.wavelength_m / (4.0 * std::f64::consts::PI);
+                let scatter = (cross_section_m2 / (4.0 * std::f64::consts::PI)).sqrt();
+                let amplitude = there.field.received_by(back.field)
+                    * Complex64::from_polar(aperture * scatter / (r_t * r_r), phase);
+                self.static_tone(i, amplitude, there.distance_m + back.distance_m)
+            })
+            .collect()
+    }
+
+    fn add_point(&mut self, point: DVec3, cross_section_m2: f64, phase: f64) {
+        for (p, q) in self.body_pairs.clone() {
+            let tones = self.point_path(point, cross_section_m2, phase, p, q);
+            let mut polyline = self.room.polyline(p, self.tx.position, point);
+            let mut back = self.room.polyline(q, self.tx.position, point);
+            back.reverse();
+            polyline.extend(back.into_iter().skip(1));
+            self.keep(tones, polyline);
+        }
+    }
+
+    fn add_furniture(&mut self, scene: &Scene, seed: u64) {
+        for (f, furniture) in scene.file().furniture.iter().enumerate() {
+            let mut rng = generator(seed, Purpose::Furniture, [f as u64, 0]);
+            let corner = DVec3::from_array(furniture.position_m);
+            let size = DVec3::from_array(furniture.size_m);
+            let radar = self.tx.position - (corner + 0.5 * size);
+            let each = 10f64.powf(0.1 * furniture.cross_section_dbsm) / furniture.points as f64;
+            for _ in 0..furniture.points {
+                let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
+                // On a face that looks at the radar: one of the two nearer upright ones, or the top.
+                match rng.random_range(0..3) {
+                    0 => at.x = if radar.x > 0.0 { 1.0 } else { 0.0 },
+                    1 => at.y = if radar.y > 0.0 { 1.0 } else { 0.0 },
+                    _ => at.z = if radar.z > 0.0 { 1.0 } else { 0.0 },
+                }
+                self.add_point(corner + at * size, each, rng.random_range(0.0..std::f64::consts::TAU));
+            }
+        }
+        if let Some(desk) = &scene.file().people.desk {
+            let mut rng = generator(seed, Purpose::Desk, [2, 0]);
+            if rng.random::<f64>() < desk.objects_probability {
+                let world_from_radar = scene.radar_from_world().transpose();
+                for _ in 0..rng.random_range(1..4) {
+                    let distance = rng.random_range(0.15..0.9);
+                    let angle = rng.random_range(-0.6..0.6f64);
+                    let along = DVec3::new(angle.cos(), angle.sin(), -0.15) * distance;
+                    let point =
+                        (scene.radar_position() + world_from_radar * along).clamp(DVec3::ZERO, self.room.size_m);
+                    let cross_section_m2 = 10f64.powf(rng.random_range(-3.5..-2.0));
+                    self.add_point(point, cross_section_m2, rng.random_range(0.0..std::f64::consts::TAU));
+                }
+            }
+        }
+    }
+}
