@@ -11,10 +11,21 @@
 //! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
 //!   the same kernel level ([`layer::KernelLevel`]).
 
+mod classifier;
 pub mod dataset;
+pub mod evaluate;
 pub mod layer;
+mod model_file;
 pub mod network;
 pub mod quantum;
 mod random;
+pub mod standardise;
+pub mod train;
 
+pub use classifier::{Classifier, ClassifyError};
+pub use dataset::Dataset;
+pub use evaluate::Metrics;
+pub use model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary};
+pub use network::{NetworkInfo, networks};
 pub use random::stream;
+pub use train::{EpochReport, TrainError, TrainOutcome, TrainSpec, train};

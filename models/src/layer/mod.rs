@@ -24,6 +24,7 @@ pub use average_pool::adaptive_average_pool;
 pub use circuit::circuit;
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};
 pub use cross_entropy::cross_entropy;
+pub(crate) use cross_entropy::softmax;
 pub use kernel::KernelLevel;
 pub use linear::linear;
 

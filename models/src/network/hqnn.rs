@@ -58,6 +58,15 @@ impl Default for LatentConstants {
     }
 }
 
+/// What stands between latent and head.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Bypass {
+    /// Squash and circuit.
+    No,
+    /// Nothing: the linear control head, with which the backbone is warmed up.
+    Circuit,
+}
+
 /// Centre and scale of the pooled features, used while training only.
 ///
 /// The features are averages of rectified values: all positive, with means far larger than what distinguishes one map
@@ -83,6 +92,8 @@ pub struct Stages {
     pub hidden: Tensor,
     /// Latent `[batch][2]`, before its standardisation.
     pub latent: Tensor,
+    /// Latent after its standardisation `[batch][2]`: what is squashed.
+    pub standardised: Tensor,
     /// `[<ZI>, <IZ>]` of the circuit `[batch][2]`.
     pub expectations: Tensor,
     /// `[batch][3]`.
@@ -116,6 +127,8 @@ pub struct Hqnn {
     /// Standardisation of the latent.
     pub latent: LatentConstants,
     feature_scale: Option<FeatureScale>,
+    /// Whether the head sees the circuit's expectations or the standardised latent itself.
+    pub bypass: Bypass,
     level: KernelLevel,
 }
 
@@ -153,7 +166,7 @@ impl Hqnn {
                 Var::from_tensor(&Tensor::from_slice(values, *shape, &Device::Cpu)?).map_err(|e| e.context(name))
             })
             .collect::<Result<_>>()?;
-        Ok(Hqnn { variables, latent, feature_scale: None, level: level.available() })
+        Ok(Hqnn { variables, latent, feature_scale: None, bypass: Bypass::No, level: level.available() })
     }
 
     /// Names and shapes of the parameters, in order.
@@ -244,20 +257,24 @@ impl Hqnn {
         };
         let hidden = linear(&centred, p(4)?, p(5)?, self.level)?.relu()?;
         let latent = linear(&hidden, p(6)?, p(7)?, self.level)?;
-        let expectations = circuit(&self.squash(&latent)?, p(8)?)?;
-        let logits = linear(&expectations, p(9)?, p(10)?, self.level)?;
-        Ok(Stages { block1, block2, features, hidden, latent, expectations, logits })
-    }
-
-    /// `pi * sigmoid((z - mean) / sigma)`: the circuit's input, radians in (0, pi).
-    fn squash(&self, latent: &Tensor) -> Result<Tensor> {
         let LatentConstants { mean, sigma } = self.latent;
         let mean = Tensor::new(&mean, &Device::Cpu)?;
         let factor = Tensor::new(&sigma.map(|s| 1.0 / s), &Device::Cpu)?;
-        // The sigmoid as half a hyperbolic tangent: candle's tanh has a gradient and does not overflow.
-        let half = latent.broadcast_sub(&mean)?.broadcast_mul(&factor)?.affine(0.5, 0.0)?;
-        half.tanh()?.affine(0.5 * std::f64::consts::PI, 0.5 * std::f64::consts::PI)
+        let standardised = latent.broadcast_sub(&mean)?.broadcast_mul(&factor)?;
+        let expectations = match self.bypass {
+            Bypass::No => circuit(&squash(&standardised)?, p(8)?)?,
+            Bypass::Circuit => standardised.clone(),
+        };
+        let logits = linear(&expectations, p(9)?, p(10)?, self.level)?;
+        Ok(Stages { block1, block2, features, hidden, latent, standardised, expectations, logits })
     }
+}
+
+/// `pi * sigmoid(u)`: the circuit's input, radians in (0, pi). The sigmoid is half a hyperbolic tangent of half its
+/// argument, which does not overflow.
+fn squash(standardised: &Tensor) -> Result<Tensor> {
+    let half_pi = 0.5 * std::f64::consts::PI;
+    standardised.affine(0.5, 0.0)?.tanh()?.affine(half_pi, half_pi)
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 mod hqnn;
 
-pub use hqnn::{FeatureScale, Hqnn, LatentConstants, Stages};
+pub use hqnn::{Bypass, FeatureScale, Hqnn, LatentConstants, Stages};
 
 use serde::{Deserialize, Serialize};
 

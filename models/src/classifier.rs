@@ -1,0 +1,147 @@
+//! A trained model at work: map in, probabilities out.
+
+use std::path::Path;
+
+use candle_core::{Device, Tensor};
+use radome_dsp::{Rdm, RdmShape, RdmSpec, Waveform};
+use thiserror::Error;
+
+use crate::dataset::{DatasetError, network_input};
+use crate::layer::softmax;
+use crate::model_file::{Model, ModelCard, ModelError};
+
+/// A model ready to classify maps one by one.
+pub struct Classifier {
+    model: Model,
+}
+
+/// A map that cannot be classified.
+#[derive(Debug, Error)]
+pub enum ClassifyError {
+    /// The map has another shape than the model was trained for.
+    #[error(
+        "map is {got} ({cells} cells), the model needs {expected}\n\nhint: make maps with the waveform and the map spec that the model names"
+    )]
+    Shape {
+        /// Shape that is needed.
+        expected: RdmShape,
+        /// Shape of the map.
+        got: RdmShape,
+        /// Number of its cells.
+        cells: usize,
+    },
+    /// The map holds NaN or infinity.
+    #[error("map of frame {sequence}: {cells} cells are not finite, the first at index {first}; it is not classified")]
+    NonFinite {
+        /// Sequence number of its frame.
+        sequence: u64,
+        /// How many cells.
+        cells: usize,
+        /// Index of the first in `db`.
+        first: usize,
+    },
+    /// The network's answer is no number.
+    #[error("the network's answer is not finite, cells of the map reach {largest_db} dB in magnitude")]
+    Diverged {
+        /// Largest magnitude of a cell.
+        largest_db: f32,
+    },
+    /// A map could not be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+impl Classifier {
+    /// Loads a model file.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        Ok(Self::new(Model::load(path)?))
+    }
+
+    /// Puts a model to work.
+    pub fn new(model: Model) -> Self {
+        Classifier { model }
+    }
+
+    /// Waveform that maps must come from.
+    pub fn waveform(&self) -> &Waveform {
+        &self.model.card.waveform
+    }
+
+    /// How maps must be made.
+    pub fn rdm_spec(&self) -> &RdmSpec {
+        &self.model.card.rdm_spec
+    }
+
+    /// Everything about the model but its numbers.
+    pub fn card(&self) -> &ModelCard {
+        &self.model.card
+    }
+
+    /// The model itself.
+    pub fn model(&self) -> &Model {
+        &self.model
+    }
+
+    /// Gives the model back.
+    pub fn into_model(self) -> Model {
+        self.model
+    }
+
+    /// Probabilities of empty, one, two; they sum to one.
+    pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
+        self.check_sequence(&map.db, map.shape, map.sequence)?;
+        Ok(self.run(&map.db, map.shape)?.1)
+    }
+
+    /// The two numbers that the map is reduced to before the circuit, before their standardisation.
+    pub fn latent(&mut self, map: &Rdm) -> Result<[f32; 2], ClassifyError> {
+        self.check_sequence(&map.db, map.shape, map.sequence)?;
+        Ok(self.run(&map.db, map.shape)?.0)
+    }
+
+    /// [`Classifier::classify`] for bare cells `[rx][doppler][range]` dB.
+    pub fn classify_cells(&mut self, db: &[f32], shape: RdmShape) -> Result<[f32; 3], ClassifyError> {
+        self.check_sequence(db, shape, 0)?;
+        Ok(self.run(db, shape)?.1)
+    }
+
+    fn expected_shape(&self) -> RdmShape {
+        let [_, range, doppler] = self.model.card.input_shape;
+        RdmShape { rx: 1, doppler, range }
+    }
+
+    fn check_sequence(&self, db: &[f32], got: RdmShape, sequence: u64) -> Result<(), ClassifyError> {
+        let expected = self.expected_shape();
+        if got != expected || db.len() != expected.cells() {
+            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
+        }
+        match db.iter().position(|v| !v.is_finite()) {
+            Some(first) => {
+                let cells = db.iter().filter(|v| !v.is_finite()).count();
+                Err(ClassifyError::NonFinite { sequence, cells, first })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Latent and probabilities.
+    fn run(&self, db: &[f32], shape: RdmShape) -> Result<([f32; 2], [f32; 3]), ClassifyError> {
+        let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
+        let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
+        self.model.card.standardisation.apply(&mut input);
+        let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
+        let stages = self.model.network.stages(&input)?;
+        let latent: Vec<f32> = stages.latent.flatten_all()?.to_vec1()?;
+        let logits: Vec<f32> = stages.logits.flatten_all()?.to_vec1()?;
+        let probabilities = softmax(&logits, self.model.card.temperature);
+        match (latent.as_slice(), probabilities.as_slice()) {
+            (&[a, b], &[p, q, r]) if [p, q, r].iter().all(|v| v.is_finite()) => {
+                Ok(([a, b], [p as f32, q as f32, r as f32]))
+            }
+            _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Trained networks as safetensors with a card in the metadata.
+
+use std::collections::HashMap;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform};
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::evaluate::Metrics;
+use crate::layer::KernelLevel;
+use crate::network::{Hqnn, LatentConstants};
+use crate::standardise::Standardisation;
+
+/// Version of the format that is written; older ones are read.
+pub const MODEL_FORMAT_VERSION: u32 = 1;
+/// Key of the card in the file's metadata.
+const CARD_KEY: &str = "radome";
+
+/// How a network came about.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainingSummary {
+    /// Epochs trained.
+    pub epochs: usize,
+    /// Epoch of these parameters, from 1: the best on the validation split.
+    pub best_epoch: usize,
+    /// Maps trained on.
+    pub training_maps: usize,
+    /// Which of the initialisations was carried on with.
+    pub chosen_start: u64,
+    /// Instructions of the inner loops while training.
+    pub kernel_level: KernelLevel,
+    /// Scores on the validation split.
+    pub validation: Metrics,
+    /// Scores on the test split, if there is one.
+    pub test: Option<Metrics>,
+}
+
+/// Everything about a model but its numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelCard {
+    /// [`MODEL_FORMAT_VERSION`] of the writer.
+    pub format_version: u32,
+    /// Name of the network.
+    pub network: String,
+    /// Classes in the order of the probabilities.
+    pub classes: Vec<Occupancy>,
+    /// Shape of the input, `axes` long.
+    pub input_shape: [usize; 3],
+    /// Names of the axes of the input, slowest first.
+    pub axes: [String; 3],
+    /// Waveform that maps must come from.
+    pub waveform: Waveform,
+    /// How maps must be made.
+    pub rdm_spec: RdmSpec,
+    /// Standardisation of the input.
+    pub standardisation: Standardisation,
+    /// Standardisation of the latent.
+    pub latent: LatentConstants,
+    /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
+    pub temperature: f64,
+    /// Hash of the dataset trained on.
+    pub dataset_hash: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// How it went.
+    pub training: TrainingSummary,
+}
+
+/// A network with its card.
+pub struct Model {
+    /// What it is.
+    pub card: ModelCard,
+    /// Its numbers.
+    pub network: Hqnn,
+}
+
+/// A model file that cannot be written or read.
+#[derive(Debug, Error)]
+pub enum ModelError {
+    /// A file operation failed.
+    #[error("{path}: {action} failed: {source}")]
+    Io {
+        /// File.
+        path: PathBuf,
+        /// What was being done.
+        action: &'static str,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+    /// No whole safetensors file.
+    #[error(
+        "{path}: expected a safetensors file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
+    )]
+    NotSafetensors {
+        /// File.
+        path: PathBuf,
+        /// What the parser says.
+        reason: String,
+        /// Length of the file.
+        length: usize,
+    },
+    /// Safetensors, but not one of ours.
+    #[error(
+        "{path}: the safetensors metadata has no '{CARD_KEY}' entry\n\nhint: only models trained by this program can be loaded"
+    )]
+    NoCard {
+        /// File.
+        path: PathBuf,
+    },
+    /// The card cannot be understood.
+    #[error("{path}: model card: {source}")]
+    Card {
+        /// File.
+        path: PathBuf,
+        /// What is wrong.
+        source: serde_json::Error,
+    },
+    /// Written by a newer program.
+    #[error("{path}: model format {found} is newer than {supported}, the newest this program reads\n\nhint: update it")]
+    Newer {
+        /// File.
+        path: PathBuf,
+        /// Version found.
+        found: u32,
+        /// Newest version that is understood.
+        supported: u32,
+    },
+    /// A value in the file contradicts what it must be.
+    #[error("{path}: {what}: expected {expected}, found {found}")]
+    Inconsistent {
+        /// File.
+        path: PathBuf,
+        /// Which value.
+        what: String,
+        /// What it should be.
+        expected: String,
+        /// What it is.
+        found: String,
+    },
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+impl Model {
+    /// Writes the model under a temporary name and renames it, so that a file of this name is whole.
+    pub fn save(&self, path: &Path) -> Result<(), ModelError> {
+        let io = |action: &'static str| {
+            let path = path.to_owned();
+            move |source| ModelError::Io { path, action, source }
+        };
+        let card =
+            serde_json::to_string(&self.card).map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
+        let bytes: Vec<Vec<u8>> =
+            self.network.values()?.iter().map(|values| values.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
+        let mut views = Vec::new();
+        for ((name, shape), bytes) in Hqnn::layout().iter().zip(&bytes) {
+            let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
+            views.push((*name, view));
+        }
+        let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
+        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
+        let mut name = path.file_name().unwrap_or_default().to_owned();
+        name.push(format!(".partial-{}", std::process::id()));
+        let temporary = path.with_file_name(name);
+        let write = || -> std::io::Result<()> {
+            let mut file = std::fs::File::create(&temporary)?;
+            file.write_all(&data)?;
+            file.sync_all()?;
+            std::fs::rename(&temporary, path)
+        };
+        write().inspect_err(|_| drop(std::fs::remove_file(&temporary))).map_err(io("writing"))
+    }
+
+    /// Reads a model and checks that it is whole and makes sense.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        let data = std::fs::read(path).map_err(|source| ModelError::Io {
+            path: path.to_owned(),
+            action: "reading",
+            source,
+        })?;
+        Self::from_bytes(path, &data)
+    }
+
+    /// Reads a model from the bytes of the file `path` (used in errors only).
+    pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
+        let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        let Some(card) = header.metadata().as_ref().and_then(|m| m.get(CARD_KEY)) else {
+            return Err(ModelError::NoCard { path: path.to_owned() });
+        };
+        let json = |source| ModelError::Card { path: path.to_owned(), source };
+        // The version alone first: a newer card may have other fields.
+        #[derive(Deserialize)]
+        struct Version {
+            format_version: u32,
+        }
+        let found = serde_json::from_str::<Version>(card).map_err(json)?.format_version;
+        if found > MODEL_FORMAT_VERSION {
+            return Err(ModelError::Newer { path: path.to_owned(), found, supported: MODEL_FORMAT_VERSION });
+        }
+        let card: ModelCard = serde_json::from_str(card).map_err(json)?;
+        card.check(path)?;
+
+        let mut values = Vec::new();
+        for (name, shape) in Hqnn::layout() {
+            let inconsistent = |found: String| ModelError::Inconsistent {
+                path: path.to_owned(),
+                what: format!("tensor {name}"),
+                expected: format!("F32 {shape:?}, finite"),
+                found,
+            };
+            let view = tensors.tensor(name).map_err(|e| inconsistent(e.to_string()))?;
+            if view.dtype() != Dtype::F32 || view.shape() != *shape {
+                return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
+            }
+            let numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+            let bad = numbers.iter().filter(|v| !v.is_finite()).count();
+            if bad > 0 {
+                return Err(inconsistent(format!("{bad} values that are NaN or infinite")));
+            }
+            values.push(numbers);
+        }
+        let network = Hqnn::from_values(&values, card.latent, KernelLevel::detect())?;
+        Ok(Model { card, network })
+    }
+}
+
+impl ModelCard {
+    fn check(&self, path: &Path) -> Result<(), ModelError> {
+        let fail = |what: &str, expected: String, found: String| {
+            Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found })
+        };
+        if self.network != Hqnn::NAME {
+            return fail("network", format!("'{}'", Hqnn::NAME), format!("'{}'", self.network));
+        }
+        if self.classes != Occupancy::ALL {
+            return fail("classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes));
+        }
+        if self.axes != input_axes() {
+            return fail("axes", format!("{:?}", input_axes()), format!("{:?}", self.axes));
+        }
+        match self.rdm_spec.shape(&self.waveform) {
+            Ok(RdmShape { rx: 1, doppler, range }) if self.input_shape == [1, range, doppler] => {}
+            Ok(shape) => {
+                return fail("input_shape", format!("that of a map of {shape}"), format!("{:?}", self.input_shape));
+            }
+            Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
+        }
+        let Standardisation { mean_db, sigma_db } = self.standardisation;
+        let constants = [sigma_db, self.temperature, f64::from(self.latent.sigma[0]), f64::from(self.latent.sigma[1])];
+        let positive = constants.iter().all(|v| v.is_finite() && *v > 0.0);
+        if !positive || !mean_db.is_finite() || self.latent.mean.iter().any(|v| !v.is_finite()) {
+            let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
+            return fail("constants", "finite means, sigmas and temperature above zero".to_owned(), found);
+        }
+        Ok(())
+    }
+}
+
+/// Names of the axes of a network's input.
+pub(crate) fn input_axes() -> [String; 3] {
+    ["channel", "range", "doppler"].map(str::to_owned)
+}
+
+fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {
+    ModelError::NotSafetensors { path: path.to_owned(), reason: error.to_string(), length }
+}

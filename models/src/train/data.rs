@@ -1,0 +1,155 @@
+//! The maps of a training, standardised and in memory.
+
+use std::collections::BTreeSet;
+
+use candle_core::{Device, Result as CandleResult, Tensor};
+use radome_dsp::Occupancy;
+use rand::Rng;
+use rand_distr::{Distribution, Normal};
+
+use super::{Augmentation, TrainError, TrainSpec};
+use crate::dataset::{Dataset, Split};
+use crate::standardise::Standardisation;
+use crate::stream;
+
+/// Maps `[range][doppler]`, standardised, and their classes.
+pub(super) struct Part {
+    /// Index of each map in the dataset.
+    pub indices: Vec<usize>,
+    pub maps: Vec<Vec<f32>>,
+    pub labels: Vec<usize>,
+}
+
+pub(super) struct Data {
+    pub train: Part,
+    pub validation: Part,
+    /// Indices only: the test maps are read when all is done.
+    pub test: Vec<usize>,
+    pub standardisation: Standardisation,
+    pub class_weights: Vec<f32>,
+    pub range: usize,
+    pub doppler: usize,
+    pub warnings: Vec<String>,
+}
+
+impl Data {
+    pub(super) fn load(dataset: &Dataset, spec: &TrainSpec) -> Result<Self, TrainError> {
+        let shape = dataset.header().shape;
+        if shape.rx != 1 {
+            return Err(TrainError::Channels { rx: shape.rx });
+        }
+        if shape.range < 4 || shape.doppler < 4 {
+            return Err(TrainError::TooSmall { range: shape.range, doppler: shape.doppler });
+        }
+        let splits = dataset.splits(&spec.split)?;
+        let rows = dataset.rows();
+        let part = |split: Split| -> Result<Part, TrainError> {
+            let of_split = splits.iter().enumerate().filter(|&(_, &s)| s == split).map(|(index, _)| index);
+            let wanted =
+                |i: &usize| split != Split::Train || spec.transitions || rows.get(*i).is_none_or(|r| !r.transition);
+            let indices: Vec<usize> = of_split.filter(wanted).collect();
+            let maps = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
+            let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
+            Ok(Part { indices, maps, labels })
+        };
+        let (mut train, mut validation) = (part(Split::Train)?, part(Split::Validation)?);
+        for (split, part) in [(Split::Train, &train), (Split::Validation, &validation)] {
+            if part.indices.is_empty() {
+                let sequences = rows.iter().map(|r| r.sequence.as_str()).collect::<BTreeSet<_>>().len();
+                return Err(TrainError::EmptySplit { split, maps: rows.len(), sequences });
+            }
+        }
+        let test: Vec<usize> =
+            splits.iter().enumerate().filter(|&(_, &s)| s == Split::Test).map(|(index, _)| index).collect();
+
+        let count = |part: &Part| Occupancy::ALL.map(|o| part.labels.iter().filter(|&&l| l == o.index()).count());
+        let counts = count(&train);
+        let present: Vec<Occupancy> = Occupancy::ALL.into_iter().filter(|o| counts[o.index()] > 0).collect();
+        if let [class] = present[..] {
+            return Err(TrainError::OneClass { class });
+        }
+        let mut warnings = Vec::new();
+        for (split, counts) in [(Split::Train, counts), (Split::Validation, count(&validation))] {
+            for class in Occupancy::ALL.into_iter().filter(|o| counts[o.index()] == 0) {
+                warnings.push(format!("the {split} split has no map of class '{class}'"));
+            }
+        }
+        if test.is_empty() {
+            warnings.push("the test split is empty: scores on the validation split are optimistic".to_owned());
+        }
+        // n / (k n_c) over the k classes present, so that the mean weight of a map is one.
+        let class_weights = counts
+            .map(|c| match c {
+                0 => 0.0,
+                _ if !spec.class_weights => 1.0,
+                c => train.labels.len() as f32 / (present.len() * c) as f32,
+            })
+            .to_vec();
+
+        let standardisation = Standardisation::measure(train.maps.iter().map(Vec::as_slice))?;
+        for map in train.maps.iter_mut().chain(&mut validation.maps) {
+            standardisation.apply(map);
+        }
+        let (range, doppler) = (shape.range, shape.doppler);
+        Ok(Data { train, validation, test, standardisation, class_weights, range, doppler, warnings })
+    }
+
+    /// Maps of a part by their position in it, `[batch][range][doppler]`, as they are.
+    pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
+        let cells: Vec<f32> = positions.iter().filter_map(|&p| part.maps.get(p)).flatten().copied().collect();
+        Tensor::from_vec(cells, (positions.len(), self.range, self.doppler), &Device::Cpu)
+    }
+
+    /// Training maps with augmentation: what happens to a map is a function of seed, epoch and map.
+    pub(super) fn augmented(
+        &self,
+        positions: &[usize],
+        augmentation: Augmentation,
+        seed: u64,
+        epoch: usize,
+    ) -> CandleResult<Tensor> {
+        if augmentation == Augmentation::default() {
+            return self.batch(&self.train, positions);
+        }
+        let sigma = augmentation.noise_db / self.standardisation.sigma_db as f32;
+        let mut cells = Vec::with_capacity(positions.len() * self.range * self.doppler);
+        for &position in positions {
+            let Some(map) = self.train.maps.get(position) else { continue };
+            let mut rng = stream(seed, "augmentation", (epoch * self.train.maps.len() + position) as u64);
+            let mut map = map.clone();
+            if augmentation.doppler_flip && rng.random::<bool>() {
+                flip_doppler(&mut map, self.doppler);
+            }
+            if sigma > 0.0
+                && let Ok(normal) = Normal::new(0.0f32, sigma)
+            {
+                map.iter_mut().for_each(|v| *v += normal.sample(&mut rng));
+            }
+            cells.extend(map);
+        }
+        Tensor::from_vec(cells, (positions.len(), self.range, self.doppler), &Device::Cpu)
+    }
+}
+
+/// Exchanges velocity `v` and `-v` in `[range][doppler]`. Zero is at `n / 2`; for an even n, bin 0 (the most negative
+/// velocity) has no partner and stays.
+fn flip_doppler(map: &mut [f32], doppler: usize) {
+    for row in map.chunks_exact_mut(doppler) {
+        if doppler.is_multiple_of(2) { row[1..].reverse() } else { row.reverse() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flipping_keeps_zero_doppler() {
+        let mut even = vec![-3.0, -2.0, -1.0, 0.0, 1.0, 2.0];
+        flip_doppler(&mut even, 6);
+        assert_eq!(even, [-3.0, 2.0, 1.0, 0.0, -1.0, -2.0]);
+        let mut odd = vec![-1.0, 0.0, 1.0];
+        flip_doppler(&mut odd, 3);
+        assert_eq!(odd, [1.0, 0.0, -1.0]);
+    }
+}

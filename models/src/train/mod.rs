@@ -1,0 +1,365 @@
+//! Training: from a dataset to a model, reliably and reproducibly.
+//!
+//! # The recipe, and why
+//! The squash before the circuit makes training fragile: a latent that starts off-centre or too wide sits where
+//! `pi * sigmoid` is flat or where the circuit's phase `w = 2 (pi - x0)(pi - x1)` turns many times, and the network
+//! never learns. What is done about it (figures in the crate's `examples/reliability.rs`):
+//! 1. *Centred features.* See [`crate::network::FeatureScale`]: measured at the start, folded into the weights at the end.
+//! 2. *A latent of known place and width.* The last dense layer is scaled so that each component of the latent has mean 0 and
+//!    standard deviation [`TrainSpec::latent_sigma`] over the training maps at the start.
+//! 3. *Several starts.* [`TrainSpec::starts`] initialisations are trained for [`TrainSpec::start_epochs`] epochs each and the
+//!    one with the least validation loss is carried on with.
+//! 4. *Own step sizes* for the angles and the head, which are few and must move far; warm-up, then a cosine to a twentieth.
+//! 5. *The best epoch* by balanced accuracy on the validation split, by loss among equals.
+//! 6. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
+
+mod adam;
+mod circuit_start;
+mod data;
+mod run;
+mod temperature;
+
+use radome_dsp::Occupancy;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::Classifier;
+use crate::ClassifyError;
+use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
+use crate::evaluate::Metrics;
+use crate::layer::KernelLevel;
+use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes};
+use crate::network::Hqnn;
+use crate::standardise::StandardiseError;
+
+/// How the latent is standardised before the squash (paper.md section 6 leaves it open). The constants are never
+/// differentiated through, and are saved with the model.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LatentStandardisation {
+    /// Not at all: the start alone puts the latent where it belongs.
+    None,
+    /// By mean and sigma over the training split, measured anew before each epoch.
+    FrozenByEpoch,
+    /// By running mean and variance, updated with each batch.
+    Running {
+        /// Weight of the newest batch, in (0, 1].
+        momentum: f32,
+    },
+}
+
+/// Changes made to training maps each time they are shown.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct Augmentation {
+    /// Standard deviation of Gaussian noise added to each cell, dB; 0 for none.
+    pub noise_db: f32,
+    /// Exchange receding and approaching in half of the maps (zero Doppler stays where it is).
+    pub doppler_flip: bool,
+}
+
+impl Default for Augmentation {
+    fn default() -> Self {
+        Augmentation { noise_db: 0.0, doppler_flip: false }
+    }
+}
+
+/// Everything that decides what a training does, except the data.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TrainSpec {
+    /// Seed of initialisation, order and augmentation.
+    pub seed: u64,
+    /// How sequences are divided.
+    pub split: SplitSpec,
+    /// Passes over the training split.
+    pub epochs: usize,
+    /// Maps in a step.
+    pub batch_size: usize,
+    /// Adam's step size.
+    pub learning_rate: f64,
+    /// Step size of the circuit's angles, as a multiple of `learning_rate`.
+    pub angle_rate: f64,
+    /// Step size of the last layer, as a multiple of `learning_rate`.
+    pub head_rate: f64,
+    /// Steps over which the step size rises to its full value.
+    pub warm_up_steps: usize,
+    /// Initialisations that are tried.
+    pub starts: u64,
+    /// Epochs that each is given before one is chosen.
+    pub start_epochs: usize,
+    /// Of all epochs, the first ones, in which the head sees the latent directly (see the recipe above).
+    pub linear_epochs: usize,
+    /// Standard deviation that features are scaled to while training.
+    pub feature_sigma: f32,
+    /// Standard deviation of each component of the latent at the start.
+    pub latent_sigma: f32,
+    /// Weight of the mean square of the standardised latent in the loss: what keeps it off the flat ends of the squash.
+    pub latent_penalty: f64,
+    /// Standardisation of the latent.
+    pub latent: LatentStandardisation,
+    /// Weigh classes by the inverse of their number.
+    pub class_weights: bool,
+    /// Train on maps in which someone is just entering or leaving.
+    pub transitions: bool,
+    /// Changes to training maps.
+    pub augmentation: Augmentation,
+    /// Instructions of the inner loops; the fastest there are if absent.
+    pub kernel_level: Option<KernelLevel>,
+}
+
+impl Default for TrainSpec {
+    fn default() -> Self {
+        TrainSpec {
+            seed: 11,
+            split: SplitSpec::default(),
+            epochs: 15,
+            batch_size: 32,
+            learning_rate: 1e-3,
+            angle_rate: 5.0,
+            head_rate: 5.0,
+            warm_up_steps: 20,
+            starts: 4,
+            start_epochs: 2,
+            linear_epochs: 4,
+            feature_sigma: 0.3,
+            latent_sigma: 0.5,
+            latent_penalty: 0.05,
+            latent: LatentStandardisation::None,
+            class_weights: true,
+            transitions: true,
+            augmentation: Augmentation::default(),
+            kernel_level: None,
+        }
+    }
+}
+
+/// What one pass over the training split came to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EpochReport {
+    /// Which initialisation, from 0.
+    pub start: u64,
+    /// Whether this start has been chosen to be carried on with.
+    pub chosen: bool,
+    /// Epoch, from 1.
+    pub epoch: usize,
+    /// Epochs in total.
+    pub epochs: usize,
+    /// Mean loss over the epoch's steps.
+    pub training_loss: f64,
+    /// Balanced accuracy over the epoch's batches as they were met.
+    pub training_balanced_accuracy: f64,
+    /// Loss on the validation split after the epoch.
+    pub validation_loss: f64,
+    /// Balanced accuracy on the validation split after the epoch.
+    pub validation_balanced_accuracy: f64,
+    /// Time of the epoch, s.
+    pub seconds: f64,
+}
+
+/// What a training came to.
+pub struct TrainOutcome {
+    /// The model, ready to save or to put to work.
+    pub model: Model,
+    /// One report for each epoch, in order.
+    pub history: Vec<EpochReport>,
+    /// Scores of the model on the validation split.
+    pub validation: Metrics,
+    /// Scores on the test split, if there is one.
+    pub test: Option<Metrics>,
+    /// What the user should know: classes that are missing, and the like.
+    pub warnings: Vec<String>,
+}
+
+/// A training that cannot start or go on.
+#[derive(Debug, Error)]
+pub enum TrainError {
+    /// A setting is out of range.
+    #[error("training: {name} is {value}, expected {expected}")]
+    Setting {
+        /// Field of [`TrainSpec`].
+        name: &'static str,
+        /// What was given.
+        value: String,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// Networks take one channel.
+    #[error(
+        "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"
+    )]
+    Channels {
+        /// Channels of a map.
+        rx: usize,
+    },
+    /// Maps are too small for two poolings.
+    #[error("maps are {range} range x {doppler} doppler bins, at least 4 x 4 are needed")]
+    TooSmall {
+        /// Range bins.
+        range: usize,
+        /// Doppler bins.
+        doppler: usize,
+    },
+    /// A split that is needed holds nothing.
+    #[error(
+        "the {split} split is empty: {maps} maps in {sequences} sequences\n\nhint: splits are made of whole sequences; record more of them, or give rows a split"
+    )]
+    EmptySplit {
+        /// Which.
+        split: Split,
+        /// Maps in the dataset.
+        maps: usize,
+        /// Sequences in the dataset.
+        sequences: usize,
+    },
+    /// There is nothing to tell apart.
+    #[error("the training split holds maps of one class only ({class}); at least two are needed")]
+    OneClass {
+        /// The class.
+        class: Occupancy,
+    },
+    /// Maps cannot be standardised.
+    #[error(transparent)]
+    Standardise(#[from] StandardiseError),
+    /// A number became NaN or infinite.
+    #[error(
+        "{what} is not finite at start {start}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high"
+    )]
+    NonFinite {
+        /// Layer or gradient.
+        what: String,
+        /// Which initialisation.
+        start: u64,
+        /// Epoch, from 1.
+        epoch: usize,
+        /// Step within the start, from 1.
+        step: usize,
+        /// Learning rate of the spec.
+        learning_rate: f64,
+    },
+    /// The dataset cannot be read or split.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The trained model cannot be applied.
+    #[error(transparent)]
+    Classify(#[from] ClassifyError),
+    /// The model cannot be made.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+impl TrainSpec {
+    fn check(&self) -> Result<(), TrainError> {
+        let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
+        for (name, value) in
+            [("epochs", self.epochs), ("batch_size", self.batch_size), ("starts", self.starts as usize)]
+        {
+            if value == 0 {
+                return fail(name, value.to_string(), "at least 1");
+            }
+        }
+        if self.start_epochs > self.epochs || (self.starts > 1 && self.start_epochs == 0) {
+            return fail("start_epochs", self.start_epochs.to_string(), "1 up to epochs");
+        }
+        let rates = [
+            ("learning_rate", self.learning_rate),
+            ("angle_rate", self.angle_rate),
+            ("head_rate", self.head_rate),
+            ("feature_sigma", f64::from(self.feature_sigma)),
+            ("latent_sigma", f64::from(self.latent_sigma)),
+        ];
+        for (name, value) in rates {
+            if !(value.is_finite() && value > 0.0) {
+                return fail(name, value.to_string(), "a finite number above 0");
+            }
+        }
+        if !(self.augmentation.noise_db >= 0.0 && self.augmentation.noise_db.is_finite()) {
+            return fail("augmentation.noise_db", self.augmentation.noise_db.to_string(), "0 or more");
+        }
+        match self.latent {
+            LatentStandardisation::Running { momentum } if !(momentum > 0.0 && momentum <= 1.0) => {
+                fail("latent.running.momentum", momentum.to_string(), "above 0 and up to 1")
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Trains an HQNN. `report` is called after each epoch.
+///
+/// The same dataset, spec and kernel level give the same model, bit for bit, on any number of threads.
+pub fn train(
+    dataset: &Dataset,
+    spec: &TrainSpec,
+    report: &mut dyn FnMut(EpochReport),
+) -> Result<TrainOutcome, TrainError> {
+    spec.check()?;
+    let data = data::Data::load(dataset, spec)?;
+    let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
+    let mut history = Vec::new();
+    let mut tell = |r: EpochReport, report: &mut dyn FnMut(EpochReport)| {
+        history.push(r.clone());
+        report(r);
+    };
+
+    let trials = if spec.starts > 1 { spec.start_epochs } else { 0 };
+    let mut best: Option<run::Run> = None;
+    for start in 0..spec.starts {
+        let mut run = run::Run::start(&data, spec, start, level)?;
+        for _ in 0..trials {
+            tell(run.epoch(false)?, report);
+        }
+        if best.as_ref().is_none_or(|b| run.validation_loss() < b.validation_loss()) {
+            best = Some(run);
+        }
+    }
+    let Some(mut run) = best else {
+        return Err(TrainError::Setting { name: "starts", value: "0".into(), expected: "at least 1" });
+    };
+    for _ in trials..spec.epochs {
+        tell(run.epoch(true)?, report);
+    }
+
+    let chosen_start = run.start_index();
+    let (network, best_epoch) = run.finish()?;
+    let temperature = temperature::fit(&network, &data)?;
+    let header = dataset.header();
+    let mut card = ModelCard {
+        format_version: MODEL_FORMAT_VERSION,
+        network: Hqnn::NAME.to_owned(),
+        classes: Occupancy::ALL.to_vec(),
+        input_shape: [1, header.shape.range, header.shape.doppler],
+        axes: input_axes(),
+        waveform: header.waveform.clone(),
+        rdm_spec: header.rdm_spec,
+        standardisation: data.standardisation,
+        latent: network.latent,
+        temperature,
+        dataset_hash: dataset.hash(),
+        seed: spec.seed,
+        training: TrainingSummary {
+            epochs: spec.epochs,
+            best_epoch,
+            training_maps: data.train.labels.len(),
+            chosen_start,
+            kernel_level: level,
+            validation: Metrics::from_predictions([]),
+            test: None,
+        },
+    };
+    let warnings = data.warnings.clone();
+    // Scores come from the very path that a live classifier takes.
+    let mut classifier = Classifier::new(Model { card: card.clone(), network });
+    let validation = crate::evaluate::evaluate(&mut classifier, dataset, &data.validation.indices)?;
+    let test = match data.test.as_slice() {
+        [] => None,
+        indices => Some(crate::evaluate::evaluate(&mut classifier, dataset, indices)?),
+    };
+    card.training.validation = validation.clone();
+    card.training.test = test.clone();
+    let model = Model { card, network: classifier.into_model().network };
+    Ok(TrainOutcome { model, history, validation, test, warnings })
+}

@@ -1,0 +1,72 @@
+//! One temperature that makes probabilities match frequencies (Guo et al., ICML 2017, section 4.2).
+
+use super::TrainError;
+use super::data::Data;
+use crate::layer::softmax;
+use crate::network::Hqnn;
+
+/// Temperatures that are considered.
+const RANGE: (f64, f64) = (0.05, 20.0);
+/// A probability is never taken for less, so that one confident mistake does not decide alone.
+const LEAST_PROBABILITY: f64 = 1e-12;
+
+/// The temperature with the least class-weighted cross-entropy on the validation split: golden-section search on its
+/// logarithm (the loss is convex in 1/T).
+pub(super) fn fit(network: &Hqnn, data: &Data) -> Result<f64, TrainError> {
+    let part = &data.validation;
+    let positions: Vec<usize> = (0..part.maps.len()).collect();
+    let mut logits = Vec::new();
+    for batch in positions.chunks(64) {
+        logits.extend(network.stages(&data.batch(part, batch)?)?.logits.to_vec2::<f32>()?);
+    }
+    Ok(minimise(&logits, &part.labels, &data.class_weights))
+}
+
+fn minimise(logits: &[Vec<f32>], labels: &[usize], class_weights: &[f32]) -> f64 {
+    let loss = |log_temperature: f64| -> f64 {
+        let temperature = log_temperature.exp();
+        let terms = logits.iter().zip(labels).map(|(row, &label)| {
+            let p = softmax(row, temperature).get(label).copied().unwrap_or(0.0).max(LEAST_PROBABILITY);
+            -class_weights.get(label).copied().map_or(0.0, f64::from) * p.ln()
+        });
+        terms.sum()
+    };
+    let golden = 0.5 * (5f64.sqrt() - 1.0);
+    let (mut low, mut high) = (RANGE.0.ln(), RANGE.1.ln());
+    for _ in 0..60 {
+        let (a, b) = (high - golden * (high - low), low + golden * (high - low));
+        if loss(a) <= loss(b) { high = b } else { low = a }
+    }
+    (0.5 * (low + high)).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stream;
+    use rand::Rng;
+
+    /// Labels drawn from softmax(z / 2.5) are explained best by a temperature of 2.5.
+    #[test]
+    fn the_true_temperature_is_found() {
+        let mut rng = stream(9, "temperature", 0);
+        let logits: Vec<Vec<f32>> =
+            (0..20_000).map(|_| (0..3).map(|_| rng.random_range(-5.0..5.0)).collect()).collect();
+        let labels: Vec<usize> = logits
+            .iter()
+            .map(|row| {
+                let p = softmax(row, 2.5);
+                let u: f64 = rng.random();
+                if u < p[0] {
+                    0
+                } else if u < p[0] + p[1] {
+                    1
+                } else {
+                    2
+                }
+            })
+            .collect();
+        let found = minimise(&logits, &labels, &[1.0; 3]);
+        assert!((found / 2.5 - 1.0).abs() < 0.05, "{found}");
+    }
+}
