@@ -53,8 +53,7 @@ impl Standardisation {
             return Err(StandardiseError::Empty);
         }
         let sigma = (squares / count).sqrt();
-        // The negated form also catches NaN.
-        if !(sigma >= LEAST_SIGMA_DB) {
+        if sigma.is_nan() || sigma < LEAST_SIGMA_DB {
             return Err(StandardiseError::NoSpread { mean_db: mean, sigma_db: sigma });
         }
         Ok(Standardisation { mean_db: mean, sigma_db: sigma })

@@ -18,6 +18,9 @@ pub struct SplitSpec {
     pub test: f64,
 }
 
+/// A sequence behind the hash that orders it.
+type Ranked<'a> = ([u8; 32], &'a str);
+
 impl Default for SplitSpec {
     fn default() -> Self {
         SplitSpec { seed: 0, validation: 0.15, test: 0.2 }
@@ -50,7 +53,7 @@ impl SplitSpec {
             *real |= row.domain == super::Domain::Real;
             classes[row.label.index()] = true;
         }
-        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<([u8; 32], &str)>> = BTreeMap::new();
+        let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
         for (name, (fixed, real, classes)) in &sequences {
             if fixed.is_none() {
                 let mut hash = Sha256::new();

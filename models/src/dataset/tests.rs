@@ -38,6 +38,13 @@ fn what_is_written_is_read_back_across_shards() {
         assert_eq!(set.rows()[index].frame, index as u64);
     }
     set.verify().expect("hashes agree");
+    assert_eq!(set.hash(), Dataset::open(&path).expect("open again").hash());
+    let mut copy = DatasetWriter::create(&dir.path().join("copy"), set.header()).expect("create");
+    for (index, row) in set.rows().iter().enumerate() {
+        copy.push(&map(&header, index as u64), row.clone()).expect("push");
+    }
+    copy.finish().expect("finish");
+    assert_eq!(set.hash(), Dataset::open(&dir.path().join("copy")).expect("open").hash());
     assert!(matches!(set.map(maps), Err(DatasetError::NoSuchMap { .. })));
     assert!(matches!(DatasetWriter::create(&path, &header), Err(DatasetError::Exists { .. })));
 }

@@ -130,7 +130,7 @@ impl Block {
     }
 
     /// Weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward pass.
-    pub fn to_channel_last(&self, weight: &[f32]) -> Vec<f32> {
+    pub fn to_channel_last(self, weight: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; weight.len()];
         for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
             for (k, value) in target.iter_mut().enumerate() {
@@ -141,7 +141,7 @@ impl Block {
     }
 
     /// Reverse of [`Block::to_channel_last`].
-    pub fn to_channel_first(&self, weight: &[f32]) -> Vec<f32> {
+    pub fn to_channel_first(self, weight: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; weight.len()];
         for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
             for (k, &value) in source.iter().enumerate() {
@@ -200,7 +200,7 @@ fn forward_generic<const FUSED: bool>(
                             (best, index) = (sum[lane], candidate as u8);
                         }
                     }
-                    // NaN fails the comparison and must pass through, to be found by whoever looks for it.
+                    // A NaN in the first cell stays: comparisons with it fail.
                     let dead = best <= 0.0;
                     pooled[lane] = if dead { 0.0 } else { best };
                     winner[lane] = if dead { DEAD } else { index };

@@ -117,8 +117,8 @@ fn loss_and_gradient(points: &Points, v: &[f64; NUMBERS]) -> (f64, [f64; NUMBERS
             }
             g[10 + c] += d;
         }
-        for k in 0..4 {
-            g[k] += de[0] * point.zi_grad_theta[k] + de[1] * point.iz_grad_theta[k];
+        for (k, g) in g.iter_mut().take(4).enumerate() {
+            *g += de[0] * point.zi_grad_theta[k] + de[1] * point.iz_grad_theta[k];
         }
         for k in 0..2 {
             let dx = de[0] * point.zi_grad_x[k] + de[1] * point.iz_grad_x[k];

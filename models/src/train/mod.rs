@@ -264,6 +264,12 @@ impl TrainSpec {
         if self.start_epochs > self.epochs || (self.starts > 1 && self.start_epochs == 0) {
             return fail("start_epochs", self.start_epochs.to_string(), "1 up to epochs");
         }
+        if self.linear_epochs > self.epochs {
+            return fail("linear_epochs", self.linear_epochs.to_string(), "0 up to epochs");
+        }
+        if !(self.latent_penalty.is_finite() && self.latent_penalty >= 0.0) {
+            return fail("latent_penalty", self.latent_penalty.to_string(), "0 or more");
+        }
         let rates = [
             ("learning_rate", self.learning_rate),
             ("angle_rate", self.angle_rate),

@@ -1,0 +1,282 @@
+//! From made-up maps to a saved model and back.
+
+mod support;
+
+use std::path::Path;
+
+use radome_dsp::{MapFlags, Occupancy, Rdm};
+use radome_models::dataset::{Domain, ManifestRow, Split};
+use radome_models::layer::KernelLevel;
+use radome_models::train::{Augmentation, LatentStandardisation};
+use radome_models::{Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train};
+use support::{Maps, dataset, header};
+
+/// Small maps with strong targets: learnt in a second.
+fn easy() -> Maps {
+    Maps { size: 32, sequences: [40, 12, 12], length: 3, snr_db: (20.0, 30.0), ..Maps::default() }
+}
+
+fn quick() -> TrainSpec {
+    TrainSpec { epochs: 8, linear_epochs: 4, starts: 1, start_epochs: 1, ..TrainSpec::default() }
+}
+
+/// One epoch on few maps: enough where the result does not matter.
+fn brief() -> (Dataset, TrainSpec) {
+    let set = dataset(Maps { size: 16, sequences: [3, 2, 1], length: 3, ..Maps::default() });
+    (set, TrainSpec { epochs: 2, linear_epochs: 1, starts: 2, start_epochs: 1, batch_size: 8, ..TrainSpec::default() })
+}
+
+fn rdm(set: &Dataset, index: usize) -> Rdm {
+    let header = set.header();
+    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
+    Rdm {
+        shape: header.shape,
+        db: set.map(index).expect("map"),
+        range_step_m,
+        velocity_step_m_per_s,
+        sequence: index as u64,
+        flags: MapFlags::default(),
+    }
+}
+
+#[test]
+fn every_seed_learns_to_count() {
+    let set = dataset(easy());
+    for seed in [11, 22, 33, 42, 55] {
+        let outcome = train(&set, &TrainSpec { seed, ..quick() }, &mut |_| {}).expect("training");
+        let last = outcome.history.last().expect("history");
+        assert!(last.training_balanced_accuracy > 0.9, "seed {seed}: {last:?}");
+        let test = outcome.test.expect("test split");
+        assert!(test.balanced_accuracy > 0.6, "seed {seed}: {test:?}");
+        assert!(test.absent.is_empty() && outcome.warnings.is_empty());
+    }
+}
+
+#[test]
+fn a_saved_model_answers_as_before() {
+    let (set, spec) = brief();
+    let outcome = train(&set, &spec, &mut |_| {}).expect("training");
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("model.safetensors");
+    outcome.model.save(&path).expect("save");
+    assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1, "no temporary file is left");
+    let mut loaded = Classifier::load(&path).expect("load");
+    let mut original = Classifier::new(outcome.model);
+    assert_eq!(loaded.card(), original.card());
+    assert_eq!(loaded.card().dataset_hash, set.hash());
+    assert_eq!(loaded.waveform(), &set.header().waveform);
+    for index in 0..6 {
+        let map = rdm(&set, index);
+        let probabilities = loaded.classify(&map).expect("classify");
+        assert_eq!(probabilities, original.classify(&map).expect("classify"));
+        assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-6);
+        assert_eq!(loaded.latent(&map).expect("latent"), original.latent(&map).expect("latent"));
+    }
+}
+
+#[test]
+fn one_seed_gives_one_model_on_any_number_of_threads() {
+    let (set, spec) = brief();
+    let spec = TrainSpec { augmentation: Augmentation { noise_db: 1.0, doppler_flip: true }, ..spec };
+    let run = |threads: usize, spec: &TrainSpec| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        let model = pool.install(|| train(&set, spec, &mut |_| {}).expect("training")).model;
+        model.network.values().expect("values")
+    };
+    let one = run(1, &spec);
+    assert_eq!(one, run(3, &spec));
+    assert_ne!(one, run(1, &TrainSpec { seed: 12, ..spec.clone() }));
+    // The portable level is there on every machine and can be asked for.
+    let portable = TrainSpec { kernel_level: Some(KernelLevel::Portable), ..spec };
+    assert_eq!(run(1, &portable), run(2, &portable));
+}
+
+#[test]
+fn every_standardisation_of_the_latent_is_saved_with_the_model() {
+    let (set, spec) = brief();
+    for latent in [
+        LatentStandardisation::None,
+        LatentStandardisation::FrozenByEpoch,
+        LatentStandardisation::Running { momentum: 0.1 },
+    ] {
+        let outcome = train(&set, &TrainSpec { latent, ..spec.clone() }, &mut |_| {}).expect("training");
+        let constants = outcome.model.card.latent;
+        assert_eq!(constants, outcome.model.network.latent);
+        assert_eq!(latent == LatentStandardisation::None, constants == Default::default(), "{latent:?}");
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn trained() -> (Dataset, Model) {
+        let (set, spec) = brief();
+        let model = train(&set, &spec, &mut |_| {}).expect("training").model;
+        (set, model)
+    }
+
+    #[test]
+    fn damaged_model_files_are_refused_with_their_path() {
+        let (_, model) = trained();
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("model.safetensors");
+        model.save(&path).expect("save");
+        let whole = std::fs::read(&path).expect("read");
+        for length in (0..whole.len()).step_by(997).chain([whole.len() - 1]) {
+            let error = Model::from_bytes(&path, &whole[..length]).err().expect("truncated").to_string();
+            assert!(error.contains("model.safetensors") && error.contains("expected"), "{error}");
+        }
+        // Whatever one flipped byte in the header does, it does not panic.
+        for at in 0..400 {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 0x15;
+            let _ = Model::from_bytes(&path, &bytes);
+        }
+        let replace = |from: &str, to: &str| {
+            assert_eq!(from.len(), to.len());
+            let mut bytes = whole.clone();
+            let at = bytes.windows(from.len()).position(|w| w == from.as_bytes()).expect("in the header");
+            bytes[at..at + from.len()].copy_from_slice(to.as_bytes());
+            Model::from_bytes(&path, &bytes).err().expect("refused")
+        };
+        assert!(matches!(replace("format_version\\\":1", "format_version\\\":9"), ModelError::Newer { found: 9, .. }));
+        assert!(matches!(replace("\"radome\"", "\"random\""), ModelError::NoCard { .. }));
+        assert!(matches!(replace("hqnn", "hqmm"), ModelError::Inconsistent { .. }));
+        assert!(matches!(replace("fc1.weight", "fc7.weight"), ModelError::Inconsistent { .. }));
+        let mut bytes = whole.clone();
+        let end = bytes.len();
+        bytes[end - 4..].copy_from_slice(&f32::NAN.to_le_bytes());
+        let error = Model::from_bytes(&path, &bytes).err().expect("NaN").to_string();
+        assert!(error.contains("NaN"), "{error}");
+        let error = Classifier::load(&dir.path().join("none")).err().expect("no file").to_string();
+        assert!(error.contains("none: reading failed"), "{error}");
+    }
+
+    #[test]
+    fn maps_that_cannot_be_classified_are_refused() {
+        let (set, model) = trained();
+        let mut classifier = Classifier::new(model);
+        let mut map = rdm(&set, 0);
+        map.db[5] = f32::NAN;
+        map.db[9] = f32::INFINITY;
+        match classifier.classify(&map) {
+            Err(ClassifyError::NonFinite { cells: 2, first: 5, .. }) => {}
+            other => panic!("{other:?}"),
+        }
+        let mut map = rdm(&set, 0);
+        map.db.pop();
+        assert!(matches!(classifier.classify(&map), Err(ClassifyError::Shape { .. })));
+        let mut map = rdm(&set, 0);
+        map.shape.rx = 3;
+        assert!(matches!(classifier.latent(&map), Err(ClassifyError::Shape { .. })));
+        // Absurd but finite: an answer or an error, no panic and no NaN.
+        for value in [f32::MAX, -f32::MAX, 0.0] {
+            let mut map = rdm(&set, 0);
+            map.db.fill(value);
+            if let Ok(p) = classifier.classify(&map) {
+                assert!(p.iter().all(|v| v.is_finite()), "{p:?}");
+            }
+        }
+    }
+
+    fn flat_maps(labels: &[(Occupancy, Split)], level: impl Fn(usize) -> f32) -> Dataset {
+        let header = header(16);
+        let maps = labels
+            .iter()
+            .enumerate()
+            .map(|(index, &(label, split))| {
+                let mut row = ManifestRow::new(Domain::Sim, "flat", "run", &format!("s{index}"), 0, label);
+                row.split = Some(split);
+                let db = (0..header.shape.cells()).map(|cell| level(index * 1000 + cell)).collect();
+                let map = Rdm {
+                    shape: header.shape,
+                    db,
+                    range_step_m: 0.1,
+                    velocity_step_m_per_s: 0.1,
+                    sequence: 0,
+                    flags: MapFlags::default(),
+                };
+                (map, row)
+            })
+            .collect();
+        Dataset::from_maps(header, maps).expect("dataset")
+    }
+
+    fn refused(set: &Dataset, spec: &TrainSpec) -> TrainError {
+        train(set, spec, &mut |_| {}).err().expect("refused")
+    }
+
+    #[test]
+    fn data_that_cannot_be_learnt_from_are_refused() {
+        use Occupancy::{Empty, One, Two};
+        use Split::{Train, Validation};
+        let (_, spec) = brief();
+        let varied = |k: usize| ((k * 7919) % 101) as f32;
+        let all = [(Empty, Train), (One, Train), (Two, Train), (Empty, Validation), (One, Validation)];
+        assert!(matches!(refused(&flat_maps(&all, |_| -200.0), &spec), TrainError::Standardise(_)));
+        assert!(matches!(refused(&flat_maps(&all[..3], varied), &spec), TrainError::EmptySplit { .. }));
+        let same = [(One, Train), (One, Train), (One, Validation)];
+        assert!(matches!(refused(&flat_maps(&same, varied), &spec), TrainError::OneClass { class: One }));
+        assert!(matches!(
+            refused(&Dataset::from_maps(header(16), vec![]).expect("empty"), &spec),
+            TrainError::EmptySplit { .. }
+        ));
+    }
+
+    /// A class without maps is said to be missing, and batches of one map (so of one class) do no harm.
+    #[test]
+    fn a_missing_class_and_batches_of_one_class_are_survived() {
+        use Occupancy::{Empty, One};
+        use Split::{Train, Validation};
+        let set = flat_maps(&[(Empty, Train), (One, Train), (Empty, Validation), (Empty, Train)], |k| {
+            ((k * 7919) % 101) as f32
+        });
+        let spec = TrainSpec { batch_size: 1, ..brief().1 };
+        let outcome = train(&set, &spec, &mut |_| {}).expect("training");
+        assert_eq!(outcome.validation.absent, [One, Occupancy::Two]);
+        assert!(outcome.test.is_none());
+        for expected in [
+            "train split has no map of class 'two'",
+            "validation split has no map of class 'one'",
+            "test split is empty",
+        ] {
+            assert!(outcome.warnings.iter().any(|w| w.contains(expected)), "{expected}: {:?}", outcome.warnings);
+        }
+    }
+
+    #[test]
+    fn a_divergence_names_layer_and_step() {
+        let (set, spec) = brief();
+        let error = refused(&set, &TrainSpec { learning_rate: 1e30, warm_up_steps: 1, ..spec });
+        match &error {
+            TrainError::NonFinite { what, step, .. } => {
+                assert!(
+                    *step >= 1 && (what.contains("conv") || what.contains("fc") || what.contains("head")),
+                    "{error}"
+                );
+            }
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_named() {
+        let (set, spec) = brief();
+        for (bad, name) in [
+            (TrainSpec { epochs: 0, ..spec.clone() }, "epochs"),
+            (TrainSpec { batch_size: 0, ..spec.clone() }, "batch_size"),
+            (TrainSpec { learning_rate: f64::NAN, ..spec.clone() }, "learning_rate"),
+            (TrainSpec { start_epochs: 99, ..spec.clone() }, "start_epochs"),
+            (TrainSpec { linear_epochs: 99, ..spec.clone() }, "linear_epochs"),
+            (TrainSpec { latent_penalty: -1.0, ..spec.clone() }, "latent_penalty"),
+        ] {
+            let error = refused(&set, &bad).to_string();
+            assert!(error.contains(name), "{error}");
+        }
+    }
+
+    #[test]
+    fn unused_file_names_do_not_matter_to_a_path() {
+        assert!(matches!(Model::from_bytes(Path::new(""), b""), Err(ModelError::NotSafetensors { .. })));
+    }
+}
