@@ -1,12 +1,16 @@
-//! Time of a training step and of one classification: CPU milliseconds, beside a fixed calibration kernel.
+//! Time of a training step and of one classification at the paper's map size, beside a fixed calibration kernel.
+//!
+//! `RAYON_NUM_THREADS=1 cargo run --release -p radome-models --example step_time` (one thread: wall time is CPU time)
 #![allow(clippy::print_stdout)]
 
+use std::hint::black_box;
 use std::time::Instant;
 
 use candle_core::{Device, Tensor};
 use radome_models::layer::{KernelLevel, cross_entropy};
 use radome_models::network::Hqnn;
 
+/// Best of several runs, ms.
 fn best_of(times: usize, mut f: impl FnMut() -> candle_core::Result<()>) -> candle_core::Result<f64> {
     let mut best = f64::INFINITY;
     for _ in 0..times {
@@ -17,20 +21,33 @@ fn best_of(times: usize, mut f: impl FnMut() -> candle_core::Result<()>) -> cand
     Ok(best)
 }
 
+/// 64 million dependent multiply-adds of f64: a measure of the machine, not of this crate.
+fn calibration() -> candle_core::Result<f64> {
+    best_of(3, || {
+        let mut x = black_box(1.0f64);
+        for _ in 0..64_000_000 {
+            x = x * 0.999_999_9 + 1e-7;
+        }
+        black_box(x);
+        Ok(())
+    })
+}
+
 fn main() -> candle_core::Result<()> {
+    println!("calibration kernel: {:.1} ms", calibration()?);
     for level in [KernelLevel::Portable, KernelLevel::Avx2] {
         let network = Hqnn::initialise(1, 0, level)?;
         let input = Tensor::randn(0f32, 1.0, (32, 128, 128), &Device::Cpu)?;
         let labels: Vec<usize> = (0..32).map(|i| i % 3).collect();
-        let forward = best_of(7, || network.stages(&input).map(|_| ()))?;
-        let step = best_of(7, || {
+        let forward = best_of(9, || network.stages(&input).map(|_| ()))?;
+        let step = best_of(9, || {
             let loss = cross_entropy(&network.stages(&input)?.logits, &labels, &[1.0; 3])?;
             loss.backward().map(|_| ())
         })?;
         let one = input.narrow(0, 0, 1)?.contiguous()?;
         let single = best_of(30, || network.stages(&one).map(|_| ()))?;
         println!(
-            "{level:?}: batch 32 forward {forward:.1} ms, forward and backward {step:.1} ms; batch 1 {single:.2} ms"
+            "{level:?}: batch 32 forward {forward:.1} ms, with backward {step:.1} ms; batch 1 forward {single:.2} ms"
         );
     }
     Ok(())

@@ -250,6 +250,9 @@ fn backward_generic<const FUSED: bool>(
     input_gradient: &mut [f32],
 ) {
     let Block { rows, columns, inputs, outputs } = block;
+    if inputs == 1 && input_gradient.is_empty() {
+        return backward_of_data::<FUSED>(block, padded, winner, gradient, weight_gradient, bias_gradient);
+    }
     let line = (columns + 2) * inputs;
     let (taps, run) = (block.taps(), 3 * inputs);
     for y in 0..rows / 2 {
@@ -275,6 +278,56 @@ fn backward_generic<const FUSED: bool>(
                         add_scaled::<FUSED>(&mut input_gradient[from..from + run], g, kernel);
                     }
                 }
+            }
+        }
+    }
+}
+
+/// [`backward`] for a single input channel that is data. Runs of three taps are too short for vectors, so here the
+/// vectors run over outputs: the gradient is spread over the four cells of the window, zero but for the winner's.
+#[inline(always)]
+fn backward_of_data<const FUSED: bool>(
+    block: Block,
+    padded: &[f32],
+    winner: &[u8],
+    gradient: &[f32],
+    weight_gradient: &mut [f32],
+    bias_gradient: &mut [f32],
+) {
+    let Block { rows, columns, outputs, .. } = block;
+    let line = columns + 2;
+    for first in (0..outputs).step_by(LANES) {
+        let lanes = LANES.min(outputs - first);
+        let mut taps = [[0.0f32; LANES]; 9];
+        let mut biases = [0.0f32; LANES];
+        for y in 0..rows / 2 {
+            for x in 0..columns / 2 {
+                let at = (y * (columns / 2) + x) * outputs + first;
+                let (mut g, mut w) = ([0.0f32; LANES], [DEAD; LANES]);
+                g[..lanes].copy_from_slice(&gradient[at..at + lanes]);
+                w[..lanes].copy_from_slice(&winner[at..at + lanes]);
+                for candidate in 0..4u8 {
+                    let mut spread = [0.0f32; LANES];
+                    for lane in 0..LANES {
+                        spread[lane] = if w[lane] == candidate { g[lane] } else { 0.0 };
+                        biases[lane] += spread[lane];
+                    }
+                    let corner = (2 * y + candidate as usize / 2) * line + 2 * x + candidate as usize % 2;
+                    for (ky, taps) in taps.chunks_exact_mut(3).enumerate() {
+                        let cells = &padded[corner + ky * line..corner + ky * line + 3];
+                        for (tap, &cell) in taps.iter_mut().zip(cells) {
+                            for lane in 0..LANES {
+                                tap[lane] = multiply_add::<FUSED>(cell, spread[lane], tap[lane]);
+                            }
+                        }
+                    }
+                }
+            }
+        }
+        for lane in 0..lanes {
+            bias_gradient[first + lane] += biases[lane];
+            for (tap, sums) in taps.iter().enumerate() {
+                weight_gradient[(first + lane) * 9 + tap] += sums[lane];
             }
         }
     }

@@ -111,6 +111,28 @@ fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
     }
 }
 
+/// The first layer takes another way through the backward pass, since nobody needs the gradient of the data.
+#[test]
+fn gradients_do_not_depend_on_whether_the_input_needs_one() {
+    for (batch, rows, columns, inputs, outputs) in CASES {
+        for level in levels() {
+            let input = var(&random(batch * inputs * rows * columns, "x"), &[batch, rows, columns, inputs]);
+            let (weight, bias) = (
+                var(&random(outputs * inputs * 9, "w"), &[outputs, inputs, 3, 3]),
+                var(&random(outputs, "b"), &[outputs]),
+            );
+            let run = |input_gradient| {
+                let out = conv_relu_pool(&input, &weight, &bias, input_gradient, level).expect("forward");
+                let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
+                [&weight, &bias].map(|v| flat(grads.get(v).expect("gradient")))
+            };
+            let (with, without) = (run(InputGradient::Needed), run(InputGradient::Unused));
+            close("dw", &without[0], &to_f64(&with[0]), 1e-5);
+            close("db", &without[1], &to_f64(&with[1]), 1e-5);
+        }
+    }
+}
+
 /// candle's own max-pooling gives 0.25 here: its gradient is scaled by the share of maxima in the window.
 #[test]
 fn pooling_passes_the_whole_gradient_to_the_winner() {

@@ -18,6 +18,7 @@
 //!
 //! [`state_vector`] holds the slow obvious simulation and the parameter-shift gradients that this is tested against.
 
+pub mod shots;
 pub mod state_vector;
 #[cfg(test)]
 mod tests;
