@@ -13,6 +13,7 @@ mod slice;
 pub use packet::{DataError, MAX_PACKET_PAYLOAD, Packet, PacketFlags};
 pub use parser::{BoardEvent, BoardParser, HostEvent, HostParser};
 pub use request::{Command, DataFormat, DecodeError, REQUEST_HEADER_LENGTH, Request, RequestKind, SpiWord};
+pub(crate) use response::text;
 pub use response::{BoardInfo, FirmwareVersion, PayloadError, Response, Status};
 pub use slice::{SliceLayout, TIMESTAMP_LENGTH};
 

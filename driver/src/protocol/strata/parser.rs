@@ -99,6 +99,16 @@ impl BoardParser {
         }
     }
 
+    /// Whether the next event is an answer; `None` until more bytes come.
+    pub fn peek_is_response(&self) -> Option<bool> {
+        let rest = self.buffer.get(self.used..).unwrap_or(&[]);
+        match candidate(rest) {
+            Candidate::Incomplete => None,
+            Candidate::No => Some(false),
+            Candidate::Message(_) => Some(rest.first().is_some_and(|first| first & 0xF0 != 0xD0)),
+        }
+    }
+
     /// To be called when the line has been silent: a message that is still incomplete will not come any more, and its
     /// header may have been garbage that hides a real message. Gives up on one byte; ask [`Self::next_event`] again.
     pub fn on_silence(&mut self) {

@@ -1,0 +1,256 @@
+//! A Radar Baseboard MCU7 on its serial port.
+
+mod assembler;
+mod link;
+mod stream;
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use radome_dsp::Waveform;
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::chip::{ChipError, address};
+use crate::protocol::strata::{
+    BoardInfo, COMPONENT_AVIAN, Command, FirmwareVersion, PROTOCOL_VERSION, PayloadError, SpiWord, Status,
+};
+use link::Link;
+pub use stream::BoardStream;
+
+/// Digital and RF id of the BGT60TR13C.
+pub(crate) const CHIP_ID_BGT60TR13C: u32 = 0x0303;
+
+/// Who a board says it is. Written into recordings with these names.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct BoardIdentity {
+    /// Name of the board.
+    pub name: String,
+    /// USB vendor.
+    pub vendor_id: u16,
+    /// USB product.
+    pub product_id: u16,
+    /// Firmware: major, minor, patch.
+    pub firmware_version: String,
+    /// What the firmware says of itself beyond that.
+    pub extended_version: String,
+    /// Protocol: major, minor.
+    pub protocol_version: String,
+    /// Identity of this very board, 32 hexadecimal digits; all zero where it has none.
+    pub uuid: String,
+    /// Radar chip.
+    pub chip: String,
+    /// Content of the chip's CHIP_ID register.
+    pub chip_id: u32,
+}
+
+/// What can go wrong with a board.
+#[derive(Debug, Error)]
+pub enum BoardError {
+    /// The port cannot be opened.
+    #[error("{path}: cannot open the serial port", path = path.display())]
+    Open {
+        /// Port.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Another program has it.
+    #[error("{path}: another program has this port open; close it and try again", path = path.display())]
+    Busy {
+        /// Port.
+        path: PathBuf,
+    },
+    /// This user may not.
+    #[error(
+        "{path}: permission denied\n\nhint: install the udev rule {rule}",
+        path = path.display(),
+        rule = crate::discover::UDEV_RULE
+    )]
+    PermissionDenied {
+        /// Port.
+        path: PathBuf,
+    },
+    /// The port has gone.
+    #[error("{path}: the connection broke; was the board unplugged?", path = path.display())]
+    Disconnected {
+        /// Port.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// Nothing came back.
+    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata firmware?", path = path.display())]
+    NoAnswer {
+        /// Port.
+        path: PathBuf,
+        /// Request.
+        command: &'static str,
+    },
+    /// The board said no.
+    #[error("{path}: the board answered {status} to the request for {command}", path = path.display())]
+    Refused {
+        /// Port.
+        path: PathBuf,
+        /// Request.
+        command: &'static str,
+        /// Its answer.
+        status: Status,
+    },
+    /// The answer makes no sense.
+    #[error("{path}: the answer is malformed", path = path.display())]
+    Malformed {
+        /// Port.
+        path: PathBuf,
+        /// How.
+        source: PayloadError,
+    },
+    /// The firmware speaks another protocol.
+    #[error(
+        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks {PROTOCOL_VERSION}; update the board's firmware",
+        path = path.display()
+    )]
+    Protocol {
+        /// Port.
+        path: PathBuf,
+        /// Major version.
+        major: u16,
+        /// Minor version.
+        minor: u16,
+    },
+    /// The board has no radar chip that answers.
+    #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated", path = path.display())]
+    ChipSilent {
+        /// Port.
+        path: PathBuf,
+        /// What its register reads.
+        chip_id: u32,
+    },
+    /// The board has another radar chip.
+    #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C", path = path.display())]
+    OtherChip {
+        /// Port.
+        path: PathBuf,
+        /// Its name.
+        chip: &'static str,
+        /// What its register reads.
+        chip_id: u32,
+    },
+    /// The waveform does not fit the chip.
+    #[error(transparent)]
+    Chip(#[from] ChipError),
+    /// The board gave up measuring.
+    #[error("{path}: the board stopped measuring with error code {code}", path = path.display())]
+    Acquisition {
+        /// Port.
+        path: PathBuf,
+        /// Its code.
+        code: u32,
+    },
+    /// Frames ceased to come.
+    #[error("{path}: no frame for {waited:.1?}; the board has stalled", path = path.display())]
+    Stalled {
+        /// Port.
+        path: PathBuf,
+        /// How long was waited.
+        waited: Duration,
+    },
+    /// The acquisition has ended.
+    #[error("the acquisition has been stopped")]
+    Stopped,
+}
+
+/// Name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
+fn chip_name(chip_id: u32) -> &'static str {
+    match (chip_id >> 8, chip_id & 0xFF) {
+        (3, 3) => "BGT60TR13C",
+        (5, 4) => "BGT60ATR24C",
+        (6, 6 | 11) => "BGT60UTR13D",
+        (7, 7 | 9 | 12) | (8, 12) => "BGT60UTR11AIP",
+        _ => "unknown",
+    }
+}
+
+/// A board that has been identified and does not measure.
+pub struct Board {
+    link: Link,
+    identity: BoardIdentity,
+}
+
+impl Board {
+    /// Opens a port and asks what is there, as the vendor's client does.
+    pub fn open(path: &Path) -> Result<Board, BoardError> {
+        let mut link = Link::open(path)?;
+        let identity = identify(&mut link)?;
+        Ok(Board { link, identity })
+    }
+
+    /// Who the board says it is.
+    pub fn identity(&self) -> &BoardIdentity {
+        &self.identity
+    }
+
+    /// Port that it is on.
+    pub fn path(&self) -> &Path {
+        &self.link.path
+    }
+
+    /// Programs the chip and starts measuring. The stream's waveform has the chirp interval that the registers realise.
+    pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
+        BoardStream::start(self, waveform)
+    }
+
+    /// Contents of registers, read one by one.
+    pub fn read_registers(&mut self, addresses: &[u8]) -> Result<Vec<u32>, BoardError> {
+        let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
+        let answer = self.link.demand(&Command::Execute { words, answer: true })?;
+        Ok(answer.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w) & 0xFF_FFFF).collect())
+    }
+}
+
+fn identify(link: &mut Link) -> Result<BoardIdentity, BoardError> {
+    let path = link.path.clone();
+    let malformed = |source| BoardError::Malformed { path: path.clone(), source };
+    let info = BoardInfo::decode(&link.demand(&Command::BoardInfo)?).map_err(malformed)?;
+    let version = FirmwareVersion::decode(&link.demand(&Command::FirmwareVersion)?).map_err(malformed)?;
+    let [major, minor] = version.protocol;
+    if major != PROTOCOL_VERSION {
+        return Err(BoardError::Protocol { path, major, minor });
+    }
+    // Left over from a program that ended without stopping the board.
+    link.request(&Command::StopData)?;
+    let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
+    if count.first().is_none_or(|count| *count == 0) {
+        return Err(BoardError::ChipSilent { path, chip_id: 0 });
+    }
+    // A stale FIFO overflow makes the first access fail; the reset clears it.
+    link.request(&Command::WriteRegisters { address: address::SFCTL, values: vec![0x10_0000] })?;
+    let uuid = match link.request(&Command::Uuid)? {
+        (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
+        _ => "0".repeat(32),
+    };
+    let extended = link.request(&Command::ExtendedVersion)?.1;
+    link.demand(&Command::HardwareReset)?;
+    let words = vec![SpiWord::write(address::SFCTL, 0x10_0000)];
+    link.demand(&Command::Execute { words, answer: false })?;
+    let words = vec![SpiWord::read(address::CHIP_ID)];
+    let answer = link.demand(&Command::Execute { words, answer: true })?;
+    let chip_id = answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF);
+    match chip_id {
+        0 | 0xFF_FFFF => return Err(BoardError::ChipSilent { path, chip_id }),
+        CHIP_ID_BGT60TR13C => {}
+        _ => return Err(BoardError::OtherChip { path, chip: chip_name(chip_id), chip_id }),
+    }
+    let [a, b, c, _] = version.firmware;
+    Ok(BoardIdentity {
+        name: info.name,
+        vendor_id: info.vendor_id,
+        product_id: info.product_id,
+        firmware_version: format!("{a}.{b}.{c}"),
+        extended_version: crate::protocol::strata::text(&extended),
+        protocol_version: format!("{major}.{minor}"),
+        uuid,
+        chip: chip_name(chip_id).to_owned(),
+        chip_id,
+    })
+}

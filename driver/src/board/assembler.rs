@@ -1,0 +1,251 @@
+//! Frames out of data packets. Pure: packets in, frames and gaps out.
+//!
+//! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. Since the slice
+//! and so the size of every packet is fixed, a packet's counter says exactly which bytes of the stream it carries. Lost
+//! packets therefore cost the frames that they belong to and no others: the next whole frame is known.
+
+use std::collections::VecDeque;
+
+use radome_dsp::{Frame, FrameShape, Gap, GapReason, SourceEvent, Waveform};
+
+use crate::protocol::strata::{DataError, MAX_PACKET_PAYLOAD, Packet, SliceLayout};
+use crate::protocol::{fifo, packed12};
+use crate::timing::SampleTiming;
+
+/// What a packet meant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Outcome {
+    /// Taken, or ignored as a duplicate.
+    Taken,
+    /// The board has stopped by itself.
+    Stopped(DataError),
+    /// The packet cannot be the one that its counter says it is: alignment is lost.
+    Misaligned,
+}
+
+enum Ready {
+    Frame { sequence: u64, time_ns: u64, codes: Vec<u16> },
+    Gap(Gap),
+}
+
+pub(super) struct Assembler {
+    slice: SliceLayout,
+    shape: FrameShape,
+    timing: SampleTiming,
+    frame_interval_us: f64,
+    /// Packets since the start, the counter unwrapped: the next one expected.
+    next_packet: u64,
+    /// Bytes of the stream up to here have been received or given up.
+    received: u64,
+    /// Bytes of the stream from `buffer_start` on, without hole.
+    buffer: Vec<u8>,
+    buffer_start: u64,
+    /// Next frame of this stream to complete.
+    next_frame: u64,
+    /// Sequence number of this stream's frame 0; unknown after a restart until the board's clock tells.
+    base: Option<u64>,
+    next_sequence: u64,
+    /// Board time of sequence number 0, microseconds.
+    origin_us: Option<f64>,
+    last_time_us: f64,
+    /// Slices and the board's clock when they were complete, oldest first.
+    stamps: VecDeque<(u64, u64)>,
+    damaged: bool,
+    restart_reason: GapReason,
+    ready: VecDeque<Ready>,
+    spare: Vec<Vec<u16>>,
+    scratch: Vec<u16>,
+}
+
+impl Assembler {
+    pub fn new(waveform: &Waveform, slice: SliceLayout) -> Self {
+        let shape = waveform.shape();
+        Assembler {
+            slice,
+            shape,
+            timing: SampleTiming::new(waveform),
+            frame_interval_us: waveform.frame_interval_s() * 1e6,
+            next_packet: 0,
+            received: 0,
+            buffer: Vec::new(),
+            buffer_start: 0,
+            next_frame: 0,
+            base: Some(0),
+            next_sequence: 0,
+            origin_us: None,
+            last_time_us: 0.0,
+            stamps: VecDeque::new(),
+            damaged: false,
+            restart_reason: GapReason::Disconnected,
+            ready: VecDeque::new(),
+            spare: Vec::new(),
+            scratch: vec![0; shape.codes() + 2],
+        }
+    }
+
+    /// Bytes were damaged on the way: packets missing now are missing for that reason.
+    pub fn damaged(&mut self) {
+        self.damaged = true;
+    }
+
+    /// The board starts again from packet 0; how many frames were lost its clock will tell.
+    pub fn restart(&mut self, reason: GapReason) {
+        (self.next_packet, self.received, self.buffer_start, self.next_frame) = (0, 0, 0, 0);
+        self.buffer.clear();
+        self.stamps.clear();
+        self.damaged = false;
+        self.base = None;
+        self.restart_reason = reason;
+    }
+
+    /// First byte of the stream that holds codes of this frame. With an odd number of codes it holds its neighbour's too.
+    fn start_byte(&self, frame: u64) -> u64 {
+        frame * self.shape.codes() as u64 / 2 * 3
+    }
+
+    fn end_byte(&self, frame: u64) -> u64 {
+        ((frame + 1) * self.shape.codes() as u64).div_ceil(2) * 3
+    }
+
+    pub fn packet(&mut self, packet: &Packet<'_>) -> Outcome {
+        if let Some(error) = packet.error() {
+            return Outcome::Stopped(error);
+        }
+        let ahead = packet.counter.wrapping_sub(self.next_packet as u16);
+        if ahead >= 0x8000 {
+            tracing::debug!(counter = packet.counter, "a packet came twice");
+            return Outcome::Taken;
+        }
+        let number = self.next_packet + u64::from(ahead);
+        let packets = self.slice.packets() as u64;
+        let (slice, index) = (number / packets, (number % packets) as usize);
+        let last = index + 1 == self.slice.packets();
+        let flags = packet.flags;
+        if (flags.first, flags.last, flags.timestamp) != (index == 0, last, last)
+            || packet.payload.len() != self.slice.payload_length(index)
+        {
+            return Outcome::Misaligned;
+        }
+        self.next_packet = number + 1;
+
+        let bytes = self.slice.data_bytes();
+        let offset = (index * MAX_PACKET_PAYLOAD).min(bytes);
+        let position = slice * bytes as u64 + offset as u64;
+        if position != self.received {
+            self.lose_until(position);
+        }
+        self.damaged = false;
+        let data = packet.payload.get(..bytes - offset).unwrap_or(packet.payload);
+        // After a loss everything up to the next whole frame is passed over.
+        let skip = self.buffer_start.saturating_sub(position).min(data.len() as u64) as usize;
+        self.buffer.extend_from_slice(data.get(skip..).unwrap_or(&[]));
+        self.received = position + data.len() as u64;
+        if last {
+            if let (_, Some(time_us)) = packet.split_timestamp() {
+                self.stamps.push_back((slice, time_us));
+            }
+            self.complete();
+        }
+        Outcome::Taken
+    }
+
+    /// The stream goes on at this byte; what lies between is lost, and with it the frames that reach into it.
+    fn lose_until(&mut self, position: u64) {
+        self.complete();
+        let codes = self.shape.codes() as u64;
+        let mut next = position / 3 * 2 / codes;
+        while self.start_byte(next) < position {
+            next += 1;
+        }
+        if let Some(base) = self.base
+            && next > self.next_frame
+        {
+            let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
+            let first_sequence = base + self.next_frame;
+            self.ready.push_back(Ready::Gap(Gap { first_sequence, frames: next - self.next_frame, reason }));
+            self.next_sequence = base + next;
+        }
+        self.next_frame = next.max(self.next_frame);
+        self.buffer.clear();
+        self.buffer_start = self.start_byte(self.next_frame);
+    }
+
+    /// Unpacks the frames that are there as a whole.
+    fn complete(&mut self) {
+        let mut used = 0;
+        while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {
+            let frame = self.next_frame;
+            let start = (self.start_byte(frame) - self.buffer_start) as usize;
+            let end = (self.end_byte(frame) - self.buffer_start) as usize;
+            packed12::unpack(self.buffer.get(start..end).unwrap_or(&[]), &mut self.scratch);
+            let half = (frame * self.shape.codes() as u64 % 2) as usize;
+            let mut codes = self.spare.pop().unwrap_or_default();
+            codes.resize(self.shape.codes(), 0);
+            fifo::deinterleave(self.scratch.get(half..).unwrap_or(&[]), self.shape, &mut codes);
+
+            let start_us = self.start_us(frame);
+            let sequence = self.sequence(frame, start_us);
+            let origin_us = *self.origin_us.get_or_insert(start_us - sequence as f64 * self.frame_interval_us);
+            let time_ns = ((start_us - origin_us).max(0.0) * 1e3).round() as u64;
+            self.ready.push_back(Ready::Frame { sequence, time_ns, codes });
+            self.last_time_us = start_us;
+            self.next_sequence = sequence + 1;
+            self.next_frame += 1;
+            used = (self.start_byte(self.next_frame) - self.buffer_start) as usize;
+        }
+        let used = used.min(self.buffer.len());
+        self.buffer.drain(..used);
+        self.buffer_start += used as u64;
+        let current = self.next_frame * self.shape.codes() as u64 / self.slice.samples as u64;
+        while self.stamps.front().is_some_and(|(slice, _)| *slice < current) {
+            self.stamps.pop_front();
+        }
+    }
+
+    /// Board time of a frame's start, from the stamp of the slice that it begins in; that stamp was taken when the
+    /// slice's last code had been sampled.
+    fn start_us(&self, frame: u64) -> f64 {
+        let slice = frame * self.shape.codes() as u64 / self.slice.samples as u64;
+        let last_code = (slice + 1) * self.slice.samples as u64 - 1;
+        match self.stamps.iter().find(|(s, _)| *s == slice) {
+            Some((_, stamp_us)) => {
+                let since_start_s = self.timing.in_stream_s(last_code) - frame as f64 * self.frame_interval_us * 1e-6;
+                *stamp_us as f64 - since_start_s * 1e6
+            }
+            None => self.last_time_us + self.frame_interval_us,
+        }
+    }
+
+    /// Sequence number of a frame of this stream; after a restart by the board's clock, and the gap is noted.
+    fn sequence(&mut self, frame: u64, start_us: f64) -> u64 {
+        if let Some(base) = self.base {
+            return base + frame;
+        }
+        let by_clock =
+            self.origin_us.map(|origin| ((start_us - origin) / self.frame_interval_us).round().max(0.0) as u64);
+        // The frame that was cut short is lost at least.
+        let sequence = by_clock.map_or(self.next_sequence, |s| s.max(self.next_sequence + 1));
+        let gap = Gap {
+            first_sequence: self.next_sequence,
+            frames: sequence - self.next_sequence,
+            reason: self.restart_reason,
+        };
+        self.ready.push_back(Ready::Gap(gap));
+        self.base = Some(sequence.saturating_sub(frame));
+        sequence
+    }
+
+    /// The next frame or gap. The frame's former memory is used again.
+    pub fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
+        match self.ready.pop_front()? {
+            Ready::Gap(gap) => Some(SourceEvent::Gap(gap)),
+            Ready::Frame { sequence, time_ns, mut codes } => {
+                std::mem::swap(&mut frame.codes, &mut codes);
+                self.spare.push(codes);
+                (frame.sequence, frame.time_ns, frame.shape) = (sequence, time_ns, self.shape);
+                (frame.truth, frame.temperature_millicelsius) = (None, None);
+                Some(SourceEvent::Frame)
+            }
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Requests and packets over a serial port.
+
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort, TTYPort};
+
+use super::BoardError;
+use crate::protocol::strata::{BoardEvent, BoardParser, Command, Packet, Status};
+
+const BAUD_RATE: u32 = 921_600;
+/// Longest that a board takes to answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+/// After so long without a byte the rest of a message will not come.
+const SILENCE: Duration = Duration::from_millis(200);
+
+/// What came over the line.
+pub(super) enum Incoming<'a> {
+    Packet(Packet<'a>),
+    Damaged,
+}
+
+pub(super) struct Link {
+    pub path: PathBuf,
+    port: TTYPort,
+    parser: BoardParser,
+    buffer: Vec<u8>,
+    last_byte: Instant,
+}
+
+impl Link {
+    pub fn open(path: &Path) -> Result<Self, BoardError> {
+        let name = path.to_string_lossy();
+        let port = serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
+            let source = std::io::Error::from(e);
+            // Another program holds the port's lock.
+            let busy = matches!(source.kind(), ErrorKind::WouldBlock | ErrorKind::ResourceBusy);
+            match (busy, source.kind()) {
+                (true, _) => BoardError::Busy { path: path.into() },
+                (_, ErrorKind::PermissionDenied) => BoardError::PermissionDenied { path: path.into() },
+                _ => BoardError::Open { path: path.into(), source },
+            }
+        })?;
+        Ok(Link {
+            path: path.into(),
+            port,
+            parser: BoardParser::new(),
+            buffer: vec![0; 65_536],
+            last_byte: Instant::now(),
+        })
+    }
+
+    fn lost(&self, source: std::io::Error) -> BoardError {
+        BoardError::Disconnected { path: self.path.clone(), source }
+    }
+
+    /// Waits for bytes, at most so long; whether any came.
+    pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
+        self.port.set_timeout(timeout.max(Duration::from_millis(1))).map_err(|e| self.lost(e.into()))?;
+        match self.port.read(&mut self.buffer) {
+            Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
+            Ok(count) => {
+                self.last_byte = Instant::now();
+                self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
+                Ok(true)
+            }
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
+                if self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE {
+                    self.parser.on_silence();
+                    return Ok(true);
+                }
+                Ok(false)
+            }
+            Err(e) => Err(self.lost(e)),
+        }
+    }
+
+    /// The next packet among the bytes received; answers that nobody waits for are passed over.
+    pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
+        loop {
+            // Looking at a message and keeping it are two steps for the borrow checker's sake.
+            match self.parser.peek_is_response()? {
+                true => {
+                    self.parser.next_event();
+                }
+                false => {
+                    return match self.parser.next_event()? {
+                        BoardEvent::Packet(packet) => Some(Incoming::Packet(packet)),
+                        _ => Some(Incoming::Damaged),
+                    };
+                }
+            }
+        }
+    }
+
+    /// Sends a request and waits for its answer; data packets that come before it are dropped.
+    pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
+        let request = command.to_request();
+        let bytes = request.encode();
+        self.port.set_timeout(ANSWER_TIMEOUT).map_err(|e| self.lost(e.into()))?;
+        self.port.write_all(&bytes).map_err(|e| match e.kind() {
+            ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command: name(command) },
+            _ => self.lost(e),
+        })?;
+        let deadline = Instant::now() + ANSWER_TIMEOUT;
+        loop {
+            while let Some(event) = self.parser.next_event() {
+                if let BoardEvent::Response(response) = event
+                    && response.kind_code == request.kind.code()
+                {
+                    return Ok((response.status, response.payload.to_vec()));
+                }
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Err(BoardError::NoAnswer { path: self.path.clone(), command: name(command) });
+            }
+            self.receive(left.min(Duration::from_millis(50)))?;
+        }
+    }
+
+    /// Sends a request that must succeed and gives the answer's payload.
+    pub fn demand(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
+        match self.request(command)? {
+            (Status::Ok, payload) => Ok(payload),
+            (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: name(command), status }),
+        }
+    }
+}
+
+/// What a command is for, in words.
+fn name(command: &Command) -> &'static str {
+    match command {
+        Command::BoardInfo => "board info",
+        Command::FirmwareVersion => "firmware version",
+        Command::Uuid => "UUID",
+        Command::ExtendedVersion => "extended version",
+        Command::ComponentCount { .. } => "count of radar chips",
+        Command::DataIndex => "data index",
+        Command::WriteRegisters { .. } => "register write",
+        Command::ReadRegisters { .. } => "register read",
+        Command::HardwareReset => "hardware reset",
+        Command::Execute { .. } => "SPI transfer",
+        Command::ConfigureData { .. } => "data configuration",
+        Command::DataStatus => "data status",
+        Command::StartData => "data start",
+        Command::StopData => "data stop",
+    }
+}

@@ -1,0 +1,154 @@
+//! Frames as a board sends them.
+
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+
+use super::assembler::{Assembler, Outcome};
+use super::link::Incoming;
+use super::{Board, BoardError};
+use crate::chip::{ChipConfiguration, RegisterFile, RegisterList};
+use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
+
+/// MAIN with FIFO and state machine reset, as the vendor's client stops.
+const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
+
+/// A running acquisition. It ends with [`BoardStream::stop`] or when dropped.
+pub struct BoardStream {
+    board: Option<Board>,
+    waveform: Waveform,
+    registers: RegisterList,
+    slice: SliceLayout,
+    assembler: Assembler,
+    /// Longest silence between two packets, by the frame interval.
+    deadline: Duration,
+    restart: Option<GapReason>,
+}
+
+impl BoardStream {
+    pub(super) fn start(board: Board, waveform: &Waveform) -> Result<Self, BoardError> {
+        let slice = SliceLayout::for_frame(waveform.shape().codes());
+        let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
+        let registers = configuration.compile()?;
+        // The registers hold the chirp interval only roughly: what they make of it is the truth.
+        let mut file = RegisterFile::default();
+        registers.iter().for_each(|r| file.set(r.address, r.value));
+        let mut realised = waveform.clone();
+        realised.chirp_interval_s = ChipConfiguration::decode(&file)?.waveform.chirp_interval_s;
+        let assembler = Assembler::new(&realised, slice);
+        let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
+        let mut stream = BoardStream {
+            board: Some(board),
+            waveform: realised,
+            registers,
+            slice,
+            assembler,
+            deadline,
+            restart: None,
+        };
+        stream.program()?;
+        Ok(stream)
+    }
+
+    fn board(&mut self) -> Result<&mut Board, BoardError> {
+        self.board.as_mut().ok_or(BoardError::Stopped)
+    }
+
+    fn program(&mut self) -> Result<(), BoardError> {
+        let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
+        let slice_samples = self.slice.samples as u16;
+        let link = &mut self.board()?.link;
+        link.demand(&Command::StopData)?;
+        link.demand(&Command::HardwareReset)?;
+        link.demand(&Command::ConfigureData { format: DataFormat::Packed12, slice_samples })?;
+        link.demand(&Command::StartData)?;
+        link.demand(&Command::Execute { words, answer: false })?;
+        Ok(())
+    }
+
+    /// Register list that the board was given.
+    pub fn registers(&self) -> &RegisterList {
+        &self.registers
+    }
+
+    /// The next frame or gap, or `None` if it is not there within `timeout`.
+    pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
+        let end = Instant::now() + timeout;
+        loop {
+            if let Some(event) = self.assembler.pop(frame) {
+                if event == SourceEvent::Frame {
+                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                    frame.host_time_ns = now.as_nanos() as u64;
+                }
+                return Ok(Some(event));
+            }
+            if let Some(reason) = self.restart.take() {
+                tracing::warn!(reason = reason.name(), "the board is started anew");
+                self.assembler.restart(reason);
+                self.program()?;
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
+            if !link.receive(left.min(Duration::from_millis(50)))? && left.is_zero() {
+                return Ok(None);
+            }
+            while let Some(incoming) = link.next_incoming() {
+                let outcome = match incoming {
+                    Incoming::Damaged => {
+                        self.assembler.damaged();
+                        continue;
+                    }
+                    Incoming::Packet(packet) => self.assembler.packet(&packet),
+                };
+                match outcome {
+                    Outcome::Taken => {}
+                    Outcome::Stopped(DataError::FifoOverflow) => self.restart = Some(GapReason::FifoOverflow),
+                    Outcome::Stopped(DataError::Other(code)) => {
+                        return Err(BoardError::Acquisition { path: link.path.clone(), code });
+                    }
+                    Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
+                }
+                if self.restart.is_some() {
+                    break;
+                }
+            }
+        }
+    }
+
+    /// Stops the acquisition and gives the board back.
+    pub fn stop(mut self) -> Result<Board, BoardError> {
+        let mut board = self.board.take().ok_or(BoardError::Stopped)?;
+        halt(&mut board)?;
+        Ok(board)
+    }
+}
+
+fn halt(board: &mut Board) -> Result<(), BoardError> {
+    board.link.demand(&Command::StopData)?;
+    board.link.demand(&Command::Execute { words: vec![STOP], answer: false })?;
+    Ok(())
+}
+
+impl Drop for BoardStream {
+    fn drop(&mut self) {
+        if let Some(mut board) = self.board.take()
+            && let Err(error) = halt(&mut board)
+        {
+            tracing::debug!(%error, "the board could not be stopped");
+        }
+    }
+}
+
+impl FrameSource for BoardStream {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        let waited = self.deadline;
+        match self.poll(frame, waited)? {
+            Some(event) => Ok(event),
+            None => Err(BoardError::Stalled { path: self.board()?.link.path.clone(), waited }.into()),
+        }
+    }
+}

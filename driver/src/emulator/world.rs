@@ -1,0 +1,250 @@
+//! What the emulated chip samples: codes of a frame source in FIFO order, and when.
+
+use std::collections::VecDeque;
+use std::thread;
+use std::time::Instant;
+
+use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
+use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Waveform};
+
+use super::Pace;
+use crate::protocol::fifo;
+use crate::timing::SampleTiming;
+
+/// Codes that the board's memory holds beside the chip's FIFO: 192 KiB of packed samples.
+const BOARD_BUFFER_CODES: u64 = 192 * 1024 / 3 * 2;
+/// Frames that the source may be ahead.
+const FRAMES_AHEAD: usize = 2;
+
+enum Message {
+    Frame(Frame),
+    Gap { frames: u64 },
+    End,
+}
+
+/// What there is to send.
+pub(super) enum Slice {
+    /// So many codes, complete at this board time.
+    Ready { time_us: u64 },
+    /// Frames are missing in the source.
+    Missing { frames: u64 },
+    /// Not yet.
+    Wait,
+    /// The host was too slow.
+    Overflow,
+    /// Nothing will come any more.
+    End,
+}
+
+pub(super) struct World {
+    incoming: Receiver<Message>,
+    spare: Sender<Frame>,
+    shape: FrameShape,
+    timing: SampleTiming,
+    /// Indices of the source's receivers that the chip has switched on.
+    channels: Vec<usize>,
+    codes_per_frame: u64,
+    pace: Pace,
+    /// Codes of frames not yet sent, FIFO order, from `taken` on.
+    codes: Vec<u16>,
+    /// Codes taken out, and codes put in, since the frames started.
+    taken: u64,
+    put: u64,
+    /// First code and time of the frames that `codes` holds.
+    frames: VecDeque<(u64, u64)>,
+    /// A gap that comes after the codes.
+    missing: u64,
+    ended: bool,
+    /// Wall-clock time at which the source's time was this many nanoseconds.
+    clock: Option<(Instant, u64)>,
+    /// Frames that belong to the past when the chip starts again are passed over.
+    skip_past: bool,
+}
+
+impl World {
+    /// Takes frames from the source in a thread of their own: a slow source must not keep the firmware from answering.
+    pub fn new(source: Box<dyn FrameSource>, pace: Pace) -> std::io::Result<Self> {
+        let waveform = source.waveform().clone();
+        let (to_world, incoming) = bounded(FRAMES_AHEAD);
+        let (spare, from_world) = bounded(FRAMES_AHEAD + 2);
+        // The thread ends with the source or with the world's end of the channel.
+        thread::Builder::new().name("emulator source".into()).spawn(move || produce(source, &to_world, &from_world))?;
+        let mut world = World {
+            incoming,
+            spare,
+            shape: waveform.shape(),
+            timing: SampleTiming::new(&waveform),
+            channels: (0..waveform.shape().rx).collect(),
+            codes_per_frame: waveform.shape().codes() as u64,
+            pace,
+            codes: Vec::new(),
+            taken: 0,
+            put: 0,
+            frames: VecDeque::new(),
+            missing: 0,
+            ended: false,
+            clock: None,
+            skip_past: false,
+        };
+        world.restart(&waveform, world.channels.clone());
+        world.clock = None;
+        world.skip_past = false;
+        Ok(world)
+    }
+
+    /// The chip starts frames with this waveform and these receivers of the source.
+    pub fn restart(&mut self, waveform: &Waveform, channels: Vec<usize>) {
+        self.timing = SampleTiming::new(waveform);
+        self.codes_per_frame = (channels.len() * self.shape.chirps * self.shape.samples) as u64;
+        self.channels = channels;
+        self.codes.clear();
+        self.frames.clear();
+        (self.taken, self.put, self.missing) = (0, 0, 0);
+        self.skip_past = self.clock.is_some();
+    }
+
+    /// Source time by the wall clock, ns.
+    fn now_ns(&self) -> Option<u64> {
+        let Pace::RealTime(speed) = self.pace else { return None };
+        let (instant, time_ns) = self.clock?;
+        Some(time_ns + (instant.elapsed().as_nanos() as f64 * speed) as u64)
+    }
+
+    /// Lets the world go on while the host reads nothing: frames are sampled when their time has come.
+    pub fn advance(&mut self) {
+        let Some(now) = self.now_ns() else { return };
+        while self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now) && self.put < self.taken + 3 * self.limit()
+        {
+            let put = self.put;
+            self.pull();
+            if self.put == put {
+                return;
+            }
+        }
+    }
+
+    /// Codes that chip and board hold before they overflow.
+    fn limit(&self) -> u64 {
+        FIFO_SAMPLES as u64 + BOARD_BUFFER_CODES
+    }
+
+    fn pull(&mut self) {
+        if self.ended || self.missing > 0 {
+            return;
+        }
+        let frame = match self.incoming.try_recv() {
+            Ok(Message::Frame(frame)) => frame,
+            Ok(Message::Gap { frames }) => {
+                self.missing = frames;
+                return;
+            }
+            Ok(Message::End) | Err(TryRecvError::Disconnected) => {
+                self.ended = true;
+                return;
+            }
+            Err(TryRecvError::Empty) => return,
+        };
+        let now = self.now_ns();
+        if let (true, Some(now)) = (self.skip_past, now)
+            && frame.time_ns < now
+        {
+            let _ = self.spare.try_send(frame);
+            return;
+        }
+        self.skip_past = false;
+        // A source that is late makes the world late; it does not make the host slow.
+        if now.is_none_or(|now| now > frame.time_ns) && matches!(self.pace, Pace::RealTime(_)) {
+            self.clock = Some((Instant::now(), frame.time_ns));
+        }
+        self.frames.push_back((self.put, frame.time_ns));
+        fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
+        self.put += self.codes_per_frame;
+        let _ = self.spare.try_send(frame);
+    }
+
+    /// Board time at which this code has been sampled, ns.
+    fn time_ns(&self, code: u64) -> u64 {
+        let frame = self.frames.iter().rev().find(|(first, _)| *first <= code);
+        let (first, time_ns) = frame.copied().unwrap_or((self.taken, 0));
+        time_ns + (self.timing.in_frame_s(code - first) * 1e9) as u64
+    }
+
+    /// Whether a slice of this many codes is there.
+    pub fn slice(&mut self, samples: u64) -> Slice {
+        self.advance();
+        if self.put < self.taken + samples {
+            self.pull();
+        }
+        if self.put < self.taken + samples {
+            return match (self.missing, self.ended) {
+                (0, true) => Slice::End,
+                (0, false) => Slice::Wait,
+                (frames, _) => {
+                    self.missing = 0;
+                    Slice::Missing { frames }
+                }
+            };
+        }
+        let ready_ns = self.time_ns(self.taken + samples - 1);
+        if let Some(now) = self.now_ns() {
+            if ready_ns > now {
+                return Slice::Wait;
+            }
+            let sampled: u64 = self
+                .frames
+                .iter()
+                .map(|(first, time_ns)| first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9))
+                .max()
+                .unwrap_or(0);
+            if sampled.saturating_sub(self.taken) > self.limit() {
+                return Slice::Overflow;
+            }
+        }
+        Slice::Ready { time_us: ready_ns / 1000 }
+    }
+
+    /// Codes of the slice that is ready.
+    pub fn codes(&self, samples: usize) -> &[u16] {
+        self.codes.get(..samples).unwrap_or(&self.codes)
+    }
+
+    /// Removes codes, and the frames that were sent with them.
+    pub fn take(&mut self, samples: usize) {
+        self.codes.drain(..samples.min(self.codes.len()));
+        self.taken += samples as u64;
+        while self.frames.get(1).is_some_and(|(first, _)| *first <= self.taken) {
+            self.frames.pop_front();
+        }
+    }
+
+    /// Whether slices end where frames do: the codes taken so far are whole frames.
+    pub fn at_frame_boundary(&self) -> bool {
+        self.taken.is_multiple_of(self.codes_per_frame.max(1))
+    }
+}
+
+fn produce(mut source: Box<dyn FrameSource>, to_world: &Sender<Message>, spare: &Receiver<Frame>) {
+    let shape = source.waveform().shape();
+    loop {
+        let mut frame = spare.try_recv().unwrap_or_else(|_| Frame::zeroed(shape));
+        let message = match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) if frame.shape == shape && frame.codes.len() == shape.codes() => {
+                Message::Frame(frame)
+            }
+            Ok(SourceEvent::Frame) => {
+                tracing::error!(got = %frame.shape, expected = %shape, "the source changed the shape of its frames");
+                Message::End
+            }
+            Ok(SourceEvent::Gap(gap)) => Message::Gap { frames: gap.frames },
+            Ok(SourceEvent::End) => Message::End,
+            Err(error) => {
+                tracing::error!(error, "the source failed");
+                Message::End
+            }
+        };
+        let last = matches!(message, Message::End);
+        if to_world.send(message).is_err() || last {
+            return;
+        }
+    }
+}

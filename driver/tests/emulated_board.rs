@@ -1,0 +1,277 @@
+//! Frames through the whole driver: source, emulated board, pseudo-terminal, client.
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Pattern, waveform};
+use radome_driver::emulator::EmulatorCounts;
+use radome_driver::{Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Pace};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+
+fn options(faults: &[Fault]) -> EmulatorOptions {
+    EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
+}
+
+/// Reads to the end; every frame must be the one that its sequence number says. Gives the sequence numbers and gaps.
+fn read_all(source: &mut EmulatedSource, pattern: &Pattern) -> (Vec<u64>, Vec<Gap>) {
+    let mut frame = Frame::zeroed(pattern.waveform.shape());
+    let mut expected = frame.clone();
+    let (mut sequences, mut gaps) = (Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame).expect("stream") {
+            SourceEvent::Frame => {
+                pattern.fill(frame.sequence, &mut expected);
+                assert!(frame.codes == expected.codes, "codes of frame {} differ", frame.sequence);
+                let difference = frame.time_ns.abs_diff(expected.time_ns);
+                assert!(difference < 3_000, "time of frame {} is off by {difference} ns", frame.sequence);
+                sequences.push(frame.sequence);
+            }
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (sequences, gaps),
+        }
+    }
+}
+
+fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<Gap>, EmulatorCounts) {
+    let pattern = || Pattern::new(waveform.clone(), frames);
+    let mut source = EmulatedSource::start(Box::new(pattern()), options(faults)).expect("starts");
+    let (sequences, gaps) = read_all(&mut source, &pattern());
+    (sequences, gaps, source.board().counts())
+}
+
+#[test]
+fn frames_of_any_shape_arrive_bit_exact() {
+    // The last one has an odd number of codes: slices and frames share bytes.
+    for (antennas, chirps, samples, frames) in [
+        (&[1u8, 2, 3][..], 8, 64, 40),
+        (&[1, 2, 3], 128, 256, 12),
+        (&[1, 3], 16, 128, 20),
+        (&[2], 32, 64, 20),
+        (&[1, 2, 3], 1, 8, 50),
+        (&[3], 3, 33, 60),
+    ] {
+        let waveform = waveform(antennas, chirps, samples, 0.1);
+        let (sequences, gaps, counts) = stream(&waveform, frames, &[]);
+        assert_eq!((sequences, gaps), ((0..frames).collect(), vec![]), "{}", waveform.shape());
+        assert!(counts.slices > 0 && counts.overflows == 0);
+    }
+}
+
+#[test]
+fn identity_and_registers_are_read_as_from_the_real_board() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
+    let mut client = Board::open(board.path()).expect("opens");
+    let identity = client.identity().clone();
+    assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0251));
+    assert_eq!((identity.chip.as_str(), identity.firmware_version.as_str()), ("BGT60TR13C", "2.9.0"));
+    assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
+}
+
+#[test]
+fn stream_can_be_stopped_and_started_again() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
+    let mut client = Board::open(board.path()).expect("opens");
+    let mut frame = Frame::zeroed(waveform.shape());
+    for _ in 0..3 {
+        let mut stream = client.start(&waveform).expect("starts");
+        for sequence in 0..5 {
+            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+            assert_eq!(frame.sequence, sequence);
+        }
+        client = stream.stop().expect("stops");
+    }
+    // Dropping a running stream leaves a board that can be opened again.
+    drop(client.start(&waveform).expect("starts"));
+    Board::open(board.path()).expect("opens again");
+}
+
+#[test]
+fn real_time_follows_the_time_stamps() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.01);
+    let pattern = || Pattern::new(waveform.clone(), 30);
+    let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..EmulatorOptions::default() };
+    let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
+    let start = std::time::Instant::now();
+    let (sequences, gaps) = read_all(&mut source, &pattern());
+    // At least: a busy machine may take longer, never less.
+    assert!(start.elapsed() > Duration::from_millis(280), "{:?}", start.elapsed());
+    assert_eq!((sequences.len(), gaps.len()), (30, 0));
+}
+
+#[test]
+fn gaps_of_the_source_reach_the_client() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let gap = Gap { first_sequence: 4, frames: 3, reason: GapReason::Recorded };
+    let pattern = Pattern { gap: Some(gap), ..Pattern::new(waveform.clone(), 10) };
+    let mut source = EmulatedSource::start(Box::new(pattern), options(&[])).expect("starts");
+    let (sequences, gaps) = read_all(&mut source, &Pattern::new(waveform, 10));
+    assert_eq!(sequences, [0, 1, 2, 3, 7, 8, 9]);
+    assert_eq!(gaps, [Gap { reason: GapReason::PacketLost, ..gap }]);
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn lost(first_sequence: u64, frames: u64, reason: GapReason) -> Vec<Gap> {
+        vec![Gap { first_sequence, frames, reason }]
+    }
+
+    fn without(frames: u64, lost: std::ops::Range<u64>) -> Vec<u64> {
+        (0..frames).filter(|f| !lost.contains(f)).collect()
+    }
+
+    /// 3 x 8 x 64 codes are one packet a frame; 3 x 128 x 256 are 12 slices of 4 packets.
+    #[test]
+    fn a_lost_packet_costs_its_frame_only() {
+        let small = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let (sequences, gaps, _) = stream(&small, 10, &[Fault::DropPacket(3)]);
+        assert_eq!((sequences, gaps), (without(10, 3..4), lost(3, 1, GapReason::PacketLost)));
+        let (sequences, gaps, _) = stream(&small, 10, &[Fault::DropPacket(0)]);
+        assert_eq!((sequences, gaps), (without(10, 0..1), lost(0, 1, GapReason::PacketLost)));
+        let faults: Vec<_> = (3..6).map(Fault::DropPacket).collect();
+        let (sequences, gaps, _) = stream(&small, 10, &faults);
+        assert_eq!((sequences, gaps), (without(10, 3..6), lost(3, 3, GapReason::PacketLost)));
+
+        let large = waveform(&[1, 2, 3], 128, 256, 0.1);
+        for packet in [0, 1, 47] {
+            let (sequences, gaps, _) = stream(&large, 5, &[Fault::DropPacket(48 + packet)]);
+            assert_eq!((sequences, gaps), (without(5, 1..2), lost(1, 1, GapReason::PacketLost)), "packet {packet}");
+        }
+        let (sequences, gaps, _) = stream(&large, 5, &[Fault::DropPacket(95), Fault::DropPacket(96)]);
+        assert_eq!((sequences, gaps), (without(5, 1..3), lost(1, 2, GapReason::PacketLost)));
+    }
+
+    #[test]
+    fn a_packet_lost_between_frames_that_share_slices_costs_both_neighbours() {
+        let odd = waveform(&[3], 3, 33, 0.1);
+        let (sequences, gaps, counts) = stream(&odd, 400, &[Fault::DropPacket(1)]);
+        let missing: u64 = gaps.iter().map(|g| g.frames).sum();
+        assert_eq!((gaps.len(), gaps[0].reason), (1, GapReason::PacketLost));
+        assert!(missing > 0 && counts.slices > 1);
+        let range = gaps[0].first_sequence..gaps[0].first_sequence + missing;
+        assert!(sequences.iter().all(|s| !range.contains(s)));
+        assert!(sequences.last() > Some(&range.end), "frames after the gap arrive");
+    }
+
+    #[test]
+    fn a_doubled_packet_changes_nothing() {
+        for (chirps, packets) in [(8, 1), (128, 4)] {
+            let samples = if chirps == 8 { 64 } else { 256 };
+            let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
+            let faults: Vec<_> = (0..packets).map(Fault::DoublePacket).collect();
+            let (sequences, gaps, _) = stream(&waveform, 5, &faults);
+            assert_eq!((sequences, gaps), ((0..5).collect(), vec![]));
+        }
+    }
+
+    #[test]
+    fn a_flipped_bit_anywhere_costs_its_frame_only() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        // Type, channel, counter, both bytes of the length, payload, CRC.
+        for bit in [0, 7, 9, 17, 32, 44, 47, 100, 12_000, 18_560, 18_570] {
+            let (sequences, gaps, _) = stream(&waveform, 8, &[Fault::FlipBit { packet: 2, bit }]);
+            assert_eq!((sequences, gaps), (without(8, 2..3), lost(2, 1, GapReason::Crc)), "bit {bit}");
+        }
+    }
+
+    #[test]
+    fn a_packet_cut_short_costs_its_frame_only() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        for bytes in [1, 5, 6, 100, 2000] {
+            let (sequences, gaps, _) = stream(&waveform, 8, &[Fault::TruncatePacket { packet: 2, bytes }]);
+            assert_eq!((sequences, gaps), (without(8, 2..3), lost(2, 1, GapReason::Crc)), "{bytes} bytes");
+        }
+    }
+
+    /// The board stops, is started anew, and its clock says how many frames were lost meanwhile.
+    #[test]
+    fn an_overflow_is_a_gap_and_the_stream_goes_on() {
+        for (chirps, samples, packet) in [(8, 64, 3), (128, 256, 48 + 17)] {
+            let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
+            let (sequences, gaps, counts) = stream(&waveform, 12, &[Fault::Overflow(packet)]);
+            assert_eq!((gaps.len(), counts.overflows), (1, 1), "{gaps:?}");
+            let gap = gaps[0];
+            assert_eq!(gap.reason, GapReason::FifoOverflow);
+            assert!(gap.frames >= 1);
+            assert_eq!(sequences, without(12, gap.first_sequence..gap.first_sequence + gap.frames));
+        }
+    }
+
+    /// A host that does not read loses frames, is told, and never gets a wrong one.
+    #[test]
+    fn a_host_that_sleeps_overflows_the_board() {
+        let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
+        let pattern = || Pattern::new(waveform.clone(), 60);
+        let options = EmulatorOptions { pace: Pace::RealTime(8.0), ..EmulatorOptions::default() };
+        let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
+        // Sequence numbers count from the first frame that arrived: without one nobody knows what was lost.
+        let mut first = Frame::zeroed(waveform.shape());
+        assert_eq!(source.next_frame(&mut first).expect("frame"), SourceEvent::Frame);
+        std::thread::sleep(Duration::from_millis(300));
+        let (mut sequences, gaps) = read_all(&mut source, &pattern());
+        assert!(source.board().counts().overflows >= 1);
+        sequences.insert(0, first.sequence);
+        let missing: u64 = gaps.iter().map(|g| g.frames).sum();
+        assert!(gaps.iter().any(|g| g.reason == GapReason::FifoOverflow), "{gaps:?}");
+        let last = sequences.last().copied().unwrap_or(0);
+        assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
+    }
+
+    #[test]
+    fn another_waveform_is_refused() {
+        let source = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let board = EmulatedBoard::spawn(Box::new(Pattern::new(source, 1)), options(&[])).expect("spawns");
+        let client = Board::open(board.path()).expect("opens");
+        let error = client.start(&waveform(&[1, 2, 3], 16, 64, 0.1)).err().expect("refused");
+        assert!(error.to_string().contains("FAILED"), "{error}");
+        assert!(board.refusal().expect("says why").contains("map size"));
+    }
+
+    #[test]
+    fn what_is_no_such_board_is_named() {
+        let open = |change: fn(&mut EmulatorOptions)| {
+            let mut options = options(&[]);
+            change(&mut options);
+            let source = Pattern::new(waveform(&[1], 8, 64, 0.1), 1);
+            let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+            Board::open(board.path()).err().expect("refused")
+        };
+        assert!(matches!(open(|o| o.chip_id = 0), BoardError::ChipSilent { .. }));
+        assert!(matches!(open(|o| o.chip_id = 0xFF_FFFF), BoardError::ChipSilent { .. }));
+        assert!(matches!(open(|o| o.chip_id = 0x606), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
+        let error = open(|o| o.protocol_version = 3).to_string();
+        assert!(error.contains("protocol 3.0"), "{error}");
+        let missing = Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
+        assert!(missing.to_string().contains("/dev/no-such-port"));
+    }
+
+    #[test]
+    fn a_silent_board_is_a_stall_not_a_hang() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 2)), options(&[])).expect("spawns");
+        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut frame = Frame::zeroed(waveform.shape());
+        assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        let error = stream.next_frame(&mut frame).expect_err("nothing comes");
+        assert!(error.to_string().contains("stalled"), "{error}");
+        board.wait();
+        drop(board);
+        assert!(stream.next_frame(&mut frame).expect_err("gone").to_string().contains("connection broke"));
+    }
+
+    /// Whatever a host sends, the board answers the next proper request.
+    #[test]
+    fn garbage_from_the_host_is_survived() {
+        let waveform = waveform(&[1], 8, 64, 0.1);
+        let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
+        let mut port = std::fs::OpenOptions::new().read(true).write(true).open(board.path()).expect("opens");
+        std::io::Write::write_all(&mut port, &[0xC1, 0x80, 0, 0, 0, 0, 0x20, 0, 0x12, 0x34]).expect("writes");
+        std::thread::sleep(Duration::from_millis(50));
+        drop(port);
+        Board::open(board.path()).expect("answers");
+    }
+}
