@@ -96,7 +96,9 @@ pub struct PersonState {
 pub struct FrameReport {
     /// Static paths.
     pub static_paths: usize,
-    /// Moving paths for each receiver.
+    /// Moving paths that were evaluated at the keys.
+    pub traced_paths: usize,
+    /// Those of them that are strong enough to be heard, and so were synthesised.
     pub moving_paths: usize,
     /// Key times.
     pub keys: usize,
@@ -375,7 +377,7 @@ impl Inner {
 
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
-        let mut echo_report = EchoReport::default();
+        let mut echo_report;
         let mut count = FIRST_KEYS;
         let (snapshots, keyed, phase_error_rad) = loop {
             echo_report = EchoReport::default();
@@ -388,9 +390,11 @@ impl Inner {
         };
         let step_s = self.active_s() / (count - 1) as f64;
 
+        let audible = self.audible_paths(&keyed);
         let mut report = FrameReport {
             static_paths: self.stage.static_paths.len(),
-            moving_paths: keyed.iter().map(|k| k.first().map_or(0, Vec::len)).sum::<usize>() / shape.rx.max(1),
+            traced_paths: echo_report.paths / count,
+            moving_paths: audible.iter().map(Vec::len).sum(),
             keys: count,
             phase_error_rad,
             clamped: echo_report.clamped,
@@ -399,9 +403,28 @@ impl Inner {
         let clutter = self.clutter_weights(index, start_s, step_s, &snapshots);
         let mut scratch = Scratch::default();
         for rx in 0..shape.rx {
-            self.render_channel(rx, index, &keyed, &clutter, step_s, frame, &mut scratch, &mut report);
+            self.render_channel(rx, index, (&keyed, &audible), &clutter, step_s, frame, &mut scratch, &mut report);
         }
         report
+    }
+
+    /// Paths of every person that are loud enough at some key and receiver: a path alone in its cell half as strong as the
+    /// threshold (6 dB further down, since many weak ones add up).
+    fn audible_paths(&self, keyed: &[KeyedEchoes]) -> Vec<Vec<usize>> {
+        let channels = self.stage.rx.len().max(1);
+        let least = (0.5 * self.stage.threshold_lsb).powi(2);
+        let loud = |keys: &[Key]| keys.iter().any(|k| k.amplitude.norm_sqr() > least);
+        keyed
+            .iter()
+            .map(|person| {
+                let paths = person.first().map_or(0, Vec::len) / channels;
+                let heard = |path: usize| {
+                    let range = path * channels..(path + 1) * channels;
+                    person.iter().any(|at| at.get(range.clone()).is_some_and(loud))
+                };
+                (0..paths).filter(|&path| heard(path)).collect()
+            })
+            .collect()
     }
 
     /// Complex weight of every static path at every key: `[key][path]`.
@@ -449,7 +472,7 @@ impl Inner {
         &self,
         rx: usize,
         index: u64,
-        keyed: &[KeyedEchoes],
+        (keyed, audible): (&[KeyedEchoes], &[Vec<usize>]),
         clutter: &[Vec<Complex64>],
         step_s: f64,
         frame: &mut Frame,
@@ -463,9 +486,8 @@ impl Inner {
         // `[path][stretch]`, flattened.
         let mut cubics: Vec<Stretch> = Vec::new();
         let mut keys = Vec::new();
-        for person in keyed {
-            let paths = person.first().map_or(0, Vec::len) / channels;
-            for path in 0..paths {
+        for (person, paths) in keyed.iter().zip(audible) {
+            for path in paths {
                 keys.clear();
                 keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
                 stretches(&keys, step_s, &mut cubics);

@@ -142,28 +142,27 @@ impl Synthesiser {
     /// Lays a tone on a grid.
     #[inline]
     pub fn add(&self, tone: &Tone, grid: &mut Grid) {
-        let turn = tone.phase_cycles - tone.phase_cycles.round();
-        let (s, c) = (std::f32::consts::TAU * turn as f32).sin_cos();
-        let a = tone.amplitude * Complex::new(c, s);
+        let a = tone.amplitude * phasor(tone.phase_cycles);
         self.add_at(tone.cycles_per_sample, a, grid);
     }
 
     /// Lays a phasor (amplitude with phase at the middle of the chirp) of a frequency on a grid.
     #[inline]
     pub fn add_at(&self, cycles_per_sample: f64, phasor: Complex<f32>, grid: &mut Grid) {
-        let folded = cycles_per_sample - cycles_per_sample.floor();
+        let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
+        let folded = if nearest < 0.0 { nearest + 1.0 } else { nearest };
         let position = folded * self.cells as f64;
         // First cell under the kernel, plus half a kernel of margin at the low end.
-        let first = position.ceil();
-        let u = (2.0 * (first - position) - 1.0) as f32;
+        let whole = position as usize;
+        let first = whole + usize::from(position > whole as f64);
+        let u = (2.0 * (first as f64 - position) - 1.0) as f32;
         let mut w = self.taps[DEGREE - 1];
         for row in self.taps[..DEGREE - 1].iter().rev() {
             for (w, c) in w.iter_mut().zip(row) {
                 *w = *w * u + c;
             }
         }
-        let start = first as usize;
-        if let Some(cells) = grid.cells.get_mut(start..start + LANES) {
+        if let Some(cells) = grid.cells.get_mut(first..first + LANES) {
             for (cell, w) in cells.iter_mut().zip(w) {
                 cell.re += phasor.re * w;
                 cell.im += phasor.im * w;
@@ -211,6 +210,29 @@ impl Synthesiser {
             *x += t * c;
         }
     }
+}
+
+/// Nearest integer of a number below 2^51, without the library call that baseline x86-64 needs for `round`.
+#[inline]
+fn nearest_integer(x: f64) -> f64 {
+    const SHIFT: f64 = 6_755_399_441_055_744.0;
+    (x + SHIFT) - SHIFT
+}
+
+/// `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its doubling.
+#[inline]
+fn phasor(cycles: f64) -> Complex<f32> {
+    let y = ((cycles - nearest_integer(cycles)) * std::f64::consts::PI) as f32;
+    let z = y * y;
+    let sine = y
+        * (1.0
+            + z * (-1.0 / 6.0
+                + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362_880.0 - z * (1.0 / 39_916_800.0))))));
+    let cosine = 1.0
+        + z * (-0.5
+            + z * (1.0 / 24.0
+                + z * (-1.0 / 720.0 + z * (1.0 / 40_320.0 + z * (-1.0 / 3_628_800.0 + z * (1.0 / 479_001_600.0))))));
+    Complex::new(1.0 - 2.0 * sine * sine, 2.0 * sine * cosine)
 }
 
 /// Polynomial through a function at Chebyshev points of -1..1, by powers.

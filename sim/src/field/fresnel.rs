@@ -52,6 +52,10 @@ pub fn slab(permittivity: Complex64, thickness_m: f64, wavenumber_per_m: f64, co
     let one_minus = -exp_m1(exponent + exponent);
     let both = |g: Complex64| {
         let denominator = 1.0 - g * g * round_trip;
+        if denominator == Complex64::ZERO {
+            // No thickness at grazing incidence: nothing is there.
+            return (Complex64::ZERO, Complex64::ONE);
+        }
         (g * one_minus / denominator, (1.0 - g * g) * one_way / denominator)
     };
     let (te, te_through) = both(face.te);

@@ -1,0 +1,137 @@
+//! What several tests need.
+#![allow(dead_code, clippy::print_stderr)]
+
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+use num_complex::Complex64;
+use radome_dsp::Frame;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+/// A fixture scene.
+pub fn scene(name: &str) -> Scene {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes").join(format!("{name}.toml"));
+    Scene::load(&path).expect("fixture scene")
+}
+
+/// A simulator of a scene.
+pub fn simulator(scene: &Scene, seed: u64, people: Option<usize>) -> Simulator {
+    Simulator::new(scene, SimulateOptions { seed, people, ..SimulateOptions::default() }).expect("valid options")
+}
+
+/// Reference values computed elsewhere (mpmath, scipy); `None` with a message where they are not at hand.
+pub fn reference() -> Option<serde_json::Value> {
+    let shared = std::env::var_os("RADOME_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let path = shared.join("data/sbr_reference.json");
+    match std::fs::read_to_string(&path) {
+        Ok(text) => Some(serde_json::from_str(&text).expect("reference values are JSON")),
+        Err(error) => {
+            eprintln!("skipped: {} cannot be read ({error}); set RADOME_SHARED", path.display());
+            None
+        }
+    }
+}
+
+/// An empty 20 m hall without walls, radar in a corner region looking along +x, paper waveform, flat quiet receiver.
+pub fn hall(extra: &str) -> String {
+    format!(
+        r#"
+format = 1
+name = "hall"
+[receiver]
+format = 1
+name = "flat"
+rx = [{{ dc_code = 2048.0 }}, {{ dc_code = 2048.0 }}, {{ dc_code = 2048.0 }}]
+[receiver.noise]
+adc_white_lsb = 2.0
+baseband_white_lsb = 0.0
+flicker_lsb2_at_100khz = 0.0
+amplifier_flicker_corner_hz = 0.0
+[receiver.clutter]
+phase_jitter_rad = 0.0
+phase_drift_rad_per_10s = 0.0
+amplitude_jitter = 0.0
+leakage_jitter = 0.0
+leakage_drift_per_10s = 0.0
+[receiver.drift]
+dc_lsb_per_s = 0.0
+dc_jitter_lsb = 0.0
+[room]
+size_m = [20.0, 20.0, 3.0]
+x_low = {{ material = "open" }}
+x_high = {{ material = "open" }}
+y_low = {{ material = "open" }}
+y_high = {{ material = "open" }}
+floor = {{ material = "open" }}
+ceiling = {{ material = "open" }}
+[radar]
+position_m = [1.0, 10.0, 1.2]
+[waveform]
+start_frequency_hz = 59.558825e9
+end_frequency_hz = 60.441175e9
+samples_per_chirp = 256
+chirps_per_frame = 128
+sample_rate_hz = 1e6
+chirp_interval_s = 500e-6
+frame_interval_s = 0.1
+if_gain_db = 33.0
+high_pass_cutoff_hz = 20e3
+{extra}
+"#
+    )
+}
+
+/// A scene from text.
+pub fn parse(text: &str) -> Scene {
+    Scene::parse(text, Path::new("test.toml")).expect("valid scene")
+}
+
+fn hann(i: usize, n: usize) -> f64 {
+    0.5 - 0.5 * (TAU * i as f64 / n as f64).cos()
+}
+
+/// The paper's map of one channel by plain sums: scale 2 code/4095 - 1, Hann on both axes, slow-time mean removed; power
+/// `[doppler][range]` in dB, zero Doppler in the middle, receding above it.
+pub fn map_db(frame: &Frame, rx: usize) -> Vec<f64> {
+    let (m, n) = (frame.shape.chirps, frame.shape.samples);
+    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(n);
+    let profiles: Vec<Vec<Complex64>> = (0..m)
+        .map(|chirp| {
+            let codes = frame.chirp(rx, chirp).iter().enumerate();
+            let mut x: Vec<f64> = codes.map(|(i, &c)| (2.0 * f64::from(c) / 4095.0 - 1.0) * hann(i, n)).collect();
+            let mut spectrum = fft.make_output_vec();
+            fft.process(&mut x, &mut spectrum).expect("lengths agree");
+            spectrum
+        })
+        .collect();
+    let mut map = vec![0.0; m * n / 2];
+    for k in 0..n / 2 {
+        let mean = profiles.iter().map(|p| p[k]).sum::<Complex64>() / m as f64;
+        for d in 0..m {
+            let step = Complex64::from_polar(1.0, -TAU * d as f64 / m as f64);
+            let mut rotor = Complex64::from(1.0);
+            let mut sum = Complex64::ZERO;
+            for (chirp, profile) in profiles.iter().enumerate() {
+                sum += (profile[k] - mean) * hann(chirp, m) * rotor;
+                rotor *= step;
+            }
+            map[(d + m / 2) % m * (n / 2) + k] = 10.0 * sum.norm_sqr().max(1e-30).log10();
+        }
+    }
+    map
+}
+
+/// Mean and standard deviation.
+pub fn statistics(values: &[f64]) -> (f64, f64) {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / values.len() as f64;
+    (mean, variance.sqrt())
+}
+
+/// Index (doppler, range) of the strongest cell beyond the first range bins.
+pub fn peak(map: &[f64], ranges: usize) -> (usize, usize) {
+    let cells = map.iter().enumerate().filter(|(i, _)| i % ranges > 2);
+    let (index, _) = cells.max_by(|a, b| a.1.total_cmp(b.1)).expect("cells");
+    (index / ranges, index % ranges)
+}

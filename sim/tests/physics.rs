@@ -1,0 +1,340 @@
+//! What frames must show whatever the code does: signs, levels, laws.
+
+mod common;
+
+use std::f64::consts::TAU;
+
+use common::{hall, map_db, parse, peak, simulator, statistics};
+use num_complex::{Complex, Complex64};
+use radome_dsp::{Occupancy, SPEED_OF_LIGHT_M_PER_S};
+use radome_sim::receiver::adc::quantise;
+use radome_sim::receiver::budget::Filters;
+use radome_sim::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
+use radome_sim::scene::material::Material;
+use radome_sim::stage::Stage;
+use radome_sim::synthesis::{SynthesisScratch, Synthesiser, Tone};
+use radome_sim::{Receiver, random};
+
+const NOBODY: &str = "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n";
+
+fn walker(from: f64, to: f64, speed: f64) -> String {
+    hall(&format!(
+        "[people]\nactor = [{{ step = [{{ walk_to_m = [{from}, 10.0] }}, {{ walk_to_m = [{to}, 10.0], speed_m_per_s = {speed} }}] }}]\n"
+    ))
+}
+
+#[test]
+fn who_walks_away_has_positive_velocity_at_the_right_range() {
+    for (from, to, sign) in [(4.0, 9.0, 1.0), (9.0, 4.0, -1.0)] {
+        let scene = parse(&walker(from, to, 1.2));
+        let simulator = simulator(&scene, 3, None);
+        let frame = simulator.render(20);
+        let (doppler, range) = peak(&map_db(&frame, 0), 128);
+        let w = scene.waveform();
+        let velocity = (doppler as f64 - 64.0) * w.velocity_step_m_per_s(128);
+        let person = simulator.people(20)[0];
+        assert!((velocity - sign * 1.2).abs() < 0.35, "{velocity} m/s");
+        assert!((person.radial_speed_m_per_s - sign * 1.2).abs() < 0.25, "{person:?}");
+        let distance = range as f64 * w.range_step_m(256);
+        assert!((distance - person.range_m).abs() < 0.6, "{distance} m for {person:?}");
+    }
+}
+
+/// A metal wall on one side and a lossy one on the other: two echoes whose sum has a null where the closed form, with
+/// the lossy wall's complex coefficient, puts it. A slip of sign in conjugation moves it by twice that coefficient's angle.
+#[test]
+fn null_of_a_lossy_wall_lies_where_the_closed_form_puts_it() {
+    let material = Material::Glass;
+    let thickness_m = 0.006;
+    let text = hall(NOBODY)
+        .replace("y_low = { material = \"open\" }", "y_low = { material = \"metal\" }")
+        .replace("y_high = { material = \"open\" }", "y_high = { material = \"glass\", thickness_m = 0.006 }")
+        .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 9.53, 1.2]")
+        .replace("[receiver.noise]", "[receiver.antenna]\nside_lobe_floor_db = 0.0\n[receiver.noise]")
+        .replace("[radar]", "max_reflections = 1\n[radar]");
+    let text = text.replace("max_reflections = 1\n[radar]", "[radar]").replace("[room]", "[room]\nmax_reflections = 1");
+    let scene = parse(&text);
+    let stage = Stage::new(&scene, 0, 40.0);
+    assert_eq!(stage.static_paths.len(), 2);
+
+    // As simulated: in-phase and quadrature through the sampled synthesis; where is the envelope least?
+    let synthesiser = Synthesiser::new(256);
+    let quadrature = |turn: Complex<f32>| {
+        let mut grid = synthesiser.grid();
+        for path in &stage.static_paths {
+            let (phase_cycles, cycles_per_sample, a) = path.tones[0];
+            let amplitude = Complex::new(a.re as f32, a.im as f32) * turn;
+            synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
+        }
+        let mut out = vec![0f32; 256];
+        synthesiser.transform(&grid, &mut out, &mut SynthesisScratch::default());
+        out
+    };
+    let (re, im) = (quadrature(Complex::new(1.0, 0.0)), quadrature(Complex::new(0.0, -1.0)));
+    let envelope: Vec<f64> = re.iter().zip(&im).map(|(a, b)| f64::from(a.hypot(*b))).collect();
+
+    // Closed form, written down separately: reflection of glass by multiple internal bounces, amplitude 1/length.
+    let w = scene.waveform();
+    let permittivity = material.permittivity(w.centre_frequency_hz()).expect("dielectric");
+    let n = permittivity.sqrt();
+    let k = TAU * w.centre_frequency_hz() / SPEED_OF_LIGHT_M_PER_S;
+    let r = (1.0 - n) / (1.0 + n);
+    let transmitted = Complex64::from(1.0) - r * r;
+    let trip = (Complex64::new(0.0, -2.0 * k * thickness_m) * n).exp();
+    let glass: Complex64 = r - (0..400).map(|i| transmitted * r * trip * (r * r * trip).powu(i)).sum::<Complex64>();
+    let filters = Filters::new(scene.receiver(), w);
+    let closed = |conjugate: bool| -> Vec<f64> {
+        (0..256)
+            .map(|n| {
+                let t = n as f64 / w.sample_rate_hz;
+                let field: Complex64 = [(2.0 * 9.53, Complex64::from(-1.0)), (2.0 * 10.47, glass)]
+                    .into_iter()
+                    .map(|(length, reflection)| {
+                        let tau = length / SPEED_OF_LIGHT_M_PER_S;
+                        let s = w.slope_hz_per_s;
+                        let f = w.sampled_start_frequency_hz;
+                        let cycles = f * tau + s * tau * t - 0.5 * s * tau * tau;
+                        let a = if conjugate { reflection.conj() } else { reflection };
+                        a / length * filters.response(s * tau) * Complex64::from_polar(1.0, TAU * cycles)
+                    })
+                    .sum();
+                field.norm()
+            })
+            .collect()
+    };
+    let least = |x: &[f64]| (20..236).min_by(|&a, &b| x[a].total_cmp(&x[b])).expect("samples") as f64;
+    // Nulls repeat every c / (difference of lengths) / slope.
+    let period = SPEED_OF_LIGHT_M_PER_S / 1.88 / w.slope_hz_per_s * w.sample_rate_hz;
+    let apart = |a: f64, b: f64| ((a - b + 0.5 * period).rem_euclid(period) - 0.5 * period).abs();
+    let (simulated, right, wrong) = (least(&envelope), least(&closed(true)), least(&closed(false)));
+    assert!(apart(right, wrong) > 0.08 * period, "the wall's coefficient is complex enough: {right} {wrong}");
+    assert!(apart(simulated, right) < 0.03 * period, "null at {simulated}, expected {right}, {wrong} if conjugated");
+}
+
+/// The radar equation, in LSB: a point of 0 dBsm on boresight at 2, 4 and 8 m.
+#[test]
+fn level_follows_the_radar_equation_with_the_fourth_power() {
+    let mut last: Option<f64> = None;
+    for range in [2.0f64, 4.0, 8.0] {
+        let x = 1.0 + range;
+        let text = hall(&format!(
+            "[[furniture]]\nname = \"point\"\nposition_m = [{x}, 10.0, 1.2]\nsize_m = [0.0, 0.0, 0.0]\n\
+             cross_section_dbsm = 0.0\npoints = 1\n{NOBODY}"
+        ));
+        let scene = parse(&text);
+        let stage = Stage::new(&scene, 0, 20.0);
+        assert_eq!(stage.static_paths.len(), 1);
+        let tone = stage.static_paths[0].tones[0];
+        let lsb = tone.2.norm() / stage.filters.response(tone.1 * scene.waveform().sample_rate_hz).norm();
+        // 4 dBm + 3.5 + 3.5 dBi, 14 + 33 dB to 50 ohm, 1.31 V over 4096 codes.
+        let wavelength = scene.waveform().wavelength_m();
+        let received_dbm = 4.0 + 7.0 + 20.0 * wavelength.log10() - 30.0 * (2.0 * TAU).log10() - 40.0 * range.log10();
+        let volt = (1e-3 * 10f64.powf(0.1 * (received_dbm + 47.0)) * 50.0 * 2.0).sqrt();
+        let expected_db = 20.0 * (volt / (1.31 / 4096.0)).log10();
+        assert!((20.0 * lsb.log10() - expected_db).abs() < 0.05, "{range} m: {lsb} LSB");
+        if let Some(last) = last {
+            assert!((20.0 * (last / lsb).log10() - 12.04).abs() < 0.05);
+        }
+        last = Some(lsb);
+    }
+}
+
+/// |X|^2 of thermal noise is exponential: sigma of its decibels is 5.57, their mean 2.51 below the decibels of the mean.
+#[test]
+fn empty_maps_are_exponential_noise() {
+    let scene = parse(&hall(NOBODY));
+    let simulator = simulator(&scene, 5, Some(0));
+    let mut all = Vec::new();
+    for index in 0..6 {
+        let map = map_db(&simulator.render(index), 0);
+        // Zero Doppler has lost its mean, bin 0 is not one-sided.
+        all.extend(
+            map.chunks(128).enumerate().filter(|(d, _)| d.abs_diff(64) > 1).flat_map(|(_, row)| row[2..].to_vec()),
+        );
+    }
+    let (mean, sigma) = statistics(&all);
+    let power = all.iter().map(|v| 10f64.powf(0.1 * v)).sum::<f64>() / all.len() as f64;
+    assert!((sigma - 5.570).abs() < 0.06, "{sigma}");
+    assert!((mean - 10.0 * power.log10() + 2.507).abs() < 0.05);
+    // 2 LSB rms in the scale 2/4095 through two periodic Hann windows (sum of squares 3/8 N M).
+    let expected = 10.0 * (4.0 * (2.0f64 / 4095.0).powi(2) * (0.375 * 256.0) * (0.375 * 128.0)).log10();
+    assert!((10.0 * power.log10() - expected).abs() < 0.15, "{} {expected}", 10.0 * power.log10());
+}
+
+/// Levels of public recordings: density at 23 dB gain (64 samples, 2 MHz), sigma of a sample at 48 dB (128 samples, 2 MHz).
+#[test]
+fn noise_has_the_measured_spectrum_at_both_gains() {
+    let mut scene = parse(&hall(NOBODY));
+    let mut request = scene.waveform().request.clone();
+    request.sample_rate_hz = 2e6;
+    request.high_pass_cutoff_hz = 80e3;
+    request.end_frequency_hz = 60.5e9;
+    let receiver = Receiver { anti_alias_cutoff_scale: 1.06, ..Receiver::typical() };
+    scene = scene.with_receiver(receiver.clone());
+    let at = |samples, gain| {
+        let mut r = request.clone();
+        r.samples_per_chirp = samples;
+        r.if_gain_db = gain;
+        density_lsb2(scene.receiver(), &radome_dsp::Waveform::realise(r).expect("valid"))
+    };
+    let low = at(64, 23.0);
+    for (bin, measured) in
+        [(1, 3.5), (2, 2.4), (3, 1.9), (4, 1.7), (6, 1.6), (8, 1.4), (16, 1.4), (20, 1.2), (24, 0.9), (32, 0.8)]
+    {
+        let error_db = 10.0 * (low[bin] / measured as f64).log10();
+        assert!(error_db.abs() < 1.2, "23 dB, bin {bin}: {} for {measured}", low[bin]);
+    }
+    let high = at(128, 48.0);
+    for (bin, measured) in [(3, 10.3), (10, 8.4), (20, 7.5), (30, 6.0), (40, 3.8), (50, 1.8), (60, 1.2)] {
+        let error_db = 20.0 * (high[bin].sqrt() / measured as f64).log10();
+        assert!(error_db.abs() < 1.5, "48 dB, bin {bin}: {} for {measured}", high[bin].sqrt());
+    }
+}
+
+#[test]
+fn drawn_noise_has_the_density_it_was_asked_for() {
+    let density: Vec<f64> = (0..=32).map(|bin| 1.0 + 20.0 / (1.0 + f64::from(bin))).collect();
+    let shaper = NoiseShaper::new(&density, 64);
+    let mut rng = random::generator(9, random::Purpose::Noise, [0, 0]);
+    let mut scratch = NoiseScratch::default();
+    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(64);
+    let mut power = vec![0.0; 33];
+    let chirps = 6000;
+    for _ in 0..chirps {
+        let mut x = vec![0f32; 64];
+        shaper.add(&mut rng, 1.0, &mut x, &mut scratch);
+        let mut x: Vec<f64> = x.into_iter().map(f64::from).collect();
+        let mut spectrum = fft.make_output_vec();
+        fft.process(&mut x, &mut spectrum).expect("lengths agree");
+        for (p, s) in power.iter_mut().zip(&spectrum) {
+            *p += s.norm_sqr() / 64.0 / f64::from(chirps);
+        }
+    }
+    for (bin, (got, wanted)) in power.iter().zip(&density).enumerate() {
+        // Rounding's twelfth is left to the quantiser; 6000 draws are good to 2 %.
+        assert!((got / (wanted - 1.0 / 12.0) - 1.0).abs() < 0.07, "bin {bin}: {got} for {wanted}");
+    }
+}
+
+/// A beat beyond half the rate folds, weakened by the filter at its true frequency.
+#[test]
+fn far_walls_fold_as_the_chip_folds_them() {
+    let scene = parse(
+        &hall(NOBODY)
+            .replace("size_m = [20.0, 20.0, 3.0]", "size_m = [27.0, 20.0, 3.0]")
+            .replace("x_high = { material = \"open\" }", "x_high = { material = \"metal\" }")
+            .replace("if_gain_db = 33.0", "if_gain_db = 60.0"),
+    );
+    let stage = Stage::new(&scene, 0, 20.0);
+    let (_, cycles, _) = stage.static_paths[0].tones[0];
+    assert!(cycles > 0.55 && cycles < 0.7, "beyond Nyquist: {cycles}");
+    let frame = simulator(&scene, 0, Some(0)).render(0);
+    let fft = realfft::RealFftPlanner::<f64>::new().plan_fft_forward(256);
+    let mut x: Vec<f64> = frame
+        .chirp(0, 0)
+        .iter()
+        .enumerate()
+        .map(|(i, &c)| (f64::from(c) - 2048.0) * (0.5 - 0.5 * (TAU * i as f64 / 256.0).cos()))
+        .collect();
+    let mut spectrum = fft.make_output_vec();
+    fft.process(&mut x, &mut spectrum).expect("lengths agree");
+    let top = (3..129).max_by(|&a, &b| spectrum[a].norm().total_cmp(&spectrum[b].norm())).expect("bins");
+    let folded = (1.0 - cycles) * 256.0;
+    assert!((top as f64 - folded).abs() < 1.0, "bin {top}, folded {folded}");
+}
+
+#[test]
+fn truth_counts_who_has_a_part_in_the_room() {
+    let text = hall(
+        "[people]\nactor = [{ step = [{ walk_to_m = [-2.0, 10.0] }, { walk_to_m = [6.0, 10.0], speed_m_per_s = 1.0 }] },\n\
+         { step = [{ walk_to_m = [8.0, 6.0] }, { stand_s = 5.0 }, { walk_to_m = [8.0, -9.0], speed_m_per_s = 1.0 }] }]\n",
+    );
+    let scene = parse(&text);
+    let simulator = simulator(&scene, 1, None);
+    let at = |seconds: f64| simulator.truth((seconds * 10.0) as u64);
+    assert_eq!((at(0.5).occupancy, at(0.5).transition), (Occupancy::One, false));
+    assert_eq!((at(2.0).occupancy, at(2.0).transition), (Occupancy::Two, true));
+    assert_eq!((at(5.0).occupancy, at(5.0).transition), (Occupancy::Two, false));
+    assert_eq!((at(11.0).occupancy, at(11.0).transition), (Occupancy::Two, true));
+    assert_eq!((at(13.0).occupancy, at(13.0).transition), (Occupancy::One, false));
+    assert_eq!(common::simulator(&scene, 1, Some(1)).truth(130).occupancy, Occupancy::One);
+}
+
+/// One who stands exactly behind another is shaded; beside them, not.
+#[test]
+fn a_person_in_front_shades_the_one_behind() {
+    let energy = |front_y: f64| {
+        let text = hall(&format!(
+            "[people]\nactor = [{{ step = [{{ walk_to_m = [4.0, {front_y}] }}] }},\n\
+             {{ step = [{{ walk_to_m = [9.0, 10.0] }}, {{ walk_to_m = [7.0, 10.0], speed_m_per_s = 1.0 }}] }}]\n"
+        ));
+        let map = map_db(&simulator(&parse(&text), 2, None).render(10), 0);
+        // Cells about the walker behind: 6.5 to 8.5 m, approaching.
+        (10..58)
+            .flat_map(|d| (38..50).map(move |r| (d, r)))
+            .map(|(d, r)| 10f64.powf(0.1 * map[d * 128 + r]))
+            .sum::<f64>()
+    };
+    let (behind, beside) = (energy(10.0), energy(14.0));
+    assert!(10.0 * (beside / behind).log10() > 8.0, "{} dB", 10.0 * (beside / behind).log10());
+}
+
+mod hard_cases {
+    use super::*;
+    use radome_sim::SimulateOptions;
+
+    #[test]
+    fn the_quantiser_rounds_clips_and_survives_anything() {
+        let cases = [(0.4, 0), (0.5, 1), (2047.5, 2048), (4094.6, 4095), (9e9, 4095), (-9e9, 0), (-0.4, 0)];
+        for (lsb, code) in cases {
+            assert_eq!(quantise(lsb), code, "{lsb}");
+        }
+        assert_eq!(quantise(f32::NAN), 0);
+        assert_eq!(quantise(f32::INFINITY), 4095);
+        assert_eq!(quantise(f32::NEG_INFINITY), 0);
+    }
+
+    /// From far away to 5 cm, standing in the antenna, and through it: finite, counted, below what the ADC can hold.
+    #[test]
+    fn somebody_at_five_centimetres_and_somebody_walking_through_the_radar() {
+        let close = hall("[people]\nactor = [{ step = [{ walk_to_m = [1.17, 10.0] }] }]\n");
+        let (frame, report) = simulator(&parse(&close), 4, None).render_with_report(0);
+        assert!(report.clamped > 0, "{report:?}");
+        assert!(frame.codes.iter().any(|&c| c.abs_diff(2048) > 100), "a strong echo");
+        let through = parse(&walker(3.0, -1.5, 1.0));
+        let simulator = simulator(&through, 4, None);
+        for index in 0..50 {
+            let (frame, report) = simulator.render_with_report(index);
+            assert!(report.phase_error_rad.is_finite());
+            assert_eq!(frame.codes.len(), frame.shape.codes());
+        }
+        assert!((0..50).any(|i| simulator.render_with_report(i).1.clamped > 0));
+    }
+
+    /// Leakage that nearly fills the ADC does not hide a walker 90 dB below it from a map without quantisation trouble.
+    #[test]
+    fn a_target_far_below_the_leakage_is_still_there() {
+        let text = walker(12.0, 10.0, 1.0).replace(
+            "rx = [{ dc_code = 2048.0 },",
+            "rx = [{ dc_code = 2048.0, leakage = [{ delay_s = 0.3e-9, amplitude_lsb = 1900.0 }] },",
+        );
+        let scene = parse(&text);
+        let (frame, report) = simulator(&scene, 6, None).render_with_report(10);
+        assert_eq!(report.clipped, 0);
+        let map = map_db(&frame, 0);
+        assert!(map.iter().all(|v| v.is_finite()));
+        let (doppler, range) = peak(&map, 128);
+        let w = scene.waveform();
+        assert!((range as f64 * w.range_step_m(256) - 10.1).abs() < 0.8, "range bin {range}");
+        assert!(doppler < 64, "approaching: {doppler}");
+    }
+
+    #[test]
+    fn options_that_cannot_be_met_are_refused() {
+        let scene = parse(&walker(4.0, 5.0, 1.0));
+        let new = |options| radome_sim::Simulator::new(&scene, options).map(|_| ());
+        let many = new(SimulateOptions { people: Some(3), ..SimulateOptions::default() });
+        assert!(many.expect_err("one actor").to_string().contains("at most 1"));
+        assert!(new(SimulateOptions { tolerance_db: f64::NAN, ..SimulateOptions::default() }).is_err());
+    }
+}

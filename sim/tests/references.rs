@@ -1,0 +1,241 @@
+//! Fields against reference values that were computed independently (mpmath, dense integration, closed forms).
+
+mod common;
+
+use std::f64::consts::{PI, TAU};
+
+use glam::{DMat3, DVec3};
+use num_complex::Complex64;
+use radome_sim::field::fresnel::{half_space, slab};
+use radome_sim::field::highlight::Ellipsoid;
+use radome_sim::field::image::{BoxRoom, Element, Wall, images, order};
+use radome_sim::field::pattern::Pattern;
+
+const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+
+fn complex(value: &serde_json::Value) -> Complex64 {
+    Complex64::new(value[0].as_f64().expect("re"), value[1].as_f64().expect("im"))
+}
+
+#[test]
+fn slabs_agree_with_the_40_digit_characteristic_matrix() {
+    let Some(reference) = common::reference() else { return };
+    let rows = reference["fresnel_slab"]["rows"].as_array().expect("rows");
+    assert!(rows.len() >= 60);
+    for row in rows {
+        let eps = complex(&row["eps"]);
+        let cosine = row["theta_deg"].as_f64().expect("angle").to_radians().cos();
+        let thickness = row["d_m"].as_f64().expect("thickness");
+        let (face, layer) = (half_space(eps, cosine), slab(eps, thickness, WAVENUMBER, cosine));
+        let (face, back, through) = match row["pol"].as_str() {
+            Some("TE") => (face.te, layer.reflection.te, layer.transmission.te),
+            _ => (face.tm, layer.reflection.tm, layer.transmission.tm),
+        };
+        for (got, key) in [(face, "half_space"), (back, "slab_R"), (through, "slab_T")] {
+            assert!((got - complex(&row[key])).norm() < 1e-12, "{row} {key} {got}");
+        }
+    }
+}
+
+fn conducting_box() -> BoxRoom {
+    BoxRoom { size_m: DVec3::new(12.0, 2.0, 2.7), walls: [Wall::Conductor; 6], wavenumber_per_m: WAVENUMBER }
+}
+
+fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
+    Element { position, polarisation, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
+}
+
+#[test]
+fn images_of_the_corridor_lie_where_the_reference_has_them() {
+    let Some(reference) = common::reference() else { return };
+    let corridor = &reference["image_corridor"];
+    let room = conducting_box();
+    let (tx, rx) = (DVec3::new(0.2, 1.0, 1.5), DVec3::new(0.2, 1.0025, 1.5));
+    let rows = corridor["rows"].as_array().expect("rows");
+    for row in rows {
+        let n = [0, 1, 2].map(|i| row["n"][i].as_i64().expect("index") as i32);
+        assert_eq!(u64::from(order(n)), row["order"].as_u64().expect("order"));
+        assert!(images(3).contains(&n), "{n:?}");
+        let length = room.image_position(n, tx).distance(rx);
+        let expected = row["path_m"].as_f64().expect("path");
+        assert!((length / expected - 1.0).abs() < 1e-12, "{row}");
+        let phase = (-WAVENUMBER * length).rem_euclid(TAU);
+        let difference = (phase - row["phase_rad"].as_f64().expect("phase") + PI).rem_euclid(TAU) - PI;
+        // The reference's phase holds the sign of each conductor or not; either way it is a multiple of pi off.
+        assert!(difference.abs() < 1e-6 || (difference.abs() - PI).abs() < 1e-6, "{row} {difference}");
+    }
+    assert!(rows.len() >= 60);
+}
+
+/// A mirrored dipole with the sign -1 for each conductor: what the dyads must give, whatever order of walls.
+#[test]
+fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
+    let room = conducting_box();
+    let tx = isotropic(DVec3::new(0.2, 0.7, 1.5), DVec3::new(0.36, 0.48, 0.8));
+    let target = DVec3::new(5.0, 1.3, 0.8);
+    for index in images(3) {
+        let got = room.illuminate(&tx, index, target);
+        let mirrored = BoxRoom::image_vector(index, tx.polarisation);
+        let sign = if order(index) % 2 == 0 { 1.0 } else { -1.0 };
+        let expected = sign * (mirrored - got.direction * got.direction.dot(mirrored));
+        assert!((got.field.re - expected).length() < 1e-12 && got.field.im.length() < 1e-12, "{index:?}");
+        // Folding the way back keeps its length and ends where it should.
+        let line = room.polyline(index, tx.position, target);
+        let folded: f64 = line.windows(2).map(|w| w[0].distance(w[1])).sum();
+        assert!((folded - got.distance_m).abs() < 1e-9, "{index:?}");
+    }
+}
+
+#[test]
+fn two_ray_ground_has_its_nulls_and_gains() {
+    let Some(reference) = common::reference() else { return };
+    let room = BoxRoom {
+        size_m: DVec3::new(50.0, 50.0, 50.0),
+        walls: [Wall::Open, Wall::Open, Wall::Open, Wall::Open, Wall::Conductor, Wall::Open],
+        wavenumber_per_m: WAVENUMBER,
+    };
+    let radar = isotropic(DVec3::new(1.0, 20.0, 1.5), DVec3::Y);
+    for row in reference["two_ray"]["rows"].as_array().expect("rows") {
+        let target = DVec3::new(6.0, 20.0, row["ht"].as_f64().expect("height"));
+        let free = room.illuminate(&radar, [0, 0, 0], target);
+        let ground = room.illuminate(&radar, [0, 0, -1], target);
+        let at = |i: &radome_sim::field::image::Illumination| {
+            i.field.along(DVec3::Y) * Complex64::from_polar(1.0 / i.distance_m, -WAVENUMBER * i.distance_m)
+        };
+        let gain_db = 40.0 * ((at(&free) + at(&ground)).norm() * free.distance_m).log10();
+        let expected = row["gain_dB_rel_free"].as_f64().expect("gain");
+        assert!((gain_db - expected).abs() < 1e-6, "{row} {gain_db}");
+    }
+}
+
+/// Physical optics, summed densely: `int cos e^{-jk(Rt+Rr)}/(Rt Rr) dS` over the side that both see.
+fn dense_physical_optics(e: &Ellipsoid, tx: DVec3, rx: DVec3) -> Complex64 {
+    let (rows, columns) = (1400usize, 2800usize);
+    let mut sum = Complex64::ZERO;
+    for i in 0..rows {
+        let theta = PI * (i as f64 + 0.5) / rows as f64;
+        for j in 0..columns {
+            let phi = TAU * (j as f64 + 0.5) / columns as f64;
+            let unit = DVec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
+            let point = e.surface(unit);
+            let b = e.semi_axes_m;
+            let gradient = unit / b;
+            let normal = e.axes * gradient.normalize();
+            let area = theta.sin() * b.x * b.y * b.z * gradient.length() * (PI / rows as f64) * (TAU / columns as f64);
+            let (t, r) = (tx - point, rx - point);
+            let (rt, rr) = (t.length(), r.length());
+            let (ct, cr) = (normal.dot(t) / rt, normal.dot(r) / rr);
+            if ct > 0.0 && cr > 0.0 {
+                sum += Complex64::from_polar(0.5 * (ct + cr) * area / (rt * rr), -WAVENUMBER * (rt + rr));
+            }
+        }
+    }
+    sum
+}
+
+#[test]
+fn highlights_agree_with_dense_physical_optics_in_amplitude_and_phase() {
+    let body = |semi_axes_m| Ellipsoid { centre: DVec3::ZERO, axes: DMat3::from_rotation_z(0.3), semi_axes_m };
+    let limb = body(DVec3::new(0.05, 0.07, 0.22));
+    let head = body(DVec3::new(0.09, 0.09, 0.12));
+    let cases = [
+        (limb, DVec3::new(1.0, 0.3, 0.2), DVec3::new(1.0, 0.3, 0.2)),
+        (head, DVec3::new(0.5, 0.5, 0.9), DVec3::new(0.5, 0.5, 0.9)),
+        // Bistatic, as image pairs are: 50 degrees apart, at unequal distances.
+        (limb, DVec3::new(1.2, 0.2, 0.1), DVec3::new(0.8, 1.1, 0.0)),
+        (head, DVec3::new(0.9, -0.5, 0.3), DVec3::new(0.7, 0.6, 0.2)),
+    ];
+    for (e, tx, rx) in cases {
+        let h = e.highlight(tx, rx, None).expect("visible");
+        let integral = dense_physical_optics(&e, tx, rx);
+        let (rt, rr) = h.distances_m;
+        let ours = PI / WAVENUMBER * h.cosine / (h.det_j.sqrt() * rt * rr);
+        let error_db = 20.0 * (ours / integral.norm()).log10();
+        // Apart, the sum's own border (where one of the two no longer sees the body) adds an edge that no highlight has.
+        let tolerance_db = if tx == rx { 0.05 } else { 0.2 };
+        assert!(error_db.abs() < tolerance_db, "{tx} {rx}: {error_db} dB");
+        let phase = (integral * Complex64::from_polar(1.0, WAVENUMBER * (rt + rr))).arg();
+        assert!((phase + 0.5 * PI).abs() < 0.03, "{tx} {rx}: {phase} rad");
+    }
+}
+
+/// `det J = K + 2H/R + 1/R^2` for every body and direction of the reference, whose own comparison of that formula with
+/// physical optics must lie within its stated tolerance.
+#[test]
+fn near_field_cross_section_is_that_of_the_reference_bodies() {
+    let Some(reference) = common::reference() else { return };
+    let table = &reference["ellipsoid_highlight"];
+    let tolerance = table["tolerance_dB"].as_f64().expect("tolerance");
+    for row in table["rows"].as_array().expect("rows") {
+        assert!(row["GO_over_PO_dB"].as_f64().expect("ratio").abs() < tolerance);
+        let triple = |key: &str| DVec3::from_array([0, 1, 2].map(|i| row[key][i].as_f64().expect("number")));
+        let b = triple("axes");
+        let e = Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m: b };
+        let radar = triple("dir").normalize() * (row["R0"].as_f64().expect("range") + b.max_element());
+        let h = e.highlight(radar, radar, None).expect("visible");
+        // The closest point: the line of sight is the normal there.
+        assert!((h.normal - (radar - h.point).normalize()).length() < 1e-5);
+        assert!(((h.point / b).length() - 1.0).abs() < 1e-9);
+        // Gaussian and mean curvature of an ellipsoid (Goldman, "Curvature formulas for implicit curves and surfaces").
+        let p = h.point;
+        let g = (p / (b * b)).length();
+        let product = b.x * b.y * b.z;
+        let gaussian = 1.0 / (product * g * g).powi(2);
+        let mean = (b.length_squared() - p.length_squared()) / (2.0 * product * product * g.powi(3));
+        let range = h.distances_m.0;
+        let expected = gaussian + 2.0 * mean / range + 1.0 / (range * range);
+        assert!((h.det_j / expected - 1.0).abs() < 1e-5, "{row}: {} {expected}", h.det_j);
+    }
+}
+
+#[test]
+fn skin_reflects_what_the_reference_says() {
+    let Some(reference) = common::reference() else { return };
+    let skin = &reference["skin"];
+    let got = half_space(radome_sim::scene::material::SKIN_PERMITTIVITY, 1.0).te;
+    assert!((got - complex(&skin["Gamma0"])).norm() < 1e-12);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn foils_thick_walls_and_grazing_incidence_stay_finite_and_passive() {
+        let eps = Complex64::new(5.24, -0.34);
+        for thickness in [0.0, 1e-12, 1e-9, 1e-3, 0.2, 10.0] {
+            for cosine in [1.0, 0.5, 1e-4, 1e-8, 0.0] {
+                let s = slab(eps, thickness, WAVENUMBER, cosine);
+                for (r, t) in [(s.reflection.te, s.transmission.te), (s.reflection.tm, s.transmission.tm)] {
+                    let out = r.norm_sqr() + t.norm_sqr();
+                    assert!(out.is_finite() && out <= 1.0 + 1e-9, "{thickness} {cosine}: {r} {t}");
+                }
+            }
+        }
+        // A foil of 1 pm reflects in proportion to its thickness.
+        let one = slab(eps, 1e-12, WAVENUMBER, 0.7).reflection.te;
+        let two = slab(eps, 2e-12, WAVENUMBER, 0.7).reflection.te;
+        assert!((two / one - 2.0).norm() < 1e-6);
+    }
+
+    /// The highlight must be found, once and finite, wherever the pair stands, the body's inside included.
+    #[test]
+    fn highlights_of_touching_and_swallowed_antennas_are_finite() {
+        let e = Ellipsoid {
+            centre: DVec3::new(2.0, 1.0, 1.2),
+            axes: DMat3::from_rotation_y(0.4),
+            semi_axes_m: DVec3::new(0.115, 0.165, 0.22),
+        };
+        let mut last: Option<f64> = None;
+        for step in 0..4000 {
+            let radar = e.centre + DVec3::new(1.0 - f64::from(step) * 5e-4, 0.01, 0.02);
+            let Some(h) = e.highlight(radar, radar + DVec3::Y * 0.003, None) else { continue };
+            let range = h.distances_m.0;
+            assert!(h.det_j.is_finite() && range.is_finite() && range < 1.1, "step {step}");
+            if let Some(last) = last {
+                assert!((range - last).abs() < 0.02, "step {step}: {last} to {range}");
+            }
+            last = Some(range);
+        }
+        assert!(last.is_some());
+    }
+}

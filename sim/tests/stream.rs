@@ -1,0 +1,204 @@
+//! Streams of frames: determinism, threads, keys in slow time, fixture scenes.
+
+mod common;
+
+use common::{map_db, scene, simulator, statistics};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_sim::actor::motion::{MotionBuilder, Person};
+use radome_sim::slow_time::{Key, stretches};
+use radome_sim::{SimulateOptions, Simulator};
+
+fn stream(simulator: &Simulator, from: u64, frames: usize, threads: usize) -> Vec<Frame> {
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+    let mut simulator = simulator.clone();
+    simulator.seek(from);
+    pool.install(|| {
+        (0..frames)
+            .map(|_| {
+                let mut frame = Frame::zeroed(simulator.waveform().shape());
+                assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::Frame);
+                frame
+            })
+            .collect()
+    })
+}
+
+#[test]
+fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
+    let scene = scene("corridor");
+    let one = stream(&simulator(&scene, 11, None), 55, 9, 1);
+    let two = stream(&simulator(&scene, 11, None), 55, 9, 2);
+    assert_eq!(one, two);
+    let alone = simulator(&scene, 11, None);
+    assert_eq!(alone.render(60), one[5]);
+    assert_eq!(alone.render(57), one[2]);
+    let other = simulator(&scene, 12, None).render(60);
+    assert_ne!(other.codes, one[5].codes);
+    assert_eq!(one[5].sequence, 60);
+    assert_eq!(one[5].time_ns, 6_000_000_000);
+}
+
+#[test]
+fn a_stream_ends_after_the_frames_asked_for() {
+    let options = SimulateOptions { frames: Some(5), ..SimulateOptions::default() };
+    let mut simulator = Simulator::new(&scene("desk"), options).expect("valid");
+    assert_eq!(simulator.frame_count(), Some(5));
+    let mut frame = Frame::zeroed(simulator.waveform().shape());
+    for expected in 0..5 {
+        assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::Frame);
+        assert_eq!(frame.sequence, expected);
+        assert!(frame.truth.is_some());
+    }
+    assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::End);
+}
+
+/// Hermite over three keys against the highlight traced at every chirp, for all segments of a fast walker.
+#[test]
+fn three_keys_follow_every_limb_of_a_walker_within_milliradians() {
+    let person = Person::draw(1, [0, 0], 1.8);
+    let motion = MotionBuilder::new(person, 0.0, [8.0, 0.3], 3.1).walk_to([1.0, 0.3], 1.5).stay();
+    let radar = glam::DVec3::new(0.0, 0.0, 1.5);
+    let c = 299_792_458.0;
+    let active_s = 0.064;
+    let h = 2e-4;
+    let range = |segment: usize, t: f64| motion.body(t)[segment].highlight(radar, radar, None).expect("visible");
+    for start_s in [1.0, 1.3, 1.62, 2.05] {
+        for segment in 0..13 {
+            let key = |t: f64| {
+                let highlight = range(segment, t);
+                let point = |t: f64| motion.body(t)[segment].surface(highlight.unit);
+                let velocity = (point(t + h) - point(t - h)) / (2.0 * h);
+                Key {
+                    delay_s: 2.0 * highlight.distances_m.0 / c,
+                    delay_rate: -2.0 * highlight.towards.0.dot(velocity) / c,
+                    amplitude: num_complex::Complex64::ONE,
+                }
+            };
+            let step = active_s / 2.0;
+            let keys: Vec<Key> = (0..3).map(|i| key(start_s + f64::from(i) * step)).collect();
+            let mut cubics = Vec::new();
+            stretches(&keys, step, &mut cubics);
+            assert_eq!(cubics.len(), 2);
+            for chirp in 0..128 {
+                let t = f64::from(chirp) * 0.5e-3;
+                let at = usize::from(t >= step);
+                let (delay_s, _) = cubics[at].delay(t / step - at as f64);
+                let exact = 2.0 * range(segment, start_s + t).distances_m.0 / c;
+                let error = std::f64::consts::TAU * 60e9 * (delay_s - exact);
+                assert!(error.abs() < 0.06, "segment {segment} at {start_s} s, chirp {chirp}: {error} rad");
+            }
+        }
+    }
+}
+
+#[test]
+fn twenty_seconds_of_the_corridor_hold_all_three_classes() {
+    let scene = scene("corridor");
+    let mut complete = 0;
+    for seed in 0..20 {
+        let simulator = simulator(&scene, seed, None);
+        let labels: Vec<Occupancy> = (0..200).map(|i| simulator.truth(i).occupancy).collect();
+        assert!(labels[..15].iter().all(|&l| l == Occupancy::Empty), "begins empty (seed {seed})");
+        complete += usize::from(Occupancy::ALL.iter().all(|class| labels.contains(class)));
+        assert!((0..200).all(|i| self::simulator(&scene, seed, Some(0)).truth(i).occupancy == Occupancy::Empty));
+    }
+    assert!(complete >= 18, "{complete} of 20");
+}
+
+#[test]
+fn people_keep_out_of_each_other_and_walk_at_human_speed() {
+    for name in ["corridor", "room"] {
+        let simulator = simulator(&scene(name), 3, None);
+        for index in 0..400 {
+            for person in simulator.people(index) {
+                assert!(person.velocity.length() < 2.5, "{name} {index}: {person:?}");
+                assert!(person.position.z > 0.6 && person.position.z < 1.6, "{name} {index}: {person:?}");
+            }
+        }
+    }
+}
+
+/// Empty fixture maps are noise; people raise a few per cent of the cells by many decibels.
+#[test]
+fn corridor_maps_are_noise_until_somebody_comes() {
+    let scene = scene("corridor");
+    let empty = simulator(&scene, 1, Some(0));
+    let noise = map_db(&empty.render(9), 0);
+    let (_, sigma) = statistics(&noise);
+    assert!((5.4..5.9).contains(&sigma), "{sigma}");
+    let mean =
+        |range: usize| 10.0 * ((0..128).map(|d| 10f64.powf(0.1 * noise[d * 128 + range])).sum::<f64>() / 128.0).log10();
+    let floor: Vec<f64> = (0..128).map(mean).collect();
+    let busy = simulator(&scene, 1, None);
+    let index =
+        (0..300).find(|&i| busy.truth(i).occupancy == Occupancy::Two && busy.people(i).len() == 2).expect("two");
+    let map = map_db(&busy.render(index + 10), 0);
+    let raised = map.iter().enumerate().filter(|(i, v)| **v - floor[i % 128] > 9.0).count();
+    let strongest =
+        map.iter().enumerate().filter(|(i, _)| i % 128 > 2).map(|(i, v)| v - floor[i % 128]).fold(0.0, f64::max);
+    assert!(raised > 60, "{raised} cells");
+    assert!(strongest > 20.0, "{strongest} dB");
+}
+
+#[test]
+fn desk_people_are_drawn_or_forced() {
+    let scene = scene("desk");
+    let mut seen = [0; 3];
+    for seed in 0..30 {
+        let simulator = simulator(&scene, seed, None);
+        seen[simulator.truth(0).occupancy.index()] += 1;
+        for person in simulator.people(0) {
+            assert!((0.2..1.5).contains(&person.range_m), "seed {seed}: {person:?}");
+        }
+    }
+    assert!(seen.iter().all(|&n| n >= 4), "{seen:?}");
+    for people in 0..3 {
+        assert_eq!(simulator(&scene, 7, Some(people)).truth(3).occupancy.index(), people);
+    }
+}
+
+/// A chest that breathes shows its rate in slow time over frames.
+#[test]
+fn breathing_is_seen_over_half_a_minute() {
+    let scene = scene("desk");
+    let quiet = (0..50).find(|&seed| {
+        let s = simulator(&scene, seed, Some(1));
+        let moved = (0..400).step_by(5).map(|i| s.people(i)[0].velocity.length()).fold(0.0, f64::max);
+        moved < 0.02
+    });
+    let simulator = simulator(&scene, quiet.expect("somebody sits still"), Some(1));
+    let w = scene.waveform();
+    let bin =
+        (2.0 * simulator.people(0)[0].range_m * w.slope_hz_per_s / 299_792_458.0 / w.sample_rate_hz * 64.0).round();
+    let phases: Vec<num_complex::Complex64> = (0..400)
+        .map(|i| {
+            let frame = simulator.render(i);
+            (0..8)
+                .flat_map(|chirp| {
+                    frame
+                        .chirp(0, chirp)
+                        .iter()
+                        .enumerate()
+                        .map(move |(n, &code)| {
+                            let turn = -std::f64::consts::TAU * (bin - 3.0) * n as f64 / 64.0;
+                            let window = 0.5 - 0.5 * (std::f64::consts::TAU * n as f64 / 64.0).cos();
+                            num_complex::Complex64::from_polar(f64::from(code) * window, turn)
+                        })
+                        .collect::<Vec<_>>()
+                })
+                .sum()
+        })
+        .collect();
+    let mean = phases.iter().sum::<num_complex::Complex64>() / 400.0;
+    let at = |hz: f64| -> f64 {
+        let step = std::f64::consts::TAU * hz * w.frame_interval_s();
+        (0..400)
+            .map(|i| (phases[i] - mean) * num_complex::Complex64::from_polar(1.0, -step * i as f64))
+            .sum::<num_complex::Complex64>()
+            .norm()
+    };
+    let band = |low: f64, high: f64| (0..60).map(|i| at(low + (high - low) * f64::from(i) / 59.0)).fold(0.0, f64::max);
+    let breath = band(0.18, 0.37).max(band(-0.37, -0.18));
+    let far = band(3.0, 5.0).max(band(-5.0, -3.0));
+    assert!(breath > 4.0 * far, "{breath} against {far}");
+}
