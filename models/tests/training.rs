@@ -17,13 +17,23 @@ fn easy() -> Maps {
 }
 
 fn quick() -> TrainSpec {
-    TrainSpec { epochs: 8, linear_epochs: 4, starts: 1, start_epochs: 1, ..TrainSpec::default() }
+    TrainSpec { epochs: 8, linear_epochs: Some(4), starts: 1, start_epochs: 1, ..TrainSpec::default() }
 }
 
 /// One epoch on few maps: enough where the result does not matter.
 fn brief() -> (Dataset, TrainSpec) {
     let set = dataset(Maps { size: 16, sequences: [3, 2, 1], length: 3, ..Maps::default() });
-    (set, TrainSpec { epochs: 2, linear_epochs: 1, starts: 2, start_epochs: 1, batch_size: 8, ..TrainSpec::default() })
+    (
+        set,
+        TrainSpec {
+            epochs: 2,
+            linear_epochs: Some(1),
+            starts: 2,
+            start_epochs: 1,
+            batch_size: 8,
+            ..TrainSpec::default()
+        },
+    )
 }
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
@@ -266,8 +276,8 @@ mod hard_cases {
             (TrainSpec { epochs: 0, ..spec.clone() }, "epochs"),
             (TrainSpec { batch_size: 0, ..spec.clone() }, "batch_size"),
             (TrainSpec { learning_rate: f64::NAN, ..spec.clone() }, "learning_rate"),
-            (TrainSpec { start_epochs: 99, ..spec.clone() }, "start_epochs"),
-            (TrainSpec { linear_epochs: 99, ..spec.clone() }, "linear_epochs"),
+            (TrainSpec { start_epochs: 0, ..spec.clone() }, "start_epochs"),
+            (TrainSpec { linear_epochs: Some(99), ..spec.clone() }, "linear_epochs"),
             (TrainSpec { latent_penalty: -1.0, ..spec.clone() }, "latent_penalty"),
         ] {
             let error = refused(&set, &bad).to_string();

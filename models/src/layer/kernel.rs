@@ -336,7 +336,14 @@ fn backward_of_data<const FUSED: bool>(
 /// `target += factor * source`.
 #[inline(always)]
 fn add_scaled<const FUSED: bool>(target: &mut [f32], factor: f32, source: &[f32]) {
-    for (t, &s) in target.iter_mut().zip(source) {
+    let ((targets, target_rest), (sources, source_rest)) =
+        (target.as_chunks_mut::<LANES>(), source.as_chunks::<LANES>());
+    for (t, s) in targets.iter_mut().zip(sources) {
+        for lane in 0..LANES {
+            t[lane] = multiply_add::<FUSED>(factor, s[lane], t[lane]);
+        }
+    }
+    for (t, &s) in target_rest.iter_mut().zip(source_rest) {
         *t = multiply_add::<FUSED>(factor, s, *t);
     }
 }

@@ -86,10 +86,11 @@ pub struct TrainSpec {
     pub warm_up_steps: usize,
     /// Initialisations that are tried.
     pub starts: u64,
-    /// Epochs that each is given before one is chosen.
+    /// Epochs that each is given before one is chosen, at most `epochs`.
     pub start_epochs: usize,
-    /// Of all epochs, the first ones, in which the head sees the latent directly (see the recipe above).
-    pub linear_epochs: usize,
+    /// Of all epochs, the first ones, in which the head sees the latent directly (see the recipe above); half of them if
+    /// absent.
+    pub linear_epochs: Option<usize>,
     /// Standard deviation that features are scaled to while training.
     pub feature_sigma: f32,
     /// Standard deviation of each component of the latent at the start.
@@ -119,9 +120,9 @@ impl Default for TrainSpec {
             angle_rate: 5.0,
             head_rate: 5.0,
             warm_up_steps: 20,
-            starts: 4,
+            starts: 2,
             start_epochs: 2,
-            linear_epochs: 4,
+            linear_epochs: None,
             feature_sigma: 0.3,
             latent_sigma: 0.5,
             latent_penalty: 0.05,
@@ -252,6 +253,11 @@ pub enum TrainError {
 }
 
 impl TrainSpec {
+    /// Epochs with the linear head.
+    fn linear_epochs(&self) -> usize {
+        self.linear_epochs.unwrap_or(self.epochs / 2)
+    }
+
     fn check(&self) -> Result<(), TrainError> {
         let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
         for (name, value) in
@@ -261,11 +267,11 @@ impl TrainSpec {
                 return fail(name, value.to_string(), "at least 1");
             }
         }
-        if self.start_epochs > self.epochs || (self.starts > 1 && self.start_epochs == 0) {
-            return fail("start_epochs", self.start_epochs.to_string(), "1 up to epochs");
+        if self.starts > 1 && self.start_epochs == 0 {
+            return fail("start_epochs", self.start_epochs.to_string(), "1 or more where there are several starts");
         }
-        if self.linear_epochs > self.epochs {
-            return fail("linear_epochs", self.linear_epochs.to_string(), "0 up to epochs");
+        if self.linear_epochs() > self.epochs {
+            return fail("linear_epochs", self.linear_epochs().to_string(), "0 up to epochs");
         }
         if !(self.latent_penalty.is_finite() && self.latent_penalty >= 0.0) {
             return fail("latent_penalty", self.latent_penalty.to_string(), "0 or more");
@@ -311,7 +317,7 @@ pub fn train(
         report(r);
     };
 
-    let trials = if spec.starts > 1 { spec.start_epochs } else { 0 };
+    let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
     let mut best: Option<run::Run> = None;
     for start in 0..spec.starts {
         let mut run = run::Run::start(&data, spec, start, level)?;

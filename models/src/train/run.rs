@@ -76,7 +76,7 @@ impl<'a> Run<'a> {
         if spec.latent != LatentStandardisation::None {
             run.measure_latent()?;
         }
-        if spec.linear_epochs > 0 {
+        if spec.linear_epochs() > 0 {
             run.network.bypass = Bypass::Circuit;
         } else {
             run.start_circuit()?;
@@ -147,7 +147,7 @@ impl<'a> Run<'a> {
         if self.spec.latent == LatentStandardisation::FrozenByEpoch {
             self.measure_latent()?;
         }
-        if self.network.bypass == Bypass::Circuit && self.epoch >= self.spec.linear_epochs {
+        if self.network.bypass == Bypass::Circuit && self.epoch >= self.spec.linear_epochs() {
             self.start_circuit()?;
         }
         self.epoch += 1;
