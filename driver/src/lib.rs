@@ -1,14 +1,26 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
+//!
+//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`BoardStream`], a recording
+//! ([`recording::open`]), either of them paced by [`RealTime`], and any source sent through an emulated board
+//! ([`EmulatedSource`]). Parsing is a pure function over bytes beside its encoder ([`protocol`], [`chip`]); input and
+//! output wrap it ([`board`], [`emulator`]). The library never prints: it reports errors and `tracing` events.
 
 pub mod board;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
 pub mod protocol;
+pub mod recording;
+pub mod replay;
 mod timing;
 
 #[cfg(test)]
 mod testing;
 
 pub use board::{Board, BoardError, BoardIdentity, BoardStream};
+pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Pace};
+pub use recording::RecordingError;
+pub use recording::infineon::InfineonReader;
+pub use recording::mcap::{LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};
+pub use replay::RealTime;

@@ -1,0 +1,123 @@
+//! The native recording: an MCAP file.
+//!
+//! | what | where | encoding |
+//! |---|---|---|
+//! | waveform, board, registers, format version | metadata record `radome` | JSON in string fields |
+//! | frames | channel `/radome/frames` | `radome.frame`, below |
+//! | gaps | channel `/radome/gaps` | JSON [`Gap`] |
+//! | labels | channel `/radome/labels` | JSON [`LabelSpan`] |
+//!
+//! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
+//! chirps u16 | samples u16 | 0 u16 | sequence u64 | board time ns u64 | host time ns u64 | temperature i32
+//! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes.
+//!
+//! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
+//! written as a whole every second of board time or 4 MB, so that a recording can be read up to its last chunk whenever
+//! its writer dies. Nothing depends on the wall clock: the same frames give the same bytes.
+
+mod reader;
+mod recorder;
+
+pub use reader::McapReader;
+pub use recorder::{Recorder, RecordingSummary};
+
+use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
+use serde::{Deserialize, Serialize};
+
+use crate::board::BoardIdentity;
+use crate::chip::RegisterList;
+
+/// Version of the format that is written, and the newest that is read.
+const FORMAT_VERSION: u32 = 1;
+const METADATA_NAME: &str = "radome";
+const FRAMES: &str = "/radome/frames";
+const GAPS: &str = "/radome/gaps";
+const LABELS: &str = "/radome/labels";
+const FRAME_HEADER: usize = 40;
+
+/// What holds for the whole recording.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingHeader {
+    /// Waveform of every frame.
+    pub waveform: Waveform,
+    /// The board, if one was there.
+    pub board: Option<BoardIdentity>,
+    /// What its chip was programmed with; empty if there was none.
+    pub registers: RegisterList,
+}
+
+impl RecordingHeader {
+    /// A recording without a board.
+    pub fn new(waveform: Waveform) -> Self {
+        RecordingHeader { waveform, board: None, registers: RegisterList::new() }
+    }
+}
+
+/// Someone's word on a stretch of time.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LabelSpan {
+    /// Start on the frames' own clock (`Frame::time_ns`), s.
+    pub start_s: f64,
+    /// End, s.
+    pub end_s: f64,
+    /// What is true of it: the name of an [`Occupancy`], or free text.
+    pub label: String,
+    /// Who says so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub who: Option<String>,
+    /// How sure, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confidence: Option<f64>,
+}
+
+fn encode_frame(frame: &Frame, out: &mut Vec<u8>) {
+    out.clear();
+    let flags = u8::from(frame.truth.is_some()) | u8::from(frame.temperature_millicelsius.is_some()) << 1;
+    let class = frame.truth.map_or(0, |t| t.occupancy.index() as u8);
+    out.extend([1, flags, class, u8::from(frame.truth.is_some_and(|t| t.transition))]);
+    for length in [frame.shape.rx, frame.shape.chirps, frame.shape.samples, 0] {
+        out.extend((length as u16).to_le_bytes());
+    }
+    for number in [frame.sequence, frame.time_ns, frame.host_time_ns] {
+        out.extend(number.to_le_bytes());
+    }
+    out.extend(frame.temperature_millicelsius.unwrap_or(0).to_le_bytes());
+    out.extend(frame.codes.iter().flat_map(|code| code.to_le_bytes()));
+}
+
+/// Fills a frame from a message; what is wrong otherwise.
+fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result<(), String> {
+    let (header, codes) = bytes
+        .split_first_chunk::<FRAME_HEADER>()
+        .ok_or_else(|| format!("a frame of {} bytes, its header alone has {FRAME_HEADER}", bytes.len()))?;
+    let [version, flags, class, transition, ..] = *header;
+    if version != 1 {
+        return Err(format!("frame format {version}, expected 1"));
+    }
+    let word = |i: usize| usize::from(u16::from_le_bytes([header[i], header[i + 1]]));
+    let shape = FrameShape { rx: word(4), chirps: word(6), samples: word(8) };
+    if shape != expected {
+        return Err(format!("a frame is {shape}, the recording's waveform says {expected}"));
+    }
+    if codes.len() != 2 * shape.codes() {
+        return Err(format!("a frame has {} bytes of codes, expected {}", codes.len(), 2 * shape.codes()));
+    }
+    let long = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+    let truth = match (flags & 1 != 0, Occupancy::from_index(usize::from(class))) {
+        (false, _) => None,
+        (true, Some(occupancy)) => Some(Truth { occupancy, transition: transition != 0 }),
+        (true, None) => return Err(format!("class {class} of a frame's truth, known are 0 to 2")),
+    };
+    frame.codes.clear();
+    frame.codes.extend(codes.as_chunks::<2>().0.iter().map(|b| u16::from_le_bytes(*b)));
+    if let Some(code) = frame.codes.iter().find(|code| **code > radome_dsp::MAX_CODE) {
+        return Err(format!("code {code} in frame {}, largest possible is 4095", long(12)));
+    }
+    let temperature = i32::from_le_bytes([header[36], header[37], header[38], header[39]]);
+    frame.shape = shape;
+    (frame.sequence, frame.time_ns, frame.host_time_ns) = (long(12), long(20), long(28));
+    frame.truth = truth;
+    frame.temperature_millicelsius = (flags & 2 != 0).then_some(temperature);
+    Ok(())
+}

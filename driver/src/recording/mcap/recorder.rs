@@ -1,0 +1,205 @@
+//! Writing.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufWriter;
+use std::path::{Path, PathBuf};
+
+use mcap::records::{MessageHeader, Metadata};
+use mcap::{Compression, McapError, WriteOptions, Writer};
+use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+
+use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, LabelSpan, METADATA_NAME, RecordingHeader, encode_frame};
+use crate::recording::RecordingError;
+
+/// A chunk is written when it holds this many bytes.
+const CHUNK_BYTES: usize = 4_000_000;
+/// A chunk is written when it spans this much board time, ns.
+const CHUNK_NS: u64 = 1_000_000_000;
+
+/// What a recording holds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct RecordingSummary {
+    /// Frames written.
+    pub frames: u64,
+    /// Gaps written.
+    pub gaps: u64,
+    /// Frames that the gaps are known to stand for.
+    pub frames_lost: u64,
+    /// Labels written.
+    pub labels: u64,
+    /// Length of the file, bytes.
+    pub bytes: u64,
+}
+
+/// Writes a recording. Without [`Recorder::finish`] the file stays readable up to its last chunk, but is marked
+/// unfinished.
+pub struct Recorder {
+    path: PathBuf,
+    /// Taken when finished.
+    writer: Option<Writer<BufWriter<File>>>,
+    shape: FrameShape,
+    channels: [u16; 3],
+    buffer: Vec<u8>,
+    chunk_bytes: usize,
+    chunk_start_ns: u64,
+    /// Log time of messages that have no time of their own.
+    last_time_ns: u64,
+    summary: RecordingSummary,
+    message: u32,
+}
+
+fn failed(path: &Path, what: &'static str) -> impl FnOnce(McapError) -> RecordingError {
+    let path = path.to_owned();
+    move |error| {
+        let source = match error {
+            McapError::Io(source) => source,
+            other => std::io::Error::other(other),
+        };
+        RecordingError::Io { path, what, source }
+    }
+}
+
+impl Recorder {
+    /// Creates the file, or empties it.
+    pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
+        let io = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be created", source };
+        let file = BufWriter::new(File::create(path).map_err(io)?);
+        let mut writer = WriteOptions::new()
+            // Whole chunks at our word only: that is what survives a crash, and what makes bytes reproducible.
+            .disable_seeking(true)
+            .chunk_size(None)
+            .compression(Some(Compression::Zstd))
+            .compression_level(1)
+            .compression_threads(0)
+            .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
+            .create(file)
+            .map_err(failed(path, "cannot be written"))?;
+
+        let json = |value: serde_json::Result<String>| value.map_err(|e| io(std::io::Error::other(e)));
+        let metadata = BTreeMap::from([
+            ("format_version".to_owned(), FORMAT_VERSION.to_string()),
+            ("waveform".to_owned(), json(serde_json::to_string(&header.waveform))?),
+            ("board".to_owned(), json(serde_json::to_string(&header.board))?),
+            ("registers".to_owned(), json(serde_json::to_string(&header.registers))?),
+        ]);
+        let begin = || {
+            writer.write_metadata(&Metadata { name: METADATA_NAME.to_owned(), metadata })?;
+            let schema = writer.add_schema("radome.frame", "", &[])?;
+            let none = BTreeMap::new();
+            let channels = [
+                writer.add_channel(schema, FRAMES, "radome.frame", &none)?,
+                writer.add_channel(0, GAPS, "json", &none)?,
+                writer.add_channel(0, LABELS, "json", &none)?,
+            ];
+            writer.flush()?;
+            Ok(channels)
+        };
+        let channels = begin().map_err(failed(path, "cannot be written"))?;
+        Ok(Recorder {
+            path: path.to_owned(),
+            writer: Some(writer),
+            shape: header.waveform.shape(),
+            channels,
+            buffer: Vec::new(),
+            chunk_bytes: 0,
+            chunk_start_ns: 0,
+            last_time_ns: 0,
+            summary: RecordingSummary::default(),
+            message: 0,
+        })
+    }
+
+    fn write(&mut self, channel: usize, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
+        let (log_time, publish_time) = times.unwrap_or((self.last_time_ns, self.last_time_ns));
+        self.last_time_ns = log_time;
+        let channel_id = self.channels.get(channel).copied().unwrap_or(0);
+        let header = MessageHeader { channel_id, sequence: self.message, log_time, publish_time };
+        self.message = self.message.wrapping_add(1);
+        self.chunk_bytes += data.len();
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        writer.write_to_known_channel(&header, data).map_err(failed(&self.path, "cannot be written"))
+    }
+
+    /// Writes what is waiting as a chunk.
+    fn flush(&mut self) -> Result<(), RecordingError> {
+        self.chunk_bytes = 0;
+        let Some(writer) = &mut self.writer else { return Ok(()) };
+        writer.flush().map_err(failed(&self.path, "cannot be written"))
+    }
+
+    /// Adds a frame. It must have the waveform's shape.
+    pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
+        if frame.shape != self.shape || frame.codes.len() != self.shape.codes() {
+            return Err(RecordingError::FrameShape {
+                path: self.path.clone(),
+                sequence: frame.sequence,
+                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
+                expected: self.shape.to_string(),
+            });
+        }
+        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
+            let offset = self.summary.bytes;
+            return Err(RecordingError::Code { path: self.path.clone(), offset, frame: frame.sequence, code: *code });
+        }
+        if self.chunk_bytes > 0
+            && (self.chunk_bytes >= CHUNK_BYTES || frame.time_ns.saturating_sub(self.chunk_start_ns) >= CHUNK_NS)
+        {
+            self.flush()?;
+        }
+        if self.chunk_bytes == 0 {
+            self.chunk_start_ns = frame.time_ns;
+        }
+        let mut buffer = std::mem::take(&mut self.buffer);
+        encode_frame(frame, &mut buffer);
+        let log_time = if frame.host_time_ns > 0 { frame.host_time_ns } else { frame.time_ns };
+        let result = self.write(0, Some((log_time, frame.time_ns)), &buffer);
+        self.buffer = buffer;
+        self.summary.frames += u64::from(result.is_ok());
+        result
+    }
+
+    /// Adds a gap.
+    pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
+        let json =
+            serde_json::to_vec(gap).map_err(|e| failed(&self.path, "cannot be written")(McapError::Io(e.into())))?;
+        self.write(1, None, &json)?;
+        self.summary.gaps += 1;
+        self.summary.frames_lost += gap.frames;
+        Ok(())
+    }
+
+    /// Adds a label.
+    pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
+        let json =
+            serde_json::to_vec(label).map_err(|e| failed(&self.path, "cannot be written")(McapError::Io(e.into())))?;
+        self.write(2, None, &json)?;
+        self.summary.labels += 1;
+        Ok(())
+    }
+
+    /// Completes the file.
+    pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
+        let Some(mut writer) = self.writer.take() else { return Ok(self.summary) };
+        let finish = failed(&self.path, "cannot be finished");
+        writer.finish().map_err(finish)?;
+        let cannot = |source| RecordingError::Io { path: self.path.clone(), what: "cannot be finished", source };
+        let file = writer.into_inner().into_inner().map_err(|e| cannot(e.into_error()))?;
+        file.sync_all().map_err(cannot)?;
+        self.summary.bytes = file.metadata().map_err(cannot)?.len();
+        Ok(self.summary)
+    }
+}
+
+impl Drop for Recorder {
+    /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] says that all is there.
+    fn drop(&mut self) {
+        if let Some(mut writer) = self.writer.take() {
+            if let Err(error) = writer.flush() {
+                tracing::error!(%error, path = %self.path.display(), "the last chunk of a recording is lost");
+            }
+            // The writer would finish the file when dropped.
+            drop(writer.into_inner());
+        }
+    }
+}

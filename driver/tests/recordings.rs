@@ -1,0 +1,418 @@
+//! Recordings: the vendor's real one, the native format, and what happens to broken ones.
+
+mod common;
+
+use std::path::{Path, PathBuf};
+
+use common::{Pattern, waveform};
+use radome_driver::{
+    EmulatedSource, EmulatorOptions, InfineonReader, LabelSpan, McapReader, Pace, RealTime, Recorder, RecordingError,
+    RecordingHeader, recording,
+};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth};
+
+/// The recording of a breathing person; `None`, and a word about it, where the shared data are absent.
+fn breathing() -> Option<PathBuf> {
+    let root = std::env::var_os("RADOME_SHARED")
+        .map_or_else(|| PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../shared")), PathBuf::from);
+    let path = root.join("data/recordings/breathing-person-20260106");
+    if !path.exists() {
+        #[allow(clippy::print_stderr)]
+        {
+            eprintln!("skipped: {} is absent; set RADOME_SHARED to the folder that holds data/", path.display());
+        }
+        return None;
+    }
+    Some(path)
+}
+
+fn frames(source: &mut dyn FrameSource) -> Vec<Frame> {
+    let mut all = Vec::new();
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
+        all.push(frame.clone());
+    }
+    all
+}
+
+/// Frames until the source ends or fails.
+fn readable(source: &mut dyn FrameSource) -> (u64, Option<SourceError>) {
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut count = 0;
+    loop {
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => count += 1,
+            Ok(SourceEvent::Gap(_)) => {}
+            Ok(SourceEvent::End) => return (count, None),
+            Err(error) => return (count, Some(error)),
+        }
+    }
+}
+
+const CONFIG: &str = r#"{"device_config": {"fmcw_single_shape": {
+    "chirp_repetition_time_s": 591.125e-6, "frame_repetition_time_s": 0.1, "if_gain_dB": 23,
+    "lower_frequency_Hz": 60.5e9, "upper_frequency_Hz": 61.5e9, "num_chirps_per_frame": 4,
+    "num_samples_per_chirp": 16, "rx_antennas": [1, 3], "sample_rate_Hz": 2e6, "tx_power_level": 31}}}"#;
+
+const FRAME_BYTES: usize = 2 * 4 * 16 * 2;
+
+/// A small recording in the old format: 5 frames of 2 x 4 x 16, code = its index.
+fn old_recording(folder: &Path) {
+    std::fs::write(folder.join("config.json"), CONFIG).expect("writes");
+    std::fs::write(folder.join("format.version"), "1.0.0\r\n").expect("writes");
+    let codes = (0..5 * FRAME_BYTES as u16 / 2).flat_map(u16::to_le_bytes);
+    std::fs::write(folder.join("radar.npy"), npy("<u2", "(5, 2, 4, 16)", codes)).expect("writes");
+}
+
+fn npy(kind: &str, shape: &str, data: impl IntoIterator<Item = u8>) -> Vec<u8> {
+    let mut header = format!("{{'descr': '{kind}', 'fortran_order': False, 'shape': {shape}, }}");
+    while (header.len() + 11) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((header.len() as u16).to_le_bytes());
+    bytes.extend(header.as_bytes());
+    bytes.extend(data);
+    bytes
+}
+
+/// What hardware notes section 6 say of it: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each receiver.
+#[test]
+fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
+    let Some(path) = breathing() else { return };
+    for path in [path.clone(), path.join("RadarIfxAvian_00")] {
+        let mut source = recording::open(&path).expect("opens");
+        assert_eq!(source.frame_count(), Some(256));
+        assert_eq!(source.waveform().shape().to_string(), "3 rx x 8 chirps x 64 samples");
+        let frames = frames(&mut source);
+        assert_eq!(frames.len(), 256);
+        let codes = || frames.iter().flat_map(|f| &f.codes);
+        assert!(codes().all(|code| (1000..2500).contains(code)));
+        for (rx, range) in [(0, 1500.0..1700.0), (1, 1900.0..2000.0), (2, 2000.0..2100.0)] {
+            let chirp = frames[100].chirp(rx, 3);
+            let mean = chirp.iter().map(|c| f64::from(*c)).sum::<f64>() / 64.0;
+            assert!(range.contains(&mean), "rx {rx}: {mean}");
+        }
+        assert!((frames[255].time_s() - 255.0 * 0.07726884633302689).abs() < 1e-6);
+    }
+}
+
+#[test]
+fn the_real_recording_passes_an_emulated_board_unchanged() {
+    let Some(path) = breathing() else { return };
+    let original = frames(&mut recording::open(&path).expect("opens"));
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
+    let mut source = EmulatedSource::start(recording::open(&path).expect("opens"), options).expect("starts");
+    let received = frames(&mut source);
+    assert_eq!(received.len(), 256);
+    for (a, b) in original.iter().zip(&received) {
+        assert_eq!((a.sequence, &a.codes), (b.sequence, &b.codes));
+        assert!(a.time_ns.abs_diff(b.time_ns) < 3000);
+    }
+}
+
+#[test]
+fn old_keys_timestamps_and_temperatures_are_read() {
+    let folder = tempfile::tempdir().expect("folder");
+    old_recording(folder.path());
+    let write = |name: &str, bytes: &[u8]| std::fs::write(folder.path().join(name), bytes).expect("writes");
+    write("radar_timestamp.csv", b"1650000000.0\n1650000000.09\n1650000000.2\n1650000000.3\n1650000000.41\n");
+    write("temperature_timestamp.csv", b"1650000000.05\n1650000000.25\n");
+    write("temperature.npy", &npy("<f8", "(2,)", [31.5f64, 32.25].into_iter().flat_map(f64::to_le_bytes)));
+    let mut reader = InfineonReader::open(folder.path()).expect("opens");
+    let request = &reader.waveform().request;
+    assert_eq!((request.start_frequency_hz, request.end_frequency_hz), (60.5e9, 61.5e9));
+    assert_eq!(request.rx_antennas.antennas(), [1, 3]);
+    let frames = frames(&mut reader);
+    assert_eq!(frames.len(), 5);
+    assert_eq!(frames[3].codes[0], 3 * FRAME_BYTES as u16 / 2);
+    assert_eq!(frames[1].time_ns / 1000, 90_000);
+    let temperatures: Vec<_> = frames.iter().map(|f| f.temperature_millicelsius).collect();
+    assert_eq!(temperatures, [None, Some(31_500), Some(31_500), Some(32_250), Some(32_250)]);
+}
+
+fn truthful(count: u64) -> Pattern {
+    let truth = Some(Truth { occupancy: Occupancy::Two, transition: true });
+    Pattern { truth, ..Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), count) }
+}
+
+/// 25 frames at 10 Hz, a gap after the tenth, two labels. `None` instead of finishing.
+fn record(path: &Path, finish: bool) -> Option<recording::mcap::RecordingSummary> {
+    let mut source = truthful(25);
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
+        frame.temperature_millicelsius = frame.sequence.is_multiple_of(2).then_some(-1500);
+        recorder.frame(&frame).expect("records");
+        if frame.sequence == 9 {
+            recorder.gap(&GAP).expect("records");
+            recorder.label(&label("one", 0.0)).expect("records");
+        }
+    }
+    recorder.label(&label("two", 1.0)).expect("records");
+    finish.then(|| recorder.finish().expect("finishes"))
+}
+
+const GAP: Gap = Gap { first_sequence: 10, frames: 2, reason: GapReason::Crc };
+
+fn label(name: &str, start_s: f64) -> LabelSpan {
+    LabelSpan { start_s, end_s: start_s + 1.0, label: name.into(), who: Some("test".into()), confidence: Some(0.1) }
+}
+
+#[test]
+fn native_recording_gives_everything_back() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.mcap");
+    let summary = record(&path, true).expect("finished");
+    assert_eq!((summary.frames, summary.gaps, summary.frames_lost, summary.labels), (25, 1, 2, 2));
+    assert_eq!(summary.bytes, std::fs::metadata(&path).expect("there").len());
+
+    let mut reader = McapReader::open(&path).expect("opens").strict(true);
+    assert!(reader.is_complete());
+    assert_eq!(reader.frame_count(), Some(25));
+    let pattern = truthful(25);
+    assert_eq!(reader.waveform(), &pattern.waveform);
+    assert_eq!(reader.labels().expect("labels"), [label("one", 0.0), label("two", 1.0)]);
+    let mut frame = Frame::zeroed(pattern.waveform.shape());
+    let mut expected = frame.clone();
+    for sequence in 0..25 {
+        if sequence == 10 {
+            assert_eq!(reader.next_frame(&mut frame).expect("gap"), SourceEvent::Gap(GAP));
+        }
+        assert_eq!(reader.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        pattern.fill(sequence, &mut expected);
+        expected.temperature_millicelsius = sequence.is_multiple_of(2).then_some(-1500);
+        assert_eq!(frame, expected);
+    }
+    assert_eq!(reader.next_frame(&mut frame).expect("end"), SourceEvent::End);
+}
+
+#[test]
+fn the_same_frames_give_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("folder");
+    let paths = ["a.mcap", "b.mcap"].map(|name| folder.path().join(name));
+    paths.iter().for_each(|path| drop(record(path, true)));
+    let [a, b] = paths.map(|path| std::fs::read(path).expect("reads"));
+    assert!(a == b);
+}
+
+/// The reader of the format's own library finds every message too.
+#[test]
+fn other_mcap_readers_read_it() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.mcap");
+    record(&path, true);
+    let bytes = std::fs::read(&path).expect("reads");
+    let topics: Vec<_> =
+        mcap::MessageStream::new(&bytes).expect("opens").map(|m| m.expect("message").channel.topic.clone()).collect();
+    assert_eq!(topics.iter().filter(|t| *t == "/radome/frames").count(), 25);
+    let summary = mcap::Summary::read(&bytes).expect("reads").expect("has a summary");
+    assert_eq!(summary.stats.expect("statistics").message_count, 28);
+}
+
+#[test]
+fn replay_follows_the_time_stamps() {
+    let pattern = Pattern::new(waveform(&[1], 8, 64, 0.1), 5);
+    let start = std::time::Instant::now();
+    assert_eq!(frames(&mut RealTime::new(pattern, 8.0)).len(), 5);
+    assert!(start.elapsed().as_secs_f64() >= 0.4 / 8.0);
+}
+
+mod hard_cases {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn edited(edit: impl FnOnce(&Path)) -> Result<(u64, Option<SourceError>), RecordingError> {
+        let folder = tempfile::tempdir().expect("folder");
+        old_recording(folder.path());
+        edit(folder.path());
+        recording::open(folder.path()).map(|mut source| readable(&mut source))
+    }
+
+    fn message(result: Result<(u64, Option<SourceError>), RecordingError>) -> String {
+        match result {
+            Err(error) => error.to_string(),
+            Ok((_, Some(error))) => error.to_string(),
+            Ok((count, None)) => panic!("no error after {count} frames"),
+        }
+    }
+
+    fn assert_contains(text: &str, parts: &[&str]) {
+        for part in parts {
+            assert!(text.contains(part), "'{part}' is not in: {text}");
+        }
+    }
+
+    #[test]
+    fn a_recording_cut_short_gives_its_whole_frames_and_says_so() {
+        let (count, error) = edited(|folder| {
+            let path = folder.join("radar.npy");
+            let bytes = std::fs::read(&path).expect("reads");
+            std::fs::write(&path, &bytes[..bytes.len() - FRAME_BYTES - 1]).expect("writes");
+        })
+        .expect("opens");
+        assert_eq!(count, 3);
+        assert_contains(&error.expect("error").to_string(), &["radar.npy", "byte 1151", "3 whole frames", "5 were"]);
+    }
+
+    #[test]
+    fn a_corrupt_header_is_named() {
+        for (at, byte) in [(0, b'X'), (6, 9), (9, 0xFF), (10, b'!'), (40, 0xFF)] {
+            let text = message(edited(|folder| {
+                let path = folder.join("radar.npy");
+                let mut bytes = std::fs::read(&path).expect("reads");
+                bytes[at] = byte;
+                std::fs::write(&path, bytes).expect("writes");
+            }));
+            assert_contains(&text, &["radar.npy", "at byte"]);
+        }
+        let text = message(edited(|folder| std::fs::write(folder.join("radar.npy"), b"\x93NUM").expect("writes")));
+        assert_contains(&text, &["radar.npy", "shorter than"]);
+    }
+
+    #[test]
+    fn configuration_and_data_that_disagree_are_both_named() {
+        let replace = |from: &str, to: &str| {
+            let text = CONFIG.replace(from, to);
+            assert_ne!(text, CONFIG);
+            message(edited(|folder| std::fs::write(folder.join("config.json"), text).expect("writes")))
+        };
+        let text = replace("\"num_chirps_per_frame\": 4", "\"num_chirps_per_frame\": 8");
+        assert_contains(&text, &["radar.npy", "config.json", "2 rx x 4 chirps x 16", "2 rx x 8 chirps x 16"]);
+        let text = replace("[1, 3]", "[1, 2, 3]");
+        assert_contains(&text, &["2 rx", "3 rx"]);
+        assert_contains(&replace("[1, 3]", "[1, 1]"), &["rx_antennas", "[1, 1]"]);
+        assert_contains(&replace("\"if_gain_dB\": 23", "\"gain\": 23"), &["`if_gain_dB`", "is absent"]);
+        assert_contains(&replace("60.5e9", "\"many\""), &["lower_frequency_Hz", "many"]);
+        assert_contains(&replace("61.5e9", "90e9"), &["config.json", "impossible"]);
+        assert_contains(&replace("}}}", "}}"), &["config.json", "not JSON"]);
+    }
+
+    #[test]
+    fn codes_beyond_twelve_bits_are_refused_with_their_place() {
+        let text = message(edited(|folder| {
+            let path = folder.join("radar.npy");
+            let mut bytes = std::fs::read(&path).expect("reads");
+            bytes[128 + FRAME_BYTES + 5] = 0x10;
+            std::fs::write(&path, bytes).expect("writes");
+        }));
+        assert_contains(&text, &["at byte 388", "frame 1", "4095"]);
+    }
+
+    #[test]
+    fn other_versions_and_missing_files_are_named() {
+        let version = |text: &'static str| {
+            message(edited(move |folder| std::fs::write(folder.join("format.version"), text).expect("writes")))
+        };
+        assert_contains(&version("2.0.0"), &["format.version", "2.0.0", "1.0.0", "update"]);
+        assert_contains(&version("hello"), &["format.version", "hello"]);
+        for file in ["config.json", "format.version", "radar.npy"] {
+            let text = message(edited(|folder| std::fs::remove_file(folder.join(file)).expect("removes")));
+            assert_contains(&text, &[file, "no such file"]);
+        }
+        let folder = tempfile::tempdir().expect("folder");
+        assert!(matches!(recording::open(folder.path()), Err(RecordingError::Unknown { .. })));
+        assert!(matches!(recording::open(&folder.path().join("x")), Err(RecordingError::Missing { .. })));
+        let other = folder.path().join("a.wav");
+        std::fs::write(&other, b"RIFF....WAVE").expect("writes");
+        assert!(matches!(recording::open(&other), Err(RecordingError::Unknown { .. })));
+    }
+
+    /// As after `kill -9`: the file ends anywhere. A chunk spans a second, so at most ten frames are lost.
+    #[test]
+    fn an_unfinished_recording_is_readable_to_its_last_chunk() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, true);
+        let whole = std::fs::read(&path).expect("reads");
+        let cut_path = folder.path().join("cut.mcap");
+        let mut counts = Vec::new();
+        for cut in (0..whole.len()).step_by(97).chain([whole.len() - 1]) {
+            std::fs::write(&cut_path, &whole[..cut]).expect("writes");
+            let Ok(mut reader) = McapReader::open(&cut_path) else {
+                assert!(cut < 4000, "cannot be opened when cut at {cut}");
+                continue;
+            };
+            assert!(!reader.is_complete());
+            let (count, error) = readable(&mut reader);
+            assert!(error.is_none(), "{error:?}");
+            assert!(counts.last().is_none_or(|last| *last <= count));
+            counts.push(count);
+        }
+        assert_eq!(counts.last(), Some(&25));
+        assert!(counts.contains(&0) && counts.contains(&10) && counts.contains(&20), "{counts:?}");
+
+        std::fs::write(&cut_path, &whole[..whole.len() / 2]).expect("writes");
+        let (_, error) = readable(&mut McapReader::open(&cut_path).expect("opens").strict(true));
+        assert_contains(&error.expect("strict").to_string(), &["not finished", "byte"]);
+    }
+
+    /// A recorder that is dropped leaves all its frames, and a file that does not claim to be whole.
+    #[test]
+    fn a_dropped_recorder_leaves_what_it_was_given() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, false);
+        let mut reader = McapReader::open(&path).expect("opens");
+        assert!(!reader.is_complete());
+        assert_eq!(readable(&mut reader).0, 25);
+    }
+
+    #[test]
+    fn a_damaged_chunk_is_an_error_with_its_place() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, true);
+        let mut bytes = std::fs::read(&path).expect("reads");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x10;
+        std::fs::write(&path, bytes).expect("writes");
+        let (_, error) = readable(&mut McapReader::open(&path).expect("opens"));
+        assert_contains(&error.expect("damaged").to_string(), &["a.mcap", "at byte", "chunk is damaged"]);
+    }
+
+    #[test]
+    fn a_frame_of_another_shape_is_not_recorded() {
+        let folder = tempfile::tempdir().expect("folder");
+        let source = truthful(1);
+        let path = folder.path().join("a.mcap");
+        let mut recorder = Recorder::create(&path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+        let frame = Frame::zeroed(waveform(&[1], 8, 64, 0.1).shape());
+        let text = recorder.frame(&frame).expect_err("refused").to_string();
+        assert_contains(&text, &["1 rx x 8 chirps x 64", "3 rx x 8 chirps x 64"]);
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(150))]
+
+        /// Whatever bytes are changed: an error or frames, never a panic.
+        #[test]
+        fn changed_bytes_do_not_panic(changes in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 1..5)) {
+            let folder = tempfile::tempdir().expect("folder");
+            let path = folder.path().join("a.mcap");
+            let mut recorder =
+                Recorder::create(&path, &RecordingHeader::new(waveform(&[1], 8, 64, 0.1))).expect("creates");
+            let mut source = Pattern::new(waveform(&[1], 8, 64, 0.1), 2);
+            let mut frame = Frame::zeroed(source.waveform.shape());
+            while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
+                recorder.frame(&frame).expect("records");
+            }
+            recorder.finish().expect("finishes");
+            old_recording(folder.path());
+            for path in [path, folder.path().join("radar.npy")] {
+                let mut bytes = std::fs::read(&path).expect("reads");
+                let length = if path.ends_with("radar.npy") { 128 } else { bytes.len() };
+                for (index, byte) in &changes {
+                    let at = index.index(length);
+                    bytes[at] = *byte;
+                }
+                std::fs::write(&path, bytes).expect("writes");
+                let path = if path.ends_with("radar.npy") { folder.path().to_owned() } else { path };
+                if let Ok(mut source) = recording::open(&path) {
+                    readable(&mut source);
+                }
+            }
+        }
+    }
+}
