@@ -116,7 +116,7 @@ impl Synthesiser {
             }
         }
         // Transform of the kernel by the midpoint rule, which converges geometrically for this smooth function.
-        const POINTS: usize = 4000;
+        const POINTS: usize = 600;
         let step = WIDTH as f64 / POINTS as f64;
         let correction = (0..samples)
             .map(|n| {

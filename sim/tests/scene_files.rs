@@ -79,7 +79,7 @@ mod hard_cases {
                 "0 to 10 m",
             ),
             ("sample_rate_hz = 1e6", "sample_rate_hz = 9e6", "[waveform]", "sample_rate_hz"),
-            ("sample_rate_hz = 1e6", "sample_rate_hz = \"fast\"", "sample_rate_hz", "float"),
+            ("sample_rate_hz = 1e6", "sample_rate_hz = \"fast\"", "sample_rate_hz", "f64"),
             ("max_people = 0", "max_people = 3", "max_people", "two"),
             ("adc_white_lsb = 2.0", "adc_white_lsb = -2.0", "adc_white_lsb", "physical"),
             ("format = 1\nname = \"hall\"", "format = 2\nname = \"hall\"", "format", "expected 1"),

@@ -42,6 +42,7 @@ name = "hall"
 [receiver]
 format = 1
 name = "flat"
+noise_figure_db = 0.0
 rx = [{{ dc_code = 2048.0 }}, {{ dc_code = 2048.0 }}, {{ dc_code = 2048.0 }}]
 [receiver.noise]
 adc_white_lsb = 2.0
