@@ -2,17 +2,18 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom};
+use std::io::{BufReader, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
+use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, LabelSpan, METADATA_NAME, RecordingHeader, decode_frame};
 use crate::recording::RecordingError;
 
 /// Longest record that makes sense: chunks are a few megabytes.
-const MAX_RECORD: u64 = 1 << 30;
+const MAX_RECORD: u64 = 1 << 28;
 
 /// Opcode and length.
 const RECORD_HEADER: u64 = 9;
@@ -284,7 +285,8 @@ fn ends_with_magic(path: &Path, length: u64) -> Result<bool, RecordingError> {
     Ok(end == *mcap::MAGIC)
 }
 
-/// Hands out the messages of a chunk, once all of it has been decompressed and its CRC checked.
+/// Hands out the messages of a chunk, once all of it has been decompressed and its CRC checked: until then no length in
+/// it can be believed.
 fn read_chunk(
     records: &Records,
     at: u64,
@@ -293,23 +295,42 @@ fn read_chunk(
     message: &mut dyn FnMut(Topic, &[u8]),
 ) -> Result<(), RecordingError> {
     let damaged = |e: mcap::McapError| records.corrupt(at, format!("a chunk is damaged: {e}"));
-    let Record::Chunk { header, data } = mcap::parse_record(op::CHUNK, body).map_err(damaged)? else {
-        return Err(records.corrupt(at, "a chunk is damaged".into()));
-    };
+    let options = LinearReaderOptions::default()
+        .with_skip_start_magic(true)
+        .with_skip_end_magic(true)
+        .with_prevalidate_chunk_crcs(true)
+        .with_record_length_limit(MAX_RECORD as usize);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut input = reader.insert(RECORD_HEADER as usize + body.len());
+    // The buffer is as long as asked for; were it not, the chunk would read as damaged.
+    let mut fed = 0;
+    for part in [&[op::CHUNK][..], &(body.len() as u64).to_le_bytes(), body] {
+        fed += input.write(part).unwrap_or(0);
+    }
+    reader.notify_read(fed);
     let mut messages = Vec::new();
-    for record in mcap::read::ChunkReader::new(header, &data).map_err(damaged)? {
-        match record.map_err(damaged)? {
-            Record::Channel(channel) => {
-                if let Some(topic) = topic(&channel.topic) {
-                    channels.insert(channel.id, topic);
-                }
+    let mut fed_all = false;
+    while let Some(event) = reader.next_event() {
+        match event.map_err(damaged)? {
+            // The chunk is all there is: the reader is told so once and then ends, or reports what is missing.
+            LinearReadEvent::ReadRequest(_) if fed_all => break,
+            LinearReadEvent::ReadRequest(_) => {
+                fed_all = true;
+                reader.notify_read(0);
             }
-            Record::Message { header, data } => {
-                if let Some(topic) = channels.get(&header.channel_id) {
-                    messages.push((*topic, data.into_owned()));
+            LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data).map_err(damaged)? {
+                Record::Channel(channel) => {
+                    if let Some(topic) = topic(&channel.topic) {
+                        channels.insert(channel.id, topic);
+                    }
                 }
-            }
-            _ => {}
+                Record::Message { header, data } => {
+                    if let Some(topic) = channels.get(&header.channel_id) {
+                        messages.push((*topic, data.into_owned()));
+                    }
+                }
+                _ => {}
+            },
         }
     }
     messages.iter().for_each(|(topic, data)| message(*topic, data));
