@@ -7,7 +7,7 @@ use std::time::Duration;
 use common::{Pattern, waveform};
 use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Pace};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
@@ -99,6 +99,24 @@ fn real_time_follows_the_time_stamps() {
     // At least: a busy machine may take longer, never less.
     assert!(start.elapsed() > Duration::from_millis(280), "{:?}", start.elapsed());
     assert_eq!((sequences.len(), gaps.len()), (30, 0));
+}
+
+/// The truth about a frame stays with it, across gaps too.
+#[test]
+fn truth_goes_past_the_board() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let truth = Some(Truth { occupancy: Occupancy::One, transition: true });
+    let pattern = Pattern { truth, ..Pattern::new(waveform.clone(), 6) };
+    let mut source = EmulatedSource::start(Box::new(pattern), options(&[Fault::DropPacket(2)])).expect("starts");
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut sequences = Vec::new();
+    while let event @ (SourceEvent::Frame | SourceEvent::Gap(_)) = source.next_frame(&mut frame).expect("stream") {
+        if event == SourceEvent::Frame {
+            assert_eq!(frame.truth, truth);
+            sequences.push(frame.sequence);
+        }
+    }
+    assert_eq!(sequences, [0, 1, 3, 4, 5]);
 }
 
 #[test]

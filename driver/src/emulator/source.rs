@@ -1,18 +1,45 @@
 //! A frame source behind an emulated board: the same frames, after a trip through registers, packets and a serial port.
 
+use std::cmp::Ordering;
 use std::time::Duration;
 
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use crossbeam::channel::{Receiver, Sender, unbounded};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 
 use super::{EmulatedBoard, EmulatorError, EmulatorOptions};
 use crate::board::{Board, BoardError, BoardIdentity, BoardStream};
 
-/// An emulated board with a client attached. Ends when its source does.
+/// An emulated board with a client attached. Ends when its source does. What is known to be true of the source's frames,
+/// which no board can say, goes past the board and is put back by sequence number.
 pub struct EmulatedSource {
     // Fields are dropped in this order: the client stops the board before the board goes.
     stream: BoardStream,
     identity: BoardIdentity,
     board: EmulatedBoard,
+    truths: Receiver<(u64, Truth)>,
+    /// The truth received last, if it is of a frame yet to come.
+    ahead: Option<(u64, Truth)>,
+}
+
+/// Tells the truth of each frame to whoever listens.
+struct Tap {
+    source: Box<dyn FrameSource>,
+    truths: Sender<(u64, Truth)>,
+}
+
+impl FrameSource for Tap {
+    fn waveform(&self) -> &Waveform {
+        self.source.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        let event = self.source.next_frame(frame)?;
+        if let (SourceEvent::Frame, Some(truth)) = (event, frame.truth) {
+            // Nobody listens any more: then nobody misses it.
+            let _ = self.truths.send((frame.sequence, truth));
+        }
+        Ok(event)
+    }
 }
 
 /// The emulated board or its client could not be started.
@@ -30,10 +57,25 @@ impl EmulatedSource {
     /// Starts an emulated board on the source and a client with the source's waveform.
     pub fn start(source: Box<dyn FrameSource>, options: EmulatorOptions) -> Result<Self, EmulatedSourceError> {
         let waveform = source.waveform().clone();
-        let board = EmulatedBoard::spawn(source, options)?;
+        let (sender, truths) = unbounded();
+        let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
         let client = Board::open(board.path())?;
         let identity = client.identity().clone();
-        Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board })
+        Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
+    }
+
+    fn truth(&mut self, sequence: u64) -> Option<Truth> {
+        loop {
+            let (of, truth) = self.ahead.take().or_else(|| self.truths.try_recv().ok())?;
+            match of.cmp(&sequence) {
+                Ordering::Less => {}
+                Ordering::Equal => return Some(truth),
+                Ordering::Greater => {
+                    self.ahead = Some((of, truth));
+                    return None;
+                }
+            }
+        }
     }
 
     /// The emulated board.
@@ -62,7 +104,12 @@ impl FrameSource for EmulatedSource {
         loop {
             let finished = self.board.finished();
             match self.stream.poll(frame, Duration::from_millis(50))? {
-                Some(event) => return Ok(event),
+                Some(event) => {
+                    if event == SourceEvent::Frame {
+                        frame.truth = self.truth(frame.sequence);
+                    }
+                    return Ok(event);
+                }
                 None if finished => return Ok(SourceEvent::End),
                 None => {}
             }

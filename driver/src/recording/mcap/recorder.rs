@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufWriter;
+use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use mcap::records::{MessageHeader, Metadata};
+use mcap::records::{MessageHeader, Metadata, op};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
 
@@ -64,7 +64,8 @@ impl Recorder {
     /// Creates the file, or empties it.
     pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
         let io = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be created", source };
-        let file = BufWriter::new(File::create(path).map_err(io)?);
+        let file = File::options().read(true).write(true).create(true).truncate(true).open(path).map_err(io)?;
+        let file = BufWriter::new(file);
         let mut writer = WriteOptions::new()
             // Whole chunks at our word only: that is what survives a crash, and what makes bytes reproducible.
             .disable_seeking(true)
@@ -72,6 +73,8 @@ impl Recorder {
             .compression(Some(Compression::Zstd))
             .compression_level(1)
             .compression_threads(0)
+            // The summary is put into order afterwards, see `sort_channels`.
+            .calculate_summary_section_crc(false)
             .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
             .create(file)
             .map_err(failed(path, "cannot be written"))?;
@@ -184,11 +187,48 @@ impl Recorder {
         let finish = failed(&self.path, "cannot be finished");
         writer.finish().map_err(finish)?;
         let cannot = |source| RecordingError::Io { path: self.path.clone(), what: "cannot be finished", source };
-        let file = writer.into_inner().into_inner().map_err(|e| cannot(e.into_error()))?;
+        let mut file = writer.into_inner().into_inner().map_err(|e| cannot(e.into_error()))?;
+        sort_channels(&mut file).map_err(cannot)?;
         file.sync_all().map_err(cannot)?;
         self.summary.bytes = file.metadata().map_err(cannot)?.len();
         Ok(self.summary)
     }
+}
+
+/// Puts the channels of the summary into the order of their numbers. The library writes them in the order of a hash map
+/// with a random seed, so that no two files would be the same.
+fn sort_channels(file: &mut File) -> std::io::Result<()> {
+    const FOOTER: i64 = 9 + 20;
+    const MAGIC: i64 = 8;
+    let footer = file.seek(SeekFrom::End(-FOOTER - MAGIC))?;
+    let mut bytes = [0; FOOTER as usize];
+    file.read_exact(&mut bytes)?;
+    let summary = bytes.get(9..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+    if summary == 0 || summary > footer {
+        return Ok(());
+    }
+    file.seek(SeekFrom::Start(summary))?;
+    let mut bytes = vec![0; (footer - summary) as usize];
+    file.read_exact(&mut bytes)?;
+    let (mut records, mut rest) = (Vec::new(), bytes.as_slice());
+    while let Some((header, body)) = rest.split_first_chunk::<9>() {
+        let [_, length @ ..] = *header;
+        let length = 9 + (u64::from_le_bytes(length) as usize).min(body.len());
+        let (record, next) = rest.split_at(length);
+        records.push(record);
+        rest = next;
+    }
+    // All channels stand together; a stable sort by number that leaves everything else where it is.
+    let is_channel = |record: &&[u8]| record.first() == Some(&op::CHANNEL);
+    if let Some(first) = records.iter().position(is_channel) {
+        let count = records.iter().skip(first).take_while(|r| is_channel(r)).count();
+        if let Some(channels) = records.get_mut(first..first + count) {
+            channels.sort_by_key(|record| record.get(9..11).map(|id| [id[1], id[0]]));
+        }
+    }
+    let sorted = records.concat();
+    file.seek(SeekFrom::Start(summary))?;
+    file.write_all(&sorted)
 }
 
 impl Drop for Recorder {
