@@ -54,6 +54,15 @@ impl Dataset {
             });
         }
 
+        let ours = DatasetHeader::new(header.waveform.clone(), header.rdm_spec)?;
+        if (&header.dimensions, &header.class_names) != (&ours.dimensions, &ours.class_names) {
+            return Err(DatasetError::Inconsistent {
+                path,
+                expected: format!("dimensions {:?} and classes {:?}", ours.dimensions, ours.class_names),
+                found: format!("{:?} and {:?}", header.dimensions, header.class_names),
+            });
+        }
+
         let path = dir.join("manifest.jsonl");
         let text = fs::read_to_string(&path).map_err(DatasetError::io(&path, "reading"))?;
         let rows: Vec<ManifestRow> = text

@@ -171,6 +171,9 @@ mod hard_cases {
         let text = std::fs::read_to_string(&head).expect("read");
         std::fs::write(&head, text.replace("\"format_version\": 1", "\"format_version\": 99")).expect("write");
         let error = Dataset::open(&path).expect_err("newer").to_string();
+        std::fs::write(&head, text.replace("\"two\"", "\"crowd\"")).expect("write");
+        let other = Dataset::open(&path).expect_err("other classes").to_string();
+        assert!(other.contains("crowd"), "{other}");
         assert!(error.contains("format 99 is newer than 1"), "{error}");
     }
 }

@@ -17,6 +17,7 @@ mod adam;
 mod circuit_start;
 mod data;
 mod run;
+mod start;
 mod temperature;
 
 use radome_dsp::Occupancy;

@@ -8,17 +8,13 @@ use rand::seq::SliceRandom;
 
 use super::adam::Adam;
 use super::circuit_start;
-use super::data::{Data, Part};
+use super::data::Data;
+use super::start::{self, collect, feature_scale, moments, place_hidden, place_latent};
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, cross_entropy};
-use crate::network::{Bypass, FeatureScale, Hqnn, LatentConstants, Stages};
+use crate::network::{Bypass, Hqnn, LatentConstants};
 use crate::stream;
-
-/// Training maps that the start is measured on.
-const START_MAPS: usize = 256;
-/// Maps of a forward pass without gradients.
-const EVALUATION_BATCH: usize = 64;
 
 pub(super) struct Run<'a> {
     data: &'a Data,
@@ -53,7 +49,7 @@ impl<'a> Run<'a> {
         let mut network = Hqnn::initialise(spec.seed, start, level)?;
         let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         positions.shuffle(&mut stream(spec.seed, "start maps", start));
-        positions.truncate(START_MAPS);
+        positions.truncate(start::START_MAPS);
         let features = collect(&network, data, &data.train, &positions, |s| &s.features)?;
         network.set_feature_scale(Some(feature_scale(&features, spec.feature_sigma)));
         let hidden = collect(&network, data, &data.train, &positions, |s| &s.hidden)?;
@@ -88,7 +84,7 @@ impl<'a> Run<'a> {
     fn start_circuit(&mut self) -> Result<(), TrainError> {
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         positions.shuffle(&mut stream(self.spec.seed, "circuit maps", self.start));
-        positions.truncate(START_MAPS);
+        positions.truncate(start::START_MAPS);
         let move_latent = self.spec.latent == LatentStandardisation::None;
         let rows = collect(&self.network, self.data, &self.data.train, &positions, |s| &s.standardised)?;
         let found = if move_latent { moments(&rows) } else { LatentConstants::default() };
@@ -231,7 +227,7 @@ impl<'a> Run<'a> {
                 mean: std::array::from_fn(|k| old.mean[k] + momentum * (batch.mean[k] - old.mean[k])),
                 sigma: std::array::from_fn(|k| {
                     let (a, b) = (old.sigma[k] * old.sigma[k], batch.sigma[k] * batch.sigma[k]);
-                    (a + momentum * (b - a)).sqrt().max(LEAST_LATENT_SIGMA)
+                    (a + momentum * (b - a)).sqrt().max(start::LEAST_LATENT_SIGMA)
                 }),
             };
         }
@@ -259,7 +255,7 @@ impl<'a> Run<'a> {
         let part = &self.data.validation;
         let (mut loss, mut weight, mut pairs) = (0.0, 0.0, Vec::new());
         let positions: Vec<usize> = (0..part.maps.len()).collect();
-        for batch in positions.chunks(EVALUATION_BATCH) {
+        for batch in positions.chunks(start::EVALUATION_BATCH) {
             let labels: Vec<usize> = batch.iter().filter_map(|&p| part.labels.get(p)).copied().collect();
             let stages = self.network.stages(&self.data.batch(part, batch)?)?;
             let batch_loss =
@@ -296,91 +292,11 @@ impl<'a> Run<'a> {
     }
 }
 
-/// A latent that does not vary is not blown up.
-const LEAST_LATENT_SIGMA: f32 = 1e-3;
-
-fn moments(rows: &[Vec<f32>]) -> LatentConstants {
-    let n = rows.len().max(1) as f64;
-    let column = |k: usize| rows.iter().filter_map(move |r| r.get(k)).map(|&v| f64::from(v));
-    let mean: [f64; 2] = std::array::from_fn(|k| column(k).sum::<f64>() / n);
-    let sigma = std::array::from_fn(|k| (column(k).map(|v| (v - mean[k]).powi(2)).sum::<f64>() / n).sqrt() as f32);
-    LatentConstants { mean: mean.map(|v| v as f32), sigma: sigma.map(|s: f32| s.max(LEAST_LATENT_SIGMA)) }
-}
-
-/// One stage's rows for the maps at `positions`.
-fn collect(
-    network: &Hqnn,
-    data: &Data,
-    part: &Part,
-    positions: &[usize],
-    stage: impl Fn(&Stages) -> &Tensor,
-) -> Result<Vec<Vec<f32>>, TrainError> {
-    let mut rows = Vec::with_capacity(positions.len());
-    for batch in positions.chunks(EVALUATION_BATCH) {
-        let stages = network.stages(&data.batch(part, batch)?)?;
-        rows.extend(stage(&stages).to_vec2::<f32>()?);
-    }
-    Ok(rows)
-}
-
 fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<(), TrainError> {
     for (row, &label) in logits.to_vec2::<f32>()?.iter().zip(labels) {
         if let (&[a, b, c], Some(truth)) = (row.as_slice(), Occupancy::from_index(label)) {
             pairs.push((truth, crate::evaluate::most_probable(&[a, b, c])));
         }
     }
-    Ok(())
-}
-
-/// Mean of each feature and one over its standard deviation. A feature that hardly varies (a dead unit, or one far off
-/// every target) is not blown up: no deviation counts as less than a fifth of the root mean square of all.
-fn feature_scale(rows: &[Vec<f32>], sigma: f32) -> FeatureScale {
-    let n = rows.len().max(1) as f64;
-    let width = rows.first().map_or(0, Vec::len);
-    let mut mean = vec![0.0f64; width];
-    for row in rows {
-        mean.iter_mut().zip(row).for_each(|(m, &v)| *m += f64::from(v) / n);
-    }
-    let mut variance = vec![0.0f64; width];
-    for row in rows {
-        for ((s, &v), m) in variance.iter_mut().zip(row).zip(&mean) {
-            *s += (f64::from(v) - m).powi(2) / n;
-        }
-    }
-    let typical = (variance.iter().sum::<f64>() / width.max(1) as f64).sqrt();
-    let floor = (0.2 * typical).max(1e-6);
-    FeatureScale {
-        mean: mean.iter().map(|&m| m as f32).collect(),
-        scale: variance.iter().map(|v| sigma / v.sqrt().max(floor) as f32).collect(),
-    }
-}
-
-/// Rescales the first dense layer so that its outputs have a mean square of 1/2 after the ReLU, as those of unit variance
-/// before it would.
-fn place_hidden(network: &Hqnn, hidden: &[Vec<f32>]) -> Result<(), TrainError> {
-    let count = hidden.iter().map(Vec::len).sum::<usize>().max(1);
-    let square = hidden.iter().flatten().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / count as f64;
-    let factor = (0.5 / square.max(1e-12)).sqrt() as f32;
-    let mut values = network.values()?;
-    if let [_, _, _, _, weight, ..] = values.as_mut_slice() {
-        weight.iter_mut().for_each(|w| *w *= factor);
-    }
-    network.set_values(&values)?;
-    Ok(())
-}
-
-/// Rescales the layer before the latent so that each component has mean 0 and standard deviation `sigma`.
-fn place_latent(network: &Hqnn, latent: &[Vec<f32>], sigma: f32) -> Result<(), TrainError> {
-    let found = moments(latent);
-    let mut values = network.values()?;
-    if let [_, _, _, _, _, _, weight, bias, ..] = values.as_mut_slice() {
-        let width = weight.len() / 2;
-        for (k, (row, bias)) in weight.chunks_exact_mut(width).zip(bias).enumerate() {
-            let factor = sigma / found.sigma[k];
-            row.iter_mut().for_each(|w| *w *= factor);
-            *bias = (*bias - found.mean[k]) * factor;
-        }
-    }
-    network.set_values(&values)?;
     Ok(())
 }
