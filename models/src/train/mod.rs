@@ -1,17 +1,35 @@
 //! Training: from a dataset to a model, reliably and reproducibly.
 //!
 //! # The recipe, and why
-//! The squash before the circuit makes training fragile: a latent that starts off-centre or too wide sits where
-//! `pi * sigmoid` is flat or where the circuit's phase `w = 2 (pi - x0)(pi - x1)` turns many times, and the network
-//! never learns. What is done about it (figures in the crate's `examples/reliability.rs`):
-//! 1. *Centred features.* See [`crate::network::FeatureScale`]: measured at the start, folded into the weights at the end.
-//! 2. *A latent of known place and width.* The last dense layer is scaled so that each component of the latent has mean 0 and
-//!    standard deviation [`TrainSpec::latent_sigma`] over the training maps at the start.
-//! 3. *Several starts.* [`TrainSpec::starts`] initialisations are trained for [`TrainSpec::start_epochs`] epochs each and the
-//!    one with the least validation loss is carried on with.
-//! 4. *Own step sizes* for the angles and the head, which are few and must move far; warm-up, then a cosine to a twentieth.
-//! 5. *The best epoch* by balanced accuracy on the validation split, by loss among equals.
-//! 6. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
+//! The squash before the circuit makes training fragile. From a cold start it is easier for the first steps to shift the
+//! common mean of the latent than to draw classes apart; the mean runs onto the flat end of `pi * sigmoid`, no gradient
+//! is left, and the loss stays at ln 3. What is done about it:
+//! 1. *Centred features.* See [`crate::network::FeatureScale`]: measured at the start, folded into the weights at the
+//!    end.
+//! 2. *A linear warm-up.* For the first [`TrainSpec::linear_epochs`] the head sees the latent itself, without squash and
+//!    circuit. This control head trains reliably.
+//! 3. *A fitted circuit.* Then angles, head and an affine map of the latent (folded into the last dense layer) are
+//!    fitted to the latents as they are, from 24 random starts, and the best fit is carried on with: 19 numbers on 256
+//!    points, well under a second.
+//! 4. *A penalty* on the mean square of the latent keeps it off the ends of the squash.
+//! 5. *Several starts* ([`TrainSpec::starts`]); the one with the least validation loss after
+//!    [`TrainSpec::start_epochs`] is carried on with. Own step sizes for angles and head; warm-up, then a cosine to a
+//!    twentieth.
+//! 6. *The best epoch* by balanced accuracy on the validation split, by loss among equals.
+//! 7. *Calibration.* One temperature, fitted on the validation split (Guo et al., ICML 2017).
+//!
+//! Balanced accuracy on made-up maps, 960 to learn from, 15 epochs (`examples/reliability.rs`); training in the last
+//! epoch, test after choice by validation:
+//!
+//! | variant | seeds | training, least | test, mean | test, least |
+//! |---|---|---|---|---|
+//! | as described | 10 | .977 | .787 | .742 |
+//! | one start, 4 warm-up epochs | 4 | .995 | .754 | .719 |
+//! | no warm-up, circuit fitted to the untrained latent | 5 | .890 | .678 | .638 |
+//! | the same without penalty | 5 | .630 | .627 | .435 |
+//! | linear head for all epochs, circuit fitted at the end | 4 | .972 | .779 | .746 |
+//!
+//! The last row says that the circuit costs nothing against the linear control here, nor gains anything.
 
 mod adam;
 mod circuit_start;
