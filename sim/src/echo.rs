@@ -95,17 +95,18 @@ fn opposite(segment: usize) -> Option<usize> {
     (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
 }
 
-/// Field left on the way between a point on a segment and an antenna (by an image).
-fn visibility(
-    stage: &Stage,
-    people: &[Snapshot],
-    me: usize,
-    segment: usize,
+/// One way of a path: between a highlight and an antenna by one of its images.
+struct Way {
     image: ImageIndex,
+    /// Position of the image.
     source: DVec3,
+    /// Position of the antenna itself.
     antenna: DVec3,
-    point: DVec3,
-) -> f64 {
+}
+
+/// Field left on the way between a point on somebody's segment and an antenna.
+fn visibility(stage: &Stage, people: &[Snapshot], me: usize, segment: usize, way: &Way, point: DVec3) -> f64 {
+    let &Way { image, source, antenna } = way;
     let Some(own) = people.get(me) else { return 0.0 };
     let wavelength_m = stage.wavelength_m;
     let mut weight = 1.0;
@@ -145,7 +146,6 @@ fn visibility(
 }
 
 /// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`. Paths that do not exist have amplitude zero.
-#[allow(clippy::too_many_arguments)]
 pub fn echoes(
     stage: &Stage,
     motion: &Motion,
@@ -161,17 +161,20 @@ pub fn echoes(
     for &(p, q) in pairs {
         let source = stage.room.image_position(p, stage.tx.position);
         let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
+        let first_sink = sinks.first().copied().unwrap_or(source);
+        let out_way = Way { image: p, source, antenna: stage.tx.position };
+        let back_way = Way { image: q, source: first_sink, antenna: first_rx.position };
         for (segment, ellipsoid) in own.body.iter().enumerate() {
             report.paths += 1;
-            let Some(h) = ellipsoid.highlight(source, sinks.first().copied().unwrap_or(source), None) else {
+            let Some(h) = ellipsoid.highlight(source, first_sink, None) else {
                 let delay_s = (source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
                 let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
                 out.extend(sinks.iter().map(|_| nothing));
                 continue;
             };
             let weight = inside_room(stage, h.point)
-                * visibility(stage, people, me, segment, p, source, stage.tx.position, h.point)
-                * visibility(stage, people, me, segment, q, sinks[0], first_rx.position, h.point)
+                * visibility(stage, people, me, segment, &out_way, h.point)
+                * visibility(stage, people, me, segment, &back_way, h.point)
                 // Grazing highlights fade: forward scattering is not theirs to tell.
                 * smooth_step((h.cosine - 0.2) / 0.1);
             let there = stage.room.illuminate(&stage.tx, p, h.point);

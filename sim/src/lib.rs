@@ -15,6 +15,7 @@ pub mod echo;
 pub mod field;
 pub mod random;
 pub mod receiver;
+mod render;
 pub mod scene;
 pub mod shadow;
 pub mod simulator;

@@ -47,7 +47,7 @@ const WIDTH: usize = 6;
 /// Steepness of the kernel for twofold oversampling.
 const BETA: f64 = 2.30 * WIDTH as f64;
 /// Coefficients of the polynomial for each of the kernel's taps.
-const DEGREE: usize = 10;
+const DEGREE: usize = 8;
 /// Taps rounded up to a vector's width; the last are zero.
 const LANES: usize = 8;
 

@@ -183,12 +183,12 @@ fn noise_has_the_measured_spectrum_at_both_gains() {
     for (bin, measured) in
         [(1, 3.5), (2, 2.4), (3, 1.9), (4, 1.7), (6, 1.6), (8, 1.4), (16, 1.4), (20, 1.2), (24, 0.9), (32, 0.8)]
     {
-        let error_db = 10.0 * (low[bin] / measured as f64).log10();
+        let error_db = 10.0 * (low[bin] / measured).log10();
         assert!(error_db.abs() < 1.5, "23 dB, bin {bin}: {} for {measured}", low[bin]);
     }
     let high = at(128, 48.0);
     for (bin, measured) in [(3, 10.3), (10, 8.4), (20, 7.5), (30, 6.0), (40, 3.8), (50, 1.8), (60, 1.2)] {
-        let error_db = 20.0 * (high[bin].sqrt() / measured as f64).log10();
+        let error_db = 20.0 * (high[bin].sqrt() / measured).log10();
         assert!(error_db.abs() < 1.5, "48 dB, bin {bin}: {} for {measured}", high[bin].sqrt());
     }
 }

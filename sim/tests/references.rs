@@ -76,7 +76,7 @@ fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
     for index in images(3) {
         let got = room.illuminate(&tx, index, target);
         let mirrored = BoxRoom::image_vector(index, tx.polarisation);
-        let sign = if order(index) % 2 == 0 { 1.0 } else { -1.0 };
+        let sign = if order(index).is_multiple_of(2) { 1.0 } else { -1.0 };
         let expected = sign * (mirrored - got.direction * got.direction.dot(mirrored));
         assert!((got.field.re - expected).length() < 1e-12 && got.field.im.length() < 1e-12, "{index:?}");
         // Folding the way back keeps its length and ends where it should.

@@ -113,7 +113,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
             _ => (middle + 0.12, farthest),
         };
         let distance = if span.1 > span.0 { rng.random_range(span.0..=span.1) } else { span.0 };
-        let side = if slot % 2 == 0 { first_side } else { -first_side };
+        let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
         let angle = azimuth + side * desk.off_boresight_deg.to_radians() * rng.random_range(0.1..1.0);
         let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
         let mut person = Person::draw(seed, [slot as u64, 1 << 20], height);
@@ -185,7 +185,7 @@ impl Visits {
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
         let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
-        let side = if slot % 2 == 0 { 1.0 } else { -1.0 };
+        let side = if slot.is_multiple_of(2) { 1.0 } else { -1.0 };
         let lateral = side * draw(rng, f.lateral_m);
         let pick = rng.random_range(0..self.doors.len().max(1));
         let other = if self.doors.len() > 1 {

@@ -79,8 +79,12 @@ pub struct Antenna {
 /// Noise at the ADC, as power spectral density in LSB^2 per sample: white noise of variance v has density v at every
 /// frequency, and the mean over all frequencies is the variance of a sample. Rounding (1/12 LSB^2) is contained.
 ///
-/// `density(f) = adc_white^2 + (baseband_white^2 + thermal (|HPF|^2 + (amplifier_flicker_corner/f)^e)) |AAF|^2
-///  + flicker_at_100khz (100 kHz / f)^e`, thermal from noise figure, conversion gain and IF gain; what lies above half the
+/// ```text
+/// density(f) = adc_white^2 + (baseband_white^2 + thermal (|HPF|^2 + (amplifier_flicker_corner/f)^e)) |AAF|^2
+///     + flicker_at_100khz (100 kHz / f)^e
+/// ```
+///
+/// Thermal follows from noise figure, conversion gain and IF gain; what lies above half the
 /// sample rate folds.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

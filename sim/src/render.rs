@@ -1,0 +1,400 @@
+//! One frame of a scene: truth, paths, chirps. A pure function of (scene, seed, index).
+
+use std::sync::Arc;
+
+use num_complex::{Complex, Complex64};
+use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::actor::body::{CHEST, SEGMENTS};
+use crate::actor::motion::Motion;
+use crate::actor::program::{Program, half_extent};
+use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
+use crate::random::{Purpose, generator};
+use crate::receiver::adc::{leakage_chirp_lsb, quantise};
+use crate::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
+use crate::scene::Scene;
+use crate::shadow;
+use crate::simulator::{FrameReport, PersonState, SimulateOptions};
+use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches};
+use crate::stage::Stage;
+use crate::synthesis::{Grid, SynthesisScratch, Synthesiser, Tone};
+
+/// Keys of a frame to begin with; doubled (3, 5, 9) while delays between them are not predicted well enough.
+const FIRST_KEYS: usize = 3;
+/// Most keys.
+const MOST_KEYS: usize = 9;
+/// Power-weighted phase error that the keys may leave, rad (-30 dB of error vector magnitude).
+const PHASE_TOLERANCE_RAD: f64 = 0.03;
+/// Truth is looked up at this many times of a frame.
+const TRUTH_TIMES: usize = 5;
+
+/// Everything about a scene and a seed that frames share.
+#[derive(Debug)]
+pub(crate) struct Renderer {
+    pub(crate) scene: Scene,
+    pub(crate) options: SimulateOptions,
+    program: Program,
+    stage: Stage,
+    synthesiser: Synthesiser,
+    noise: Vec<(NoiseShaper, f32)>,
+    leakage: Vec<Vec<f32>>,
+}
+
+/// Buffers of one frame.
+#[derive(Default)]
+struct Scratch {
+    synthesis: SynthesisScratch,
+    noise: NoiseScratch,
+    chirp: Vec<f32>,
+}
+
+/// Paths of one person at the keys: `[key][path * rx + rx]`.
+type KeyedEchoes = Vec<Vec<Key>>;
+
+impl Renderer {
+    /// Traces what is static, draws who comes.
+    pub(crate) fn new(scene: &Scene, options: SimulateOptions) -> Self {
+        let stage = Stage::new(scene, options.seed, options.tolerance_db);
+        let waveform = scene.waveform();
+        let samples = waveform.request.samples_per_chirp;
+        let shaper = NoiseShaper::new(&density_lsb2(scene.receiver(), waveform), samples);
+        let noise = stage.channels.iter().map(|c| (shaper.clone(), 10f64.powf(0.05 * c.noise_db) as f32)).collect();
+        let leakage = stage.channels.iter().map(|c| leakage_chirp_lsb(c, waveform)).collect();
+        tracing::debug!(scene = scene.name(), static_paths = stage.static_paths.len(), "scene traced");
+        Renderer {
+            scene: scene.clone(),
+            options,
+            program: Program::new(scene, options.seed, options.people),
+            stage,
+            synthesiser: Synthesiser::new(samples),
+            noise,
+            leakage,
+        }
+    }
+
+    fn waveform(&self) -> &Waveform {
+        self.scene.waveform()
+    }
+
+    fn start_s(&self, index: u64) -> f64 {
+        index as f64 * self.waveform().frame_interval_s()
+    }
+
+    /// From the first sample of a frame to its last chirp's middle, s.
+    fn active_s(&self) -> f64 {
+        let w = self.waveform();
+        w.request.chirps_per_frame as f64 * w.chirp_interval_s
+    }
+
+    pub(crate) fn truth(&self, index: u64) -> Truth {
+        let (start, active) = (self.start_s(index), self.active_s());
+        let size = self.stage.room.size_m;
+        let (mut count, mut transition) = (0, false);
+        for (_, motion) in self.program.between(start, start + active) {
+            let (mut in_room, mut outside) = (false, false);
+            for i in 0..TRUTH_TIMES {
+                let t = start + active * i as f64 / (TRUTH_TIMES - 1) as f64;
+                if !motion.exists(t) {
+                    outside = true;
+                    continue;
+                }
+                for segment in motion.body(t) {
+                    let half = half_extent(&segment);
+                    let (low, high) = (segment.centre - half, segment.centre + half);
+                    in_room |= high.x > 0.0 && high.y > 0.0 && low.x < size.x && low.y < size.y;
+                    outside |= low.x < 0.0 || low.y < 0.0 || high.x > size.x || high.y > size.y;
+                }
+            }
+            count += usize::from(in_room);
+            transition |= in_room && outside;
+        }
+        let occupancy = Occupancy::from_index(count.min(2)).unwrap_or(Occupancy::Two);
+        Truth { occupancy, transition }
+    }
+
+    pub(crate) fn people(&self, index: u64) -> Vec<PersonState> {
+        let t = self.start_s(index) + 0.5 * self.active_s();
+        let radar = self.scene.radar_position();
+        let size = self.stage.room.size_m;
+        let state = |(slot, motion): (usize, Arc<Motion>)| {
+            let at = |t: f64| motion.body(t)[CHEST].centre;
+            let h = 5e-4;
+            let (position, velocity) = (at(t), (at(t + h) - at(t - h)) / (2.0 * h));
+            let offset = position - radar;
+            let in_room = motion.body(t).iter().any(|s| {
+                let half = half_extent(s);
+                (s.centre + half).min_element() > 0.0 && s.centre.x - half.x < size.x && s.centre.y - half.y < size.y
+            });
+            PersonState {
+                slot,
+                position,
+                velocity,
+                range_m: offset.length(),
+                radial_speed_m_per_s: velocity.dot(offset.normalize_or_zero()),
+                in_room,
+            }
+        };
+        self.program.between(t, t).into_iter().map(state).collect()
+    }
+
+    /// Echoes of everybody at `count` keys over the frame; `old` holds those at every second key, if known.
+    fn trace(
+        &self,
+        motions: &[Arc<Motion>],
+        start_s: f64,
+        count: usize,
+        report: &mut EchoReport,
+    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>) {
+        let step_s = self.active_s() / (count - 1) as f64;
+        let middle_s = start_s + 0.5 * self.active_s();
+        let snapshots: Vec<Vec<Snapshot>> = (0..count)
+            .map(|k| motions.iter().map(|m| Snapshot::new(m, start_s + k as f64 * step_s)).collect())
+            .collect();
+        let keyed = motions
+            .iter()
+            .enumerate()
+            .map(|(me, motion)| {
+                let pairs = audible_pairs(&self.stage, motion, middle_s);
+                snapshots
+                    .iter()
+                    .map(|people| {
+                        let mut keys = Vec::with_capacity(pairs.len() * SEGMENTS * self.stage.rx.len());
+                        echoes(&self.stage, motion, people, me, &pairs, &mut keys, report);
+                        keys
+                    })
+                    .collect()
+            })
+            .collect();
+        (snapshots, keyed)
+    }
+
+    /// Power-weighted rms phase error of leaving out every second key, divided by 16: Hermite interpolation errs with the
+    /// fourth power of the step.
+    fn interpolation_error_rad(&self, keyed: &[KeyedEchoes], step_s: f64) -> f64 {
+        let (mut error, mut power) = (0.0, 0.0);
+        let to_rad = std::f64::consts::TAU * self.stage.chirp.start_hz;
+        for person in keyed {
+            for triple in person.windows(3).step_by(2) {
+                let [first, middle, last] = triple else { continue };
+                for ((a, b), c) in first.iter().zip(middle).zip(last) {
+                    let weight = b.amplitude.norm_sqr();
+                    error += weight * (to_rad * midpoint_error_s(a, b, c, step_s)).powi(2);
+                    power += weight;
+                }
+            }
+        }
+        if power > 0.0 { (error / power).sqrt() / 16.0 } else { 0.0 }
+    }
+
+    pub(crate) fn render_into(&self, index: u64, frame: &mut Frame) -> FrameReport {
+        let waveform = self.waveform();
+        let shape: FrameShape = waveform.shape();
+        let start_s = self.start_s(index);
+        frame.sequence = index;
+        frame.time_ns = (start_s * 1e9).round() as u64;
+        frame.host_time_ns = 0;
+        frame.shape = shape;
+        frame.temperature_millicelsius = None;
+        frame.codes.clear();
+        frame.codes.resize(shape.codes(), 0);
+        frame.truth = Some(self.truth(index));
+
+        let motions: Vec<Arc<Motion>> =
+            self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
+        let mut echo_report;
+        let mut count = FIRST_KEYS;
+        let (snapshots, keyed, phase_error_rad) = loop {
+            echo_report = EchoReport::default();
+            let (snapshots, keyed) = self.trace(&motions, start_s, count, &mut echo_report);
+            let error = self.interpolation_error_rad(&keyed, self.active_s() / (count - 1) as f64);
+            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS {
+                break (snapshots, keyed, error);
+            }
+            count = 2 * count - 1;
+        };
+        let step_s = self.active_s() / (count - 1) as f64;
+
+        let audible = self.audible_paths(&keyed);
+        let mut report = FrameReport {
+            static_paths: self.stage.static_paths.len(),
+            traced_paths: echo_report.paths / count,
+            moving_paths: audible.iter().map(Vec::len).sum(),
+            keys: count,
+            phase_error_rad,
+            clamped: echo_report.clamped,
+            clipped: 0,
+        };
+        let clutter = self.clutter_weights(index, start_s, step_s, &snapshots);
+        let mut scratch = Scratch::default();
+        for rx in 0..shape.rx {
+            self.render_channel(rx, index, (&keyed, &audible), &clutter, step_s, frame, &mut scratch, &mut report);
+        }
+        report
+    }
+
+    /// Paths of every person that are loud enough at some key and receiver: a path alone in its cell half as strong as the
+    /// threshold (6 dB further down, since many weak ones add up).
+    fn audible_paths(&self, keyed: &[KeyedEchoes]) -> Vec<Vec<usize>> {
+        let channels = self.stage.rx.len().max(1);
+        let least = (0.5 * self.stage.threshold_lsb).powi(2);
+        let loud = |keys: &[Key]| keys.iter().any(|k| k.amplitude.norm_sqr() > least);
+        keyed
+            .iter()
+            .map(|person| {
+                let paths = person.first().map_or(0, Vec::len) / channels;
+                let heard = |path: usize| {
+                    let range = path * channels..(path + 1) * channels;
+                    person.iter().any(|at| at.get(range.clone()).is_some_and(loud))
+                };
+                (0..paths).filter(|&path| heard(path)).collect()
+            })
+            .collect()
+    }
+
+    /// Complex weight of every static path at every key: `[key][path]`.
+    fn clutter_weights(
+        &self,
+        index: u64,
+        start_s: f64,
+        step_s: f64,
+        snapshots: &[Vec<Snapshot>],
+    ) -> Vec<Vec<Complex64>> {
+        let constants = &self.scene.receiver().clutter;
+        let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
+        let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let half = constants.phase_jitter_rad * 0.5f64.sqrt();
+        let common = half * normal();
+        let jitter: Vec<Complex64> = self
+            .stage
+            .static_paths
+            .iter()
+            .map(|_| {
+                let phase = common + half * normal();
+                Complex64::from_polar((1.0 + constants.amplitude_jitter * normal()).max(0.0), phase)
+            })
+            .collect();
+        snapshots
+            .iter()
+            .enumerate()
+            .map(|(k, people)| {
+                let t = start_s + k as f64 * step_s;
+                let columns: Vec<_> = people.iter().map(|p| p.column).collect();
+                let paths = self.stage.static_paths.iter().zip(&jitter);
+                paths
+                    .map(|(path, jitter)| {
+                        let shade = shadow::along(&path.polyline, &columns, self.stage.wavelength_m);
+                        let turn = drift(t, &path.drift) * constants.phase_drift_rad_per_10s;
+                        jitter * Complex64::from_polar(shade, turn)
+                    })
+                    .collect()
+            })
+            .collect()
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn render_channel(
+        &self,
+        rx: usize,
+        index: u64,
+        (keyed, audible): (&[KeyedEchoes], &[Vec<usize>]),
+        clutter: &[Vec<Complex64>],
+        step_s: f64,
+        frame: &mut Frame,
+        scratch: &mut Scratch,
+        report: &mut FrameReport,
+    ) {
+        let waveform = self.waveform();
+        let shape = waveform.shape();
+        let channels = shape.rx.max(1);
+        let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights)).collect();
+        // `[path][stretch]`, flattened.
+        let mut cubics: Vec<Stretch> = Vec::new();
+        let mut keys = Vec::new();
+        for (person, paths) in keyed.iter().zip(audible) {
+            for path in paths {
+                keys.clear();
+                keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
+                stretches(&keys, step_s, &mut cubics);
+            }
+        }
+        let per_path = clutter.len().saturating_sub(1).max(1);
+
+        let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
+        let (offset, leakage_scale) = self.offset(rx, index);
+        let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
+        let mut grid = self.synthesiser.grid();
+        let chirp_constants = self.stage.chirp;
+        for chirp in 0..shape.chirps {
+            let keys_in = (chirp as f64 * waveform.chirp_interval_s + chirp_constants.middle_s) / step_s;
+            let stretch = (keys_in as usize).min(per_path - 1);
+            let u = keys_in - stretch as f64;
+            match (static_grids.get(stretch), static_grids.get(stretch + 1)) {
+                (Some(a), Some(b)) => grid.blend(a, b, u as f32),
+                _ => grid.clear(),
+            }
+            for path in cubics.iter().skip(stretch).step_by(per_path) {
+                let (delay_s, rate) = path.delay(u);
+                let tone = Tone {
+                    phase_cycles: chirp_constants.phase_cycles(delay_s),
+                    cycles_per_sample: chirp_constants.beat_hz(delay_s, rate) / chirp_constants.sample_rate_hz,
+                    amplitude: path.amplitude(u),
+                };
+                self.synthesiser.add(&tone, &mut grid);
+            }
+            scratch.chirp.clear();
+            scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
+            self.synthesiser.transform(&grid, &mut scratch.chirp, &mut scratch.synthesis);
+            if let Some((shaper, scale)) = self.noise.get(rx) {
+                shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
+            }
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
+                for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
+                    *code = quantise(*x);
+                    report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
+                }
+            }
+        }
+    }
+
+    fn static_grid(&self, rx: usize, weights: &[Complex64]) -> Grid {
+        let mut grid = self.synthesiser.grid();
+        for (path, weight) in self.stage.static_paths.iter().zip(weights) {
+            if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = path.tones.get(rx) {
+                let a = amplitude * weight;
+                let amplitude = Complex::new(a.re as f32, a.im as f32);
+                self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
+            }
+        }
+        grid
+    }
+
+    /// Offset (LSB) and factor on leakage of a channel in a frame.
+    fn offset(&self, rx: usize, index: u64) -> (f32, f32) {
+        let receiver = self.scene.receiver();
+        let t = self.start_s(index);
+        let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 1 + rx as u64]);
+        let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+        let mut rng = generator(self.options.seed, Purpose::Drift, [rx as u64, 1]);
+        let phases = std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU));
+        let dc = self.stage.channels.get(rx).map_or(2048.0, |c| c.dc_code);
+        // There and back between the limits.
+        let limit = receiver.drift.dc_limit_lsb.max(1e-9);
+        let walked = (receiver.drift.dc_lsb_per_s * t + limit).rem_euclid(4.0 * limit);
+        let wander = if walked < 2.0 * limit { walked - limit } else { 3.0 * limit - walked };
+        let offset = dc + wander + receiver.drift.dc_jitter_lsb * a;
+        let leakage =
+            1.0 + receiver.clutter.leakage_jitter * b + receiver.clutter.leakage_drift_per_10s * drift(t, &phases);
+        (offset as f32, leakage as f32)
+    }
+}
+
+/// A slow wander whose change over ten seconds has a standard deviation of about 1.
+fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
+    const PERIODS_S: [f64; 3] = [17.0, 29.0, 53.0];
+    let waves =
+        PERIODS_S.iter().zip(phases).map(|(period, phase)| (std::f64::consts::TAU * time_s / period + phase).sin());
+    0.5 * waves.sum::<f64>()
+}
