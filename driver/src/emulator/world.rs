@@ -69,7 +69,7 @@ impl World {
         let (spare, from_world) = bounded(FRAMES_AHEAD + 2);
         // The thread ends with the source or with the world's end of the channel.
         thread::Builder::new().name("emulator source".into()).spawn(move || produce(source, &to_world, &from_world))?;
-        let mut world = World {
+        Ok(World {
             incoming,
             spare,
             shape: waveform.shape(),
@@ -85,11 +85,7 @@ impl World {
             ended: false,
             clock: None,
             skip_past: false,
-        };
-        world.restart(&waveform, world.channels.clone());
-        world.clock = None;
-        world.skip_past = false;
-        Ok(world)
+        })
     }
 
     /// The chip starts frames with this waveform and these receivers of the source.
