@@ -1,5 +1,7 @@
 //! Power to decibels: a polynomial logarithm that keeps NaN and infinity visible.
 
+use crate::KernelLevel;
+
 /// `10 log10(p)` in place for `f32` power, with everything below `floor_power` raised to it first.
 ///
 /// A polynomial of degree 6 in the mantissa: at most 1e-6 dB from the logarithm beside f32 rounding of the result
@@ -7,30 +9,49 @@
 ///
 /// `floor_power` must be a positive normal number.
 pub fn power_to_db(power: &mut [f32], floor_power: f32) {
-    #[cfg(target_arch = "x86_64")]
-    if std::is_x86_feature_detected!("avx2") {
-        // SAFETY: the processor has AVX2, asked just above.
-        return unsafe { power_to_db_avx2(power, floor_power) };
-    }
-    power_to_db_portable(power, floor_power);
+    power_to_db_at(KernelLevel::detect(), power, floor_power);
 }
 
-/// The same arithmetic compiled for wider registers. Without FMA contraction, so that both give the same bits.
+/// The same at a level of kernel, which must be available; returns how many values are NaN or infinite.
+pub(crate) fn power_to_db_at(level: KernelLevel, power: &mut [f32], floor_power: f32) -> u32 {
+    match level {
+        KernelLevel::Portable => convert::<false>(power, floor_power),
+        // SAFETY: the level is available, as the caller has checked.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx2 => unsafe { convert_avx2(power, floor_power) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx512 => unsafe { convert_avx512(power, floor_power) },
+        #[cfg(not(target_arch = "x86_64"))]
+        KernelLevel::Avx2 | KernelLevel::Avx512 => convert::<false>(power, floor_power),
+    }
+}
+
 #[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn power_to_db_avx2(power: &mut [f32], floor_power: f32) {
-    power_to_db_portable(power, floor_power);
+#[target_feature(enable = "avx2,fma")]
+fn convert_avx2(power: &mut [f32], floor_power: f32) -> u32 {
+    convert::<true>(power, floor_power)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
+fn convert_avx512(power: &mut [f32], floor_power: f32) -> u32 {
+    convert::<true>(power, floor_power)
 }
 
 #[inline(always)]
-fn power_to_db_portable(power: &mut [f32], floor_power: f32) {
+fn convert<const FUSES: bool>(power: &mut [f32], floor_power: f32) -> u32 {
+    let mut non_finite = 0;
     for p in power {
         // Not `f32::max`, which would turn NaN into the floor.
         let clamped = if *p < floor_power { floor_power } else { *p };
-        let db = DB_PER_OCTAVE * log2(clamped);
+        let db = DB_PER_OCTAVE * log2::<FUSES>(clamped);
         // The bit arithmetic of `log2` makes numbers of NaN and infinity: bring them back.
-        *p = if clamped < f32::INFINITY { db } else { clamped };
+        let is_finite = clamped < f32::INFINITY;
+        *p = if is_finite { db } else { clamped };
+        non_finite += u32::from(!is_finite);
     }
+    non_finite
 }
 
 /// `10 log10(p)` by the library's logarithm: what [`power_to_db`] is measured against.
@@ -48,14 +69,15 @@ const LOG2_POLYNOMIAL: [f32; 7] =
 
 /// Base-2 logarithm of a positive normal number.
 #[inline(always)]
-fn log2(x: f32) -> f32 {
+fn log2<const FUSES: bool>(x: f32) -> f32 {
     const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
     let bits = x.to_bits() as i32;
     let exponent = (bits - SQRT_HALF_BITS) >> 23;
     let t = f32::from_bits((bits - (exponent << 23)) as u32) - 1.0;
     let [a, b, c, d, e, f, g] = LOG2_POLYNOMIAL;
-    let polynomial = a + t * (b + t * (c + t * (d + t * (e + t * (f + t * g)))));
-    exponent as f32 + t * polynomial
+    let step = |sum: f32, coefficient: f32| if FUSES { sum.mul_add(t, coefficient) } else { sum * t + coefficient };
+    let polynomial = step(step(step(step(step(step(g, f), e), d), c), b), a);
+    step(polynomial, exponent as f32)
 }
 
 #[cfg(test)]
@@ -92,12 +114,18 @@ mod tests {
         }
 
         #[test]
-        fn wide_and_portable_kernels_give_the_same_bits() {
-            let values: Vec<f32> = (1..4097).map(|i| (i as f32).powi(3) * 1.7e-9).collect();
-            let (mut wide, mut portable) = (values.clone(), values);
-            power_to_db(&mut wide, 1e-20);
-            power_to_db_portable(&mut portable, 1e-20);
-            assert_eq!(wide, portable);
+        fn all_levels_agree_to_rounding_and_count_what_is_not_finite() {
+            let mut values: Vec<f32> = (1..4097).map(|i| (i as f32).powi(3) * 1.7e-9).collect();
+            values.extend([f32::NAN, f32::INFINITY, -f32::NAN]);
+            let mut portable = values.clone();
+            assert_eq!(power_to_db_at(KernelLevel::Portable, &mut portable, 1e-20), 3);
+            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+                let mut wide = values.clone();
+                assert_eq!(power_to_db_at(level, &mut wide, 1e-20), 3);
+                for (a, b) in wide.iter().zip(&portable).filter(|(a, _)| a.is_finite()) {
+                    assert!((a - b).abs() < 1e-5, "{a} against {b} at {level}");
+                }
+            }
         }
     }
 }

@@ -20,12 +20,14 @@
 
 pub mod decibel;
 mod frame;
+mod kernel;
 mod noise;
 pub mod rdm;
 mod waveform;
 mod window;
 
 pub use frame::{Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, SourceError, SourceEvent, Truth};
+pub use kernel::KernelLevel;
 pub use noise::noise_floor_db;
 pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
 pub use waveform::{

@@ -1,7 +1,11 @@
 //! Range-Doppler maps: what to compute ([`RdmSpec`]), how (`RdmProcessor`), and the slow reference.
 
+mod chain;
+mod fourier;
+mod lanes;
 mod processor;
 pub mod reference;
+mod saturation;
 mod spec;
 
 pub use processor::{MapError, MapStatus, RdmProcessor};

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use super::RdmShape;
-use crate::{Waveform, Window};
+use crate::{KernelLevel, Waveform, Window};
 
 /// How codes become numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -250,5 +250,13 @@ pub enum SpecError {
     Floor {
         /// What was given.
         floor_db: f64,
+    },
+    /// The kernel level was forced, and the processor lacks it.
+    #[error("map kernel: {level} asked for, but the best this processor has is {detected}; force that or a lower one")]
+    Kernel {
+        /// Level asked for.
+        level: KernelLevel,
+        /// Best there is.
+        detected: KernelLevel,
     },
 }

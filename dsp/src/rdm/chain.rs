@@ -1,0 +1,86 @@
+//! What both chains need to know of a spec and a waveform, worked out once.
+
+use super::{AmplitudeScale, Channels, RdmShape, RdmSpec, SlowTime, SpecError, StaticRemoval};
+use crate::{FrameShape, Waveform};
+
+/// Sizes, weights and switches of a chain from samples to power.
+pub(super) struct ChainPlan {
+    pub frame_shape: FrameShape,
+    pub shape: RdmShape,
+    /// Samples of slow time in a map.
+    pub slow_length: usize,
+    pub range_fft_length: usize,
+    /// Channels of the frame that are used.
+    pub channels: std::ops::Range<usize>,
+    /// `(factor, offset)` from code to sample.
+    pub scale: (f64, f64),
+    /// Normalised so that power comes out in the spec's amplitude scale, shared among channels if they are summed.
+    pub range_window: Vec<f64>,
+    pub doppler_window: Vec<f64>,
+    /// Factor on range bin 0: a one-sided amplitude counts DC once, not twice.
+    pub dc_amplitude: f64,
+    pub is_sum: bool,
+    pub is_across_frames: bool,
+    pub removes_chirp_mean: bool,
+    pub removes_slow_time_mean: bool,
+}
+
+impl ChainPlan {
+    pub(super) fn new(spec: &RdmSpec, waveform: &Waveform) -> Result<Self, SpecError> {
+        let shape = spec.shape(waveform)?;
+        let frame_shape = waveform.shape();
+        let slow_length = spec.slow_time_length(waveform);
+        let channels = match spec.channels {
+            Channels::One(index) => index..index + 1,
+            Channels::All | Channels::IncoherentSum => 0..frame_shape.rx,
+        };
+        let is_sum = spec.channels == Channels::IncoherentSum;
+        let range_weights = spec.range_window.weights(frame_shape.samples);
+        let doppler_weights = spec.doppler_window.weights(slow_length);
+        let (range_norm, doppler_norm) = match spec.amplitude {
+            AmplitudeScale::FullScaleSine => {
+                (2.0 / range_weights.iter().sum::<f64>(), 1.0 / doppler_weights.iter().sum::<f64>())
+            }
+            AmplitudeScale::Unnormalised => (1.0, 1.0),
+            AmplitudeScale::Vendor => (2.0 / frame_shape.samples as f64, 1.0 / slow_length as f64),
+        };
+        let share = if is_sum { (1.0 / channels.len() as f64).sqrt() } else { 1.0 };
+        Ok(ChainPlan {
+            frame_shape,
+            shape,
+            slow_length,
+            range_fft_length: spec.range_fft_length.unwrap_or(frame_shape.samples),
+            channels,
+            scale: spec.scale.affine(),
+            range_window: range_weights.iter().map(|w| w * range_norm).collect(),
+            doppler_window: doppler_weights.iter().map(|w| w * doppler_norm * share).collect(),
+            dc_amplitude: if spec.amplitude == AmplitudeScale::Unnormalised { 1.0 } else { 0.5 },
+            is_sum,
+            is_across_frames: matches!(spec.slow_time, SlowTime::Frames { .. }),
+            removes_chirp_mean: spec.chirp_mean_removal,
+            removes_slow_time_mean: spec.static_removal == StaticRemoval::SlowTimeMean,
+        })
+    }
+
+    /// Samples of a channel.
+    pub(super) fn channel_length(&self) -> usize {
+        self.frame_shape.chirps * self.frame_shape.samples
+    }
+
+    /// Samples of the channels in use.
+    pub(super) fn used(&self) -> std::ops::Range<usize> {
+        self.channels.start * self.channel_length()..self.channels.end * self.channel_length()
+    }
+
+    /// Cells of the map that the channel with this index among those used writes or adds to.
+    pub(super) fn cells(&self, index: usize) -> std::ops::Range<usize> {
+        let cells = self.shape.doppler * self.shape.range;
+        let first = if self.is_sum { 0 } else { index * cells };
+        first..first + cells
+    }
+
+    /// Whether the channel with this index adds to what those before it left.
+    pub(super) fn adds(&self, index: usize) -> bool {
+        self.is_sum && index > 0
+    }
+}

@@ -1,0 +1,195 @@
+//! The chain for any size, by `realfft` and `rustfft`; also slow time across frames.
+
+use std::sync::Arc;
+
+use num_complex::Complex32;
+use realfft::{RealFftPlanner, RealToComplex};
+use rustfft::{Fft, FftPlanner, FftPlannerScalar};
+
+use super::RdmShape;
+use super::chain::ChainPlan;
+use crate::{FrameShape, KernelLevel};
+
+/// Chirps that are transformed before they are scattered into the range-major matrix: a cache line of `Complex32`.
+const BLOCK: usize = 8;
+
+/// FFT of one chirp. The library picks its instructions by itself except in its scalar planner, which has no
+/// transform for real input.
+enum RangeFft {
+    Real(Arc<dyn RealToComplex<f32>>),
+    Scalar(Arc<dyn Fft<f32>>),
+}
+
+/// Plans, buffers and the window of frames.
+pub(super) struct FourierChain {
+    range_window: Vec<f32>,
+    doppler_window: Vec<f32>,
+    range_fft: RangeFft,
+    doppler_fft: Arc<dyn Fft<f32>>,
+    /// Cells of `spectra` for a chirp.
+    bins: usize,
+    windowed: Vec<f32>,
+    spectra: Vec<Complex32>,
+    range_scratch: Vec<Complex32>,
+    /// `[range][slow time]` of one channel.
+    matrix: Vec<Complex32>,
+    doppler_scratch: Vec<Complex32>,
+    /// `[channel][range][frame]`, a ring over frames.
+    history: Vec<Complex32>,
+    history_frames: usize,
+    history_next: usize,
+}
+
+impl FourierChain {
+    pub(super) fn new(plan: &ChainPlan, level: KernelLevel) -> Self {
+        let RdmShape { doppler, range, .. } = plan.shape;
+        let length = plan.range_fft_length;
+        let is_scalar = level == KernelLevel::Portable;
+        let (range_fft, doppler_fft) = if is_scalar {
+            let mut planner = FftPlannerScalar::<f32>::new();
+            (RangeFft::Scalar(planner.plan_fft_forward(length)), planner.plan_fft_forward(doppler))
+        } else {
+            let doppler_fft = FftPlanner::<f32>::new().plan_fft_forward(doppler);
+            (RangeFft::Real(RealFftPlanner::<f32>::new().plan_fft_forward(length)), doppler_fft)
+        };
+        let (bins, scratch) = match &range_fft {
+            RangeFft::Real(fft) => (length / 2 + 1, fft.get_scratch_len()),
+            RangeFft::Scalar(fft) => (length, fft.get_inplace_scratch_len()),
+        };
+        let zero = Complex32::new(0.0, 0.0);
+        let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
+        FourierChain {
+            range_window: plan.range_window.iter().map(|w| *w as f32).collect(),
+            doppler_window: plan.doppler_window.iter().map(|w| *w as f32).collect(),
+            bins,
+            windowed: vec![0.0; length],
+            spectra: vec![zero; BLOCK * bins],
+            range_scratch: vec![zero; scratch],
+            matrix: vec![zero; range.next_multiple_of(BLOCK) * doppler],
+            doppler_scratch: vec![zero; doppler_fft.get_inplace_scratch_len()],
+            range_fft,
+            doppler_fft,
+            history: vec![zero; history],
+            history_frames: 0,
+            history_next: 0,
+        }
+    }
+
+    /// Forgets the window of frames.
+    pub(super) fn reset(&mut self) {
+        self.history_frames = 0;
+        self.history_next = 0;
+    }
+
+    /// Range FFT of one chirp into row `row` of `spectra`.
+    fn range_transform(&mut self, chirp: &[f32], row: usize) {
+        let input = &mut self.windowed;
+        for ((y, x), w) in input.iter_mut().zip(chirp).zip(&self.range_window) {
+            *y = x * w;
+        }
+        input[chirp.len()..].fill(0.0);
+        let output = &mut self.spectra[row * self.bins..(row + 1) * self.bins];
+        match &self.range_fft {
+            RangeFft::Real(fft) => {
+                let planned = fft.process_with_scratch(input, output, &mut self.range_scratch);
+                debug_assert!(planned.is_ok(), "buffers have the planned lengths");
+            }
+            RangeFft::Scalar(fft) => {
+                output.iter_mut().zip(input).for_each(|(y, x)| *y = Complex32::new(*x, 0.0));
+                fft.process_with_scratch(output, &mut self.range_scratch);
+            }
+        }
+    }
+
+    /// Power of one channel's `[chirp][sample]` into the map's cells.
+    pub(super) fn channel(&mut self, plan: &ChainPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
+        let RdmShape { doppler, range, .. } = plan.shape;
+        let chirp_length = plan.frame_shape.samples;
+        for (block, chirps) in samples.chunks(BLOCK * chirp_length).enumerate() {
+            let rows = chirps.len() / chirp_length;
+            for (row, chirp) in chirps.chunks_exact(chirp_length).enumerate() {
+                self.range_transform(chirp, row);
+            }
+            // A block of chirps goes into each range row at once: whole cache lines.
+            for bin in 0..range {
+                let row_start = bin * doppler + block * BLOCK;
+                let target = &mut self.matrix[row_start..row_start + rows];
+                for (row, cell) in target.iter_mut().enumerate() {
+                    *cell = self.spectra[row * self.bins + bin];
+                }
+            }
+        }
+        self.doppler_transform(plan, index, cells);
+    }
+
+    /// Takes a frame's mean chirps into the window of frames; `samples` of all used channels serve as scratch.
+    /// Returns how many frames are in the window.
+    pub(super) fn push_frame(&mut self, plan: &ChainPlan, samples: &mut [f32]) -> usize {
+        let FrameShape { chirps, samples: chirp_length, .. } = plan.frame_shape;
+        let range = plan.shape.range;
+        for (index, channel) in samples.chunks_exact_mut(plan.channel_length()).enumerate() {
+            // The mean over chirps, left in the place of the first chirp.
+            let (mean, rest) = channel.split_at_mut(chirp_length);
+            for chirp in rest.chunks_exact(chirp_length) {
+                mean.iter_mut().zip(chirp).for_each(|(m, x)| *m += x);
+            }
+            let factor = 1.0 / chirps as f32;
+            mean.iter_mut().for_each(|m| *m *= factor);
+            self.range_transform(mean, 0);
+            for bin in 0..range {
+                self.history[(index * range + bin) * plan.slow_length + self.history_next] = self.spectra[bin];
+            }
+        }
+        self.history_next = (self.history_next + 1) % plan.slow_length;
+        self.history_frames = (self.history_frames + 1).min(plan.slow_length);
+        self.history_frames
+    }
+
+    /// Power of one channel's window of frames into the map's cells.
+    pub(super) fn window(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+        let RdmShape { doppler, range, .. } = plan.shape;
+        for bin in 0..range {
+            let row = (index * range + bin) * plan.slow_length;
+            let (newest, oldest) = self.history[row..row + plan.slow_length].split_at(self.history_next);
+            let target = &mut self.matrix[bin * doppler..bin * doppler + plan.slow_length];
+            target[..oldest.len()].copy_from_slice(oldest);
+            target[oldest.len()..].copy_from_slice(newest);
+        }
+        self.doppler_transform(plan, index, cells);
+    }
+
+    /// Static removal, window, Doppler FFT and power of one channel's matrix.
+    fn doppler_transform(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+        let RdmShape { doppler, range, .. } = plan.shape;
+        let slow = plan.slow_length;
+        let adds = plan.adds(index);
+        let half = doppler / 2;
+        for first in (0..range).step_by(BLOCK) {
+            let rows = BLOCK.min(range - first);
+            let block = &mut self.matrix[first * doppler..(first + rows) * doppler];
+            for row in block.chunks_exact_mut(doppler) {
+                let data = &mut row[..slow];
+                if plan.removes_slow_time_mean {
+                    let sum: Complex32 = data.iter().sum();
+                    let mean = sum / slow as f32;
+                    data.iter_mut().zip(&self.doppler_window).for_each(|(x, w)| *x = (*x - mean) * w);
+                } else {
+                    data.iter_mut().zip(&self.doppler_window).for_each(|(x, w)| *x *= w);
+                }
+                row[slow..].fill(Complex32::new(0.0, 0.0));
+            }
+            if first == 0 {
+                block[..doppler].iter_mut().for_each(|x| *x *= plan.dc_amplitude as f32);
+            }
+            self.doppler_fft.process_with_scratch(block, &mut self.doppler_scratch);
+            for d in 0..doppler {
+                let shifted = (d + half) % doppler;
+                let target = &mut cells[shifted * range + first..shifted * range + first + rows];
+                for (row, cell) in target.iter_mut().enumerate() {
+                    let power = block[row * doppler + d].norm_sqr();
+                    *cell = if adds { *cell + power } else { power };
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,252 @@
+//! Complex FFT of power-of-two length over vectors of lanes: decimation in frequency, radix 8 and 4, in place.
+//!
+//! Gentleman and Sande, "Fast Fourier Transforms: for fun and profit", AFIPS 29, 1966. Every lane is a transform of
+//! its own, so an element is a whole register, order in memory costs nothing, and results are left digit-reversed for
+//! the reader to look up ([`Plan::position_of_bin`]).
+
+use std::f64::consts::{FRAC_1_SQRT_2, TAU};
+use std::ops::{Add, Sub};
+
+use super::vector::Vector;
+
+/// A complex number in each lane.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Complex<V> {
+    pub re: V,
+    pub im: V,
+}
+
+impl<V: Add<Output = V>> Add for Complex<V> {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        Complex { re: self.re + other.re, im: self.im + other.im }
+    }
+}
+
+impl<V: Sub<Output = V>> Sub for Complex<V> {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        Complex { re: self.re - other.re, im: self.im - other.im }
+    }
+}
+
+/// `(a + j b, a - j b)`: multiplication by j is an exchange of parts and one sign, which addition takes in.
+#[inline(always)]
+fn plus_minus_j<V: Copy + Add<Output = V> + Sub<Output = V>>(a: Complex<V>, b: Complex<V>) -> (Complex<V>, Complex<V>) {
+    (Complex { re: a.re - b.im, im: a.im + b.re }, Complex { re: a.re + b.im, im: a.im - b.re })
+}
+
+#[inline(always)]
+fn rotate<const L: usize, V: Vector<L>>(x: Complex<V>, (cos, sin): (f32, f32)) -> Complex<V> {
+    let (c, s) = (V::splat(cos), V::splat(sin));
+    Complex { re: x.im.neg_mul_add(s, x.re * c), im: x.re.mul_add(s, x.im * c) }
+}
+
+#[inline(always)]
+fn butterfly_4<const L: usize, V: Vector<L>>(x: [Complex<V>; 4]) -> [Complex<V>; 4] {
+    let (a, b) = (x[0] + x[2], x[0] - x[2]);
+    let (c, d) = (x[1] + x[3], x[1] - x[3]);
+    let (plus, minus) = plus_minus_j(b, d);
+    [a + c, minus, a - c, plus]
+}
+
+#[inline(always)]
+fn butterfly_8<const L: usize, V: Vector<L>>(x: [Complex<V>; 8]) -> [Complex<V>; 8] {
+    let even = butterfly_4([x[0] + x[4], x[1] + x[5], x[2] + x[6], x[3] + x[7]]);
+    let [a, b, c, d] = [x[0] - x[4], x[1] - x[5], x[2] - x[6], x[3] - x[7]];
+    // Rows 1 and 3 turn by -45 and -135 degrees, row 2 by -90.
+    let (half, minus_half) = (V::splat(FRAC_1_SQRT_2 as f32), V::splat(-FRAC_1_SQRT_2 as f32));
+    let b = Complex { re: (b.re + b.im) * half, im: (b.im - b.re) * half };
+    let d = Complex { re: (d.im - d.re) * half, im: (d.re + d.im) * minus_half };
+    let (a_plus, a_minus) = plus_minus_j(a, c);
+    let sum = b + d;
+    let (plus, minus) = plus_minus_j(a_plus, b - d);
+    [even[0], a_minus + sum, even[1], minus, even[2], a_minus - sum, even[3], plus]
+}
+
+/// Where a pass takes its inputs.
+pub(super) trait Source<const L: usize, V: Vector<L>> {
+    fn get(&self, index: usize) -> Complex<V>;
+}
+
+/// Where the last pass leaves its results.
+pub(super) trait Sink<const L: usize, V: Vector<L>> {
+    fn put(&mut self, position: usize, value: Complex<V>);
+}
+
+/// One pass: all butterflies of one radix.
+#[derive(Debug, Clone)]
+enum Pass {
+    Radix4(Vec<[(f32, f32); 4]>),
+    Radix8(Vec<[(f32, f32); 8]>),
+}
+
+/// Radices and twiddle factors of a length.
+#[derive(Debug, Clone)]
+pub(super) struct Plan {
+    length: usize,
+    /// All but the last, which has no twiddle factors.
+    passes: Vec<Pass>,
+    last_radix: usize,
+}
+
+impl Plan {
+    /// For a power of two of 16 and above: as few passes as radices 8 and 4 allow.
+    pub(super) fn new(length: usize) -> Self {
+        let mut radices = match length.trailing_zeros() as usize {
+            log2 if log2 % 3 == 0 => vec![8; log2 / 3],
+            log2 if log2 % 3 == 2 => [vec![8; log2 / 3], vec![4]].concat(),
+            log2 => [vec![8; log2 / 3 - 1], vec![4, 4]].concat(),
+        };
+        let last_radix = radices.pop().unwrap_or(4);
+        let mut block = length;
+        let passes = radices
+            .into_iter()
+            .map(|radix| {
+                let columns = block / radix;
+                let factor = |column: usize, row: usize| {
+                    let angle = -TAU * (column * row) as f64 / block as f64;
+                    (angle.cos() as f32, angle.sin() as f32)
+                };
+                let pass = if radix == 4 {
+                    Pass::Radix4((0..columns).map(|c| std::array::from_fn(|r| factor(c, r))).collect())
+                } else {
+                    Pass::Radix8((0..columns).map(|c| std::array::from_fn(|r| factor(c, r))).collect())
+                };
+                block = columns;
+                pass
+            })
+            .collect();
+        Plan { length, passes, last_radix }
+    }
+
+    /// Where the result of each bin lies.
+    pub(super) fn position_of_bin(&self) -> Vec<usize> {
+        let radices = self.passes.iter().map(|pass| match pass {
+            Pass::Radix4(_) => 4,
+            Pass::Radix8(_) => 8,
+        });
+        let radices: Vec<usize> = radices.chain([self.last_radix]).collect();
+        (0..self.length)
+            .map(|bin| {
+                let (mut rest, mut block, mut position) = (bin, self.length, 0);
+                for radix in &radices {
+                    block /= radix;
+                    position += rest % radix * block;
+                    rest /= radix;
+                }
+                position
+            })
+            .collect()
+    }
+
+    /// The transform from `source` by way of `buffer` (of the plan's length) to `sink`.
+    #[inline(always)]
+    pub(super) fn transform<const L: usize, V: Vector<L>>(
+        &self,
+        source: &impl Source<L, V>,
+        buffer: &mut [Complex<V>],
+        sink: &mut impl Sink<L, V>,
+    ) {
+        self.all_but_last(source, buffer);
+        match self.last_radix {
+            4 => last_pass_4(buffer, sink),
+            _ => last_pass_8(buffer, sink),
+        }
+    }
+
+    /// The transform from `source` into `buffer` (of the plan's length).
+    #[inline(always)]
+    pub(super) fn transform_into<const L: usize, V: Vector<L>>(
+        &self,
+        source: &impl Source<L, V>,
+        buffer: &mut [Complex<V>],
+    ) {
+        self.all_but_last(source, buffer);
+        match self.last_radix {
+            4 => {
+                for block in buffer.as_chunks_mut::<4>().0 {
+                    *block = butterfly_4(*block);
+                }
+            }
+            _ => {
+                for block in buffer.as_chunks_mut::<8>().0 {
+                    *block = butterfly_8(*block);
+                }
+            }
+        }
+    }
+
+    #[inline(always)]
+    fn all_but_last<const L: usize, V: Vector<L>>(&self, source: &impl Source<L, V>, buffer: &mut [Complex<V>]) {
+        let mut passes = self.passes.iter();
+        match passes.next() {
+            Some(Pass::Radix4(twiddles)) => first_pass_4(twiddles, source, buffer),
+            Some(Pass::Radix8(twiddles)) => first_pass_8(twiddles, source, buffer),
+            None => {}
+        }
+        for pass in passes {
+            match pass {
+                Pass::Radix4(twiddles) => middle_pass_4(twiddles, buffer),
+                Pass::Radix8(twiddles) => middle_pass_8(twiddles, buffer),
+            }
+        }
+    }
+}
+
+macro_rules! passes {
+    ($radix:literal, $butterfly:ident, $first:ident, $middle:ident, $last:ident) => {
+        #[inline(always)]
+        fn $first<const L: usize, V: Vector<L>>(
+            twiddles: &[[(f32, f32); $radix]],
+            source: &impl Source<L, V>,
+            buffer: &mut [Complex<V>],
+        ) {
+            let columns = twiddles.len();
+            let buffer = &mut buffer[..$radix * columns];
+            for (column, twiddle) in twiddles.iter().enumerate() {
+                let mut x = [source.get(column); $radix];
+                for row in 1..$radix {
+                    x[row] = source.get(column + row * columns);
+                }
+                let y = $butterfly(x);
+                buffer[column] = y[0];
+                for row in 1..$radix {
+                    buffer[column + row * columns] = rotate(y[row], twiddle[row]);
+                }
+            }
+        }
+
+        #[inline(always)]
+        fn $middle<const L: usize, V: Vector<L>>(twiddles: &[[(f32, f32); $radix]], buffer: &mut [Complex<V>]) {
+            let columns = twiddles.len();
+            for block in buffer.chunks_exact_mut($radix * columns) {
+                for (column, twiddle) in twiddles.iter().enumerate() {
+                    let mut x = [block[column]; $radix];
+                    for row in 1..$radix {
+                        x[row] = block[column + row * columns];
+                    }
+                    let y = $butterfly(x);
+                    block[column] = y[0];
+                    for row in 1..$radix {
+                        block[column + row * columns] = rotate(y[row], twiddle[row]);
+                    }
+                }
+            }
+        }
+
+        #[inline(always)]
+        fn $last<const L: usize, V: Vector<L>>(buffer: &[Complex<V>], sink: &mut impl Sink<L, V>) {
+            for (i, block) in buffer.as_chunks::<$radix>().0.iter().enumerate() {
+                let y = $butterfly(*block);
+                for row in 0..$radix {
+                    sink.put($radix * i + row, y[row]);
+                }
+            }
+        }
+    };
+}
+passes!(4, butterfly_4, first_pass_4, middle_pass_4, last_pass_4);
+passes!(8, butterfly_8, first_pass_8, middle_pass_8, last_pass_8);

@@ -1,0 +1,110 @@
+//! A register of `f32`, each lane another transform: what the stages are written in.
+
+use std::ops::{Add, Mul, Sub};
+
+/// `L` numbers that are computed with at once.
+///
+/// Implementations for registers that not every processor has must be used only inside functions that were entered
+/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available); `dispatch` in the parent module
+/// is the one place. Every method is inlined into such a function, which is what makes it one instruction.
+pub(super) trait Vector<const L: usize>:
+    Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
+{
+    /// The same number in all lanes.
+    fn splat(x: f32) -> Self;
+    /// The first `L` numbers of a slice.
+    fn load(x: &[f32]) -> Self;
+    /// Into the first `L` numbers of a slice.
+    fn store(self, x: &mut [f32]);
+    /// The bits of `2 L` codes: two neighbours in each lane.
+    fn load_code_pairs(codes: &[u16]) -> Self;
+    /// The two codes of each lane as numbers, first one first.
+    fn split_code_pairs(self) -> (Self, Self);
+    /// `self * a + b`.
+    fn mul_add(self, a: Self, b: Self) -> Self;
+    /// `b - self * a`.
+    fn neg_mul_add(self, a: Self, b: Self) -> Self;
+    /// Lane `i` of vector `j` becomes lane `j` of vector `i`.
+    fn transpose(tile: [Self; L]) -> [Self; L];
+}
+
+/// Plain numbers for processors without a kernel of their own; compilers make one register of them where they can.
+#[derive(Debug, Clone, Copy)]
+#[repr(align(16))]
+pub(super) struct Plain([f32; 4]);
+
+impl Plain {
+    #[inline(always)]
+    fn zip(self, other: Self, f: impl Fn(f32, f32) -> f32) -> Self {
+        let ([a, b, c, d], [e, g, h, i]) = (self.0, other.0);
+        Plain([f(a, e), f(b, g), f(c, h), f(d, i)])
+    }
+}
+
+impl Add for Plain {
+    type Output = Self;
+    #[inline(always)]
+    fn add(self, other: Self) -> Self {
+        self.zip(other, |a, b| a + b)
+    }
+}
+
+impl Sub for Plain {
+    type Output = Self;
+    #[inline(always)]
+    fn sub(self, other: Self) -> Self {
+        self.zip(other, |a, b| a - b)
+    }
+}
+
+impl Mul for Plain {
+    type Output = Self;
+    #[inline(always)]
+    fn mul(self, other: Self) -> Self {
+        self.zip(other, |a, b| a * b)
+    }
+}
+
+impl Vector<4> for Plain {
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        Plain([x; 4])
+    }
+    #[inline(always)]
+    fn load(x: &[f32]) -> Self {
+        Plain([x[0], x[1], x[2], x[3]])
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f32]) {
+        x[..4].copy_from_slice(&self.0);
+    }
+    #[inline(always)]
+    fn load_code_pairs(codes: &[u16]) -> Self {
+        let c = &codes[..8];
+        let pair = |i: usize| f32::from_bits(u32::from(c[2 * i]) | u32::from(c[2 * i + 1]) << 16);
+        Plain([pair(0), pair(1), pair(2), pair(3)])
+    }
+    #[inline(always)]
+    fn split_code_pairs(self) -> (Self, Self) {
+        let bits = self.0.map(f32::to_bits);
+        (Plain(bits.map(|b| (b & 0xffff) as i32 as f32)), Plain(bits.map(|b| (b >> 16) as i32 as f32)))
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        self * a + b
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: Self, b: Self) -> Self {
+        b - self * a
+    }
+    #[inline(always)]
+    fn transpose(tile: [Self; 4]) -> [Self; 4] {
+        let [a, b, c, d] = tile.map(|v| v.0);
+        [
+            Plain([a[0], b[0], c[0], d[0]]),
+            Plain([a[1], b[1], c[1], d[1]]),
+            Plain([a[2], b[2], c[2], d[2]]),
+            Plain([a[3], b[3], c[3], d[3]]),
+        ]
+    }
+}

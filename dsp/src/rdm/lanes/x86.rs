@@ -1,0 +1,187 @@
+//! Registers of AVX2 and AVX-512.
+//!
+//! Every `unsafe` here rests on the same two facts. The instruction exists: the types are private to the lane kernel,
+//! which is entered only through `dispatch` after the processor has been asked. Memory is in bounds: loads and
+//! stores are made through slices whose length is checked first.
+
+use std::arch::x86_64::*;
+use std::ops::{Add, Mul, Sub};
+
+use super::vector::Vector;
+
+/// Eight lanes of AVX2 with FMA.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::rdm) struct F32x8(__m256);
+
+/// Sixteen lanes of AVX-512.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::rdm) struct F32x16(__m512);
+
+macro_rules! operator {
+    ($type:ident, $trait:ident, $method:ident, $instruction:ident) => {
+        impl $trait for $type {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: the processor has the instruction (module page).
+                $type(unsafe { $instruction(self.0, other.0) })
+            }
+        }
+    };
+}
+operator!(F32x8, Add, add, _mm256_add_ps);
+operator!(F32x8, Sub, sub, _mm256_sub_ps);
+operator!(F32x8, Mul, mul, _mm256_mul_ps);
+operator!(F32x16, Add, add, _mm512_add_ps);
+operator!(F32x16, Sub, sub, _mm512_sub_ps);
+operator!(F32x16, Mul, mul, _mm512_mul_ps);
+
+impl Vector<8> for F32x8 {
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        // SAFETY: module page.
+        F32x8(unsafe { _mm256_set1_ps(x) })
+    }
+    #[inline(always)]
+    fn load(x: &[f32]) -> Self {
+        let x = &x[..8];
+        // SAFETY: module page; eight numbers are there.
+        F32x8(unsafe { _mm256_loadu_ps(x.as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f32]) {
+        let x = &mut x[..8];
+        // SAFETY: module page; room for eight numbers is there.
+        unsafe { _mm256_storeu_ps(x.as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    fn load_code_pairs(codes: &[u16]) -> Self {
+        let codes = &codes[..16];
+        // SAFETY: module page; sixteen codes of two bytes are there, and the load asks for no alignment.
+        F32x8(unsafe { _mm256_loadu_ps(codes.as_ptr().cast()) })
+    }
+    #[inline(always)]
+    fn split_code_pairs(self) -> (Self, Self) {
+        // SAFETY: module page.
+        unsafe {
+            let bits = _mm256_castps_si256(self.0);
+            let first = _mm256_blend_epi16::<0b1010_1010>(bits, _mm256_setzero_si256());
+            let second = _mm256_srli_epi32::<16>(bits);
+            (F32x8(_mm256_cvtepi32_ps(first)), F32x8(_mm256_cvtepi32_ps(second)))
+        }
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        // SAFETY: module page.
+        F32x8(unsafe { _mm256_fmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: Self, b: Self) -> Self {
+        // SAFETY: module page.
+        F32x8(unsafe { _mm256_fnmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn transpose(tile: [Self; 8]) -> [Self; 8] {
+        let zero = Self::splat(0.0);
+        let (mut pairs, mut quads, mut out) = ([zero; 8], [zero; 8], [zero; 8]);
+        // SAFETY: module page.
+        unsafe {
+            for i in 0..4 {
+                // Rows 2i and 2i+1 interleaved: columns 0, 1 of each half, then 2, 3.
+                pairs[2 * i] = F32x8(_mm256_unpacklo_ps(tile[2 * i].0, tile[2 * i + 1].0));
+                pairs[2 * i + 1] = F32x8(_mm256_unpackhi_ps(tile[2 * i].0, tile[2 * i + 1].0));
+            }
+            for i in 0..2 {
+                for c in 0..2 {
+                    // Rows 4i..4i+4 of columns 2c and 2c+1.
+                    let (a, b) = (pairs[4 * i + c].0, pairs[4 * i + 2 + c].0);
+                    quads[4 * i + 2 * c] = F32x8(_mm256_shuffle_ps::<0b01_00_01_00>(a, b));
+                    quads[4 * i + 2 * c + 1] = F32x8(_mm256_shuffle_ps::<0b11_10_11_10>(a, b));
+                }
+            }
+            for c in 0..4 {
+                out[c] = F32x8(_mm256_permute2f128_ps::<0x20>(quads[c].0, quads[4 + c].0));
+                out[4 + c] = F32x8(_mm256_permute2f128_ps::<0x31>(quads[c].0, quads[4 + c].0));
+            }
+        }
+        out
+    }
+}
+
+impl Vector<16> for F32x16 {
+    #[inline(always)]
+    fn splat(x: f32) -> Self {
+        // SAFETY: module page.
+        F32x16(unsafe { _mm512_set1_ps(x) })
+    }
+    #[inline(always)]
+    fn load(x: &[f32]) -> Self {
+        let x = &x[..16];
+        // SAFETY: module page; sixteen numbers are there.
+        F32x16(unsafe { _mm512_loadu_ps(x.as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f32]) {
+        let x = &mut x[..16];
+        // SAFETY: module page; room for sixteen numbers is there.
+        unsafe { _mm512_storeu_ps(x.as_mut_ptr(), self.0) }
+    }
+    #[inline(always)]
+    fn load_code_pairs(codes: &[u16]) -> Self {
+        let codes = &codes[..32];
+        // SAFETY: module page; 32 codes of two bytes are there, and the load asks for no alignment.
+        F32x16(unsafe { _mm512_loadu_ps(codes.as_ptr().cast()) })
+    }
+    #[inline(always)]
+    fn split_code_pairs(self) -> (Self, Self) {
+        // SAFETY: module page.
+        unsafe {
+            let bits = _mm512_castps_si512(self.0);
+            let first = _mm512_and_si512(bits, _mm512_set1_epi32(0xffff));
+            let second = _mm512_srli_epi32::<16>(bits);
+            (F32x16(_mm512_cvtepi32_ps(first)), F32x16(_mm512_cvtepi32_ps(second)))
+        }
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        // SAFETY: module page.
+        F32x16(unsafe { _mm512_fmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn neg_mul_add(self, a: Self, b: Self) -> Self {
+        // SAFETY: module page.
+        F32x16(unsafe { _mm512_fnmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn transpose(tile: [Self; 16]) -> [Self; 16] {
+        let zero = Self::splat(0.0);
+        let (mut pairs, mut quads, mut out) = ([zero; 16], [zero; 16], [zero; 16]);
+        // SAFETY: module page.
+        unsafe {
+            for i in 0..8 {
+                pairs[2 * i] = F32x16(_mm512_unpacklo_ps(tile[2 * i].0, tile[2 * i + 1].0));
+                pairs[2 * i + 1] = F32x16(_mm512_unpackhi_ps(tile[2 * i].0, tile[2 * i + 1].0));
+            }
+            for i in 0..4 {
+                for c in 0..2 {
+                    let (a, b) = (pairs[4 * i + c].0, pairs[4 * i + 2 + c].0);
+                    quads[4 * i + 2 * c] = F32x16(_mm512_shuffle_ps::<0b01_00_01_00>(a, b));
+                    quads[4 * i + 2 * c + 1] = F32x16(_mm512_shuffle_ps::<0b11_10_11_10>(a, b));
+                }
+            }
+            // quads[4i + c]: rows 4i..4i+4 of columns c, c+4, c+8, c+12, one in each quarter. Transpose the quarters.
+            for c in 0..4 {
+                let [a, b, d, e] = [quads[c].0, quads[4 + c].0, quads[8 + c].0, quads[12 + c].0];
+                let (low_ab, high_ab) =
+                    (_mm512_shuffle_f32x4::<0b01_00_01_00>(a, b), _mm512_shuffle_f32x4::<0b11_10_11_10>(a, b));
+                let (low_de, high_de) =
+                    (_mm512_shuffle_f32x4::<0b01_00_01_00>(d, e), _mm512_shuffle_f32x4::<0b11_10_11_10>(d, e));
+                out[c] = F32x16(_mm512_shuffle_f32x4::<0b10_00_10_00>(low_ab, low_de));
+                out[4 + c] = F32x16(_mm512_shuffle_f32x4::<0b11_01_11_01>(low_ab, low_de));
+                out[8 + c] = F32x16(_mm512_shuffle_f32x4::<0b10_00_10_00>(high_ab, high_de));
+                out[12 + c] = F32x16(_mm512_shuffle_f32x4::<0b11_01_11_01>(high_ab, high_de));
+            }
+        }
+        out
+    }
+}

@@ -1,0 +1,58 @@
+//! Counting codes at either end of the ADC.
+
+use crate::{KernelLevel, MAX_CODE};
+
+/// How many codes are 0 or [`MAX_CODE`] (or above it, which the chip cannot send). `level` must be available.
+pub(super) fn saturated_codes(level: KernelLevel, codes: &[u16]) -> u32 {
+    match level {
+        // SAFETY: the level is available, as the caller has checked.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx2 => unsafe { count_avx2(codes) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx512 => unsafe { count_avx512(codes) },
+        _ => count(codes),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn count_avx2(codes: &[u16]) -> u32 {
+    count(codes)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn count_avx512(codes: &[u16]) -> u32 {
+    count(codes)
+}
+
+#[inline(always)]
+fn count(codes: &[u16]) -> u32 {
+    let mut total = 0;
+    // Sums of 16 bits are as wide as the codes; a chunk cannot overflow them.
+    for chunk in codes.chunks(4096) {
+        let mut sum = 0u16;
+        for code in chunk {
+            // One comparison for both ends: 0 wraps to the largest number.
+            sum += u16::from(code.wrapping_sub(1) >= MAX_CODE - 1);
+        }
+        total += u32::from(sum);
+    }
+    total
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_level_counts_both_ends_and_what_lies_beyond() {
+        let codes: Vec<u16> = (0..10_000u32).map(|i| (i * 7 % 4100) as u16).collect();
+        let expected = codes.iter().filter(|c| **c == 0 || **c >= MAX_CODE).count() as u32;
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            assert_eq!(saturated_codes(level, &codes), expected, "{level}");
+            assert_eq!(saturated_codes(level, &vec![0; 70_000]), 70_000, "{level}");
+        }
+    }
+}
