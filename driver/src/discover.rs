@@ -134,8 +134,11 @@ fn port_access(path: &Path) -> Accessibility {
     }
 }
 
+/// USB ids and product name, where known.
+type UsbIdentity = (Option<(u16, u16)>, Option<String>);
+
 fn serial_ports() -> Vec<Candidate> {
-    let mut ports: BTreeMap<PathBuf, (Option<(u16, u16)>, Option<String>)> = BTreeMap::new();
+    let mut ports: BTreeMap<PathBuf, UsbIdentity> = BTreeMap::new();
     for port in serialport::available_ports().unwrap_or_default() {
         if let serialport::SerialPortType::UsbPort(usb) = port.port_type {
             ports.insert(port.port_name.into(), (Some((usb.vid, usb.pid)), usb.product));
@@ -147,7 +150,7 @@ fn serial_ports() -> Vec<Candidate> {
             ports.entry(entry.path()).or_default();
         }
     }
-    let candidate = |(path, (usb_id, name)): (PathBuf, (Option<(u16, u16)>, Option<String>))| Candidate {
+    let candidate = |(path, (usb_id, name)): (PathBuf, UsbIdentity)| Candidate {
         accessibility: port_access(&path),
         transport: Transport::Serial,
         belief: usb_id.and_then(|(v, p)| Belief::by_usb_id(v, p)).unwrap_or(Belief::SerialPort),

@@ -174,10 +174,7 @@ impl HostParser {
     /// The next request; `None` until more bytes come. What is refused empties the buffer, as the firmware flushes
     /// its input then.
     pub fn next_event(&mut self) -> Option<HostEvent> {
-        let header: &[u8; REQUEST_HEADER_LENGTH] = match self.buffer.first_chunk() {
-            Some(header) => header,
-            None => return None,
-        };
+        let header: &[u8; REQUEST_HEADER_LENGTH] = self.buffer.first_chunk()?;
         let kind_code = header[0];
         let Some(payload) = Request::payload_length(header) else {
             self.buffer.clear();
