@@ -62,15 +62,17 @@ pub fn power_to_db_library(power: &mut [f32], floor_power: f32) {
     }
 }
 
-const DB_PER_OCTAVE: f32 = 3.010_299_9;
+pub(crate) const DB_PER_OCTAVE: f32 = 3.010_299_9;
 /// log2(1 + t) = t P(t) on [sqrt(1/2) - 1, sqrt(2) - 1], minimax by Lawson iteration: 9.0e-7 dB.
-const LOG2_POLYNOMIAL: [f32; 7] =
+pub(crate) const LOG2_POLYNOMIAL: [f32; 7] =
     [1.442_699_7, -0.721_375_9, 0.480_465_03, -0.358_961_85, 0.297_262_6, -0.272_698, 0.170_634_5];
+
+/// Bits of sqrt(1/2): where a binade is cut, so that the mantissa lies around one.
+pub(crate) const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
 
 /// Base-2 logarithm of a positive normal number.
 #[inline(always)]
 fn log2<const FUSES: bool>(x: f32) -> f32 {
-    const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
     let bits = x.to_bits() as i32;
     let exponent = (bits - SQRT_HALF_BITS) >> 23;
     let t = f32::from_bits((bits - (exponent << 23)) as u32) - 1.0;

@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use super::chain::ChainPlan;
 use super::fourier::FourierChain;
-use super::lanes::{Input, LaneChain};
+use super::lanes::{Input, LaneChain, Output};
 use super::saturation::saturated_codes;
 use super::{MapFlags, Rdm, RdmShape, RdmSpec, SpecError, StaticRemoval};
 use crate::{Frame, FrameShape, KernelLevel, Waveform, decibel};
@@ -62,6 +62,8 @@ pub struct RdmProcessor {
     level: KernelLevel,
     chain: Chain,
     floor_power: f32,
+    /// Lowest power where the lane kernel makes decibels of it at once.
+    fused_floor: Option<f32>,
     uses_library_logarithm: bool,
     samples: Vec<f32>,
     last_sequence: Option<u64>,
@@ -91,6 +93,7 @@ impl RdmProcessor {
         }
         let plan = ChainPlan::new(spec, waveform)?;
         let codes = plan.frame_shape.codes();
+        let floor_power = 10f64.powf(spec.floor_db / 10.0) as f32;
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
         let chain = match LaneChain::new(&plan, level) {
             Some(lanes) => Chain::Lanes(lanes),
@@ -101,7 +104,8 @@ impl RdmProcessor {
             steps: spec.steps(waveform),
             level,
             chain,
-            floor_power: 10f64.powf(spec.floor_db / 10.0) as f32,
+            floor_power,
+            fused_floor: if plan.is_sum { None } else { Some(floor_power) },
             uses_library_logarithm: false,
             samples: vec![0.0; codes],
             last_sequence: None,
@@ -131,6 +135,7 @@ impl RdmProcessor {
     /// Uses the library's `log10` instead of the polynomial: for benchmarks that compare the two.
     pub fn use_library_logarithm(&mut self) {
         self.uses_library_logarithm = true;
+        self.fused_floor = None;
     }
 
     /// The spec.
@@ -182,11 +187,9 @@ impl RdmProcessor {
         if let Chain::Lanes(lanes) = &mut self.chain
             && !matches!(self.spec.static_removal, StaticRemoval::RecursiveMti { .. })
         {
-            for (index, channel) in codes.chunks_exact(self.plan.channel_length()).enumerate() {
-                let cells = &mut map.db[self.plan.cells(index)];
-                lanes.channel(Input::Codes(channel), cells, self.plan.adds(index));
-            }
-            self.finish(frame.sequence, saturated, map);
+            let channels = codes.chunks_exact(self.plan.channel_length()).map(Input::Codes);
+            let cells = through_lanes(lanes, &self.plan, self.fused_floor, channels, &mut map.db);
+            self.finish(frame.sequence, saturated, cells, map);
             return Ok(MapStatus::Ready);
         }
         let (factor, offset) = self.plan.scale;
@@ -242,17 +245,21 @@ impl RdmProcessor {
             for index in 0..plan.channels.len() {
                 chain.window(plan, index, &mut map.db[plan.cells(index)]);
             }
-        } else {
-            for (index, channel) in samples.chunks_exact(plan.channel_length()).enumerate() {
-                let cells = &mut map.db[plan.cells(index)];
-                match &mut self.chain {
-                    Chain::Lanes(chain) => chain.channel(Input::Samples(channel), cells, plan.adds(index)),
-                    Chain::Fourier(chain) => chain.channel(plan, index, channel, cells),
-                }
-            }
+            return self.finish(sequence, saturated_samples, Cells::Power, map);
         }
-        self.finish(sequence, saturated_samples, map);
-        MapStatus::Ready
+        let channels = samples.chunks_exact(plan.channel_length());
+        let cells = match &mut self.chain {
+            Chain::Lanes(chain) => {
+                through_lanes(chain, plan, self.fused_floor, channels.map(Input::Samples), &mut map.db)
+            }
+            Chain::Fourier(chain) => {
+                for (index, channel) in channels.enumerate() {
+                    chain.channel(plan, index, channel, &mut map.db[plan.cells(index)]);
+                }
+                Cells::Power
+            }
+        };
+        self.finish(sequence, saturated_samples, cells, map)
     }
 
     fn subtract_background(&mut self, alpha: f32) {
@@ -270,14 +277,48 @@ impl RdmProcessor {
         }
     }
 
-    fn finish(&self, sequence: u64, saturated_samples: u32, map: &mut Rdm) {
-        let non_finite_cells = if self.uses_library_logarithm {
-            decibel::power_to_db_library(&mut map.db, self.floor_power);
-            map.db.iter().map(|v| u32::from(!v.is_finite())).sum()
-        } else {
-            decibel::power_to_db_at(self.level, &mut map.db, self.floor_power)
+    /// Decibels where there is still power, and the map's flags.
+    fn finish(&self, sequence: u64, saturated_samples: u32, cells: Cells, map: &mut Rdm) -> MapStatus {
+        let count = |db: &[f32]| db.iter().map(|v| u32::from(!v.is_finite())).sum();
+        let non_finite_cells = match cells {
+            Cells::Decibels { are_finite: true } => 0,
+            Cells::Decibels { are_finite: false } => count(&map.db),
+            Cells::Power if self.uses_library_logarithm => {
+                decibel::power_to_db_library(&mut map.db, self.floor_power);
+                count(&map.db)
+            }
+            Cells::Power => decibel::power_to_db_at(self.level, &mut map.db, self.floor_power),
         };
         map.sequence = sequence;
         map.flags = MapFlags { saturated_samples, non_finite_cells };
+        MapStatus::Ready
     }
+}
+
+/// What a chain has left in the map.
+enum Cells {
+    Power,
+    /// If not all are known to be finite, they are to be counted.
+    Decibels {
+        are_finite: bool,
+    },
+}
+
+/// All channels through the lane kernel, to decibels where nothing is to be added up.
+fn through_lanes<'a>(
+    chain: &mut LaneChain,
+    plan: &ChainPlan,
+    floor_power: Option<f32>,
+    channels: impl Iterator<Item = Input<'a>>,
+    db: &mut [f32],
+) -> Cells {
+    let mut are_finite = true;
+    for (index, channel) in channels.enumerate() {
+        let output = match floor_power {
+            Some(floor_power) => Output::Decibels { floor_power },
+            None => Output::Power { adds: plan.adds(index) },
+        };
+        are_finite &= chain.channel(channel, output, &mut db[plan.cells(index)]);
+    }
+    if floor_power.is_some() { Cells::Decibels { are_finite } } else { Cells::Power }
 }

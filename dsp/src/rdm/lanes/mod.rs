@@ -27,8 +27,19 @@ pub(super) enum Input<'a> {
     Samples(&'a [f32]),
 }
 
+/// What a channel becomes.
+#[derive(Clone, Copy)]
+pub(super) enum Output {
+    /// Decibels, at least those of `floor_power`.
+    Decibels { floor_power: f32 },
+    /// Power, or power added to what is there.
+    Power { adds: bool },
+}
+
 /// The chain at the level it was made for.
-pub(super) enum LaneChain {
+pub(super) struct LaneChain(Level);
+
+enum Level {
     Portable(Box<Stages<4, vector::Plain>>),
     #[cfg(target_arch = "x86_64")]
     Avx2(Box<Stages<8, x86::F32x8>>),
@@ -54,39 +65,40 @@ impl LaneChain {
         if !fits {
             return None;
         }
-        Some(match level {
-            KernelLevel::Portable => LaneChain::Portable(Box::new(Stages::new(plan))),
+        Some(LaneChain(match level {
+            KernelLevel::Portable => Level::Portable(Box::new(Stages::new(plan))),
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => LaneChain::Avx2(Box::new(Stages::new(plan))),
+            KernelLevel::Avx2 => Level::Avx2(Box::new(Stages::new(plan))),
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => LaneChain::Avx512(Box::new(Stages::new(plan))),
+            KernelLevel::Avx512 => Level::Avx512(Box::new(Stages::new(plan))),
             #[cfg(not(target_arch = "x86_64"))]
             KernelLevel::Avx2 | KernelLevel::Avx512 => return None,
-        })
+        }))
     }
 
-    /// Power of one channel into `cells` (`[doppler][range]`), or added to what is there.
-    pub(super) fn channel(&mut self, input: Input<'_>, cells: &mut [f32], adds: bool) {
-        match self {
-            LaneChain::Portable(stages) => stages.channel(input, cells, adds),
+    /// One channel into `cells` (`[doppler][range]`). Returns whether the channel is finite throughout; if it says
+    /// no, it is worth counting.
+    pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
+        match &mut self.0 {
+            Level::Portable(stages) => stages.channel(input, output, cells),
             // SAFETY: a chain of this level is only made where the level is available.
             #[cfg(target_arch = "x86_64")]
-            LaneChain::Avx2(stages) => unsafe { channel_avx2(stages, input, cells, adds) },
+            Level::Avx2(stages) => unsafe { channel_avx2(stages, input, output, cells) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            LaneChain::Avx512(stages) => unsafe { channel_avx512(stages, input, cells, adds) },
+            Level::Avx512(stages) => unsafe { channel_avx512(stages, input, output, cells) },
         }
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn channel_avx2(stages: &mut Stages<8, x86::F32x8>, input: Input<'_>, cells: &mut [f32], adds: bool) {
-    stages.channel(input, cells, adds);
+fn channel_avx2(stages: &mut Stages<8, x86::F32x8>, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
+    stages.channel(input, output, cells)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
-fn channel_avx512(stages: &mut Stages<16, x86::F32x16>, input: Input<'_>, cells: &mut [f32], adds: bool) {
-    stages.channel(input, cells, adds);
+fn channel_avx512(stages: &mut Stages<16, x86::F32x16>, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
+    stages.channel(input, output, cells)
 }

@@ -2,9 +2,9 @@
 
 use std::f64::consts::TAU;
 
-use super::Input;
 use super::fft::{Complex, Plan, Sink, Source};
 use super::vector::Vector;
+use super::{Input, Output};
 use crate::rdm::chain::ChainPlan;
 
 /// How bin `k` follows from the FFT `Z` of `z[n] = x[2n] + j x[2n+1]`, of length `n`:
@@ -23,7 +23,7 @@ struct Untangling {
 }
 
 /// Plans and buffers.
-pub(in crate::rdm) struct Stages<const L: usize, V> {
+pub(super) struct Stages<const L: usize, V> {
     chirps: usize,
     samples: usize,
     range: usize,
@@ -101,9 +101,9 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         }
     }
 
-    /// Power of one channel into `cells` (`[doppler][range]`), or added to what is there.
+    /// One channel into `cells` (`[doppler][range]`); whether all are finite.
     #[inline(always)]
-    pub(super) fn channel(&mut self, input: Input<'_>, cells: &mut [f32], adds: bool) {
+    pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         for first in (0..self.chirps).step_by(L) {
             match input {
                 Input::Codes(codes) => {
@@ -117,14 +117,14 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             }
             self.untangle(first);
         }
+        let mut is_finite = true;
         for tile in 0..self.range / L {
-            match (self.removes_slow_time_mean, adds) {
-                (false, false) => self.doppler_transform::<false, false>(tile, cells),
-                (false, true) => self.doppler_transform::<false, true>(tile, cells),
-                (true, false) => self.doppler_transform::<true, false>(tile, cells),
-                (true, true) => self.doppler_transform::<true, true>(tile, cells),
-            }
+            is_finite &= match self.removes_slow_time_mean {
+                false => self.doppler_transform::<false>(tile, output, cells),
+                true => self.doppler_transform::<true>(tile, output, cells),
+            };
         }
+        is_finite
     }
 
     /// Packed range FFT of `L` chirps into `buffer`.
@@ -173,31 +173,25 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         for (tile, bins) in self.untangling.as_chunks::<L>().0.iter().enumerate() {
             let start = tile * self.doppler + first_chirp;
             let target = &mut self.matrix[start..start + L];
-            let mut part = [V::splat(0.0); L];
-            for (x, bin) in part.iter_mut().zip(bins) {
+            let (mut re, mut im) = ([V::splat(0.0); L], [V::splat(0.0); L]);
+            for i in 0..L {
+                let bin = bins[i];
                 let (own, mirror) = (z[bin.own], z[bin.mirror]);
-                let cross = (own.im + mirror.im) * V::splat(bin.cos);
-                let sum = mirror.re.mul_add(V::splat(bin.one_plus_sin), cross);
-                *x = own.re.mul_add(V::splat(bin.one_minus_sin), sum);
+                let (minus, plus) = (V::splat(bin.one_minus_sin), V::splat(bin.one_plus_sin));
+                let cos = V::splat(bin.cos);
+                re[i] = own.re.mul_add(minus, mirror.re.mul_add(plus, (own.im + mirror.im) * cos));
+                im[i] = own.im.mul_add(minus, mirror.im.neg_mul_add(plus, (mirror.re - own.re) * cos));
             }
-            for (cell, re) in target.iter_mut().zip(V::transpose(part)) {
-                cell.re = re;
-            }
-            for (x, bin) in part.iter_mut().zip(bins) {
-                let (own, mirror) = (z[bin.own], z[bin.mirror]);
-                let cross = (mirror.re - own.re) * V::splat(bin.cos);
-                let sum = mirror.im.neg_mul_add(V::splat(bin.one_plus_sin), cross);
-                *x = own.im.mul_add(V::splat(bin.one_minus_sin), sum);
-            }
-            for (cell, im) in target.iter_mut().zip(V::transpose(part)) {
-                cell.im = im;
+            let (re, im) = (V::transpose(re), V::transpose(im));
+            for i in 0..L {
+                target[i] = Complex { re: re[i], im: im[i] };
             }
         }
     }
 
-    /// Static removal, window, Doppler FFT and power of `L` range bins.
+    /// Static removal, window, Doppler FFT and power of `L` range bins; whether all of it is finite.
     #[inline(always)]
-    fn doppler_transform<const REMOVES_MEAN: bool, const ADDS: bool>(&mut self, tile: usize, cells: &mut [f32]) {
+    fn doppler_transform<const REMOVES_MEAN: bool>(&mut self, tile: usize, output: Output, cells: &mut [f32]) -> bool {
         let rows = &self.matrix[tile * self.doppler..(tile + 1) * self.doppler];
         let mut mean = Complex { re: V::splat(0.0), im: V::splat(0.0) };
         if REMOVES_MEAN {
@@ -213,8 +207,21 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             mean = Complex { re: sum.re * share, im: sum.im * share };
         }
         let source = SlowTimeSource::<V, REMOVES_MEAN> { rows, window: &self.doppler_window[..self.doppler], mean };
-        let mut sink = PowerSink::<ADDS> { row_starts: &self.row_start_of_position, cells, first_bin: tile * L };
-        self.doppler_plan.transform(&source, &mut self.buffer[..self.doppler], &mut sink);
+        let (row_starts, buffer) = (&self.row_start_of_position[..], &mut self.buffer[..self.doppler]);
+        let (first_bin, total) = (tile * L, V::splat(0.0));
+        match output {
+            Output::Decibels { floor_power } => {
+                let floor_power = V::splat(floor_power);
+                let mut sink = DecibelSink { row_starts, cells, first_bin, floor_power, total };
+                self.doppler_plan.transform(&source, buffer, &mut sink);
+                sink.total.is_finite()
+            }
+            Output::Power { adds } => {
+                let mut sink = PowerSink { row_starts, cells, first_bin, adds, total };
+                self.doppler_plan.transform(&source, buffer, &mut sink);
+                sink.total.is_finite()
+            }
+        }
     }
 }
 
@@ -269,22 +276,47 @@ impl<const L: usize, V: Vector<L>, const REMOVES_MEAN: bool> Source<L, V> for Sl
     }
 }
 
-/// Power into the rows of the map, zero Doppler in the middle.
-struct PowerSink<'a, const ADDS: bool> {
+#[inline(always)]
+fn power<const L: usize, V: Vector<L>>(x: Complex<V>) -> V {
+    x.im.mul_add(x.im, x.re * x.re)
+}
+
+/// Decibels into the rows of the map, zero Doppler in the middle.
+struct DecibelSink<'a, V> {
     row_starts: &'a [usize],
     cells: &'a mut [f32],
     first_bin: usize,
+    floor_power: V,
+    /// Sum of all powers: finite only if they are.
+    total: V,
 }
 
-impl<const L: usize, V: Vector<L>, const ADDS: bool> Sink<L, V> for PowerSink<'_, ADDS> {
+impl<const L: usize, V: Vector<L>> Sink<L, V> for DecibelSink<'_, V> {
+    #[inline(always)]
+    fn put(&mut self, position: usize, value: Complex<V>) {
+        let start = self.row_starts[position] + self.first_bin;
+        let power = power(value);
+        self.total = self.total + power;
+        power.to_db(self.floor_power).store(&mut self.cells[start..start + L]);
+    }
+}
+
+/// Power into the rows of the map, or added to what is there.
+struct PowerSink<'a, V> {
+    row_starts: &'a [usize],
+    cells: &'a mut [f32],
+    first_bin: usize,
+    adds: bool,
+    total: V,
+}
+
+impl<const L: usize, V: Vector<L>> Sink<L, V> for PowerSink<'_, V> {
     #[inline(always)]
     fn put(&mut self, position: usize, value: Complex<V>) {
         let start = self.row_starts[position] + self.first_bin;
         let cells = &mut self.cells[start..start + L];
-        let mut power = value.im.mul_add(value.im, value.re * value.re);
-        if ADDS {
-            power = power + V::load(cells);
-        }
-        power.store(cells);
+        let power = power(value);
+        self.total = self.total + power;
+        if self.adds { power + V::load(cells) } else { power }.store(cells);
     }
 }

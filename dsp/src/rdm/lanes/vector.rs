@@ -2,6 +2,8 @@
 
 use std::ops::{Add, Mul, Sub};
 
+use crate::decibel::{self, SQRT_HALF_BITS};
+
 /// `L` numbers that are computed with at once.
 ///
 /// Implementations for registers that not every processor has must be used only inside functions that were entered
@@ -24,8 +26,30 @@ pub(super) trait Vector<const L: usize>:
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// `b - self * a`.
     fn neg_mul_add(self, a: Self, b: Self) -> Self;
+    /// `self`, but `floor` where that is larger; NaN stays.
+    fn at_least(self, floor: Self) -> Self;
+    /// `(e, m)` with `self = m 2^e` and `m` in [sqrt(1/2), sqrt(2)), for positive normal numbers.
+    fn split_binade(self) -> (Self, Self);
+    /// `self`, but `original` where that is NaN or infinite.
+    fn unless_non_finite(self, original: Self) -> Self;
+    /// Whether all lanes are finite, for numbers that are not negative.
+    fn is_finite(self) -> bool;
     /// Lane `i` of vector `j` becomes lane `j` of vector `i`.
     fn transpose(tile: [Self; L]) -> [Self; L];
+
+    /// Power to decibels: [`decibel::power_to_db`] in lanes.
+    #[inline(always)]
+    fn to_db(self, floor_power: Self) -> Self {
+        let clamped = self.at_least(floor_power);
+        let (exponent, mantissa) = clamped.split_binade();
+        let t = mantissa - Self::splat(1.0);
+        let [a, b, c, d, e, f, g] = decibel::LOG2_POLYNOMIAL;
+        let mut sum = Self::splat(g);
+        for coefficient in [f, e, d, c, b, a] {
+            sum = sum.mul_add(t, Self::splat(coefficient));
+        }
+        (sum.mul_add(t, exponent) * Self::splat(decibel::DB_PER_OCTAVE)).unless_non_finite(clamped)
+    }
 }
 
 /// Plain numbers for processors without a kernel of their own; compilers make one register of them where they can.
@@ -96,6 +120,25 @@ impl Vector<4> for Plain {
     #[inline(always)]
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
         b - self * a
+    }
+    #[inline(always)]
+    fn at_least(self, floor: Self) -> Self {
+        self.zip(floor, |x, floor| if x < floor { floor } else { x })
+    }
+    #[inline(always)]
+    fn split_binade(self) -> (Self, Self) {
+        let bits = self.0.map(|x| x.to_bits() as i32);
+        let exponent = bits.map(|b| (b - SQRT_HALF_BITS) >> 23);
+        let mantissa = std::array::from_fn(|i| f32::from_bits((bits[i] - (exponent[i] << 23)) as u32));
+        (Plain(exponent.map(|e| e as f32)), Plain(mantissa))
+    }
+    #[inline(always)]
+    fn unless_non_finite(self, original: Self) -> Self {
+        self.zip(original, |x, original| if original < f32::INFINITY { x } else { original })
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        self.0.iter().all(|x| *x < f32::INFINITY)
     }
     #[inline(always)]
     fn transpose(tile: [Self; 4]) -> [Self; 4] {

@@ -8,14 +8,15 @@ use std::arch::x86_64::*;
 use std::ops::{Add, Mul, Sub};
 
 use super::vector::Vector;
+use crate::decibel::SQRT_HALF_BITS;
 
 /// Eight lanes of AVX2 with FMA.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::rdm) struct F32x8(__m256);
+pub(super) struct F32x8(__m256);
 
 /// Sixteen lanes of AVX-512.
 #[derive(Debug, Clone, Copy)]
-pub(in crate::rdm) struct F32x16(__m512);
+pub(super) struct F32x16(__m512);
 
 macro_rules! operator {
     ($type:ident, $trait:ident, $method:ident, $instruction:ident) => {
@@ -79,6 +80,34 @@ impl Vector<8> for F32x8 {
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
         // SAFETY: module page.
         F32x8(unsafe { _mm256_fnmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn at_least(self, floor: Self) -> Self {
+        // SAFETY: module page. The instruction returns its second operand if either is NaN.
+        F32x8(unsafe { _mm256_max_ps(floor.0, self.0) })
+    }
+    #[inline(always)]
+    fn split_binade(self) -> (Self, Self) {
+        // SAFETY: module page.
+        unsafe {
+            let bits = _mm256_castps_si256(self.0);
+            let exponent = _mm256_srai_epi32::<23>(_mm256_sub_epi32(bits, _mm256_set1_epi32(SQRT_HALF_BITS)));
+            let mantissa = _mm256_sub_epi32(bits, _mm256_slli_epi32::<23>(exponent));
+            (F32x8(_mm256_cvtepi32_ps(exponent)), F32x8(_mm256_castsi256_ps(mantissa)))
+        }
+    }
+    #[inline(always)]
+    fn unless_non_finite(self, original: Self) -> Self {
+        // SAFETY: module page.
+        unsafe {
+            let is_finite = _mm256_cmp_ps::<_CMP_LT_OQ>(original.0, _mm256_set1_ps(f32::INFINITY));
+            F32x8(_mm256_blendv_ps(original.0, self.0, is_finite))
+        }
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        // SAFETY: module page.
+        unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(self.0, _mm256_set1_ps(f32::INFINITY))) == 0xff }
     }
     #[inline(always)]
     fn transpose(tile: [Self; 8]) -> [Self; 8] {
@@ -151,6 +180,34 @@ impl Vector<16> for F32x16 {
     fn neg_mul_add(self, a: Self, b: Self) -> Self {
         // SAFETY: module page.
         F32x16(unsafe { _mm512_fnmadd_ps(self.0, a.0, b.0) })
+    }
+    #[inline(always)]
+    fn at_least(self, floor: Self) -> Self {
+        // SAFETY: module page. The instruction returns its second operand if either is NaN.
+        F32x16(unsafe { _mm512_max_ps(floor.0, self.0) })
+    }
+    #[inline(always)]
+    fn split_binade(self) -> (Self, Self) {
+        // SAFETY: module page.
+        unsafe {
+            let bits = _mm512_castps_si512(self.0);
+            let exponent = _mm512_srai_epi32::<23>(_mm512_sub_epi32(bits, _mm512_set1_epi32(SQRT_HALF_BITS)));
+            let mantissa = _mm512_sub_epi32(bits, _mm512_slli_epi32::<23>(exponent));
+            (F32x16(_mm512_cvtepi32_ps(exponent)), F32x16(_mm512_castsi512_ps(mantissa)))
+        }
+    }
+    #[inline(always)]
+    fn unless_non_finite(self, original: Self) -> Self {
+        // SAFETY: module page.
+        unsafe {
+            let is_finite = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(original.0, _mm512_set1_ps(f32::INFINITY));
+            F32x16(_mm512_mask_blend_ps(is_finite, original.0, self.0))
+        }
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        // SAFETY: module page.
+        unsafe { _mm512_cmp_ps_mask::<_CMP_LT_OQ>(self.0, _mm512_set1_ps(f32::INFINITY)) == 0xffff }
     }
     #[inline(always)]
     fn transpose(tile: [Self; 16]) -> [Self; 16] {
