@@ -28,6 +28,8 @@ pub(super) struct Stages<const L: usize, V> {
     samples: usize,
     range: usize,
     doppler: usize,
+    /// From one tile of `matrix` to the next: no power of two, lest they all compete for the same cache sets.
+    tile_length: usize,
     removes_chirp_mean: bool,
     removes_slow_time_mean: bool,
     /// The code that reads as zero.
@@ -44,7 +46,7 @@ pub(super) struct Stages<const L: usize, V> {
     /// `L` chirps, `[pair]` of codes or `[sample]`.
     transposed: Vec<V>,
     buffer: Vec<Complex<V>>,
-    /// `[range / L][chirp]`, padded with zeros to the Doppler FFT.
+    /// `[range / L][chirp]`, padded with zeros to the Doppler FFT and then to `tile_length`.
     matrix: Vec<Complex<V>>,
 }
 
@@ -78,6 +80,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         }
         let mut doppler_window: Vec<f32> = plan.doppler_window.iter().map(|w| *w as f32).collect();
         doppler_window.resize(doppler, 0.0);
+        let tile_length = doppler + L;
         let (factor, offset) = plan.scale;
         let zero = Complex { re: V::splat(0.0), im: V::splat(0.0) };
         Stages {
@@ -85,6 +88,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             samples: plan.frame_shape.samples,
             range,
             doppler,
+            tile_length,
             removes_chirp_mean: plan.removes_chirp_mean,
             removes_slow_time_mean: plan.removes_slow_time_mean,
             zero_code: (-offset / factor) as f32,
@@ -97,7 +101,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             row_start_of_position,
             transposed: vec![V::splat(0.0); 2 * range],
             buffer: vec![zero; range.max(doppler)],
-            matrix: vec![zero; range / L * doppler],
+            matrix: vec![zero; range / L * tile_length],
         }
     }
 
@@ -171,7 +175,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
     fn untangle(&mut self, first_chirp: usize) {
         let z = &self.buffer[..self.range];
         for (tile, bins) in self.untangling.as_chunks::<L>().0.iter().enumerate() {
-            let start = tile * self.doppler + first_chirp;
+            let start = tile * self.tile_length + first_chirp;
             let target = &mut self.matrix[start..start + L];
             let (mut re, mut im) = ([V::splat(0.0); L], [V::splat(0.0); L]);
             for i in 0..L {
@@ -192,7 +196,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
     /// Static removal, window, Doppler FFT and power of `L` range bins; whether all of it is finite.
     #[inline(always)]
     fn doppler_transform<const REMOVES_MEAN: bool>(&mut self, tile: usize, output: Output, cells: &mut [f32]) -> bool {
-        let rows = &self.matrix[tile * self.doppler..(tile + 1) * self.doppler];
+        let rows = &self.matrix[tile * self.tile_length..tile * self.tile_length + self.doppler];
         let mut mean = Complex { re: V::splat(0.0), im: V::splat(0.0) };
         if REMOVES_MEAN {
             // Four sums at a time: one would wait for each addition.
