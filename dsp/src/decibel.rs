@@ -62,7 +62,7 @@ pub fn power_to_db_library(power: &mut [f32], floor_power: f32) {
     }
 }
 
-pub(crate) const DB_PER_OCTAVE: f32 = 3.010_299_9;
+pub(crate) const DB_PER_OCTAVE: f32 = 3.0103;
 /// log2(1 + t) = t P(t) on [sqrt(1/2) - 1, sqrt(2) - 1], minimax by Lawson iteration: 9.0e-7 dB.
 pub(crate) const LOG2_POLYNOMIAL: [f32; 7] =
     [1.442_699_7, -0.721_375_9, 0.480_465_03, -0.358_961_85, 0.297_262_6, -0.272_698, 0.170_634_5];

@@ -1,7 +1,7 @@
 use std::time::Instant;
 
 use radome_dsp::rdm::reference;
-use radome_dsp::{Frame, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
+use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
 use serde::Serialize;
 
 use crate::output;
@@ -29,7 +29,7 @@ enum Stage {
 /// One way to make the maps of a frame.
 #[derive(Serialize)]
 struct Row {
-    variant: &'static str,
+    variant: String,
     microseconds: f64,
     /// Worst amplitude error of a cell against the strongest cell, dBc.
     worst_error_dbc: f64,
@@ -49,12 +49,21 @@ fn rdm(json: bool, rounds: usize) -> anyhow::Result<()> {
     let started = Instant::now();
     let exact = reference::map(&spec, &waveform, std::slice::from_ref(&frame))?;
     let reference_us = started.elapsed().as_secs_f64() * 1e6;
-    let mut rows = Vec::new();
+    let mut variants = Vec::new();
+    // The product's own path first.
+    for level in KernelLevel::ALL.into_iter().rev().filter(|level| level.is_available()) {
+        variants.push((format!("lanes f32, {level}"), RdmProcessor::with_kernel(&spec, &waveform, level)?));
+    }
     for (variant, library) in [("realfft f32, polynomial decibels", false), ("realfft f32, library log10", true)] {
         let mut processor = RdmProcessor::new(&spec, &waveform)?;
+        processor.use_realfft();
         if library {
             processor.use_library_logarithm();
         }
+        variants.push((variant.to_owned(), processor));
+    }
+    let mut rows = Vec::new();
+    for (variant, mut processor) in variants {
         let mut map = processor.empty_map();
         let mut fastest = f64::MAX;
         for _ in 0..rounds.max(1) {
@@ -64,7 +73,7 @@ fn rdm(json: bool, rounds: usize) -> anyhow::Result<()> {
         }
         rows.push(Row { variant, microseconds: fastest, worst_error_dbc: worst_error_dbc(&map.db, &exact) });
     }
-    rows.push(Row { variant: "Fourier sums f64 (the reference)", microseconds: reference_us, worst_error_dbc: f64::NEG_INFINITY });
+    rows.push(Row { variant: "Fourier sums f64 (the reference)".to_owned(), microseconds: reference_us, worst_error_dbc: f64::NEG_INFINITY });
     if json {
         // JSON has no infinity: the reference's error is null.
         return output::json_line(&rows);

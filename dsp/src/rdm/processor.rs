@@ -73,7 +73,7 @@ pub struct RdmProcessor {
 
 enum Chain {
     Lanes(LaneChain),
-    Fourier(FourierChain),
+    Fourier(Box<FourierChain>),
 }
 
 impl RdmProcessor {
@@ -97,7 +97,7 @@ impl RdmProcessor {
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
         let chain = match LaneChain::new(&plan, level) {
             Some(lanes) => Chain::Lanes(lanes),
-            None => Chain::Fourier(FourierChain::new(&plan, level)),
+            None => Chain::Fourier(Box::new(FourierChain::new(&plan, level))),
         };
         Ok(RdmProcessor {
             spec: *spec,
@@ -129,7 +129,7 @@ impl RdmProcessor {
     /// compare the two. Forgets all frames.
     pub fn use_realfft(&mut self) {
         self.reset();
-        self.chain = Chain::Fourier(FourierChain::new(&self.plan, self.level));
+        self.chain = Chain::Fourier(Box::new(FourierChain::new(&self.plan, self.level)));
     }
 
     /// Uses the library's `log10` instead of the polynomial: for benchmarks that compare the two.

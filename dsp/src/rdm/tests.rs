@@ -1,7 +1,7 @@
 use std::f64::consts::TAU;
 
 use super::*;
-use crate::{Frame, FrameShape, Window, noise_floor_db};
+use crate::{Frame, FrameShape, KernelLevel, Window, noise_floor_db};
 use crate::{RxMask, Waveform, WaveformRequest};
 
 fn waveform(rx: usize, chirps: usize, samples: usize) -> Waveform {
@@ -62,20 +62,48 @@ fn busy_frame(shape: FrameShape, sequence: u64) -> Frame {
     })
 }
 
-/// Worst amplitude error of a cell against the strongest cell, dBc.
-fn worst_error_dbc(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> f64 {
-    let mut processor = RdmProcessor::new(spec, waveform).expect("spec fits");
+/// Levels that this machine has.
+fn levels() -> impl Iterator<Item = KernelLevel> {
+    KernelLevel::ALL.into_iter().filter(|level| level.is_available())
+}
+
+/// A processor for each level that this machine has, and one that goes through `realfft` whatever the size.
+fn processors(spec: &RdmSpec, waveform: &Waveform) -> Vec<RdmProcessor> {
+    let at = |level| RdmProcessor::with_kernel(spec, waveform, level).expect("spec fits");
+    let mut general = at(KernelLevel::detect());
+    general.use_realfft();
+    levels().map(at).chain([general]).collect()
+}
+
+fn name(processor: &RdmProcessor) -> String {
+    format!("{}, {} lanes", processor.kernel_level(), if processor.uses_lanes() { "with" } else { "without" })
+}
+
+/// Map of the last of `frames`.
+fn last_map(processor: &mut RdmProcessor, frames: &[Frame]) -> Rdm {
     let mut map = processor.empty_map();
     let mut status = MapStatus::WarmingUp { have: 0, need: 1 };
     for frame in frames {
         status = processor.process(frame, &mut map).expect("frame fits");
     }
     assert_eq!(status, MapStatus::Ready);
-    let expected = reference::map(spec, waveform, frames).expect("spec fits");
+    map
+}
+
+/// Worst amplitude error of a cell against the strongest cell, dBc.
+fn error_dbc(db: &[f32], expected: &[f64]) -> f64 {
+    assert_eq!(db.len(), expected.len());
     let amplitude = |db: f64| 10f64.powf(db / 20.0);
     let peak = expected.iter().copied().map(amplitude).fold(0.0, f64::max);
-    let errors = map.db.iter().zip(&expected).map(|(got, e)| (amplitude(f64::from(*got)) - amplitude(*e)).abs());
+    let errors = db.iter().zip(expected).map(|(got, e)| (amplitude(f64::from(*got)) - amplitude(*e)).abs());
     20.0 * (errors.fold(1e-12, f64::max) / peak).log10()
+}
+
+/// The worst of all processors.
+fn worst_error_dbc(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> f64 {
+    let expected = reference::map(spec, waveform, frames).expect("spec fits");
+    let errors = processors(spec, waveform).into_iter().map(|mut p| error_dbc(&last_map(&mut p, frames).db, &expected));
+    errors.fold(f64::NEG_INFINITY, f64::max)
 }
 
 #[test]
@@ -90,6 +118,7 @@ fn every_option_agrees_with_the_formula_in_f64() {
         RdmSpec { channels: Channels::IncoherentSum, static_removal: StaticRemoval::SlowTimeMean, ..base },
         RdmSpec { range_window: Window::BlackmanHarris, doppler_window: Window::Rectangular, ..base },
         RdmSpec { range_fft_length: Some(48), doppler_fft_length: Some(33), ..base },
+        RdmSpec { range_fft_length: Some(128), doppler_fft_length: Some(64), ..base },
         RdmSpec { scale: SampleScale::ZeroToOne, amplitude: AmplitudeScale::Vendor, ..base },
     ];
     for spec in specs {
@@ -136,21 +165,95 @@ proptest::proptest! {
         let worst = worst_error_dbc(&RdmSpec::default(), &w, &[frame]);
         proptest::prop_assert!(worst < -125.0, "{worst} dBc");
     }
+
+    /// Sizes and padding of the lane kernel, and what removal does to them.
+    #[test]
+    fn any_power_of_two_agrees_with_the_formula(
+        log2_chirps in 4u32..7, log2_samples in 5u32..8, log2_padding in (0u32..3, 0u32..3), missing in 0usize..3,
+        removes in proptest::prelude::any::<(bool, bool, bool)>(), seed in 0u64..1000,
+    ) {
+        let (fast_time, slow_time) = (1 << log2_samples, 1 << log2_chirps);
+        // Frames need not be powers of two themselves if they are padded to one.
+        let w = waveform(1 + seed as usize % 3, slow_time - 16 * (missing % (slow_time / 16)), fast_time);
+        let spec = RdmSpec {
+            range_fft_length: Some(fast_time << log2_padding.0),
+            doppler_fft_length: Some(slow_time << log2_padding.1),
+            chirp_mean_removal: removes.0,
+            static_removal: if removes.1 { StaticRemoval::SlowTimeMean } else { StaticRemoval::None },
+            channels: if removes.2 { Channels::IncoherentSum } else { Channels::All },
+            ..RdmSpec::default()
+        };
+        for level in levels() {
+            let processor = RdmProcessor::with_kernel(&spec, &w, level).expect("spec fits");
+            proptest::prop_assert!(processor.uses_lanes(), "{level}");
+        }
+        let worst = worst_error_dbc(&spec, &w, &[busy_frame(w.shape(), seed)]);
+        proptest::prop_assert!(worst < -105.0, "{worst} dBc");
+    }
+}
+
+/// The paper's frame in the house's spec: each level against the formula, and the levels against each other.
+#[test]
+fn every_level_is_within_minus_135_dbc_of_the_formula() {
+    let w =
+        Waveform::realise(WaveformRequest { rx_antennas: one_antenna(), ..WaveformRequest::paper() }).expect("valid");
+    let frames = [busy_frame(w.shape(), 3)];
+    let spec = RdmSpec::default();
+    let expected = reference::map(&spec, &w, &frames).expect("spec fits");
+    let mut maps: Vec<Vec<f32>> = Vec::new();
+    for mut processor in processors(&spec, &w) {
+        let map = last_map(&mut processor, &frames);
+        let error = error_dbc(&map.db, &expected);
+        assert!(error < -135.0, "{error} dBc {}", name(&processor));
+        // The same again gives the same bits, whatever went before.
+        processor.process(&busy_frame(w.shape(), 9), &mut processor.empty_map()).expect("frame fits");
+        assert_eq!(last_map(&mut processor, &frames).db, map.db, "{}", name(&processor));
+        maps.push(map.db);
+    }
+    for map in &maps[1..] {
+        let first: Vec<f64> = maps[0].iter().map(|db| f64::from(*db)).collect();
+        assert!(error_dbc(map, &first) < -132.0);
+    }
+}
+
+fn one_antenna() -> RxMask {
+    RxMask::from_antennas(&[1]).expect("exists")
+}
+
+/// Codes and the samples that they stand for give the same map: the kernel scales, removes means and pads in both.
+#[test]
+fn codes_and_samples_agree() {
+    let w = waveform(2, 32, 64);
+    let frame = busy_frame(w.shape(), 4);
+    for scale in [SampleScale::FullScale, SampleScale::ZeroToOne, SampleScale::MinusOneToOne] {
+        let spec = RdmSpec { scale, chirp_mean_removal: true, range_fft_length: Some(128), ..RdmSpec::default() };
+        let (factor, offset) = scale.affine();
+        let samples: Vec<f32> = frame.codes.iter().map(|c| (f64::from(*c) * factor + offset) as f32).collect();
+        for mut processor in processors(&spec, &w) {
+            let by_codes = last_map(&mut processor, std::slice::from_ref(&frame));
+            let mut by_samples = processor.empty_map();
+            processor.process_samples(9, &samples, &mut by_samples).expect("length fits");
+            let by_samples: Vec<f64> = by_samples.db.iter().map(|db| f64::from(*db)).collect();
+            let error = error_dbc(&by_codes.db, &by_samples);
+            assert!(error < -110.0, "{error} dBc {scale:?} {}", name(&processor));
+        }
+    }
 }
 
 #[test]
 fn full_scale_sine_reads_zero_dbfs_and_its_bin_is_its_range() {
     let w = waveform(1, 16, 64);
-    let frame = frame_of(w.shape(), 0, |_, _, n| (TAU * 9.0 * n as f64 / 64.0).cos() * 2047.0 / 2048.0);
-    let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-    let mut map = processor.empty_map();
-    processor.process(&frame, &mut map).expect("frame fits");
-    assert_eq!(map.peak(), Some((0, 8, 9)));
-    assert!(map.at(0, 8, 9).abs() < 0.02, "{}", map.at(0, 8, 9));
-    // A constant of full scale reads 0 dBFS too: one-sided amplitudes count DC once.
-    let frame = frame_of(w.shape(), 1, |_, _, _| -1.0);
-    processor.process(&frame, &mut map).expect("frame fits");
-    assert!(map.at(0, 8, 0).abs() < 1e-3);
+    for mut processor in processors(&RdmSpec::default(), &w) {
+        let frame = frame_of(w.shape(), 0, |_, _, n| (TAU * 9.0 * n as f64 / 64.0).cos() * 2047.0 / 2048.0);
+        let mut map = processor.empty_map();
+        processor.process(&frame, &mut map).expect("frame fits");
+        assert_eq!(map.peak(), Some((0, 8, 9)), "{}", name(&processor));
+        assert!(map.at(0, 8, 9).abs() < 0.02, "{} {}", map.at(0, 8, 9), name(&processor));
+        // A constant of full scale reads 0 dBFS too: one-sided amplitudes count DC once.
+        let frame = frame_of(w.shape(), 1, |_, _, _| -1.0);
+        processor.process(&frame, &mut map).expect("frame fits");
+        assert!(map.at(0, 8, 0).abs() < 1e-3, "{}", name(&processor));
+    }
 }
 
 /// The convention of the crate page: a receding target raises the delay, the beat's phase rises from chirp to chirp.
@@ -166,12 +269,12 @@ fn receding_target_has_positive_velocity() {
             * (w.sampled_start_frequency_hz * tau + w.slope_hz_per_s * tau * t - 0.5 * w.slope_hz_per_s * tau * tau))
             .cos()
     });
-    let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-    let mut map = processor.empty_map();
-    processor.process(&frame, &mut map).expect("frame fits");
-    let (_, doppler, range) = map.peak().expect("finite");
-    assert!((map.velocity_m_per_s(doppler) - velocity).abs() < 0.6 * map.velocity_step_m_per_s, "{doppler}");
-    assert!((map.range_m(range) - range_m).abs() < 0.6 * map.range_step_m, "{range}");
+    for mut processor in processors(&RdmSpec::default(), &w) {
+        let map = last_map(&mut processor, std::slice::from_ref(&frame));
+        let (_, doppler, range) = map.peak().expect("finite");
+        assert!((map.velocity_m_per_s(doppler) - velocity).abs() < 0.6 * map.velocity_step_m_per_s, "{doppler}");
+        assert!((map.range_m(range) - range_m).abs() < 0.6 * map.range_step_m, "{range}");
+    }
 }
 
 /// sbr.md section 5.1: noise of any radar has sigma 5.57 dB, and its dB mean lies 2.507 dB below its mean.
@@ -198,115 +301,4 @@ fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
     assert!((floor_mean - expected).abs() < 0.3, "{floor_mean} against {expected}");
 }
 
-mod hard_cases {
-    use super::*;
-
-    fn default_map(frame: &Frame, w: &Waveform, spec: RdmSpec) -> Rdm {
-        let mut processor = RdmProcessor::new(&spec, w).expect("spec fits");
-        let mut map = processor.empty_map();
-        processor.process(frame, &mut map).expect("frame fits");
-        map
-    }
-
-    #[test]
-    fn all_zero_samples_read_the_floor_everywhere() {
-        let w = waveform(2, 8, 16);
-        let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &vec![0.0; w.shape().codes()], &mut map).expect("length fits");
-        assert!(map.db.iter().all(|v| (v + 200.0).abs() < 1e-3));
-        assert_eq!(map.flags, MapFlags::default());
-    }
-
-    #[test]
-    fn a_frame_of_zero_codes_is_flagged_as_saturated_throughout() {
-        let w = waveform(2, 8, 16);
-        let map = default_map(&Frame::zeroed(w.shape()), &w, RdmSpec::default());
-        assert_eq!(map.flags.saturated_samples, 2 * 8 * 16);
-        assert!(map.db.iter().all(|v| v.is_finite()));
-    }
-
-    #[test]
-    fn saturation_is_counted_in_the_used_channels_only() {
-        let w = waveform(2, 8, 16);
-        let frame = frame_of(w.shape(), 0, |rx, _, n| if rx == 1 && n < 3 { 2.0 } else { 0.0 });
-        assert_eq!(default_map(&frame, &w, RdmSpec::default()).flags.saturated_samples, 24);
-        let first = RdmSpec { channels: Channels::One(0), ..RdmSpec::default() };
-        assert_eq!(default_map(&frame, &w, first).flags.saturated_samples, 0);
-    }
-
-    #[test]
-    fn one_not_a_number_stays_visible_and_is_flagged_in_its_channel() {
-        let w = waveform(2, 8, 16);
-        let mut samples = vec![0.25; w.shape().codes()];
-        samples[3] = f32::NAN;
-        let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &samples, &mut map).expect("length fits");
-        assert_eq!(map.flags.non_finite_cells as usize, map.shape.cells() / 2);
-        assert!(map.db[..map.shape.cells() / 2].iter().all(|v| v.is_nan()));
-        // It does not outlive its frame.
-        samples[3] = 0.25;
-        processor.process_samples(1, &samples, &mut map).expect("length fits");
-        assert_eq!(map.flags.non_finite_cells, 0);
-    }
-
-    /// dsp.md section 2: in f32 a target 90 dB below DC is right to a few thousandths of a dB.
-    #[test]
-    fn target_ninety_decibels_below_dc_leakage_is_exact() {
-        let w = waveform(1, 128, 256);
-        let amplitude = 10f64.powf(-90.0 / 20.0);
-        let samples: Vec<f32> = (0..128)
-            .flat_map(|m| {
-                (0..256).map(move |n| {
-                    (1.0 + amplitude * (TAU * (40.0 * n as f64 / 256.0 + 20.0 * m as f64 / 128.0)).cos()) as f32
-                })
-            })
-            .collect();
-        let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-        let mut map = processor.empty_map();
-        processor.process_samples(0, &samples, &mut map).expect("length fits");
-        assert!((map.at(0, 64 + 20, 40) + 90.0).abs() < 0.02, "{}", map.at(0, 84, 40));
-    }
-
-    #[test]
-    fn frame_of_another_shape_is_refused_and_names_both() {
-        let w = waveform(1, 8, 16);
-        let mut processor = RdmProcessor::new(&RdmSpec::default(), &w).expect("spec fits");
-        let mut map = processor.empty_map();
-        let frame = Frame::zeroed(FrameShape { rx: 1, chirps: 8, samples: 32 });
-        let message = processor.process(&frame, &mut map).expect_err("shape").to_string();
-        assert!(message.contains("16 samples") && message.contains("32 samples"), "{message}");
-        let mut frame = Frame::zeroed(w.shape());
-        frame.codes.pop();
-        assert!(processor.process(&frame, &mut map).is_err());
-    }
-
-    #[test]
-    fn a_gap_empties_the_window_of_frames() {
-        let w = waveform(1, 4, 16);
-        let spec = RdmSpec { slow_time: SlowTime::Frames { frames: 3 }, ..RdmSpec::default() };
-        let mut processor = RdmProcessor::new(&spec, &w).expect("spec fits");
-        let mut map = processor.empty_map();
-        let mut status = |s| processor.process(&busy_frame(w.shape(), s), &mut map).expect("fits");
-        assert_eq!(status(0), MapStatus::WarmingUp { have: 1, need: 3 });
-        assert_eq!(status(1), MapStatus::WarmingUp { have: 2, need: 3 });
-        assert_eq!(status(2), MapStatus::Ready);
-        assert_eq!(status(4), MapStatus::WarmingUp { have: 1, need: 3 });
-    }
-
-    #[test]
-    fn specs_that_cannot_be_are_refused() {
-        let w = waveform(1, 8, 16);
-        let base = RdmSpec::default();
-        for bad in [
-            RdmSpec { channels: Channels::One(1), ..base },
-            RdmSpec { range_fft_length: Some(15), ..base },
-            RdmSpec { slow_time: SlowTime::Frames { frames: 1 }, ..base },
-            RdmSpec { static_removal: StaticRemoval::RecursiveMti { alpha: 0.0 }, ..base },
-            RdmSpec { floor_db: f64::NAN, ..base },
-        ] {
-            assert!(RdmProcessor::new(&bad, &w).is_err(), "{bad:?}");
-        }
-    }
-}
+mod hard_cases;
