@@ -16,6 +16,8 @@
 //! - **Windows** are periodic (DFT-even) unless they say otherwise.
 //! - **Decibels.** 0 dBFS is a full-scale sine after correction for the coherent gain of the windows. The floor is
 //!   named in the [`RdmSpec`]; `-inf` never appears. NaN and infinity stay visible and are flagged.
+//! - **Kernel level.** Maps are made with the widest vector instructions that the machine has. The same binary at the
+//!   same [`KernelLevel`] gives the same bits on any machine that has the level; it is recorded and can be forced.
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
 pub mod decibel;
