@@ -23,9 +23,9 @@ pub fn text_line(line: &str) -> anyhow::Result<()> {
 
 /// Whether an error only says that nobody reads stdout any more.
 pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error.chain().any(|cause| {
-        cause.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe)
-    })
+    error
+        .chain()
+        .any(|cause| cause.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe))
 }
 
 /// An error with its causes, each said once, and hints moved to the end.

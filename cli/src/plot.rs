@@ -54,7 +54,12 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
         }
         let label = label(tick, max_velocity);
         horizontal(&mut image, MARGIN_LEFT - 5, y as u32, 5);
-        text(&mut image, (MARGIN_LEFT - 8).saturating_sub(8 * label.len() as u32), (y as u32).saturating_sub(4), &label);
+        text(
+            &mut image,
+            (MARGIN_LEFT - 8).saturating_sub(8 * label.len() as u32),
+            (y as u32).saturating_sub(4),
+            &label,
+        );
     }
     text(&mut image, MARGIN_LEFT + width / 2 - 36, MARGIN_TOP + height + 26, "range / m");
     text(&mut image, 4, 8, "velocity / (m/s), receding up");
@@ -102,7 +107,11 @@ fn text(image: &mut RgbImage, x: u32, y: u32, line: &str) {
 }
 
 fn vertical(image: &mut RgbImage, x: u32, y: u32, length: u32) {
-    (y..(y + length).min(image.height())).filter(|_| x < image.width()).collect::<Vec<_>>().into_iter().for_each(|y| image.put_pixel(x, y, INK));
+    (y..(y + length).min(image.height()))
+        .filter(|_| x < image.width())
+        .collect::<Vec<_>>()
+        .into_iter()
+        .for_each(|y| image.put_pixel(x, y, INK));
 }
 
 fn horizontal(image: &mut RgbImage, x: u32, y: u32, length: u32) {

@@ -8,14 +8,13 @@
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
-use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex};
 
 use anyhow::{Context, bail};
-use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
-use radome_driver::emulator::{EmulatedBoard, EmulatorOptions, Pace};
-use radome_driver::{Board, replay::RealTime};
+use radome_driver::chip::RegisterList;
+use radome_driver::discover::Belief;
+use radome_driver::{Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, Pace, RealTime, candidates};
+use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 /// What to do with a source beyond its name.
@@ -41,6 +40,16 @@ pub struct Source {
     pub is_live: bool,
     /// One line that says what it is.
     pub description: String,
+    /// The board behind it, if there is one.
+    pub board: Option<BoardIdentity>,
+    /// What its chip was programmed with.
+    pub registers: RegisterList,
+}
+
+impl Source {
+    fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
+        Source { frames, is_live: false, description, board: None, registers: RegisterList::new() }
+    }
 }
 
 /// Opens a SOURCE.
@@ -55,22 +64,25 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
         return board(&the_one_board()?, options);
     }
     if spec.starts_with("usb:") {
-        bail!("usb: (bulk transfers) is not spoken yet\n\nhint: boards with the vendor's firmware answer on serial:/dev/ttyACM0");
+        bail!(
+            "usb: (bulk transfers) is not spoken yet\n\nhint: boards with the vendor's firmware answer on serial:/dev/ttyACM0"
+        );
     }
     let path = Path::new(spec);
     let mut source = if path.extension().is_some_and(|e| e == "toml") {
         let scene = Scene::load(path)?;
-        let simulate =
-            SimulateOptions { seed: options.seed, people: options.people, frames: options.frames, ..Default::default() };
+        let simulate = SimulateOptions {
+            seed: options.seed,
+            people: options.people,
+            frames: options.frames,
+            ..Default::default()
+        };
         let simulator = Simulator::new(&scene, simulate)?;
-        Source {
-            frames: Box::new(simulator),
-            is_live: false,
-            description: format!("simulation of {} with seed {}", path.display(), options.seed),
-        }
+        let description = format!("simulation of {} with seed {}", path.display(), options.seed);
+        Source::without_board(Box::new(simulator), description)
     } else {
         let frames = radome_driver::recording::open(path)?;
-        Source { frames, is_live: false, description: format!("recording {}", path.display()) }
+        Source::without_board(frames, format!("recording {}", path.display()))
     };
     if let Some(speed) = options.speed {
         source.frames = Box::new(RealTime::new(source.frames, speed));
@@ -83,87 +95,41 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
         bail!("a board must be told its waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml");
     };
     let board = Board::open(port)?;
-    let description = format!("{} on {}", board.identity(), port.display());
-    Ok(Source { frames: Box::new(board.start(waveform)?), is_live: true, description })
+    let identity = board.identity().clone();
+    let description = format!("{} on {}", identity.name, port.display());
+    let stream = board.start(waveform)?;
+    let registers = stream.registers().clone();
+    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
 }
 
 /// The only board that discovery finds.
 fn the_one_board() -> anyhow::Result<PathBuf> {
-    let mut ports: Vec<PathBuf> =
-        radome_driver::discover::candidates().into_iter().filter(|c| c.is_board()).filter_map(|c| c.port).collect();
+    let is_board = |c: &Candidate| matches!(c.belief, Belief::Mcu7Serial);
+    let mut ports: Vec<PathBuf> = candidates().into_iter().filter(is_board).map(|c| c.path).collect();
     match (ports.pop(), ports.is_empty()) {
         (Some(port), true) => Ok(port),
-        (Some(_), false) => bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome devices lists them"),
-        (None, _) => bail!("no board is attached\n\nhint: radome devices says what was found; emulated:SCENE.toml needs no board"),
+        (Some(_), false) => {
+            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome devices lists them")
+        }
+        (None, _) => {
+            bail!(
+                "no board is attached\n\nhint: radome devices says what was found; emulated:SCENE.toml needs no board"
+            )
+        }
     }
 }
 
-/// The same frames through an emulated board and the wire protocol. Truth cannot travel on the wire; it goes around it.
+/// The same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let inner_options = SourceOptions { speed: None, ..options.clone() };
-    let source = open(inner, &inner_options)?;
-    let waveform = source.frames.waveform().clone();
-    let truths = Truths::default();
-    let tap = TruthTap { inner: source.frames, truths: truths.clone() };
+    let source = open(inner, &SourceOptions { speed: None, ..options.clone() })?;
     let pace = options.speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
-    let emulator = EmulatedBoard::spawn(Box::new(tap), EmulatorOptions { pace, ..Default::default() })?;
-    let board = Board::open(emulator.path()).context("the emulated board does not answer")?;
-    let description = format!("{} emulated on {}, fed by {}", board.identity(), emulator.path().display(), source.description);
-    let wanted = options.waveform.as_ref().unwrap_or(&waveform);
-    let stream = board.start(wanted)?;
-    let frames = Box::new(Emulated { stream: Box::new(stream), truths, _emulator: emulator });
-    Ok(Source { frames, is_live: options.speed.is_some(), description })
-}
-
-type Truths = Arc<Mutex<VecDeque<(u64, Truth)>>>;
-
-/// Notes the truth of each frame that goes into the emulated board.
-struct TruthTap {
-    inner: Box<dyn FrameSource>,
-    truths: Truths,
-}
-
-impl FrameSource for TruthTap {
-    fn waveform(&self) -> &Waveform {
-        self.inner.waveform()
-    }
-    fn frame_count(&self) -> Option<u64> {
-        self.inner.frame_count()
-    }
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let event = self.inner.next_frame(frame)?;
-        if let (SourceEvent::Frame, Some(truth)) = (event, frame.truth)
-            && let Ok(mut truths) = self.truths.lock()
-        {
-            truths.push_back((frame.sequence, truth));
-        }
-        Ok(event)
-    }
-}
-
-/// The board's stream, with truth put back by sequence number.
-struct Emulated {
-    stream: Box<dyn FrameSource>,
-    truths: Truths,
-    _emulator: EmulatedBoard,
-}
-
-impl FrameSource for Emulated {
-    fn waveform(&self) -> &Waveform {
-        self.stream.waveform()
-    }
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let event = self.stream.next_frame(frame)?;
-        if event == SourceEvent::Frame
-            && let Ok(mut truths) = self.truths.lock()
-        {
-            while truths.front().is_some_and(|(sequence, _)| *sequence < frame.sequence) {
-                truths.pop_front();
-            }
-            frame.truth = truths.front().filter(|(sequence, _)| *sequence == frame.sequence).map(|(_, truth)| *truth);
-        }
-        Ok(event)
-    }
+    let emulated = EmulatedSource::start(source.frames, EmulatorOptions { pace, ..Default::default() })?;
+    let identity = emulated.identity().clone();
+    let path = emulated.board().path().display().to_string();
+    let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
+    let registers = emulated.stream().registers().clone();
+    let is_live = options.speed.is_some();
+    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers })
 }
 
 /// A waveform by name (`paper`) or from a TOML file of a [`radome_dsp::WaveformRequest`].

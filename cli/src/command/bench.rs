@@ -73,7 +73,11 @@ fn rdm(json: bool, rounds: usize) -> anyhow::Result<()> {
         }
         rows.push(Row { variant, microseconds: fastest, worst_error_dbc: worst_error_dbc(&map.db, &exact) });
     }
-    rows.push(Row { variant: "Fourier sums f64 (the reference)".to_owned(), microseconds: reference_us, worst_error_dbc: f64::NEG_INFINITY });
+    rows.push(Row {
+        variant: "Fourier sums f64 (the reference)".to_owned(),
+        microseconds: reference_us,
+        worst_error_dbc: f64::NEG_INFINITY,
+    });
     if json {
         // JSON has no infinity: the reference's error is null.
         return output::json_line(&rows);
@@ -95,9 +99,15 @@ fn test_frame(waveform: &Waveform) -> Frame {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         let noise = (state >> 40) as f64 / (1u64 << 24) as f64 - 0.5;
         let tone = |amplitude: f64, range: f64, doppler: f64| {
-            amplitude * (std::f64::consts::TAU * (range * n / shape.samples as f64 + doppler * m / shape.chirps as f64)).cos()
+            amplitude
+                * (std::f64::consts::TAU * (range * n / shape.samples as f64 + doppler * m / shape.chirps as f64)).cos()
         };
-        let x = 1700.0 + tone(600.0, 0.7, 0.0) + tone(60.0, 20.3, 11.7) + tone(8.0, 45.0, -20.2) + tone(2.0, 90.4, 3.3) + 3.0 * noise;
+        let x = 1700.0
+            + tone(600.0, 0.7, 0.0)
+            + tone(60.0, 20.3, 11.7)
+            + tone(8.0, 45.0, -20.2)
+            + tone(2.0, 90.4, 3.3)
+            + 3.0 * noise;
         *code = x.round().clamp(0.0, 4095.0) as u16;
     }
     frame

@@ -1,3 +1,5 @@
+use radome_driver::chip::ChipConfiguration;
+use radome_driver::protocol::strata::SliceLayout;
 use radome_dsp::Waveform;
 use serde::Serialize;
 
@@ -37,7 +39,8 @@ struct Derived<'a> {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let w = &source::waveform(&arguments.waveform)?;
     let registers = if arguments.registers {
-        let list = radome_driver::chip::register_list(w)?;
+        let slice_samples = SliceLayout::for_frame(w.shape().codes()).samples;
+        let list = ChipConfiguration { waveform: w.clone(), slice_samples }.compile()?;
         Some(list.iter().map(|r| format!("{:02X}:{:06X}", r.address, r.value)).collect::<Vec<_>>())
     } else {
         None
@@ -60,8 +63,24 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let requested_hz = w.request.end_frequency_hz - w.request.start_frequency_hz;
     let rows = [
         ("frame", format!("{}", w.shape())),
-        ("requested band", format!("{:.3} to {:.3} GHz ({:.2} MHz)", w.request.start_frequency_hz / 1e9, w.request.end_frequency_hz / 1e9, requested_hz / 1e6)),
-        ("sampled band", format!("{:.3} to {:.3} GHz ({:.2} MHz)", w.sampled_start_frequency_hz / 1e9, (w.sampled_start_frequency_hz + w.sampled_bandwidth_hz()) / 1e9, w.sampled_bandwidth_hz() / 1e6)),
+        (
+            "requested band",
+            format!(
+                "{:.3} to {:.3} GHz ({:.2} MHz)",
+                w.request.start_frequency_hz / 1e9,
+                w.request.end_frequency_hz / 1e9,
+                requested_hz / 1e6
+            ),
+        ),
+        (
+            "sampled band",
+            format!(
+                "{:.3} to {:.3} GHz ({:.2} MHz)",
+                w.sampled_start_frequency_hz / 1e9,
+                (w.sampled_start_frequency_hz + w.sampled_bandwidth_hz()) / 1e9,
+                w.sampled_bandwidth_hz() / 1e6
+            ),
+        ),
         ("slope", format!("{:.4} MHz/us", w.slope_hz_per_s / 1e12)),
         ("range resolution", format!("{:.4} m", w.range_resolution_m())),
         ("maximum range", format!("{:.3} m", w.max_range_m())),

@@ -1,6 +1,6 @@
 use std::time::Duration;
 
-use radome_driver::emulator::{EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
 use serde_json::json;
 
 use crate::output;
@@ -28,7 +28,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let source = source::open(&arguments.from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
     let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
-    let board = EmulatedBoard::spawn(source.frames, EmulatorOptions { pace, ..Default::default() })?;
+    let mut board = EmulatedBoard::spawn(source.frames, EmulatorOptions { pace, ..Default::default() })?;
     let path = board.path().display().to_string();
     if arguments.json {
         output::json_line(&json!({ "port": path }))?;

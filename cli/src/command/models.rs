@@ -16,7 +16,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     output::text_line(&format!("{:12} {:>12} {:>14}  input", "network", "parameters", "multiply-adds"))?;
     for network in networks {
-        output::text_line(&format!("{:12} {:>12} {:>14}  {:?}", network.name, network.parameters, network.multiply_adds, network.input))?;
+        output::text_line(&format!(
+            "{:12} {:>12} {:>14}  {:?}",
+            network.name, network.parameters, network.multiply_adds, network.input
+        ))?;
     }
     Ok(())
 }

@@ -63,7 +63,9 @@ enum Preset {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if arguments.output.is_none() && arguments.png.is_none() {
-        anyhow::bail!("nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both");
+        anyhow::bail!(
+            "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
+        );
     }
     let options = SourceOptions { seed: arguments.seed, frames: Some(arguments.frames), ..Default::default() };
     let mut source = source::open(&arguments.source, &options)?;

@@ -50,7 +50,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     };
     let source = source::open(&arguments.source, &options)?;
     eprintln!("{}", source.description);
-    let header = RecordingHeader::new(source.frames.waveform().clone(), &source.description);
+    let header = RecordingHeader {
+        waveform: source.frames.waveform().clone(),
+        board: source.board.clone(),
+        registers: source.registers.clone(),
+    };
     let mut recorder = Recorder::create(&arguments.output, &header)?;
     let bar = output::progress(arguments.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
@@ -67,7 +71,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Item::Frame(frame) => {
                 if source.is_live && frame.host_time_ns == 0 {
                     let mut stamped = (*frame).clone();
-                    stamped.host_time_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
+                    stamped.host_time_ns =
+                        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
                     recorder.frame(&stamped)?;
                 } else {
                     recorder.frame(&frame)?;

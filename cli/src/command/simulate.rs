@@ -48,9 +48,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         options.tolerance_db = tolerance_db;
     }
     let mut simulator = Simulator::new(&scene, options)?;
-    let name = arguments.scene.file_name().unwrap_or_default().to_string_lossy();
-    let description = format!("simulation of {name} with seed {}", arguments.seed);
-    let mut recorder = Recorder::create(&arguments.output, &RecordingHeader::new(scene.waveform().clone(), &description))?;
+    let mut recorder = Recorder::create(&arguments.output, &RecordingHeader::new(scene.waveform().clone()))?;
     let bar = output::progress(arguments.frames, "simulating");
     let mut frame = Frame::zeroed(scene.waveform().shape());
     let mut frames = 0u64;

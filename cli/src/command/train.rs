@@ -38,7 +38,20 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let mut trouble = None;
     let outcome = train(&dataset, &spec, &mut |report| {
-        let said = if arguments.json { output::json_line(&report) } else { output::text_line(&report.to_string()) };
+        let said = if arguments.json {
+            output::json_line(&report)
+        } else {
+            output::text_line(&format!(
+                "start {} epoch {:2}/{}: loss {:.3}, balanced accuracy {:.3} training, {:.3} validation, {:.1} s",
+                report.start + 1,
+                report.epoch,
+                report.epochs,
+                report.training_loss,
+                report.training_balanced_accuracy,
+                report.validation_balanced_accuracy,
+                report.seconds
+            ))
+        };
         trouble = trouble.take().or(said.err());
     })?;
     if let Some(error) = trouble {
@@ -47,7 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     outcome.model.save(&arguments.output)?;
     let file = arguments.output.display().to_string();
     if arguments.json {
-        return output::json_line(&json!({ "model": file, "training": outcome.model.card().training }));
+        return output::json_line(&json!({ "model": file, "training": outcome.model.card.training }));
     }
     output::text_line(&format!("{file} written"))
 }

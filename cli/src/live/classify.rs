@@ -19,6 +19,12 @@ pub struct Probabilities {
     two: f32,
 }
 
+impl std::fmt::Display for Probabilities {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:5.3}   {:5.3}   {:5.3}", self.empty, self.one, self.two)
+    }
+}
+
 impl From<[f32; 3]> for Probabilities {
     fn from([empty, one, two]: [f32; 3]) -> Self {
         Probabilities { empty, one, two }
@@ -239,7 +245,9 @@ impl FrameClassifier {
             let last = self.latencies_ms.len().saturating_sub(1);
             self.latencies_ms.get((q * last as f64).round() as usize).copied().unwrap_or(0.0)
         };
-        let metrics = |pairs: &[(Occupancy, Occupancy)]| (!pairs.is_empty()).then(|| Metrics::of(pairs));
+        let metrics = |pairs: &[(Occupancy, Occupancy)]| {
+            (!pairs.is_empty()).then(|| Metrics::from_predictions(pairs.iter().copied()))
+        };
         let all = metrics(&self.all);
         Summary {
             frames: self.frames,

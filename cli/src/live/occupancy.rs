@@ -36,11 +36,8 @@ impl OccupancyFilter {
         let [empty, one, two] = self.probabilities;
         let go = 1.0 - stay;
         // One leaves from one or two, one comes to empty or one.
-        let predicted = [
-            stay * empty + 0.5 * go * one,
-            stay * one + go * empty + go * two,
-            stay * two + 0.5 * go * one,
-        ];
+        let predicted =
+            [stay * empty + 0.5 * go * one, stay * one + go * empty + go * two, stay * two + 0.5 * go * one];
         let mut posterior = [0.0; 3];
         for k in 0..3 {
             // No single frame may rule a class out for good.

@@ -53,7 +53,10 @@ impl Page {
         }
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let listener = runtime.block_on(tokio::net::TcpListener::bind(arguments.listen)).with_context(|| {
-            format!("cannot serve the page on {}\n\nhint: choose another with --listen 127.0.0.1:PORT", arguments.listen)
+            format!(
+                "cannot serve the page on {}\n\nhint: choose another with --listen 127.0.0.1:PORT",
+                arguments.listen
+            )
         })?;
         eprintln!("live page: http://{}", listener.local_addr()?);
         let (newest, receiver) = watch::channel(Bytes::new());
@@ -100,7 +103,9 @@ fn message(answer: &Answer, map: &Rdm) -> Option<Bytes> {
     bytes.extend_from_slice(&(header.len() as u32).to_le_bytes());
     bytes.extend_from_slice(&header);
     // 255 marks what is no number.
-    bytes.extend(cells.iter().map(|v| if v.is_finite() { ((v - low_db) / step_db).clamp(0.0, 254.0) as u8 } else { 255 }));
+    bytes.extend(
+        cells.iter().map(|v| if v.is_finite() { ((v - low_db) / step_db).clamp(0.0, 254.0) as u8 } else { 255 }),
+    );
     Some(bytes.into())
 }
 

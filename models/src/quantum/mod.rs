@@ -24,7 +24,7 @@ pub mod state_vector;
 mod tests;
 
 /// Expectations of the circuit at one point and all their gradients.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct CircuitPoint<T = f64> {
     /// <ZI>: Z on qubit 1.
     pub zi: T,
