@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use anyhow::Context;
 use radome_models::dataset::Dataset;
 use radome_models::{TrainSpec, train};
 use serde_json::json;
@@ -14,6 +15,9 @@ pub struct Arguments {
     /// Model file to write
     #[arg(short, long)]
     output: PathBuf,
+    /// TOML file with the settings of the training; defaults for what it leaves out
+    #[arg(long)]
+    spec: Option<PathBuf>,
     /// Passes over the training split
     #[arg(long)]
     epochs: Option<usize>,
@@ -29,7 +33,13 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     files::check_parent(&arguments.output)?;
     let dataset = Dataset::open(&arguments.dataset)?;
-    let mut spec = TrainSpec::default();
+    let mut spec = match &arguments.spec {
+        None => TrainSpec::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+            toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))?
+        }
+    };
     if let Some(epochs) = arguments.epochs {
         spec.epochs = epochs;
     }

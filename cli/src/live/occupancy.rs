@@ -22,12 +22,6 @@ impl OccupancyFilter {
         OccupancyFilter { probabilities: [1.0 / 3.0; 3], dwell_s, weight, last_time_s: None }
     }
 
-    /// Forgets what was seen.
-    pub fn reset(&mut self) {
-        self.probabilities = [1.0 / 3.0; 3];
-        self.last_time_s = None;
-    }
-
     /// Takes the network's probabilities of the frame at `time_s`; returns the filtered ones.
     pub fn update(&mut self, time_s: f64, frame: [f32; 3]) -> [f32; 3] {
         let elapsed_s = self.last_time_s.map_or(0.0, |last| (time_s - last).max(0.0));
