@@ -7,7 +7,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
-use crate::actor::motion::Motion;
+use crate::actor::motion::{AtDesk, Motion};
 use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
@@ -145,7 +145,8 @@ fn visibility(stage: &Stage, people: &[Snapshot], me: usize, segment: usize, way
     weight
 }
 
-/// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`. Paths that do not exist have amplitude zero.
+/// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`, then what a person at a desk has besides. Paths
+/// that do not exist have amplitude zero.
 pub fn echoes(
     stage: &Stage,
     motion: &Motion,
@@ -158,6 +159,8 @@ pub fn echoes(
     let Some(own) = people.get(me) else { return };
     let Some(first_rx) = stage.rx.first() else { return };
     let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    // The direct pair is always the first.
+    let first = out.len();
     for &(p, q) in pairs {
         let source = stage.room.image_position(p, stage.tx.position);
         let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
@@ -197,6 +200,63 @@ pub fn echoes(
                 let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
                 out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
             }
+        }
+    }
+    if let Some(desk) = &motion.person.at_desk {
+        let direct = out.get(first..first + SEGMENTS * stage.rx.len()).map(<[Key]>::to_vec).unwrap_or_default();
+        double_bounces(stage, desk, &direct, out);
+        body_points(stage, desk, people, me, &direct, out);
+    }
+}
+
+/// Echoes that go to a person, back to the radar's board or the desk under it, to the person again and home: `[segment][rx]`.
+fn double_bounces(stage: &Stage, desk: &AtDesk, direct: &[Key], out: &mut Vec<Key>) {
+    if desk.double_bounce <= 0.0 {
+        return;
+    }
+    let channels = stage.rx.len().max(1);
+    for (i, key) in direct.iter().enumerate() {
+        let delay_s = 2.0 * (key.delay_s + desk.double_bounce_offset_m / SPEED_OF_LIGHT_M_PER_S);
+        let delay_rate = 2.0 * key.delay_rate;
+        let once = stage.filters.response(stage.chirp.beat_hz(key.delay_s, key.delay_rate));
+        let twice = stage.filters.response(stage.chirp.beat_hz(delay_s, delay_rate));
+        // The direct echo has passed the filters at its own beat.
+        let amplitude = if once.norm_sqr() > 0.0 && i / channels < SEGMENTS {
+            key.amplitude * (twice / once) * desk.double_bounce
+        } else {
+            Complex64::ZERO
+        };
+        out.push(Key { delay_s, delay_rate, amplitude });
+    }
+}
+
+/// Echoes of shoulders, arms and lap, which no smooth ellipsoid has: `[point][rx]`. They fade behind the chest's nearest place.
+fn body_points(stage: &Stage, desk: &AtDesk, people: &[Snapshot], me: usize, direct: &[Key], out: &mut Vec<Key>) {
+    let (Some(own), Some(first_rx)) = (people.get(me), stage.rx.first()) else { return };
+    let chest_m = direct.get(CHEST * stage.rx.len()).map_or(0.0, |k| 0.5 * k.delay_s * SPEED_OF_LIGHT_M_PER_S);
+    let here = ImageIndex::default();
+    for p in &desk.points {
+        let point = own.body[CHEST].surface(p.place);
+        let velocity = own.velocity(CHEST, p.place);
+        let way = |antenna: DVec3| Way { image: here, source: antenna, antenna };
+        let weight = inside_room(stage, point)
+            * visibility(stage, people, me, CHEST, &way(stage.tx.position), point)
+            * visibility(stage, people, me, CHEST, &way(first_rx.position), point);
+        let there = stage.room.illuminate(&stage.tx, here, point);
+        let back = stage.room.illuminate(first_rx, here, point);
+        let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
+        let behind_m = (0.5 * (r_t + r_r) - chest_m).max(0.0);
+        let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+        let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
+        let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
+        let from_tx = point - stage.tx.position;
+        for (rx, element) in stage.rx.iter().enumerate() {
+            let from_rx = point - element.position;
+            let delay_s = (from_tx.length() + from_rx.length()) / SPEED_OF_LIGHT_M_PER_S;
+            let rate = from_tx.normalize_or_zero().dot(velocity) + from_rx.normalize_or_zero().dot(velocity);
+            let delay_rate = rate / SPEED_OF_LIGHT_M_PER_S;
+            let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
+            out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
         }
     }
 }

@@ -12,6 +12,7 @@ use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::random::{Purpose, generator};
+use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_chirp_lsb, quantise};
 use crate::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
 use crate::scene::Scene;
@@ -40,6 +41,8 @@ pub(crate) struct Renderer {
     synthesiser: Synthesiser,
     noise: Vec<(NoiseShaper, f32)>,
     leakage: Vec<Vec<f32>>,
+    /// Factor on the jitter of leakage.
+    leakage_jitter: f64,
 }
 
 /// Buffers of one frame.
@@ -60,7 +63,18 @@ impl Renderer {
         let waveform = scene.waveform();
         let samples = waveform.request.samples_per_chirp;
         let shaper = NoiseShaper::new(&density_lsb2(scene.receiver(), waveform), samples);
-        let noise = stage.channels.iter().map(|c| (shaper.clone(), 10f64.powf(0.05 * c.noise_db) as f32)).collect();
+        let (noise_db, leakage_jitter) = match &scene.file().people.desk {
+            Some(desk) => {
+                let mut rng = generator(options.seed, Purpose::Desk, [3, 0]);
+                let [low, high] = desk.noise_db;
+                let noise_db = low + (high - low) * rng.random::<f64>();
+                let [low, high] = desk.leakage_jitter_factor.map(f64::ln);
+                (noise_db, (low + (high - low) * rng.random::<f64>()).exp())
+            }
+            None => (0.0, 1.0),
+        };
+        let scale = |c: &RxChannel| 10f64.powf(0.05 * (c.noise_db + noise_db)) as f32;
+        let noise = stage.channels.iter().map(|c| (shaper.clone(), scale(c))).collect();
         let leakage = stage.channels.iter().map(|c| leakage_chirp_lsb(c, waveform)).collect();
         tracing::debug!(scene = scene.name(), static_paths = stage.static_paths.len(), "scene traced");
         Renderer {
@@ -71,6 +85,7 @@ impl Renderer {
             synthesiser: Synthesiser::new(samples),
             noise,
             leakage,
+            leakage_jitter,
         }
     }
 
@@ -385,8 +400,9 @@ impl Renderer {
         let walked = (receiver.drift.dc_lsb_per_s * t + limit).rem_euclid(4.0 * limit);
         let wander = if walked < 2.0 * limit { walked - limit } else { 3.0 * limit - walked };
         let offset = dc + wander + receiver.drift.dc_jitter_lsb * a;
-        let leakage =
-            1.0 + receiver.clutter.leakage_jitter * b + receiver.clutter.leakage_drift_per_10s * drift(t, &phases);
+        let leakage = 1.0
+            + self.leakage_jitter * receiver.clutter.leakage_jitter * b
+            + receiver.clutter.leakage_drift_per_10s * drift(t, &phases);
         (offset as f32, leakage as f32)
     }
 }

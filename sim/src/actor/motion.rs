@@ -2,6 +2,7 @@
 
 use std::f64::consts::{PI, TAU};
 
+use glam::DVec3;
 use rand::Rng;
 
 use super::body::{Build, Posture};
@@ -35,6 +36,34 @@ pub struct Person {
     phases: [f64; 6],
     /// Probability of a fidget in an epoch.
     pub fidget_probability: f64,
+    /// What a person at a desk has besides. None elsewhere.
+    pub at_desk: Option<AtDesk>,
+}
+
+/// What is known of a person close before the radar.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AtDesk {
+    /// Amplitude of the double bounce relative to the direct echo; 0 for none.
+    pub double_bounce: f64,
+    /// Length of one way that it is longer than twice the direct one, m.
+    pub double_bounce_offset_m: f64,
+    /// Shoulders, arms, lap.
+    pub points: Vec<BodyPoint>,
+    /// Loss of the points for each metre behind the chest, dB.
+    pub point_decay_db_per_m: f64,
+    /// Shoulder and elbow flexion over that of sitting, rad: `[left, right]`.
+    pub arms_rad: [(f64, f64); 2],
+    /// Lean over that of sitting, rad.
+    pub lean_rad: f64,
+}
+
+/// A point that scatters, fixed to the chest.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BodyPoint {
+    /// Place in units of the chest's semi-axes (forward, left, up): its forward part breathes with the chest.
+    pub place: DVec3,
+    /// Square root of cross-section over 4 pi, m.
+    pub scatter_m: f64,
 }
 
 impl Person {
@@ -56,7 +85,15 @@ impl Person {
             sway_m: rng.random_range(0.0015..0.004),
             phases: std::array::from_fn(|_| rng.random_range(0.0..TAU)),
             fidget_probability: 0.4,
+            at_desk: None,
         }
+    }
+
+    /// Slow breath as of somebody who sits, and half the sway: the back rests.
+    pub fn at_ease(&mut self) {
+        let mut rng = generator(self.seed, Purpose::MicroMotion, [self.identity[0], self.identity[1] | 1 << 40]);
+        self.breath_hz = rng.random_range(0.15..0.35);
+        self.sway_m *= rng.random_range(0.2..0.7);
     }
 
     /// Chest surface outward of its mean, m: breath peak to peak 4..12 mm, heart 0.2..0.5 mm.
@@ -251,6 +288,13 @@ impl Motion {
         };
         gait::walk(&mut posture, phase, vigour * (1.0 - sit), build.height_m);
         let (side, arm, lean, twist) = self.person.fidget(time_s);
+        if let Some(desk) = &self.person.at_desk {
+            for (i, (shoulder, elbow)) in desk.arms_rad.into_iter().enumerate() {
+                posture.shoulder_rad[i] += shoulder;
+                posture.elbow_rad[i] += elbow;
+            }
+            posture.lean_rad += desk.lean_rad;
+        }
         posture.shoulder_rad[side] += arm;
         posture.elbow_rad[side] += 0.8 * arm;
         posture.lean_rad += lean;

@@ -6,7 +6,7 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::motion::{Motion, MotionBuilder, Person};
+use super::motion::{AtDesk, BodyPoint, Motion, MotionBuilder, Person};
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, SeatFile, VisitsFile};
@@ -102,22 +102,50 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     let (azimuth, ..) = scene.radar_from_world().transpose().to_euler(EulerRot::ZYX);
     let first_side: f64 = if rng.random::<bool>() { 1.0 } else { -1.0 };
     let [nearest, farthest] = desk.distance_m;
-    let middle = 0.5 * (nearest + farthest);
+    // Two people share the stretch in any way that keeps them apart, to either side: bodies do not overlap.
+    let apart = desk.min_separation_m..=desk.max_separation_m.min(farthest - nearest).max(desk.min_separation_m);
+    let apart = if count > 1 { rng.random_range(apart) } else { 0.0 };
+    let first = draw(&mut rng, [nearest, (farthest - apart).max(nearest)]);
+    let distances = [first, first + apart];
+    let level_db = draw(&mut rng, desk.reflectivity_db);
+    let double_bounce = desk.double_bounce_db.map_or(0.0, |db| 10f64.powf(0.05 * draw(&mut rng, db)));
+    let double_bounce_offset_m = draw(&mut rng, desk.double_bounce_offset_m);
     let mut all = Vec::new();
     for slot in 0..count {
         let mut rng = generator(seed, Purpose::Desk, [1, slot as u64]);
-        // Two people share the stretch, one nearer and one farther, to either side: bodies do not overlap.
-        let span = match (count, slot) {
-            (0 | 1, _) => (nearest, farthest),
-            (_, 0) => (nearest, middle - 0.08),
-            _ => (middle + 0.12, farthest),
-        };
-        let distance = if span.1 > span.0 { rng.random_range(span.0..=span.1) } else { span.0 };
+        let distance = distances[slot.min(1)];
         let side = if slot.is_multiple_of(2) { first_side } else { -first_side };
-        let angle = azimuth + side * desk.off_boresight_deg.to_radians() * rng.random_range(0.1..1.0);
+        let angle = azimuth
+            + side
+                * desk.off_boresight_deg.to_radians()
+                * rng.random_range(if count > 1 { 0.6..1.0 } else { 0.0..1.0 });
         let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
         let mut person = Person::draw(seed, [slot as u64, 1 << 20], height);
         person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
+        person.at_ease();
+        let reflectivity = 10f64.powf(0.05 * (level_db + desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0)));
+        person.cloth.iter_mut().for_each(|c| *c *= reflectivity);
+        let mut arm = || (rng.random_range(-0.35..0.5), rng.random_range(-0.6..0.5));
+        let arms_rad = [arm(), arm()];
+        let points = (0..desk.body_points)
+            .map(|_| BodyPoint {
+                place: DVec3::new(
+                    rng.random_range(-0.6..0.8),
+                    rng.random_range(-1.5..1.5),
+                    rng.random_range(-1.6..1.4),
+                ),
+                scatter_m: reflectivity
+                    * (10f64.powf(0.1 * draw(&mut rng, desk.body_point_dbsm)) / (4.0 * std::f64::consts::PI)).sqrt(),
+            })
+            .collect();
+        person.at_desk = Some(AtDesk {
+            double_bounce,
+            double_bounce_offset_m,
+            points,
+            point_decay_db_per_m: draw(&mut rng, desk.body_point_decay_db_per_m),
+            arms_rad,
+            lean_rad: rng.random_range(-0.12..0.15),
+        });
         // The chest's front surface is about this far before the hips.
         let hips = distance + 0.115 * person.build.girth;
         let place = [radar.x + hips * angle.cos(), radar.y + hips * angle.sin()];

@@ -170,6 +170,23 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("max_people", d.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
         interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
         within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
+        within(
+            "min_separation_m",
+            d.min_separation_m,
+            0.0,
+            d.distance_m[1] - d.distance_m[0],
+            "m (the stretch of distance_m)",
+        )?;
+        within("max_separation_m", d.max_separation_m, d.min_separation_m, 100.0, "m (not below min_separation_m)")?;
+        within("reflectivity_scatter_db", d.reflectivity_scatter_db, 0.0, 60.0, "dB")?;
+        interval("reflectivity_db", d.reflectivity_db, -60.0, 60.0, "dB")?;
+        interval("double_bounce_db", d.double_bounce_db.unwrap_or_default(), -200.0, 0.0, "dB")?;
+        interval("double_bounce_offset_m", d.double_bounce_offset_m, -0.2, 1.0, "m")?;
+        within("body_points", d.body_points as f64, 0.0, 32.0, "points")?;
+        interval("body_point_dbsm", d.body_point_dbsm, -100.0, 20.0, "dBsm")?;
+        interval("body_point_decay_db_per_m", d.body_point_decay_db_per_m, 0.0, 1000.0, "dB/m")?;
+        interval("noise_db", d.noise_db, -60.0, 60.0, "dB")?;
+        interval("leakage_jitter_factor", d.leakage_jitter_factor, 1e-3, 1e3, "(factor)")?;
         within("fidget_probability", d.fidget_probability, 0.0, 1.0, "(probability)")?;
         within("objects_probability", d.objects_probability, 0.0, 1.0, "(probability)")?;
         interval("height_m", d.height_m, 0.5, 2.5, "m")?;

@@ -230,6 +230,32 @@ pub struct DeskFile {
     pub distance_m: [f64; 2],
     /// Most that they sit off the boresight, degrees. Default 20.
     pub off_boresight_deg: f64,
+    /// Two people's chests differ at least so much in distance, m. Default 0.12.
+    pub min_separation_m: f64,
+    /// Two people's chests differ at most so much in distance, m: they sit side by side. Default 1.
+    pub max_separation_m: f64,
+    /// Level of a person's echoes over those of skin and cloth of the average body, dB: clothing, posture. Drawn for each
+    /// seed. Default [0, 0].
+    pub reflectivity_db: [f64; 2],
+    /// How far a person's level is from that at most, dB either way. Drawn for each person. Default 0.
+    pub reflectivity_scatter_db: f64,
+    /// Level of the double bounce (person, radar board or desk, person) relative to the direct echo, dB. Drawn for each
+    /// seed. None if absent.
+    pub double_bounce_db: Option<[f64; 2]>,
+    /// The double bounce comes so much later than at twice the delay, as a length of one way, m: where the board or desk stands
+    /// that reflects. Drawn for each seed. Default [0, 0].
+    pub double_bounce_offset_m: [f64; 2],
+    /// Points of shoulders, arms and lap that scatter beside the highlights of the body's ellipsoids. Default 0, at most 32.
+    pub body_points: usize,
+    /// Radar cross-section of each such point level with the chest, dBsm. Drawn for each point. Default [-28, -14].
+    pub body_point_dbsm: [f64; 2],
+    /// Loss of such a point for each metre that it lies behind the chest's nearest place, dB. Drawn for each person.
+    /// Default [70, 130].
+    pub body_point_decay_db_per_m: [f64; 2],
+    /// Receiver noise over that of the receiver file, dB. Drawn for each seed. Default [0, 0].
+    pub noise_db: [f64; 2],
+    /// Factor on the receiver file's jitter of leakage. Drawn for each seed, evenly in its logarithm. Default [1, 1].
+    pub leakage_jitter_factor: [f64; 2],
     /// Probability that a person moves a little rather than sits still. Default 0.5.
     pub fidget_probability: f64,
     /// Probability that static objects stand on the desk. Default 0.5.
@@ -265,6 +291,17 @@ impl Default for DeskFile {
             max_people: 2,
             distance_m: [0.25, 0.9],
             off_boresight_deg: 20.0,
+            min_separation_m: 0.12,
+            max_separation_m: 1.0,
+            reflectivity_db: [0.0, 0.0],
+            reflectivity_scatter_db: 0.0,
+            double_bounce_db: None,
+            double_bounce_offset_m: [0.0, 0.0],
+            body_points: 0,
+            body_point_dbsm: [-28.0, -14.0],
+            body_point_decay_db_per_m: [70.0, 130.0],
+            noise_db: [0.0, 0.0],
+            leakage_jitter_factor: [1.0, 1.0],
             fidget_probability: 0.5,
             objects_probability: 0.5,
             height_m: [1.55, 1.92],
