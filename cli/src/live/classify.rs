@@ -116,7 +116,7 @@ pub struct Summary {
 pub struct Smoothing {
     /// Mean time that a number of people stays, s.
     pub dwell_s: f64,
-    /// Weight of one frame's evidence.
+    /// Weight of one frame's evidence; 1 takes the probabilities at their word.
     pub weight: f64,
     /// Delays of `occupied`, s.
     pub on_delay_s: f64,
@@ -126,7 +126,7 @@ pub struct Smoothing {
 
 impl Default for Smoothing {
     fn default() -> Self {
-        Smoothing { dwell_s: 8.0, weight: 0.5, on_delay_s: 0.5, off_delay_s: 3.0 }
+        Smoothing { dwell_s: 8.0, weight: 1.0, on_delay_s: 0.5, off_delay_s: 3.0 }
     }
 }
 
