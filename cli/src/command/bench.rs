@@ -54,7 +54,7 @@ fn rdm(json: bool, rounds: usize) -> anyhow::Result<()> {
     for level in KernelLevel::ALL.into_iter().rev().filter(|level| level.is_available()) {
         variants.push((format!("lanes f32, {level}"), RdmProcessor::with_kernel(&spec, &waveform, level)?));
     }
-    for (variant, library) in [("realfft f32, polynomial decibels", false), ("realfft f32, library log10", true)] {
+    for (variant, library) in [("realfft f64, polynomial decibels", false), ("realfft f64, library log10", true)] {
         let mut processor = RdmProcessor::new(&spec, &waveform)?;
         processor.use_realfft();
         if library {

@@ -1,8 +1,9 @@
-//! The chain for any size, by `realfft` and `rustfft`; also slow time across frames.
+//! The chain for any size, by `realfft` and `rustfft`; also slow time across frames. In f64: beside a strong leakage line f32
+//! would be 0.02 dB off at -100 dBFS, and the sizes that end up here are small or rare.
 
 use std::sync::Arc;
 
-use num_complex::Complex32;
+use num_complex::Complex64;
 use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner, FftPlannerScalar};
 
@@ -10,32 +11,32 @@ use super::RdmShape;
 use super::chain::ChainPlan;
 use crate::{FrameShape, KernelLevel};
 
-/// Chirps that are transformed before they are scattered into the range-major matrix: a cache line of `Complex32`.
+/// Chirps that are transformed before they are scattered into the range-major matrix: two cache lines of `Complex64`.
 const BLOCK: usize = 8;
 
 /// FFT of one chirp. The library picks its instructions by itself except in its scalar planner, which has no
 /// transform for real input.
 enum RangeFft {
-    Real(Arc<dyn RealToComplex<f32>>),
-    Scalar(Arc<dyn Fft<f32>>),
+    Real(Arc<dyn RealToComplex<f64>>),
+    Scalar(Arc<dyn Fft<f64>>),
 }
 
 /// Plans, buffers and the window of frames.
 pub(super) struct FourierChain {
-    range_window: Vec<f32>,
-    doppler_window: Vec<f32>,
+    range_window: Vec<f64>,
+    doppler_window: Vec<f64>,
     range_fft: RangeFft,
-    doppler_fft: Arc<dyn Fft<f32>>,
+    doppler_fft: Arc<dyn Fft<f64>>,
     /// Cells of `spectra` for a chirp.
     bins: usize,
-    windowed: Vec<f32>,
-    spectra: Vec<Complex32>,
-    range_scratch: Vec<Complex32>,
+    windowed: Vec<f64>,
+    spectra: Vec<Complex64>,
+    range_scratch: Vec<Complex64>,
     /// `[range][slow time]` of one channel.
-    matrix: Vec<Complex32>,
-    doppler_scratch: Vec<Complex32>,
+    matrix: Vec<Complex64>,
+    doppler_scratch: Vec<Complex64>,
     /// `[channel][range][frame]`, a ring over frames.
-    history: Vec<Complex32>,
+    history: Vec<Complex64>,
     history_frames: usize,
     history_next: usize,
 }
@@ -46,21 +47,21 @@ impl FourierChain {
         let length = plan.range_fft_length;
         let is_scalar = level == KernelLevel::Portable;
         let (range_fft, doppler_fft) = if is_scalar {
-            let mut planner = FftPlannerScalar::<f32>::new();
+            let mut planner = FftPlannerScalar::<f64>::new();
             (RangeFft::Scalar(planner.plan_fft_forward(length)), planner.plan_fft_forward(doppler))
         } else {
-            let doppler_fft = FftPlanner::<f32>::new().plan_fft_forward(doppler);
-            (RangeFft::Real(RealFftPlanner::<f32>::new().plan_fft_forward(length)), doppler_fft)
+            let doppler_fft = FftPlanner::<f64>::new().plan_fft_forward(doppler);
+            (RangeFft::Real(RealFftPlanner::<f64>::new().plan_fft_forward(length)), doppler_fft)
         };
         let (bins, scratch) = match &range_fft {
             RangeFft::Real(fft) => (length / 2 + 1, fft.get_scratch_len()),
             RangeFft::Scalar(fft) => (length, fft.get_inplace_scratch_len()),
         };
-        let zero = Complex32::new(0.0, 0.0);
+        let zero = Complex64::new(0.0, 0.0);
         let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
         FourierChain {
-            range_window: plan.range_window.iter().map(|w| *w as f32).collect(),
-            doppler_window: plan.doppler_window.iter().map(|w| *w as f32).collect(),
+            range_window: plan.range_window.clone(),
+            doppler_window: plan.doppler_window.clone(),
             bins,
             windowed: vec![0.0; length],
             spectra: vec![zero; BLOCK * bins],
@@ -85,7 +86,7 @@ impl FourierChain {
     fn range_transform(&mut self, chirp: &[f32], row: usize) {
         let input = &mut self.windowed;
         for ((y, x), w) in input.iter_mut().zip(chirp).zip(&self.range_window) {
-            *y = x * w;
+            *y = f64::from(*x) * w;
         }
         input[chirp.len()..].fill(0.0);
         let output = &mut self.spectra[row * self.bins..(row + 1) * self.bins];
@@ -95,7 +96,7 @@ impl FourierChain {
                 debug_assert!(planned.is_ok(), "buffers have the planned lengths");
             }
             RangeFft::Scalar(fft) => {
-                output.iter_mut().zip(input).for_each(|(y, x)| *y = Complex32::new(*x, 0.0));
+                output.iter_mut().zip(input).for_each(|(y, x)| *y = Complex64::new(*x, 0.0));
                 fft.process_with_scratch(output, &mut self.range_scratch);
             }
         }
@@ -170,23 +171,23 @@ impl FourierChain {
             for row in block.chunks_exact_mut(doppler) {
                 let data = &mut row[..slow];
                 if plan.removes_slow_time_mean {
-                    let sum: Complex32 = data.iter().sum();
-                    let mean = sum / slow as f32;
+                    let sum: Complex64 = data.iter().sum();
+                    let mean = sum / slow as f64;
                     data.iter_mut().zip(&self.doppler_window).for_each(|(x, w)| *x = (*x - mean) * w);
                 } else {
                     data.iter_mut().zip(&self.doppler_window).for_each(|(x, w)| *x *= w);
                 }
-                row[slow..].fill(Complex32::new(0.0, 0.0));
+                row[slow..].fill(Complex64::new(0.0, 0.0));
             }
             if first == 0 {
-                block[..doppler].iter_mut().for_each(|x| *x *= plan.dc_amplitude as f32);
+                block[..doppler].iter_mut().for_each(|x| *x *= plan.dc_amplitude);
             }
             self.doppler_fft.process_with_scratch(block, &mut self.doppler_scratch);
             for d in 0..doppler {
                 let shifted = (d + half) % doppler;
                 let target = &mut cells[shifted * range + first..shifted * range + first + rows];
                 for (row, cell) in target.iter_mut().enumerate() {
-                    let power = block[row * doppler + d].norm_sqr();
+                    let power = block[row * doppler + d].norm_sqr() as f32;
                     *cell = if adds { *cell + power } else { power };
                 }
             }
