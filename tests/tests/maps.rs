@@ -18,7 +18,8 @@ fn maps_of_the_real_recording_are_right_to_a_hundredth_of_a_decibel() {
         npyz::NpyFile::new(read(&recording.join("RadarIfxAvian_00/radar.npy"))).expect("npy").into_vec().expect("u16");
 
     let (m, n) = (8usize, 64usize);
-    let hann = |length: usize| (0..length).map(|i| 0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).collect::<Vec<_>>();
+    let hann =
+        |length: usize| (0..length).map(|i| 0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).collect::<Vec<_>>();
     let (doppler_window, range_window) = (hann(m), hann(n));
     let norm = doppler_window.iter().sum::<f64>() * range_window.iter().sum::<f64>();
     let mut worst = 0.0f64;

@@ -17,7 +17,12 @@ fn circuit_agrees_with_qiskit() {
     let reference: serde_json::Value =
         serde_json::from_str(&std::fs::read_to_string(path).expect("readable")).expect("JSON");
     let list = |v: &serde_json::Value| {
-        v.as_array().expect("list").iter().map(|x| format!("{:.17e}", x.as_f64().expect("number"))).collect::<Vec<_>>().join(",")
+        v.as_array()
+            .expect("list")
+            .iter()
+            .map(|x| format!("{:.17e}", x.as_f64().expect("number")))
+            .collect::<Vec<_>>()
+            .join(",")
     };
     for point in reference["reps"]["1"]["points"].as_array().expect("points").iter().step_by(7) {
         let (x, theta) = (list(&point["x"]), list(&point["theta"]));

@@ -30,7 +30,9 @@ fn what_goes_through_the_emulated_board_is_what_was_simulated() {
     let folder = tempfile::tempdir().expect("a folder");
     let scene = fixture("scenes/corridor.toml");
     let (direct, recorded) = (folder.path().join("direct.mcap"), folder.path().join("recorded.mcap"));
-    json_lines(radome().arg("simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct));
+    json_lines(
+        radome().arg("simulate").arg(&scene).args(["--frames", "12", "--seed", "3", "--json", "-o"]).arg(&direct),
+    );
     let emulated = format!("emulated:{}", scene.display());
     let args = ["--frames", "12", "--seed", "3", "--waveform", "paper", "--json", "-o"];
     let said = json_lines(radome().args(["record", &emulated]).args(args).arg(&recorded));
@@ -69,7 +71,8 @@ mod hard_cases {
         let bytes = simulate(folder.path(), "whole.mcap", "2");
         let path = folder.path().join("cut.mcap");
         std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
-        let output = radome().arg("rdm").arg(&path).arg("-o").arg(folder.path().join("maps.npy")).output().expect("runs");
+        let output =
+            radome().arg("rdm").arg(&path).arg("-o").arg(folder.path().join("maps.npy")).output().expect("runs");
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(!said.contains("panicked"), "{said}");
         assert!(output.status.success() || said.contains("cut.mcap"), "{said}");
