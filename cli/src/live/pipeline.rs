@@ -41,8 +41,8 @@ struct Outlet {
     name: &'static str,
     policy: Policy,
     sender: Sender<Delivery>,
-    /// The other end, to take the oldest from.
-    receiver: Receiver<Delivery>,
+    /// The other end, to take the oldest from; only held to drop, so that a consumer that goes away is noticed.
+    oldest: Option<Receiver<Delivery>>,
     missed: Arc<AtomicU64>,
 }
 
@@ -75,7 +75,8 @@ impl Pipeline {
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
         let missed = Arc::new(AtomicU64::new(0));
-        self.outlets.push(Outlet { name, policy, sender, receiver: receiver.clone(), missed: missed.clone() });
+        let oldest = matches!(policy, Policy::DropOldest).then(|| receiver.clone());
+        self.outlets.push(Outlet { name, policy, sender, oldest, missed: missed.clone() });
         Inlet { receiver, missed }
     }
 
@@ -89,8 +90,7 @@ impl Pipeline {
             // An error can be shown once; the first consumer that takes it does so.
             let mut end = Some(end);
             for outlet in &outlets {
-                let item = Item::End(end.take().unwrap_or(Ok(())));
-                let _ = outlet.sender.send_timeout(Delivery { item, arrived: Instant::now() }, Duration::from_secs(10));
+                outlet.finish(end.take().unwrap_or(Ok(())));
             }
         });
         Reader { stop, thread: Some(thread) }
@@ -121,7 +121,7 @@ fn read(
 ) -> Result<(), SourceError> {
     let shape = source.waveform().shape();
     // One frame for every place in a queue, one in each consumer's hands, one being read.
-    let places: usize = outlets.iter().map(|o| o.receiver.capacity().unwrap_or(1) + 1).sum();
+    let places: usize = outlets.iter().map(|o| o.sender.capacity().unwrap_or(1) + 1).sum();
     let mut pool: Vec<Arc<Frame>> = (0..places + 1).map(|_| Arc::new(Frame::zeroed(shape))).collect();
     let mut frames = 0;
     while !stop.load(Ordering::SeqCst) && limit.is_none_or(|limit| frames < limit) {
@@ -156,6 +156,16 @@ fn read(
 }
 
 impl Outlet {
+    /// The last item; a consumer that has not come back for it in ten seconds is not waited for.
+    fn finish(&self, end: Result<(), SourceError>) {
+        let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
+        if self.oldest.is_some() {
+            let _ = self.send(delivery);
+        } else {
+            let _ = self.sender.send_timeout(delivery, Duration::from_secs(10));
+        }
+    }
+
     fn send(&self, delivery: Delivery) -> Result<(), SourceError> {
         match self.policy {
             // A consumer that has gone away is no reason to stop the others.
@@ -178,7 +188,8 @@ impl Outlet {
                 let mut delivery = delivery;
                 while let Err(TrySendError::Full(back)) = self.sender.try_send(delivery) {
                     delivery = back;
-                    if self.receiver.try_recv().is_ok() {
+                    let oldest = self.oldest.as_ref().and_then(|oldest| oldest.try_recv().ok());
+                    if let Some(Delivery { item: Item::Frame(_), .. }) = oldest {
                         self.missed.fetch_add(1, Ordering::Relaxed);
                     }
                 }
@@ -252,10 +263,32 @@ mod tests {
     fn a_slow_view_misses_the_oldest_and_knows_how_many() {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("view", 3, Policy::DropOldest);
-        drop(pipeline.start(Counter::new(1000), Some(20)));
+        let mut reader = pipeline.start(Counter::new(1000), Some(20));
+        reader.thread.take().expect("runs").join().expect("reader ends by itself");
         let left: Vec<_> = inlet.receiver.try_iter().collect();
+        let sequences: Vec<_> = left
+            .iter()
+            .filter_map(|delivery| match &delivery.item {
+                Item::Frame(frame) => Some(frame.sequence),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(sequences, [19, 20], "the newest stay");
         assert!(matches!(left.last(), Some(Delivery { item: Item::End(Ok(())), .. })));
-        assert_eq!(inlet.missed.load(Ordering::Relaxed) as usize + left.len() - 1, 20 + 1);
+        assert_eq!(inlet.missed.load(Ordering::Relaxed), 18);
+    }
+
+    #[test]
+    fn a_consumer_that_goes_away_does_not_hold_up_the_others() {
+        let mut pipeline = Pipeline::new();
+        drop(pipeline.consumer("gone", 1, Policy::Wait));
+        let inlet = pipeline.consumer("stays", 64, Policy::Wait);
+        let _reader = pipeline.start(Counter::new(50), None);
+        let mut frames = 0;
+        while let Ok(delivery) = inlet.receiver.recv_timeout(Duration::from_secs(5)) {
+            frames += usize::from(matches!(delivery.item, Item::Frame(_)));
+        }
+        assert_eq!(frames, 49);
     }
 
     #[test]
