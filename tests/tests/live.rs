@@ -50,7 +50,6 @@ fn a_model_refuses_frames_of_another_waveform_and_names_both() {
 
 /// The sign convention from scene to page: someone who walks away has positive velocity in what the browser gets.
 #[test]
-#[ignore = "not yet run to its end: run it with --ignored before trusting it"]
 fn who_walks_away_has_positive_velocity_on_the_page() {
     for (from, to, sign) in [(2.0, 10.0, 1.0), (10.0, 2.0, -1.0)] {
         let folder = tempfile::tempdir().expect("a folder");

@@ -98,7 +98,7 @@ mod tests {
             time_s += 0.1;
             most_likely(filter.update(time_s, q))
         };
-        (0..20).for_each(|_| drop(step([0.9, 0.08, 0.02])));
+        (0..20).for_each(|_| assert_eq!(step([0.9, 0.08, 0.02]), Occupancy::Empty));
         assert_eq!(step([0.1, 0.8, 0.1]), Occupancy::Empty);
         assert_eq!(step([0.9, 0.08, 0.02]), Occupancy::Empty);
         let changed = (0..30).position(|_| step([0.05, 0.9, 0.05]) == Occupancy::One).expect("follows");
@@ -108,7 +108,9 @@ mod tests {
     #[test]
     fn certain_and_wrong_frames_do_not_lock_the_filter() {
         let mut filter = OccupancyFilter::new(8.0, 0.5);
-        (0..1000).for_each(|i| drop(filter.update(f64::from(i) * 0.1, [1.0, 0.0, 0.0])));
+        for i in 0..1000 {
+            filter.update(f64::from(i) * 0.1, [1.0, 0.0, 0.0]);
+        }
         let p = (0..20).map(|i| filter.update(100.0 + f64::from(i) * 0.1, [0.0, 0.0, 1.0])).last().expect("some");
         assert_eq!(most_likely(p), Occupancy::Two);
         assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-5);
