@@ -27,13 +27,13 @@ impl Chirp {
     }
 
     /// Phase at the middle of the chirp, cycles: `f0 tau + S tau t_c - S tau^2/2`.
-    #[inline]
+    #[inline(always)]
     pub fn phase_cycles(&self, delay_s: f64) -> f64 {
         delay_s * (self.start_hz + self.slope_hz_per_s * (self.middle_s - 0.5 * delay_s))
     }
 
     /// Beat frequency, Hz: `S tau + (f0 + S t_c - S tau) tau'`.
-    #[inline]
+    #[inline(always)]
     pub fn beat_hz(&self, delay_s: f64, delay_rate: f64) -> f64 {
         let s = self.slope_hz_per_s;
         s * delay_s + (self.start_hz + s * (self.middle_s - delay_s)) * delay_rate

@@ -20,7 +20,7 @@ use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
 use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches};
 use crate::stage::Stage;
-use crate::synthesis::{Grid, SynthesisScratch, Synthesiser, Tone};
+use crate::synthesis::{CHIRPS, Grid, SynthesisScratch, Synthesiser, Tone};
 
 /// Keys of a frame to begin with; doubled (3, 5, 9) while delays between them are not predicted well enough.
 const FIRST_KEYS: usize = 3;
@@ -324,53 +324,68 @@ impl Renderer {
         let shape = waveform.shape();
         let channels = shape.rx.max(1);
         let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights)).collect();
-        // `[path][stretch]`, flattened.
-        let mut cubics: Vec<Stretch> = Vec::new();
-        let mut keys = Vec::new();
+        let count = clutter.len().saturating_sub(1).max(1);
+        // `[stretch][path]`.
+        let mut cubics: Vec<Vec<Stretch>> = vec![Vec::new(); count];
+        let (mut keys, mut of_path) = (Vec::new(), Vec::new());
         for (person, paths) in keyed.iter().zip(audible) {
             for path in paths {
                 keys.clear();
                 keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
-                stretches(&keys, step_s, &mut cubics);
+                of_path.clear();
+                stretches(&keys, step_s, &mut of_path);
+                for (all, stretch) in cubics.iter_mut().zip(&of_path) {
+                    all.push(*stretch);
+                }
             }
         }
-        let per_path = clutter.len().saturating_sub(1).max(1);
 
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
-        let mut grid = self.synthesiser.grid();
-        let chirp_constants = self.stage.chirp;
-        for chirp in 0..shape.chirps {
-            let keys_in = (chirp as f64 * waveform.chirp_interval_s + chirp_constants.middle_s) / step_s;
-            let stretch = (keys_in as usize).min(per_path - 1);
-            let u = keys_in - stretch as f64;
+        let (mut grids, mut grid) = (self.synthesiser.grids(), self.synthesiser.grid());
+        // Stretch of a chirp, and its place there.
+        let place = |chirp: usize| {
+            let keys_in = (chirp as f64 * waveform.chirp_interval_s + self.stage.chirp.middle_s) / step_s;
+            let stretch = (keys_in as usize).min(count - 1);
+            (stretch, keys_in - stretch as f64)
+        };
+        let mut begin = 0;
+        while begin < shape.chirps {
+            let (stretch, first) = place(begin);
+            // Chirps in the same stretch; lanes beyond them repeat the first.
+            let mut places = [first; CHIRPS];
+            let mut end = begin;
+            for (chirp, at) in (begin..shape.chirps).zip(&mut places) {
+                let (same, place) = place(chirp);
+                if same != stretch {
+                    break;
+                }
+                (*at, end) = (place, chirp + 1);
+            }
             match (static_grids.get(stretch), static_grids.get(stretch + 1)) {
-                (Some(a), Some(b)) => grid.blend(a, b, u as f32),
-                _ => grid.clear(),
+                (Some(a), Some(b)) => grids.blend(a, b, &places.map(|u| u as f32)),
+                _ => grids.clear(),
             }
-            for path in cubics.iter().skip(stretch).step_by(per_path) {
-                let (delay_s, rate) = path.delay(u);
-                let tone = Tone {
-                    phase_cycles: chirp_constants.phase_cycles(delay_s),
-                    cycles_per_sample: chirp_constants.beat_hz(delay_s, rate) / chirp_constants.sample_rate_hz,
-                    amplitude: path.amplitude(u),
-                };
-                self.synthesiser.add(&tone, &mut grid);
-            }
-            scratch.chirp.clear();
-            scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
-            self.synthesiser.transform(&grid, &mut scratch.chirp, &mut scratch.synthesis);
-            if let Some((shaper, scale)) = self.noise.get(rx) {
-                shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
-            }
-            let first = (rx * shape.chirps + chirp) * shape.samples;
-            if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
-                for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
-                    *code = quantise(*x);
-                    report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
+            let paths = cubics.get(stretch).map(Vec::as_slice).unwrap_or_default();
+            self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
+            for (lane, chirp) in (begin..end).enumerate() {
+                grids.extract(lane, &mut grid);
+                scratch.chirp.clear();
+                scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
+                self.synthesiser.transform(&grid, &mut scratch.chirp, &mut scratch.synthesis);
+                if let Some((shaper, scale)) = self.noise.get(rx) {
+                    shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
+                }
+                let first = (rx * shape.chirps + chirp) * shape.samples;
+                if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
+                    for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
+                        *code = quantise(*x);
+                        report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
+                    }
                 }
             }
+            begin = end;
         }
     }
 

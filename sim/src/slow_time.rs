@@ -51,7 +51,7 @@ pub fn stretches(keys: &[Key], stretch_s: f64, out: &mut Vec<Stretch>) {
 
 impl Stretch {
     /// Delay, s, and its rate, s/s.
-    #[inline]
+    #[inline(always)]
     pub fn delay(&self, u: f64) -> (f64, f64) {
         let [a, b, c, d] = self.delay_s;
         let value = a + u * (b + u * (c + u * d));
@@ -60,7 +60,7 @@ impl Stretch {
     }
 
     /// Amplitude, LSB.
-    #[inline]
+    #[inline(always)]
     pub fn amplitude(&self, u: f64) -> Complex<f32> {
         let u = u as f32;
         let [a, b, c, d] = self.amplitude;

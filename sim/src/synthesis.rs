@@ -11,7 +11,12 @@ use std::f64::consts::TAU;
 use std::sync::Arc;
 
 use num_complex::Complex;
+use radome_dsp::KernelLevel;
 use realfft::{ComplexToReal, RealFftPlanner};
+
+mod spread;
+
+pub(crate) use spread::CHIRPS;
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -67,6 +72,8 @@ pub struct Synthesiser {
     taps: [[f32; LANES]; DEGREE],
     /// Compensates the kernel's own transform, for samples in order.
     correction: Vec<f32>,
+    /// Instructions that [`Synthesiser::spread`] uses; the processor has them.
+    level: KernelLevel,
     inverse: Arc<dyn ComplexToReal<f32>>,
 }
 
@@ -131,7 +138,7 @@ impl Synthesiser {
             })
             .collect();
         let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(cells);
-        Synthesiser { samples, cells, taps, correction, inverse }
+        Synthesiser { samples, cells, taps, correction, level: KernelLevel::detect(), inverse }
     }
 
     /// An empty grid.
@@ -212,15 +219,17 @@ impl Synthesiser {
     }
 }
 
+/// 1.5 times 2^52: a number of at most 2^51 loses its fraction when this is added, and is found in the sum's last bits.
+const SHIFT: f64 = 6_755_399_441_055_744.0;
+
 /// Nearest integer of a number below 2^51, without the library call that baseline x86-64 needs for `round`.
-#[inline]
+#[inline(always)]
 fn nearest_integer(x: f64) -> f64 {
-    const SHIFT: f64 = 6_755_399_441_055_744.0;
     (x + SHIFT) - SHIFT
 }
 
 /// `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its doubling.
-#[inline]
+#[inline(always)]
 fn phasor(cycles: f64) -> Complex<f32> {
     let y = ((cycles - nearest_integer(cycles)) * std::f64::consts::PI) as f32;
     let z = y * y;

@@ -1,0 +1,294 @@
+//! Paths of eight consecutive chirps, side by side.
+//!
+//! In eight chirps a path moves by a fraction of a cell of the grid, so that its kernel mostly falls on the same cells in
+//! all of them: one row of eight chirps for each cell is added to where it lies, aligned, and every step from the path's
+//! cubics to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
+//! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
+
+use num_complex::Complex;
+use radome_dsp::KernelLevel;
+
+use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, phasor};
+use crate::chirp::Chirp;
+use crate::slow_time::Stretch;
+
+/// Chirps side by side.
+pub(crate) const CHIRPS: usize = 8;
+
+type Row = [f32; CHIRPS];
+
+/// One cell of the frequency grid in all chirps.
+#[derive(Debug, Clone, Copy, Default)]
+#[repr(C, align(64))]
+struct Cell {
+    re: Row,
+    im: Row,
+}
+
+impl Cell {
+    /// Adds phasors times weights.
+    #[inline(always)]
+    fn add(&mut self, re: &Row, im: &Row, weights: &Row) {
+        for i in 0..CHIRPS {
+            self.re[i] += re[i] * weights[i];
+            self.im[i] += im[i] * weights[i];
+        }
+    }
+}
+
+/// Frequency grids of a block of chirps, as [`Grid`] is one chirp's.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Grids {
+    cells: Vec<Cell>,
+}
+
+impl Grids {
+    /// Everything to zero.
+    pub(crate) fn clear(&mut self) {
+        self.cells.fill(Cell::default());
+    }
+
+    /// `a (1 - w) + b w`, with a weight for every chirp.
+    pub(crate) fn blend(&mut self, a: &Grid, b: &Grid, w: &Row) {
+        for ((cell, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
+            let step = b - a;
+            for ((re, im), w) in cell.re.iter_mut().zip(&mut cell.im).zip(w) {
+                *re = a.re + step.re * w;
+                *im = a.im + step.im * w;
+            }
+        }
+    }
+
+    /// Copies one chirp's grid out.
+    pub(crate) fn extract(&self, chirp: usize, grid: &mut Grid) {
+        let at = |row: &Row| row.get(chirp).copied().unwrap_or_default();
+        grid.cells.clear();
+        grid.cells.extend(self.cells.iter().map(|cell| Complex::new(at(&cell.re), at(&cell.im))));
+    }
+}
+
+/// What a level's instance of [`body`] needs beside paths and grids.
+struct Kernel<'a> {
+    taps: &'a [[f32; LANES]; DEGREE],
+    cells: f64,
+    chirp: &'a Chirp,
+    /// Place of each chirp in its stretch, 0..1.
+    places: &'a [f64; CHIRPS],
+}
+
+impl Synthesiser {
+    /// Empty grids of a block of chirps.
+    pub(crate) fn grids(&self) -> Grids {
+        Grids { cells: vec![Cell::default(); self.cells + LANES] }
+    }
+
+    /// Lays paths on the grids of chirps, which are at `places` (0..1) of the stretch between two keys.
+    pub(crate) fn spread(&self, chirp: &Chirp, paths: &[Stretch], places: &[f64; CHIRPS], grids: &mut Grids) {
+        let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places };
+        match self.level {
+            KernelLevel::Portable => body(&kernel, paths, &mut grids.cells),
+            // SAFETY: `level` is only ever one that the processor has.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx2 => unsafe { body_avx2(&kernel, paths, &mut grids.cells) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx512 => unsafe { body_avx512(&kernel, paths, &mut grids.cells) },
+            #[cfg(not(target_arch = "x86_64"))]
+            KernelLevel::Avx2 | KernelLevel::Avx512 => body(&kernel, paths, &mut grids.cells),
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn body_avx2(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
+    body(kernel, paths, cells);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
+fn body_avx512(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
+    body(kernel, paths, cells);
+}
+
+#[inline(always)]
+fn body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
+    for path in paths {
+        // Phasor, first cell under the kernel and place within it, for every chirp.
+        let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
+        let mut first = [0u32; CHIRPS];
+        for i in 0..CHIRPS {
+            let (delay_s, rate) = path.delay(kernel.places[i]);
+            let cycles_per_sample = kernel.chirp.beat_hz(delay_s, rate) / kernel.chirp.sample_rate_hz;
+            let a = path.amplitude(kernel.places[i]) * phasor(kernel.chirp.phase_cycles(delay_s));
+            (re[i], im[i]) = (a.re, a.im);
+            let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
+            let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
+            let whole = nearest_integer(position);
+            let ceiling = if whole < position { whole + 1.0 } else { whole };
+            u[i] = (2.0 * (ceiling - position) - 1.0) as f32;
+            // The number's last bits, where a conversion would be one lane at a time.
+            first[i] = (ceiling + SHIFT).to_bits() as u32;
+        }
+        // Written out tap by tap: a loop would be compiled across taps, with gathers and scatters.
+        let t0 = &tap::<0>(kernel.taps, &u);
+        let t1 = &tap::<1>(kernel.taps, &u);
+        let t2 = &tap::<2>(kernel.taps, &u);
+        let t3 = &tap::<3>(kernel.taps, &u);
+        let t4 = &tap::<4>(kernel.taps, &u);
+        let t5 = &tap::<5>(kernel.taps, &u);
+        let least = first.iter().fold(u32::MAX, |least, &f| least.min(f));
+        let beyond = first.iter().fold(0, |all, f| all | (f - least));
+        if beyond == 0 {
+            let Some([c0, c1, c2, c3, c4, c5]) = window(cells, least) else { continue };
+            c0.add(&re, &im, t0);
+            c1.add(&re, &im, t1);
+            c2.add(&re, &im, t2);
+            c3.add(&re, &im, t3);
+            c4.add(&re, &im, t4);
+            c5.add(&re, &im, t5);
+        } else if beyond == 1 {
+            // Into the next cell at some chirp, whose taps lie one row further.
+            let Some([c0, c1, c2, c3, c4, c5, c6]) = window(cells, least) else { continue };
+            let here: [bool; CHIRPS] = first.map(|f| f == least);
+            c0.add(&re, &im, &choose(&here, t0, &[0.0; CHIRPS]));
+            c1.add(&re, &im, &choose(&here, t1, t0));
+            c2.add(&re, &im, &choose(&here, t2, t1));
+            c3.add(&re, &im, &choose(&here, t3, t2));
+            c4.add(&re, &im, &choose(&here, t4, t3));
+            c5.add(&re, &im, &choose(&here, t5, t4));
+            c6.add(&re, &im, &choose(&here, &[0.0; CHIRPS], t5));
+        } else {
+            add_apart(cells, &first, &re, &im, &[t0, t1, t2, t3, t4, t5]);
+        }
+    }
+}
+
+/// One tap of the kernel at places within a cell.
+#[inline(always)]
+fn tap<const TAP: usize>(taps: &[[f32; LANES]; DEGREE], u: &Row) -> Row {
+    let step = |w: Row, power: usize| -> Row { std::array::from_fn(|i| w[i] * u[i] + taps[power][TAP]) };
+    let w = step([taps[7][TAP]; CHIRPS], 6);
+    step(step(step(step(step(step(w, 5), 4), 3), 2), 1), 0)
+}
+
+/// Cells from the first one on.
+#[inline(always)]
+fn window<const N: usize>(cells: &mut [Cell], first: u32) -> Option<&mut [Cell; N]> {
+    cells.get_mut(first as usize..)?.first_chunk_mut()
+}
+
+/// `a` where `condition` holds, `b` elsewhere.
+#[inline(always)]
+fn choose(condition: &[bool; CHIRPS], a: &Row, b: &Row) -> Row {
+    std::array::from_fn(|i| if condition[i] { a[i] } else { b[i] })
+}
+
+/// Lays a path down whose chirps lie on cells apart: one at a time, and not compiled for gathering, which is slower.
+#[cold]
+#[inline(never)]
+fn add_apart(cells: &mut [Cell], first: &[u32; CHIRPS], re: &Row, im: &Row, taps: &[&Row; WIDTH]) {
+    for i in 0..CHIRPS {
+        let Some(under) = window::<WIDTH>(cells, first[i]) else { continue };
+        for (cell, weights) in under.iter_mut().zip(taps) {
+            cell.re[i] += re[i] * weights[i];
+            cell.im[i] += im[i] * weights[i];
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::random::{Purpose, generator};
+    use crate::slow_time::{Key, stretches};
+    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+    use num_complex::Complex64;
+    use rand::Rng;
+
+    const SAMPLES: usize = 128;
+    const CHIRP: Chirp =
+        Chirp { start_hz: 60e9, slope_hz_per_s: 40e12, sample_rate_hz: 2e6, middle_s: SAMPLES as f64 / 4e6 };
+    const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
+
+    /// Paths that rest, that cross into the next cell, that cross many, and that lie around frequency zero.
+    fn paths() -> Vec<Stretch> {
+        let mut rng = generator(3, Purpose::Noise, [0, 0]);
+        let mut paths = Vec::new();
+        for i in 0..300 {
+            let mut number = |limit: f64| rng.random_range(-limit..limit);
+            let (delay_s, speed) = match i % 4 {
+                0 => (40e-9 + number(30e-9), 1e-11),
+                1 => (40e-9 + number(30e-9), 4e-10),
+                2 => (40e-9 + number(30e-9), 3e-9),
+                _ => (number(1e-10), 1e-10),
+            };
+            let mut key = || Key {
+                delay_s: delay_s + number(speed),
+                delay_rate: number(speed) / 4e-3,
+                amplitude: Complex64::new(number(1.0), number(1.0)),
+            };
+            stretches(&[key(), key()], 4e-3, &mut paths);
+        }
+        paths
+    }
+
+    fn tones(paths: &[Stretch], place: f64) -> Vec<Tone> {
+        let tone = |path: &Stretch| {
+            let (delay_s, rate) = path.delay(place);
+            Tone {
+                phase_cycles: CHIRP.phase_cycles(delay_s),
+                cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
+                amplitude: path.amplitude(place),
+            }
+        };
+        paths.iter().map(tone).collect()
+    }
+
+    /// Every chirp's grid, as spread at a level of instructions.
+    fn spread_at(level: KernelLevel, paths: &[Stretch]) -> Vec<Grid> {
+        let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+        let mut grids = synthesiser.grids();
+        synthesiser.spread(&CHIRP, paths, &PLACES, &mut grids);
+        let extract = |chirp| {
+            let mut grid = synthesiser.grid();
+            grids.extract(chirp, &mut grid);
+            grid
+        };
+        (0..CHIRPS).map(extract).collect()
+    }
+
+    #[test]
+    fn every_level_gives_the_bits_of_one_tone_after_another() {
+        let paths = paths();
+        let synthesiser = Synthesiser::new(SAMPLES);
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            for (chirp, (spread, place)) in spread_at(level, &paths).iter().zip(PLACES).enumerate() {
+                let mut grid = synthesiser.grid();
+                for tone in tones(&paths, place) {
+                    synthesiser.add(&tone, &mut grid);
+                }
+                // One tone's two spare taps may turn -0 to 0.
+                let bits = |grid: &Grid| -> Vec<[u32; 2]> {
+                    grid.cells.iter().map(|c| [(c.re + 0.0).to_bits(), (c.im + 0.0).to_bits()]).collect()
+                };
+                assert_eq!(bits(spread), bits(&grid), "{level}, chirp {chirp}");
+            }
+        }
+    }
+
+    #[test]
+    fn chirps_side_by_side_are_within_minus_90_dbc_of_the_sum() {
+        let paths = paths();
+        let synthesiser = Synthesiser::new(SAMPLES);
+        for (chirp, (grid, place)) in spread_at(synthesiser.level, &paths).iter().zip(PLACES).enumerate() {
+            let mut fast = vec![0f32; SAMPLES];
+            synthesiser.transform(grid, &mut fast, &mut SynthesisScratch::default());
+            let exact = exact_chirp(&tones(&paths, place), SAMPLES);
+            let error: f64 = exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
+            let power: f64 = exact.iter().map(|e| e * e).sum();
+            let error_db = 10.0 * (error / power).log10();
+            assert!(error_db < -90.0, "chirp {chirp}: {error_db} dBc");
+        }
+    }
+}
