@@ -5,11 +5,13 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
-use rayon::prelude::*;
 use thiserror::Error;
 
 use crate::render::Renderer;
 use crate::scene::Scene;
+use ahead::Ahead;
+
+mod ahead;
 
 /// What may be chosen beside the scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -88,13 +90,23 @@ pub struct FrameReport {
     pub clipped: usize,
 }
 
-/// Frames of a scene.
-#[derive(Debug, Clone)]
+/// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, from the first frame asked for until it is
+/// dropped or told to [`seek`](Simulator::seek).
+#[derive(Debug)]
 pub struct Simulator {
     inner: Arc<Renderer>,
+    /// The stream's next frame.
     next: u64,
-    ready: VecDeque<Frame>,
+    /// Frames from that one on.
+    ahead: VecDeque<Ahead<Frame>>,
     spare: Vec<Frame>,
+}
+
+impl Clone for Simulator {
+    /// The same stream at the same place.
+    fn clone(&self) -> Self {
+        Simulator { inner: Arc::clone(&self.inner), next: self.next, ahead: VecDeque::new(), spare: Vec::new() }
+    }
 }
 
 impl Simulator {
@@ -111,7 +123,7 @@ impl Simulator {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
         let inner = Renderer::new(scene, options);
-        Ok(Simulator { inner: Arc::new(inner), next: 0, ready: VecDeque::new(), spare: Vec::new() })
+        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead: VecDeque::new(), spare: Vec::new() })
     }
 
     /// One frame, whichever came before.
@@ -146,22 +158,21 @@ impl Simulator {
     /// The next frame of the stream is this one.
     pub fn seek(&mut self, index: u64) {
         self.next = index;
-        self.spare.extend(self.ready.drain(..));
+        self.ahead.clear();
     }
 
-    fn refill(&mut self) {
-        let ahead = 2 * rayon::current_num_threads().max(1) as u64;
+    /// Has enough frames under way to keep all threads busy while one is looked at.
+    fn look_ahead(&mut self) {
+        let most = 2 * rayon::current_num_threads().max(1) as u64;
         let left = self.inner.options.frames.map_or(u64::MAX, |n| n.saturating_sub(self.next));
-        let shape = self.inner.scene.waveform().shape();
-        let mut batch: Vec<(u64, Frame)> = (0..ahead.min(left))
-            .map(|i| (self.next + i, self.spare.pop().unwrap_or_else(|| Frame::zeroed(shape))))
-            .collect();
-        let inner = &self.inner;
-        batch.par_iter_mut().for_each(|(index, frame)| {
-            inner.render_into(*index, frame);
-        });
-        self.next += batch.len() as u64;
-        self.ready.extend(batch.into_iter().map(|(_, frame)| frame));
+        for i in self.ahead.len() as u64..most.min(left) {
+            let (inner, index) = (Arc::clone(&self.inner), self.next.saturating_add(i));
+            let mut frame = self.spare.pop().unwrap_or_else(|| Frame::zeroed(self.waveform().shape()));
+            self.ahead.push_back(Ahead::new(move || {
+                inner.render_into(index, &mut frame);
+                frame
+            }));
+        }
     }
 }
 
@@ -171,16 +182,17 @@ impl FrameSource for Simulator {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        if self.ready.is_empty() {
-            self.refill();
-        }
-        match self.ready.pop_front() {
-            Some(ready) => {
-                self.spare.push(std::mem::replace(frame, ready));
-                Ok(SourceEvent::Frame)
+        self.look_ahead();
+        let Some(ahead) = self.ahead.pop_front() else { return Ok(SourceEvent::End) };
+        let index = self.next;
+        self.next = index.saturating_add(1);
+        match ahead.wait() {
+            Some(rendered) => self.spare.push(std::mem::replace(frame, rendered)),
+            None => {
+                self.inner.render_into(index, frame);
             }
-            None => Ok(SourceEvent::End),
         }
+        Ok(SourceEvent::Frame)
     }
 
     fn frame_count(&self) -> Option<u64> {

@@ -39,6 +39,23 @@ fn the_same_bytes_on_any_number_of_threads_and_in_any_order() {
 }
 
 #[test]
+fn a_stream_goes_on_from_where_it_is_sent_or_cloned() {
+    let mut simulator = simulator(&scene("desk"), 4, Some(1));
+    let mut frame = Frame::zeroed(simulator.waveform().shape());
+    let mut next = |simulator: &mut Simulator| {
+        assert_eq!(simulator.next_frame(&mut frame).expect("simulated"), SourceEvent::Frame);
+        frame.clone()
+    };
+    let first: Vec<Frame> = (0..3).map(|_| next(&mut simulator)).collect();
+    let mut other = simulator.clone();
+    assert_eq!(next(&mut simulator), next(&mut other));
+    simulator.seek(1);
+    assert_eq!(next(&mut simulator), first[1]);
+    assert_eq!(next(&mut simulator), first[2]);
+    assert_eq!(next(&mut other).sequence, 4);
+}
+
+#[test]
 fn a_stream_ends_after_the_frames_asked_for() {
     let options = SimulateOptions { frames: Some(5), ..SimulateOptions::default() };
     let mut simulator = Simulator::new(&scene("desk"), options).expect("valid");
