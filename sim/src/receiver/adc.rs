@@ -21,6 +21,6 @@ pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
 
 /// Rounds to the nearest code and clips at both ends; NaN reads 0.
 pub fn quantise(lsb: f32) -> u16 {
-    // `as` saturates and takes NaN to 0.
-    ((lsb + 0.5).floor() as u16).min(MAX_CODE)
+    // `as` cuts the fraction off, saturates and takes NaN to 0.
+    ((lsb + 0.5) as u16).min(MAX_CODE)
 }
