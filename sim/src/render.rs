@@ -154,7 +154,7 @@ impl Renderer {
         self.program.between(t, t).into_iter().map(state).collect()
     }
 
-    /// Echoes of everybody at `count` keys over the frame; `old` holds those at every second key, if known.
+    /// Everybody, and their echoes, at `count` keys over the frame.
     fn trace(
         &self,
         motions: &[Arc<Motion>],
