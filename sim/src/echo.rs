@@ -221,7 +221,8 @@ fn double_bounces(stage: &Stage, desk: &AtDesk, direct: &[Key], out: &mut Vec<Ke
         let once = stage.filters.response(stage.chirp.beat_hz(key.delay_s, key.delay_rate));
         let twice = stage.filters.response(stage.chirp.beat_hz(delay_s, delay_rate));
         // The direct echo has passed the filters at its own beat.
-        let amplitude = if once.norm_sqr() > 0.0 && i / channels < SEGMENTS {
+        // Only the chest is broad enough to be seen in the small mirror that the board is.
+        let amplitude = if once.norm_sqr() > 0.0 && i / channels == CHEST {
             key.amplitude * (twice / once) * desk.double_bounce
         } else {
             Complex64::ZERO
@@ -245,14 +246,14 @@ fn body_points(stage: &Stage, desk: &AtDesk, people: &[Snapshot], me: usize, dir
         let there = stage.room.illuminate(&stage.tx, here, point);
         let back = stage.room.illuminate(first_rx, here, point);
         let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
-        let behind_m = (0.5 * (r_t + r_r) - chest_m).max(0.0);
+        let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
         let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
         let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
         let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
         let from_tx = point - stage.tx.position;
         for (rx, element) in stage.rx.iter().enumerate() {
             let from_rx = point - element.position;
-            let delay_s = (from_tx.length() + from_rx.length()) / SPEED_OF_LIGHT_M_PER_S;
+            let delay_s = (from_tx.length() + from_rx.length() + 2.0 * p.detour_m) / SPEED_OF_LIGHT_M_PER_S;
             let rate = from_tx.normalize_or_zero().dot(velocity) + from_rx.normalize_or_zero().dot(velocity);
             let delay_rate = rate / SPEED_OF_LIGHT_M_PER_S;
             let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);

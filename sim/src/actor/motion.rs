@@ -64,6 +64,8 @@ pub struct BodyPoint {
     pub place: DVec3,
     /// Square root of cross-section over 4 pi, m.
     pub scatter_m: f64,
+    /// Detour of its echo, as a length of one way, m.
+    pub detour_m: f64,
 }
 
 impl Person {

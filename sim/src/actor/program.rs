@@ -127,6 +127,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
         person.cloth.iter_mut().for_each(|c| *c *= reflectivity);
         let mut arm = || (rng.random_range(-0.35..0.5), rng.random_range(-0.6..0.5));
         let arms_rad = [arm(), arm()];
+        let mut detours = generator(seed, Purpose::Desk, [4, slot as u64]);
         let points = (0..desk.body_points)
             .map(|_| BodyPoint {
                 place: DVec3::new(
@@ -136,6 +137,7 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
                 ),
                 scatter_m: reflectivity
                     * (10f64.powf(0.1 * draw(&mut rng, desk.body_point_dbsm)) / (4.0 * std::f64::consts::PI)).sqrt(),
+                detour_m: draw(&mut detours, desk.body_point_detour_m),
             })
             .collect();
         person.at_desk = Some(AtDesk {

@@ -185,6 +185,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("body_points", d.body_points as f64, 0.0, 32.0, "points")?;
         interval("body_point_dbsm", d.body_point_dbsm, -100.0, 20.0, "dBsm")?;
         interval("body_point_decay_db_per_m", d.body_point_decay_db_per_m, 0.0, 1000.0, "dB/m")?;
+        interval("body_point_detour_m", d.body_point_detour_m, 0.0, 5.0, "m")?;
         interval("noise_db", d.noise_db, -60.0, 60.0, "dB")?;
         interval("leakage_jitter_factor", d.leakage_jitter_factor, 1e-3, 1e3, "(factor)")?;
         within("fidget_probability", d.fidget_probability, 0.0, 1.0, "(probability)")?;

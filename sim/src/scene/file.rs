@@ -252,6 +252,9 @@ pub struct DeskFile {
     /// Loss of such a point for each metre that it lies behind the chest's nearest place, dB. Drawn for each person.
     /// Default [70, 130].
     pub body_point_decay_db_per_m: [f64; 2],
+    /// Detour of such a point's echo by several scatterings between body, clothes and seat, as a length of one way, m; its loss
+    /// by `body_point_decay_db_per_m` counts from it too. Drawn for each point. Default [0, 0].
+    pub body_point_detour_m: [f64; 2],
     /// Receiver noise over that of the receiver file, dB. Drawn for each seed. Default [0, 0].
     pub noise_db: [f64; 2],
     /// Factor on the receiver file's jitter of leakage. Drawn for each seed, evenly in its logarithm. Default [1, 1].
@@ -300,6 +303,7 @@ impl Default for DeskFile {
             body_points: 0,
             body_point_dbsm: [-28.0, -14.0],
             body_point_decay_db_per_m: [70.0, 130.0],
+            body_point_detour_m: [0.0, 0.0],
             noise_db: [0.0, 0.0],
             leakage_jitter_factor: [1.0, 1.0],
             fidget_probability: 0.5,
