@@ -128,4 +128,25 @@ mod tests {
         assert!(at(2.9, Occupancy::Empty));
         assert!(!at(3.0, Occupancy::Empty));
     }
+
+    mod hard_cases {
+        use super::*;
+
+        /// A clock that stands still or goes back must not turn the filter; probabilities that are none must not stay in it.
+        #[test]
+        fn odd_times_and_odd_probabilities_leave_a_distribution() {
+            let mut filter = OccupancyFilter::new(8.0, 1.0);
+            for (time_s, frame) in [
+                (0.0, [0.2, 0.5, 0.3]),
+                (0.0, [0.2, 0.5, 0.3]),
+                (-5.0, [0.0, 1.0, 0.0]),
+                (1e9, [f32::NAN, 0.5, 0.5]),
+                (1e9 + 0.1, [0.0, 0.0, 0.0]),
+            ] {
+                let p = filter.update(time_s, frame);
+                assert!(p.iter().all(|p| (0.0..=1.0).contains(p)), "{p:?} at {time_s}");
+                assert!((p.iter().sum::<f32>() - 1.0).abs() < 1e-5, "{p:?} at {time_s}");
+            }
+        }
+    }
 }

@@ -302,4 +302,34 @@ mod tests {
         let Some(Delivery { item: Item::End(Err(error)), .. }) = items.last() else { panic!("no error") };
         assert!(error.to_string().contains("recorder"), "{error}");
     }
+
+    mod hard_cases {
+        use super::*;
+
+        struct Broken(Waveform);
+
+        impl FrameSource for Broken {
+            fn waveform(&self) -> &Waveform {
+                &self.0
+            }
+            fn next_frame(&mut self, _frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+                Err("chunk 3 is damaged".into())
+            }
+        }
+
+        #[test]
+        fn a_source_that_fails_is_heard_by_the_first_consumer_and_ends_the_others() {
+            let mut pipeline = Pipeline::new();
+            let first = pipeline.consumer("first", 1, Policy::Wait);
+            let second = pipeline.consumer("second", 1, Policy::DropOldest);
+            let _reader = pipeline.start(Box::new(Broken(Counter::new(0).waveform)), None);
+            let end = |inlet: &Inlet| match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item
+            {
+                Item::End(end) => end.map_err(|e| e.to_string()),
+                _ => panic!("an item before the end"),
+            };
+            assert_eq!(end(&first), Err("chunk 3 is damaged".to_owned()));
+            assert_eq!(end(&second), Ok(()));
+        }
+    }
 }

@@ -1,0 +1,105 @@
+//! What the program does with input that is not as it should be: a right answer, or an error that says what, where and what
+//! to do; never half a file.
+
+use std::path::Path;
+
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::json;
+
+/// Frames, channels, chirps, samples of the made-up recording.
+const SHAPE: [usize; 4] = [3, 3, 8, 64];
+
+/// Writes a recording folder of Infineon's kind with these codes in a shape that its configuration may contradict.
+fn recording(folder: &Path, samples_per_chirp: usize, code: impl Fn(usize) -> u16) {
+    let shape = json!({
+        "rx_antennas": [1, 2, 3], "tx_antennas": [1], "tx_power_level": 31, "if_gain_dB": 23,
+        "start_frequency_Hz": 58e9, "end_frequency_Hz": 63.5e9,
+        "num_chirps_per_frame": SHAPE[2], "num_samples_per_chirp": samples_per_chirp,
+        "chirp_repetition_time_s": 591.125e-6, "frame_repetition_time_s": 77.268846e-3,
+        "mimo_mode": "off", "sample_rate_Hz": 2_000_000, "hp_cutoff_Hz": 80_000, "aaf_cutoff_Hz": 500_000,
+    });
+    let config = json!({ "device_config": { "fmcw_single_shape": shape } });
+    std::fs::write(folder.join("config.json"), config.to_string()).expect("writable");
+    let [frames, rx, chirps, samples] = SHAPE;
+    let mut header =
+        format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({frames}, {rx}, {chirps}, {samples}), }}");
+    while (header.len() + 11) % 64 != 0 {
+        header.push(' ');
+    }
+    header.push('\n');
+    let mut npy = b"\x93NUMPY\x01\x00".to_vec();
+    npy.extend(u16::try_from(header.len()).expect("short").to_le_bytes());
+    npy.extend(header.as_bytes());
+    npy.extend((0..frames * rx * chirps * samples).flat_map(|i| code(i).to_le_bytes()));
+    std::fs::write(folder.join("radar.npy"), npy).expect("writable");
+    std::fs::write(folder.join("format.version"), "1.0.0").expect("writable");
+}
+
+fn maps(folder: &Path) -> (serde_json::Value, Vec<f32>) {
+    let output = folder.join("maps.npy");
+    let said = json_lines(radome().arg("rdm").arg(folder).arg("-o").arg(&output).arg("--json"));
+    let file = std::io::BufReader::new(std::fs::File::open(output).expect("written"));
+    let values = npyz::NpyFile::new(file).expect("an array").into_vec().expect("f32");
+    (said.last().expect("a line").clone(), values)
+}
+
+#[test]
+fn frames_of_the_middle_code_read_the_floor_everywhere() {
+    let folder = tempfile::tempdir().expect("a folder");
+    recording(folder.path(), SHAPE[3], |_| 2048);
+    let (_, values) = maps(folder.path());
+    assert_eq!(values.len(), SHAPE.iter().product::<usize>() / 2);
+    assert!(values.iter().all(|&db| db == -200.0));
+}
+
+#[test]
+fn saturated_frames_are_mapped_and_said_to_be_saturated() {
+    let folder = tempfile::tempdir().expect("a folder");
+    recording(folder.path(), SHAPE[3], |i| if i % 2 == 0 { 0 } else { 4095 });
+    let (said, values) = maps(folder.path());
+    assert!(values.iter().all(|db| db.is_finite()));
+    assert_eq!(said["saturated_samples"], SHAPE.iter().product::<usize>());
+}
+
+#[test]
+fn a_configuration_that_disagrees_with_the_data_names_both_shapes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    recording(folder.path(), 128, |_| 2048);
+    let output = folder.path().join("maps.npy");
+    let said = failure(radome().arg("rdm").arg(folder.path()).arg("-o").arg(&output));
+    assert!(said.contains("128") && said.contains("64") && said.contains("config.json"), "{said}");
+    assert!(!output.exists());
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_named_before_any_work() {
+    let said = failure(radome().arg("simulate").arg(fixture("scenes/desk.toml")).args([
+        "--frames",
+        "2",
+        "-o",
+        "/nonexistent/run.mcap",
+    ]));
+    assert!(said.contains("/nonexistent"), "{said}");
+}
+
+#[test]
+fn a_damaged_model_is_refused_by_its_path() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bytes = std::fs::read(fixture("models/desk-hqnn.safetensors")).expect("readable");
+    let path = folder.path().join("half.safetensors");
+    std::fs::write(&path, &bytes[..bytes.len() / 2]).expect("writable");
+    let said = failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path));
+    assert!(said.contains("half.safetensors") && !said.contains("panicked"), "{said}");
+}
+
+#[test]
+fn a_model_and_a_scene_of_other_waveforms_are_not_brought_together() {
+    let said = failure(
+        radome()
+            .arg("demo")
+            .arg("--scene")
+            .arg(fixture("scenes/desk.toml"))
+            .args(["--frames", "1", "--speed", "0", "--json"]),
+    );
+    assert!(said.contains("samples") && said.contains("hint:"), "{said}");
+}
