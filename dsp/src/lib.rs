@@ -17,7 +17,9 @@
 //! - **Decibels.** 0 dBFS is a full-scale sine after correction for the coherent gain of the windows. The floor is
 //!   named in the [`RdmSpec`]; `-inf` never appears. NaN and infinity stay visible and are flagged.
 //! - **Kernel level.** Maps are made with the widest vector instructions that the machine has. The same binary at the
-//!   same [`KernelLevel`] gives the same bits on any machine that has the level; it is recorded and can be forced.
+//!   same [`KernelLevel`] gives the same bits on any machine that has the level; it is recorded and can be forced. That
+//!   holds for the powers of two that the lane kernel takes; other sizes go through a library's f64 transform, which chooses
+//!   its own instructions, and may differ between machines in the last bit.
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
 pub mod decibel;
