@@ -85,10 +85,15 @@ impl Page {
 /// Length of the header in four bytes, the header in JSON, then one byte a cell of the first channel, `[doppler][range]`.
 fn message(answer: &Answer, map: &Rdm) -> Option<Bytes> {
     let cells = &map.db[..map.shape.doppler * map.shape.range];
-    let finite = || cells.iter().copied().filter(|v| v.is_finite());
-    let high_db = finite().fold(f32::MIN, f32::max);
-    let low_db = finite().fold(f32::MAX, f32::min).max(high_db - 90.0);
-    let step_db = ((high_db - low_db) / 254.0).max(1e-3);
+    // From just under the noise, and over 40 dB at least: an empty room is dark and does not flicker.
+    let mut finite: Vec<f32> = cells.iter().copied().filter(|v| v.is_finite()).collect();
+    let high_db = finite.iter().copied().fold(f32::MIN, f32::max);
+    let middle = finite.len() / 2;
+    let low_db = match finite.get(middle) {
+        Some(_) => *finite.select_nth_unstable_by(middle, f32::total_cmp).1 - 3.0,
+        None => 0.0,
+    };
+    let step_db = (high_db - low_db).max(40.0) / 254.0;
     let header = Header {
         answer,
         doppler: map.shape.doppler,
