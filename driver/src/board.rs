@@ -13,7 +13,8 @@ use thiserror::Error;
 
 use crate::chip::{ChipError, address};
 use crate::protocol::strata::{
-    BoardInfo, COMPONENT_AVIAN, Command, FirmwareVersion, PROTOCOL_VERSION, PayloadError, SpiWord, Status,
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
+    Protocol, SpiWord, Status,
 };
 use link::Link;
 pub use stream::BoardStream;
@@ -107,7 +108,7 @@ pub enum BoardError {
     },
     /// The firmware speaks another protocol.
     #[error(
-        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks {PROTOCOL_VERSION}; update the board's firmware",
+        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware",
         path = path.display()
     )]
     Protocol {
@@ -211,16 +212,34 @@ impl Board {
 fn identify(link: &mut Link) -> Result<BoardIdentity, BoardError> {
     let path = link.path.clone();
     let malformed = |source| BoardError::Malformed { path: path.clone(), source };
-    let info = BoardInfo::decode(&link.demand(&Command::BoardInfo)?).map_err(malformed)?;
+    // Firmware of version 3 does not know the codes of version 4.
+    let answer = match link.request(&Command::BoardInfo)? {
+        (Status::Ok, answer) => answer,
+        (Status::RequestTypeInvalid, _) => {
+            link.protocol = Protocol::V3;
+            link.demand(&Command::BoardInfo)?
+        }
+        (status, _) => return Err(BoardError::Refused { path, command: "board info", status }),
+    };
+    let info = BoardInfo::decode(&answer).map_err(malformed)?;
     let version = FirmwareVersion::decode(&link.demand(&Command::FirmwareVersion)?).map_err(malformed)?;
     let [major, minor] = version.protocol;
-    if major != PROTOCOL_VERSION {
+    if major != link.protocol.major() {
         return Err(BoardError::Protocol { path, major, minor });
     }
     // Left over from a program that ended without stopping the board.
     link.request(&Command::StopData)?;
-    let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
-    if count.first().is_none_or(|count| *count == 0) {
+    let has_chip = match link.protocol {
+        Protocol::V4 => {
+            let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
+            count.first().is_some_and(|count| *count > 0)
+        }
+        Protocol::V3 => {
+            let answer = link.demand(&Command::ComponentImplementation { component: COMPONENT_RADAR })?;
+            answer.first() == Some(&IMPLEMENTATION_AVIAN)
+        }
+    };
+    if !has_chip {
         return Err(BoardError::ChipSilent { path, chip_id: 0 });
     }
     // A stale FIFO overflow makes the first access fail; the reset clears it.

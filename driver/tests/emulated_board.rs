@@ -260,8 +260,8 @@ mod hard_cases {
         assert!(matches!(open(|o| o.chip_id = 0), BoardError::ChipSilent { .. }));
         assert!(matches!(open(|o| o.chip_id = 0xFF_FFFF), BoardError::ChipSilent { .. }));
         assert!(matches!(open(|o| o.chip_id = 0x606), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
-        let error = open(|o| o.protocol_version = 3).to_string();
-        assert!(error.contains("protocol 3.0"), "{error}");
+        let error = open(|o| o.protocol_version = 5).to_string();
+        assert!(error.contains("protocol 5.0"), "{error}");
         let missing = Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
         assert!(missing.to_string().contains("/dev/no-such-port"));
     }

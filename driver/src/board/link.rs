@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use serialport::{SerialPort, TTYPort};
 
 use super::BoardError;
-use crate::protocol::strata::{BoardEvent, BoardParser, Command, Packet, Status};
+use crate::protocol::strata::{BoardEvent, BoardParser, Command, Packet, Protocol, Status};
 
 const BAUD_RATE: u32 = 921_600;
 /// Longest that a board takes to answer.
@@ -23,6 +23,8 @@ pub(super) enum Incoming<'a> {
 
 pub(super) struct Link {
     pub path: PathBuf,
+    /// Version that requests are sent in.
+    pub protocol: Protocol,
     port: TTYPort,
     parser: BoardParser,
     buffer: Vec<u8>,
@@ -44,6 +46,7 @@ impl Link {
         })?;
         Ok(Link {
             path: path.into(),
+            protocol: Protocol::default(),
             port,
             parser: BoardParser::new(),
             buffer: vec![0; 65_536],
@@ -96,7 +99,7 @@ impl Link {
 
     /// Sends a request and waits for its answer; data packets that come before it are dropped.
     pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
-        let request = command.to_request();
+        let request = command.to_request(self.protocol);
         let bytes = request.encode();
         self.port.set_timeout(ANSWER_TIMEOUT).map_err(|e| self.lost(e.into()))?;
         self.port.write_all(&bytes).map_err(|e| match e.kind() {
@@ -107,7 +110,7 @@ impl Link {
         loop {
             while let Some(event) = self.parser.next_event() {
                 if let BoardEvent::Response(response) = event
-                    && response.kind_code == request.kind.code()
+                    && response.kind_code == request.kind_code()
                 {
                     return Ok((response.status, response.payload.to_vec()));
                 }
@@ -132,13 +135,13 @@ impl Link {
 /// What a command is for, in words.
 fn name(command: &Command) -> &'static str {
     match command {
-        Command::BoardInfo => "board info",
+        Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",
         Command::FirmwareVersion => "firmware version",
         Command::Uuid => "UUID",
         Command::ExtendedVersion => "extended version",
-        Command::ComponentCount { .. } => "count of radar chips",
+        Command::ComponentCount { .. } | Command::ComponentImplementation { .. } => "count of radar chips",
         Command::DataIndex => "data index",
-        Command::WriteRegisters { .. } => "register write",
+        Command::WriteRegisters { .. } | Command::SetBits { .. } => "register write",
         Command::ReadRegisters { .. } => "register read",
         Command::HardwareReset => "hardware reset",
         Command::Execute { .. } => "SPI transfer",

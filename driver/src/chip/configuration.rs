@@ -35,8 +35,9 @@ use radome_dsp::{ADC_START_DELAY_S, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PE
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::RegisterFile;
 use super::address::*;
+use super::field::*;
+use super::{Field, RegisterFile, register};
 use crate::protocol::strata::SpiWord;
 
 /// One step of FSU, Hz: `640 MHz / 2^20`.
@@ -77,6 +78,65 @@ impl From<RegisterValue> for SpiWord {
         SpiWord::write(register.address, register.value)
     }
 }
+
+impl RegisterValue {
+    /// Name of the register, and its fields that are not zero with what they hold.
+    pub fn named(self) -> Option<(&'static str, Vec<(&'static str, u32)>)> {
+        let register = register(self.address)?;
+        let fields = register.fields.iter().map(|f| (f.name, f.of(self.value))).filter(|(_, value)| *value != 0);
+        Some((register.name, fields.collect()))
+    }
+}
+
+/// A register whose fields hold these values and zero otherwise. Computed values have been checked to fit.
+fn content(address: u8, fields: &[(Field, u32)]) -> RegisterValue {
+    RegisterValue { address, value: fields.iter().fold(0, |content, (field, value)| field.put(content, *value)) }
+}
+
+/// Analog part of the PLL, as captured.
+const PLL_ANALOG: &[(Field, u32)] = &[
+    (PACR1::OSCCLKEN, 1),
+    (PACR1::LFEN, 1),
+    (PACR1::CPEN, 1),
+    (PACR1::ICPSEL, 4),
+    (PACR1::LOCKFORC, 1),
+    (PACR1::LOCKSEL, 3),
+    (PACR1::RFILTSEL, 1),
+    (PACR1::VREFSEL, 3),
+    (PACR1::U2IEN, 1),
+    (PACR1::BGAPEN, 1),
+    (PACR1::VDIGREG, 3),
+    (PACR1::DIGPON, 1),
+    (PACR1::VANAREG, 2),
+    (PACR1::ANAPON, 1),
+];
+
+/// Digital part of the PLL, as captured. DIVSET 20 sets the frequency at FSU 0.
+const PLL_DIGITAL: &[(Field, u32)] =
+    &[(PACR2::DTSEL, 2), (PACR2::FSDNTMR, 5), (PACR2::FSTDNEN, 2), (PACR2::DIVEN, 1), (PACR2::DIVSET, 20)];
+
+/// ADC of the temperature sensor, as captured.
+const TEMPERATURE_ADC: &[(Field, u32)] =
+    &[(SADC_CTRL::TC_TRIM, 4), (SADC_CTRL::SESP, 1), (SADC_CTRL::OVERS_CFG, 2), (SADC_CTRL::SD_EN, 1)];
+
+/// What stays on between chirps, as captured.
+const IDLE_CONTROL: &[(Field, u32)] = &[
+    (CSCI::PLL_ISOPD, 1),
+    (CSCI::SADC_ISOPD, 1),
+    (CSCI::MADC_ISOPD, 1),
+    (CSCI::BG_EN, 1),
+    (CSCI::RF_ISOPD, 1),
+    (CSCI::ABB_ISOPD, 1),
+];
+
+/// What stays on between frames, as captured.
+const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
+    (CSCDS::PLL_ISOPD, 1),
+    (CSCDS::SADC_ISOPD, 1),
+    (CSCDS::MADC_ISOPD, 1),
+    (CSCDS::RF_ISOPD, 1),
+    (CSCDS::ABB_ISOPD, 1),
+];
 
 /// A waveform that the registers cannot hold, or registers that hold no waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
@@ -197,88 +257,152 @@ impl ChipConfiguration {
 
         let mask = u32::from(r.rx_antennas.bits());
         let receivers = r.rx_antennas.antennas();
-        let mixers = receivers.iter().fold(0, |bits, a| bits | 0b11 << (12 + 2 * (a - 1)));
         let (hp_gain, high_pass_db) = if r.if_gain_db >= 30.0 { (0, 30.0) } else { (mask, 18.0) };
         let vga = (((r.if_gain_db - high_pass_db) / 5.0).round().clamp(0.0, 6.0)) as u32;
         let distance = |i: &u32| (HIGH_PASS_HZ[*i as usize] - r.high_pass_cutoff_hz).abs();
         let hpf = (0..4).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(3);
-        let gains = receivers.iter().fold(0, |bits, a| bits | (vga << 2 | hpf) << (5 * (a - 1)));
-
-        let list = [
-            (ADC0, divider << 14 | 0x0210),
-            (PACR1, 0xE9_67FD),
-            (PACR2, 0x08_05B4),
-            (SFCTL, 0x10_2000 | cref),
-            (SADC_CTRL, 0x01_0D00),
-            (0x08, 0),
-            (0x09, 0),
-            (0x0A, 0),
-            (CSCI, 0xBE0),
-            (0x0C, 0),
-            (0x0D, 0),
-            (0x0E, 0),
-            (CSCDS, 0xB60),
-            (CS1_U_0, 0x10_0C51 | mixers),
-            (CS1_U_1, mask << 20 | 127 << 13 | 1 << 12 | 1 << 10 | u32::from(r.tx_power_level & 31)),
-            (CS1_U_2, hp_gain << 20 | gains),
-            (CS1, 0x490),
-            (CS2, 0x480),
-            (CS3, 0x480),
-            (CS4, 0x480),
-            (CCR0, 70 << 14 | 15 << 10 | 1 << 9 | 14),
-            (CCR1, fed_mul << 19 | fed << 11 | frame_power_mode << 9 | 10),
-            (CCR2, frame_len << 12),
-            (CCR3, 1 << 22 | 225 << 14 | 31 << 9 | 30),
-            (PLL1_0, fsu),
-            (PLL1_1, rsu),
-            (PLL1_2, rtu_field),
-            (PLL1_3, apu),
-            (0x34, 0),
-            (0x35, 0),
-            (0x36, 0),
-            (PLL1_7, sed_mul << 19 | sed << 11 | chirp_power_mode << 9 | 1 << 8 | 1 << 4),
-            (PLL2_7, 0x100),
-            (PLL3_7, 0x100),
-            (PLL4_7, 0x100),
-            (RFT1, 0),
-            (SDFT0, 0),
-            (MAIN, 0x1E_8271),
+        let one_per_receiver = |fields: [Field; 3], value: u32| {
+            let antennas = receivers.iter().filter_map(|a| fields.get(usize::from(*a) - 1));
+            antennas.map(|field| (*field, value)).collect::<Vec<(Field, u32)>>()
+        };
+        let mixers = [
+            one_per_receiver([CS1_U_0::RX1MIX_EN, CS1_U_0::RX2MIX_EN, CS1_U_0::RX3MIX_EN], 1),
+            one_per_receiver([CS1_U_0::RX1LOBUF_EN, CS1_U_0::RX2LOBUF_EN, CS1_U_0::RX3LOBUF_EN], 1),
+            vec![
+                (CS1_U_0::BBCHGLOB_EN, 1),
+                (CS1_U_0::LO_DISTRIB_EN, 1),
+                (CS1_U_0::LO_MOD1_EN, 1),
+                (CS1_U_0::FDIV_EN, 1),
+                (CS1_U_0::VCO_EN, 1),
+                (CS1_U_0::TX1_EN, 1),
+            ],
         ];
-        Ok(list.into_iter().map(|(address, value)| RegisterValue { address, value }).collect())
+        let gains = [
+            one_per_receiver([CS1_U_2::VGA_GAIN1, CS1_U_2::VGA_GAIN2, CS1_U_2::VGA_GAIN3], vga),
+            one_per_receiver([CS1_U_2::HPF_SEL1, CS1_U_2::HPF_SEL2, CS1_U_2::HPF_SEL3], hpf),
+            vec![(CS1_U_2::HP_GAIN, hp_gain)],
+        ];
+        let standby = |bg_tmrf: Field, bg: Field| [(bg_tmrf, 1), (bg, 1)];
+        Ok(vec![
+            content(ADC0, &[(ADC0::ADC_DIV, divider), (ADC0::TRACK_CFG, 1), (ADC0::BG_TC_TRIM, 4)]),
+            content(PACR1, PLL_ANALOG),
+            content(PACR2, PLL_DIGITAL),
+            content(SFCTL, &[(SFCTL::QSPI_WT, 1), (SFCTL::FIFO_LP_MODE, 1), (SFCTL::FIFO_CREF, cref)]),
+            content(SADC_CTRL, TEMPERATURE_ADC),
+            content(CSP_I_0, &[]),
+            content(CSP_I_1, &[]),
+            content(CSP_I_2, &[]),
+            content(CSCI, IDLE_CONTROL),
+            content(CSP_D_0, &[]),
+            content(CSP_D_1, &[]),
+            content(CSP_D_2, &[]),
+            content(CSCDS, DEEP_SLEEP_CONTROL),
+            content(CS1_U_0, &mixers.concat()),
+            content(
+                CS1_U_1,
+                &[
+                    (CS1_U_1::BBCH_SEL, mask),
+                    (CS1_U_1::BB_RSTCNT, 127),
+                    (CS1_U_1::TEMP_MEAS_EN, 1),
+                    (CS1_U_1::MADC_EN, 1),
+                    (CS1_U_1::TX1_DAC, u32::from(r.tx_power_level)),
+                ],
+            ),
+            content(CS1_U_2, &gains.concat()),
+            content(CS1, &[(CS1::BG_TMRF_EN, 1), (CS1::BG_EN, 1), (CS1::CS_EN, 1)]),
+            content(CS2, &standby(CS2::BG_TMRF_EN, CS2::BG_EN)),
+            content(CS3, &standby(CS3::BG_TMRF_EN, CS3::BG_EN)),
+            content(CS4, &standby(CS4::BG_TMRF_EN, CS4::BG_EN)),
+            content(
+                CCR0,
+                &[(CCR0::TR_INIT1, 70), (CCR0::REPT, 15), (CCR0::CONT_MODE, 1), (CCR0::TMREND, 14)],
+            ),
+            content(
+                CCR1,
+                &[
+                    (CCR1::TFED_MUL, fed_mul),
+                    (CCR1::TFED, fed),
+                    (CCR1::PD_MODE, frame_power_mode),
+                    (CCR1::TMRSTRT, 10),
+                ],
+            ),
+            content(CCR2, &[(CCR2::FRAME_LEN, frame_len)]),
+            content(
+                CCR3,
+                &[(CCR3::TR_MUL0, 1), (CCR3::TR_INIT0, 225), (CCR3::T_SSTRT, 31), (CCR3::T_PAEN, 30)],
+            ),
+            content(PLL1_0, &[(PLL1_0::FSU, fsu)]),
+            content(PLL1_1, &[(PLL1_1::RSU, rsu)]),
+            content(PLL1_2, &[(PLL1_2::RTU, rtu_field)]),
+            content(PLL1_3, &[(PLL1_3::APU, apu)]),
+            content(PLL1_4, &[]),
+            content(PLL1_5, &[]),
+            content(PLL1_6, &[]),
+            content(
+                PLL1_7,
+                &[
+                    (PLL1_7::T_SED_MUL, sed_mul),
+                    (PLL1_7::T_SED, sed),
+                    (PLL1_7::PD_MODE, chirp_power_mode),
+                    (PLL1_7::CONT_MODE, 1),
+                    (PLL1_7::SH_EN, 1),
+                ],
+            ),
+            content(PLL2_7, &[(PLL2_7::CONT_MODE, 1)]),
+            content(PLL3_7, &[(PLL3_7::CONT_MODE, 1)]),
+            content(PLL4_7, &[(PLL4_7::CONT_MODE, 1)]),
+            content(RFT1, &[]),
+            content(SDFT0, &[]),
+            content(
+                MAIN,
+                &[
+                    (MAIN::BG_CLK_DIV, 3),
+                    (MAIN::SADC_CLK_DIV, 3),
+                    (MAIN::TWKUP_MUL, 8),
+                    (MAIN::TWKUP, 39),
+                    (MAIN::FRAME_START, 1),
+                ],
+            ),
+        ])
     }
 
     /// What a chip with these registers does. The anti-alias filter, which they do not hold, is taken as 500 kHz.
     pub fn decode(registers: &RegisterFile) -> Result<Self, ChipError> {
         let wrong = |reason: String| ChipError::NotAWaveform { reason };
-        let divider = registers.field(ADC0, 23, 14);
-        let samples = registers.field(PLL1_3, 11, 0) as usize;
-        let chirps = registers.field(CCR2, 23, 12) as usize + 1;
-        let rsu = registers.get(PLL1_1);
+        let divider = registers.field(ADC0::ADC_DIV);
+        let samples = registers.field(PLL1_3::APU) as usize;
+        let chirps = registers.field(CCR2::FRAME_LEN) as usize + 1;
+        let rsu = registers.field(PLL1_1::RSU);
         if divider < 20 || samples == 0 || rsu == 0 || rsu >= 1 << 23 {
             return Err(wrong(format!("ADC_DIV {divider}, APU {samples}, RSU {rsu}; is the chip configured?")));
         }
         // FSU is a signed 24-bit number.
-        let fsu = ((registers.get(PLL1_0) << 8) as i32) >> 8;
+        let fsu = ((registers.field(PLL1_0::FSU) << 8) as i32) >> 8;
         let start = fsu + (rsu * (TX_ON_CYCLES - RAMP_START_CYCLES) as u32) as i32;
         let start_frequency_hz = FREQUENCY_ORIGIN_HZ + f64::from(start) * FREQUENCY_STEP_HZ;
         let slope = f64::from(rsu) * SLOPE_STEP_HZ_PER_S;
         let sample_rate_hz = REFERENCE_CLOCK_HZ / f64::from(divider);
 
-        let mode = registers.field(PLL1_7, 10, 9);
-        let used = active_cycles(u64::from(registers.field(PLL1_2, 13, 0))) + if mode == 0 { 0 } else { INIT_CYCLES };
-        let end_delay = u64::from(registers.field(PLL1_7, 18, 11)) << registers.field(PLL1_7, 23, 19) << 3;
+        let mode = registers.field(PLL1_7::PD_MODE);
+        let used = active_cycles(u64::from(registers.field(PLL1_2::RTU))) + if mode == 0 { 0 } else { INIT_CYCLES };
+        let end_delay = u64::from(registers.field(PLL1_7::T_SED)) << registers.field(PLL1_7::T_SED_MUL) << 3;
         let chirp = used + end_delay;
-        let wake_up = if registers.field(CCR1, 10, 9) >= 2 { WAKE_UP_CYCLES } else { 0 };
-        let frame_delay = u64::from(registers.field(CCR1, 18, 11)) << registers.field(CCR1, 23, 19) << 3;
+        let wake_up = if registers.field(CCR1::PD_MODE) >= 2 { WAKE_UP_CYCLES } else { 0 };
+        let frame_delay = u64::from(registers.field(CCR1::TFED)) << registers.field(CCR1::TFED_MUL) << 3;
         let frame = chirp * chirps as u64 - end_delay + wake_up + frame_delay;
         // Where the frame's delay could not make up for the last chirp's end delay the interval is the chirps' own.
         let frame = frame.max(chirp * chirps as u64);
 
-        let mask = registers.field(CS1_U_1, 23, 20) & 7;
+        let mask = registers.field(CS1_U_1::BBCH_SEL) & 7;
         let antennas: Vec<u8> = (1..=3).filter(|a| mask >> (a - 1) & 1 == 1).collect();
         let first = antennas.first().copied().unwrap_or(1) - 1;
-        let gains = registers.get(CS1_U_2) >> (5 * u32::from(first));
-        let high_pass_db = if registers.get(CS1_U_2) >> (20 + u32::from(first)) & 1 == 1 { 18.0 } else { 30.0 };
+        let [vga, high_pass] = match first {
+            0 => [CS1_U_2::VGA_GAIN1, CS1_U_2::HPF_SEL1],
+            1 => [CS1_U_2::VGA_GAIN2, CS1_U_2::HPF_SEL2],
+            _ => [CS1_U_2::VGA_GAIN3, CS1_U_2::HPF_SEL3],
+        }
+        .map(|field| registers.field(field));
+        let high_pass_db = if registers.field(CS1_U_2::HP_GAIN) >> u32::from(first) & 1 == 1 { 18.0 } else { 30.0 };
         let seconds = |cycles: u64| cycles as f64 / REFERENCE_CLOCK_HZ;
         let request = WaveformRequest {
             start_frequency_hz,
@@ -289,13 +413,13 @@ impl ChipConfiguration {
             chirp_interval_s: seconds(chirp),
             frame_interval_s: seconds(frame),
             rx_antennas: RxMask::from_antennas(&antennas).map_err(|e| wrong(e.to_string()))?,
-            tx_power_level: registers.field(CS1_U_1, 4, 0) as u8,
-            if_gain_db: high_pass_db + 5.0 * f64::from(gains >> 2 & 7).min(6.0),
-            high_pass_cutoff_hz: HIGH_PASS_HZ[(gains & 3) as usize],
+            tx_power_level: registers.field(CS1_U_1::TX1_DAC) as u8,
+            if_gain_db: high_pass_db + 5.0 * f64::from(vga).min(6.0),
+            high_pass_cutoff_hz: HIGH_PASS_HZ[(high_pass & 3) as usize],
             anti_alias_cutoff_hz: 500e3,
         };
         let waveform = Waveform::realise(request).map_err(|e| wrong(e.to_string()))?;
-        Ok(ChipConfiguration { waveform, slice_samples: 2 * (registers.field(SFCTL, 12, 0) as usize + 1) })
+        Ok(ChipConfiguration { waveform, slice_samples: 2 * (registers.field(SFCTL::FIFO_CREF) as usize + 1) })
     }
 }
 

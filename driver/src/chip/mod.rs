@@ -2,6 +2,8 @@
 
 mod configuration;
 mod register;
+mod table;
 
 pub use configuration::{ChipConfiguration, ChipError, RegisterList, RegisterValue};
-pub use register::{RegisterFile, address, main_bits};
+pub use register::{RegisterFile, main_bits};
+pub use table::{Field, REGISTERS, Register, address, field, register};

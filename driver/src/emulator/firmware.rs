@@ -5,8 +5,17 @@ use radome_dsp::Waveform;
 use super::EmulatorOptions;
 use crate::chip::{ChipConfiguration, RegisterFile, address, main_bits};
 use crate::protocol::strata::{
-    BoardInfo, COMPONENT_AVIAN, Command, DataFormat, FirmwareVersion, HostEvent, Response, SliceLayout, SpiWord, Status,
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, HostEvent, IMPLEMENTATION_AVIAN,
+    Response, SliceLayout, SpiWord, Status,
 };
+
+/// Longest board info that version 3 gives in a fixed length.
+const MAX_FIXED_INFO: u16 = 256;
+
+fn board_info() -> Vec<u8> {
+    let name = "Radar Baseboard MCU7 (MCU B)".to_owned();
+    BoardInfo { vendor_id: 0x058B, product_id: 0x0251, name }.encode()
+}
 
 pub(super) struct Firmware {
     registers: RegisterFile,
@@ -68,7 +77,7 @@ impl Firmware {
                     Ok(payload) => (Status::Ok, payload),
                     Err(status) => (status, Vec::new()),
                 };
-                Response::new(request.kind, status, &payload).encode(out);
+                Response { kind_code: request.kind_code(), status, payload: &payload }.encode(out);
             }
         }
     }
@@ -76,16 +85,23 @@ impl Firmware {
     fn run(&mut self, command: &Command) -> Result<Vec<u8>, Status> {
         let nothing = Ok(Vec::new());
         match command {
-            Command::BoardInfo => {
-                let name = "Radar Baseboard MCU7 (MCU B)".to_owned();
-                Ok(BoardInfo { vendor_id: 0x058B, product_id: 0x0251, name }.encode())
+            Command::BoardInfo => Ok(board_info()),
+            Command::BoardInfoFixed { length } => {
+                let mut info = board_info();
+                info.resize(usize::from((*length).min(MAX_FIXED_INFO)), 0);
+                Ok(info)
             }
             Command::FirmwareVersion => {
-                Ok(FirmwareVersion { firmware: [2, 9, 0, 0], protocol: [self.protocol_version, 0] }.encode())
+                // Firmware 2.5 was the last to speak version 3.
+                let minor = if self.protocol_version == 3 { 5 } else { 9 };
+                Ok(FirmwareVersion { firmware: [2, minor, 0, 0], protocol: [self.protocol_version, 0] }.encode())
             }
             Command::Uuid => Ok((0..16).collect()),
             Command::ExtendedVersion => Ok(b"emulated\0".to_vec()),
             Command::ComponentCount { component } => Ok(vec![u8::from(*component == COMPONENT_AVIAN)]),
+            Command::ComponentImplementation { component } => {
+                Ok(vec![if *component == COMPONENT_RADAR { IMPLEMENTATION_AVIAN } else { 0 }])
+            }
             Command::DataIndex => Ok(vec![0]),
             Command::WriteRegisters { address, values } => {
                 for (offset, value) in values.iter().enumerate() {
@@ -96,6 +112,10 @@ impl Firmware {
             Command::ReadRegisters { address, count } => {
                 let read = |offset: u8| self.registers.get(address.wrapping_add(offset));
                 Ok((0..*count).flat_map(|offset| read(offset).to_le_bytes()).collect())
+            }
+            Command::SetBits { address, mask } => {
+                self.write(*address, self.registers.get(*address) | mask)?;
+                nothing
             }
             Command::HardwareReset => {
                 self.reset();

@@ -22,9 +22,7 @@ use thiserror::Error;
 
 use crate::board::CHIP_ID_BGT60TR13C;
 use crate::protocol::packed12;
-use crate::protocol::strata::{
-    DataError, HostParser, MAX_PACKET_PAYLOAD, PROTOCOL_VERSION, Packet, PacketFlags, SliceLayout,
-};
+use crate::protocol::strata::{DataError, HostParser, MAX_PACKET_PAYLOAD, Packet, PacketFlags, Protocol, SliceLayout};
 use firmware::Firmware;
 use pty::Pty;
 pub use source::{EmulatedSource, EmulatedSourceError};
@@ -73,7 +71,7 @@ pub struct EmulatorOptions {
     pub faults: Vec<Fault>,
     /// What the chip's CHIP_ID register reads.
     pub chip_id: u32,
-    /// Major version of the protocol that the firmware reports.
+    /// Major version of the protocol that the firmware reports. It speaks version 3 if that is 3, otherwise version 4.
     pub protocol_version: u16,
 }
 
@@ -83,7 +81,7 @@ impl Default for EmulatorOptions {
             pace: Pace::RealTime(1.0),
             faults: Vec::new(),
             chip_id: CHIP_ID_BGT60TR13C,
-            protocol_version: PROTOCOL_VERSION,
+            protocol_version: Protocol::default().major(),
         }
     }
 }
@@ -154,7 +152,7 @@ impl EmulatedBoard {
             world,
             firmware,
             source: waveform.clone(),
-            parser: HostParser::new(),
+            parser: HostParser::new(if options.protocol_version == 3 { Protocol::V3 } else { Protocol::V4 }),
             faults: options.faults,
             sending: None,
             counter: 0,

@@ -1,20 +1,27 @@
 //! The vendor's folder: `RadarIfxAvian_00/{radar.npy,config.json,meta.json,format.version}`, as Radar Fusion GUI and
 //! ifxdaq write it. Older recorders call the band `lower_frequency_Hz` and `upper_frequency_Hz`, leave the filters out,
 //! write numbers as `60.5e9` and add time stamps and temperatures; all are read.
+//!
+//! `radar_timestamp.csv` holds the seconds at which each frame came, one a line: Unix time, or, as stamps before 1980 are
+//! taken, the board's own clock.
+
+mod writer;
 
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
-use radome_dsp::{
-    Frame, FrameShape, FrameSource, MAX_CODE, RxMask, SourceError, SourceEvent, Waveform, WaveformRequest,
-};
-use serde_json::Value;
+use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
-use super::RecordingError;
+use super::{RecordingError, first_index, time_ns};
+use super::vendor_config::read_waveform;
+
+pub use writer::InfineonWriter;
 
 /// Newest format that is known.
 const SUPPORTED_VERSION: &str = "1.0.0";
+/// Stamps from here on are Unix times: 1 January 1980, ns. A board's clock starts at zero.
+const FIRST_UNIX_NS: u64 = 315_532_800_000_000_000;
 /// Longest NPY header that makes sense.
 const MAX_HEADER: u64 = 65_536;
 
@@ -31,10 +38,10 @@ pub struct InfineonReader {
     /// Bytes of the file behind the header.
     available: u64,
     bytes: Vec<u8>,
-    /// Unix time of each frame, s.
-    timestamps_s: Option<Vec<f64>>,
-    /// Unix time, s, and temperature, degrees Celsius.
-    temperatures: Vec<(f64, f64)>,
+    /// Time of each frame, ns: since 1970, or by the board's clock.
+    timestamps_ns: Option<Vec<u64>>,
+    /// Time on the same clock, ns, and temperature, degrees Celsius.
+    temperatures: Vec<(u64, f64)>,
 }
 
 impl InfineonReader {
@@ -63,7 +70,7 @@ impl InfineonReader {
             return Err(RecordingError::Shape { data, got, config, expected: shape.to_string() });
         }
         Ok(InfineonReader {
-            timestamps_s: read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames))?,
+            timestamps_ns: read_timestamps(&folder.join("radar_timestamp.csv"), Some(frames))?,
             temperatures: read_temperatures(&folder)?,
             bytes: vec![0; shape.codes() * 2],
             available: length.saturating_sub(header.data_offset),
@@ -85,6 +92,30 @@ impl InfineonReader {
     /// Whole frames that are there; less than [`FrameSource::frame_count`] if the file was cut short.
     pub fn whole_frames(&self) -> u64 {
         (self.available / self.bytes.len().max(1) as u64).min(self.frames)
+    }
+
+    /// Time of a frame from the start of the acquisition, ns.
+    fn time_ns(&self, index: u64) -> u64 {
+        let stamps = self.timestamps_ns.as_deref().unwrap_or(&[]);
+        match (usize::try_from(index).ok().and_then(|i| stamps.get(i)), stamps.first()) {
+            (Some(now), Some(first)) if *first >= FIRST_UNIX_NS => now - first,
+            (Some(now), _) => *now,
+            _ => nominal_time_ns(&self.waveform, index),
+        }
+    }
+
+    /// Goes to a frame by its number; behind the last one, to the end.
+    pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
+        self.next = sequence.min(self.frames);
+        let offset = self.data_offset + self.next.min(self.whole_frames()) * self.bytes.len() as u64;
+        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.data, "cannot be read"))?;
+        Ok(())
+    }
+
+    /// Goes to the first frame taken at or after this time from the start of the acquisition, s.
+    pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
+        let time_ns = time_ns(time_s);
+        self.seek_frame(first_index(self.frames, |index| self.time_ns(index) >= time_ns))
     }
 
     fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
@@ -114,20 +145,14 @@ impl InfineonReader {
         }
         frame.sequence = self.next;
         frame.truth = None;
-        let stamps = self.timestamps_s.as_deref().unwrap_or(&[]);
-        let stamp = usize::try_from(self.next).ok().and_then(|i| stamps.get(i));
-        match (stamp, stamps.first()) {
-            (Some(now), Some(first)) => {
-                frame.time_ns = ((now - first).max(0.0) * 1e9).round() as u64;
-                frame.host_time_ns = (now * 1e9).round() as u64;
-            }
-            _ => {
-                frame.time_ns = (self.next as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
-                frame.host_time_ns = 0;
-            }
-        }
+        frame.time_ns = self.time_ns(self.next);
+        let stamp = usize::try_from(self.next).ok().and_then(|i| self.timestamps_ns.as_ref()?.get(i).copied());
+        frame.host_time_ns = stamp.filter(|at| *at >= FIRST_UNIX_NS).unwrap_or(0);
         // The last temperature known at the time of the frame.
-        let known = stamp.and_then(|now| self.temperatures.iter().rev().find(|(at, _)| at <= now));
+        let known = stamp.and_then(|now| {
+            let after = self.temperatures.partition_point(|(at, _)| *at <= now);
+            self.temperatures.get(after.checked_sub(1)?)
+        });
         frame.temperature_millicelsius = known.map(|(_, celsius)| (celsius * 1e3).round() as i32);
         self.next += 1;
         Ok(SourceEvent::Frame)
@@ -146,6 +171,11 @@ impl FrameSource for InfineonReader {
     fn frame_count(&self) -> Option<u64> {
         Some(self.frames)
     }
+}
+
+/// Time of a frame where nobody wrote it down: by the frame interval, ns.
+fn nominal_time_ns(waveform: &Waveform, index: u64) -> u64 {
+    (index as f64 * waveform.frame_interval_s() * 1e9).round() as u64
 }
 
 /// The folder that holds `radar.npy`: the given one, or the first `RadarIfxAvian_NN` in it.
@@ -175,92 +205,6 @@ fn check_version(path: &Path) -> Result<(), RecordingError> {
             Err(RecordingError::Corrupt { path: path.into(), offset: 0, reason })
         }
     }
-}
-
-/// Fields of a configuration under their new and old names.
-struct Fields<'a> {
-    path: &'a Path,
-    object: &'a Value,
-}
-
-impl Fields<'_> {
-    fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
-        RecordingError::Field { path: self.path.to_owned(), field: field.to_owned(), reason: reason.into() }
-    }
-
-    fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
-        match self.object.get(field) {
-            None | Some(Value::Null) => Ok(None),
-            // Some recorders write numbers as text.
-            Some(Value::String(text)) => match text.trim().parse() {
-                Ok(number) => Ok(Some(number)),
-                Err(_) => Err(self.error(field, format!("is \"{text}\", expected a number"))),
-            },
-            Some(value) => match value.as_f64() {
-                Some(number) => Ok(Some(number)),
-                None => Err(self.error(field, format!("is {value}, expected a number"))),
-            },
-        }
-    }
-
-    fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
-        let value = match (self.optional(field)?, old) {
-            (None, Some(old)) => self.optional(old)?,
-            (value, _) => value,
-        };
-        value.ok_or_else(|| match old {
-            Some(old) => self.error(field, format!("is absent, and so is its old name `{old}`")),
-            None => self.error(field, "is absent"),
-        })
-    }
-
-    fn count(&self, field: &str) -> Result<usize, RecordingError> {
-        let number = self.number(field, None)?;
-        if number < 0.0 || number > f64::from(u32::MAX) || number.fract() != 0.0 {
-            return Err(self.error(field, format!("is {number}, expected a whole number")));
-        }
-        Ok(number as usize)
-    }
-
-    fn antennas(&self) -> Result<RxMask, RecordingError> {
-        let field = "rx_antennas";
-        let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
-        let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
-        let antennas: Option<Vec<u8>> = list.iter().map(|v| v.as_f64().map(|a| a as u8)).collect();
-        let antennas = antennas.ok_or_else(|| wrong(self))?;
-        RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
-    }
-}
-
-fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
-    let text = std::fs::read_to_string(path).map_err(RecordingError::io(path, "cannot be read"))?;
-    let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
-        path: path.into(),
-        offset: text.split_inclusive('\n').take(e.line().saturating_sub(1)).map(str::len).sum::<usize>() as u64
-            + e.column() as u64,
-        reason: format!("not JSON: {e}"),
-    })?;
-    let object = root.pointer("/device_config/fmcw_single_shape").ok_or_else(|| RecordingError::Field {
-        path: path.into(),
-        field: "device_config.fmcw_single_shape".into(),
-        reason: "is absent; recordings configured otherwise cannot be read".into(),
-    })?;
-    let fields = Fields { path, object };
-    let request = WaveformRequest {
-        start_frequency_hz: fields.number("start_frequency_Hz", Some("lower_frequency_Hz"))?,
-        end_frequency_hz: fields.number("end_frequency_Hz", Some("upper_frequency_Hz"))?,
-        samples_per_chirp: fields.count("num_samples_per_chirp")?,
-        chirps_per_frame: fields.count("num_chirps_per_frame")?,
-        sample_rate_hz: fields.number("sample_rate_Hz", None)?,
-        chirp_interval_s: fields.number("chirp_repetition_time_s", None)?,
-        frame_interval_s: fields.number("frame_repetition_time_s", None)?,
-        rx_antennas: fields.antennas()?,
-        tx_power_level: fields.optional("tx_power_level")?.unwrap_or(31.0).clamp(0.0, 255.0) as u8,
-        if_gain_db: fields.number("if_gain_dB", None)?,
-        high_pass_cutoff_hz: fields.optional("hp_cutoff_Hz")?.unwrap_or(80e3),
-        anti_alias_cutoff_hz: fields.optional("aaf_cutoff_Hz")?.unwrap_or(500e3),
-    };
-    Waveform::realise(request).map_err(|source| RecordingError::Waveform { path: path.into(), source })
 }
 
 struct NpyHeader {
@@ -300,8 +244,8 @@ impl NpyHeader {
     }
 }
 
-/// One Unix time in seconds a line.
-fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<f64>>, RecordingError> {
+/// One time in seconds a line, as nanoseconds.
+fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<u64>>, RecordingError> {
     let text = match std::fs::read_to_string(path) {
         Ok(text) => text,
         Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
@@ -310,16 +254,14 @@ fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<f64>
     let mut stamps = Vec::new();
     let mut offset = 0;
     for line in text.split_inclusive('\n') {
-        let corrupt = || RecordingError::Corrupt {
-            path: path.to_owned(),
-            offset,
-            reason: format!("'{}' is no time, expected Unix seconds", line.trim().chars().take(20).collect::<String>()),
-        };
-        if !line.trim().is_empty() {
-            let stamp: f64 = line.trim().parse().map_err(|_| corrupt())?;
-            if !stamp.is_finite() || stamps.last().is_some_and(|last| *last > stamp) {
-                return Err(corrupt());
-            }
+        let line_text = line.trim();
+        if !line_text.is_empty() {
+            let stamp = parse_time_ns(line_text).filter(|stamp| stamps.last().is_none_or(|last| last <= stamp));
+            let Some(stamp) = stamp else {
+                let shown: String = line_text.chars().take(20).collect();
+                let reason = format!("'{shown}' is no time, expected seconds that never decrease");
+                return Err(RecordingError::Corrupt { path: path.to_owned(), offset, reason });
+            };
             stamps.push(stamp);
         }
         offset += line.len() as u64;
@@ -333,7 +275,20 @@ fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<f64>
     Ok(Some(stamps))
 }
 
-fn read_temperatures(folder: &Path) -> Result<Vec<(f64, f64)>, RecordingError> {
+/// Decimal seconds as nanoseconds, exactly: an f64 resolves a Unix time to a quarter of a microsecond only.
+fn parse_time_ns(text: &str) -> Option<u64> {
+    let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
+    let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());
+    if whole.is_empty() || !digits(whole) || !digits(fraction) {
+        // Exponents.
+        let seconds: f64 = text.parse().ok()?;
+        return (0.0..1e10).contains(&seconds).then_some((seconds * 1e9).round() as u64);
+    }
+    let nanoseconds = fraction.bytes().chain(std::iter::repeat(b'0')).take(9).fold(0, |n, b| 10 * n + u64::from(b - b'0'));
+    whole.parse::<u64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
+}
+
+fn read_temperatures(folder: &Path) -> Result<Vec<(u64, f64)>, RecordingError> {
     let path = folder.join("temperature.npy");
     let Some(times) = read_timestamps(&folder.join("temperature_timestamp.csv"), None)? else { return Ok(Vec::new()) };
     if !path.exists() {

@@ -1,9 +1,19 @@
-//! Recordings on disk: the native MCAP file and the vendor's folder.
+//! Recordings on disk: the native MCAP file, the vendor's folder and the vendor's text file. [`open`] and
+//! [`Recording::open`] read them all, [`RecordingWriter`] writes them.
 
 pub mod infineon;
 pub mod mcap;
+mod opened;
+mod partial;
+pub mod text;
+mod vendor_config;
+mod writer;
 
 use std::path::{Path, PathBuf};
+
+pub use opened::Recording;
+pub use writer::{Format, RecordingWriter, WriteReport};
+pub(crate) use writer::Tally;
 
 use radome_dsp::{FrameSource, WaveformError};
 use thiserror::Error;
@@ -27,9 +37,16 @@ pub enum RecordingError {
         /// File.
         path: PathBuf,
     },
-    /// Neither kind of recording.
+    /// An output exists and would be overwritten.
+    #[error("{path}: exists and is not empty; remove it or choose another name", path = path.display())]
+    Occupied {
+        /// What exists.
+        path: PathBuf,
+    },
+    /// No kind of recording.
     #[error(
-        "{path}: not a recording: expected an MCAP file, or a folder with RadarIfxAvian_00 or radar.npy in it",
+        "{path}: not a recording: expected an MCAP file, a folder with RadarIfxAvian_00 or radar.npy in it, or the \
+         vendor's text file with its _config.json beside it",
         path = path.display()
     )]
     Unknown {
@@ -147,19 +164,37 @@ impl RecordingError {
             _ => RecordingError::Io { path, what, source },
         }
     }
+
+    fn cannot_write(path: &Path) -> impl FnOnce(std::io::Error) -> RecordingError {
+        let path = path.to_owned();
+        move |source| RecordingError::Io { path, what: "cannot be written", source }
+    }
 }
 
-/// Opens a recording of either kind.
+/// Opens a recording of any kind.
 pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
-    let metadata = std::fs::metadata(path).map_err(RecordingError::io(path, "cannot be opened"))?;
-    if metadata.is_dir() {
-        return Ok(Box::new(infineon::InfineonReader::open(path)?));
+    Ok(match Recording::open(path)? {
+        Recording::Mcap(reader) => Box::new(reader),
+        Recording::Infineon(reader) => Box::new(reader),
+        Recording::Text(reader) => Box::new(reader),
+    })
+}
+
+/// A time in nanoseconds; zero for what is none.
+fn time_ns(time_s: f64) -> u64 {
+    (time_s * 1e9).round() as u64
+}
+
+/// The first of `count` indices for which something holds that then holds for all that follow; `count` if there is none.
+fn first_index(count: u64, holds: impl Fn(u64) -> bool) -> u64 {
+    let (mut low, mut high) = (0, count);
+    while low < high {
+        let middle = low + (high - low) / 2;
+        if holds(middle) {
+            high = middle;
+        } else {
+            low = middle + 1;
+        }
     }
-    let mut magic = [0; 8];
-    let file = std::fs::File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
-    let read = std::io::Read::read_exact(&mut { file }, &mut magic);
-    if read.is_ok() && magic == *::mcap::MAGIC {
-        return Ok(Box::new(mcap::McapReader::open(path)?));
-    }
-    Err(RecordingError::Unknown { path: path.to_owned() })
+    low
 }

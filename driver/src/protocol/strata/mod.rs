@@ -1,4 +1,5 @@
-//! The wire protocol of the Radar Baseboard MCU7, version 4, on its CDC serial port (reference: hardware notes section 2).
+//! The wire protocol of the Radar Baseboard MCU7, versions 4 and 3, on its CDC serial port (reference: hardware notes
+//! section 2).
 //!
 //! The host sends a [`Request`], the board answers with a [`Response`]. While data runs, the board also sends
 //! [`Packet`]s on its own account; a response may come between two packets but never within one. A *slice* of the chip's
@@ -9,6 +10,7 @@ mod parser;
 mod request;
 mod response;
 mod slice;
+mod version;
 
 pub use packet::{DataError, MAX_PACKET_PAYLOAD, Packet, PacketFlags};
 pub use parser::{BoardEvent, BoardParser, HostEvent, HostParser};
@@ -16,13 +18,16 @@ pub use request::{Command, DataFormat, DecodeError, REQUEST_HEADER_LENGTH, Reque
 pub(crate) use response::text;
 pub use response::{BoardInfo, FirmwareVersion, PayloadError, Response, Status};
 pub use slice::{SliceLayout, TIMESTAMP_LENGTH};
+pub use version::Protocol;
 
 /// Longest message of either direction: header, payload and CRC.
 pub const MAX_MESSAGE: usize = 4095;
-/// Version of the protocol that this module speaks.
-pub const PROTOCOL_VERSION: u16 = 4;
-/// Component type of all BGT60TRxx chips.
+/// Component type of all BGT60TRxx chips, version 4.
 pub const COMPONENT_AVIAN: u16 = 0x0103;
+/// Component type of all radar chips, version 3.
+pub const COMPONENT_RADAR: u16 = 0x0001;
+/// What version 3 answers for the implementation of a radar component that is a BGT60TRxx chip.
+pub const IMPLEMENTATION_AVIAN: u8 = 3;
 /// Register address that stands for the FIFO in a data configuration.
 pub const FIFO_ADDRESS: u16 = 0x60;
 

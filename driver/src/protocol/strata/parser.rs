@@ -1,6 +1,6 @@
 //! Messages out of a stream of bytes that may hold garbage.
 
-use super::{MAX_MESSAGE, Packet, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
+use super::{MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
 use crate::protocol::crc::crc16;
 
 /// What a board sent.
@@ -157,13 +157,14 @@ pub enum HostEvent {
 /// Finds requests in what a board received, refusing what the firmware refuses.
 #[derive(Debug, Default)]
 pub struct HostParser {
+    protocol: Protocol,
     buffer: Vec<u8>,
 }
 
 impl HostParser {
-    /// An empty parser.
-    pub fn new() -> Self {
-        Self::default()
+    /// An empty parser of firmware that speaks this version.
+    pub fn new(protocol: Protocol) -> Self {
+        HostParser { protocol, buffer: Vec::new() }
     }
 
     /// Takes received bytes.
@@ -176,7 +177,8 @@ impl HostParser {
     pub fn next_event(&mut self) -> Option<HostEvent> {
         let header: &[u8; REQUEST_HEADER_LENGTH] = self.buffer.first_chunk()?;
         let kind_code = header[0];
-        let Some(payload) = Request::payload_length(header) else {
+        let is_known = RequestKind::from_code(kind_code).is_some_and(|(_, protocol)| protocol == self.protocol);
+        let Some(payload) = Request::payload_length(header).filter(|_| is_known) else {
             self.buffer.clear();
             return Some(HostEvent::Refused { kind_code, status: Status::RequestTypeInvalid });
         };

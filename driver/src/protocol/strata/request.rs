@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use super::{COMPONENT_AVIAN, FIFO_ADDRESS, Status};
+use super::{COMPONENT_RADAR, FIFO_ADDRESS, Protocol, Status};
 use crate::protocol::crc::crc16;
 
 /// Bytes of a request before its payload.
@@ -58,24 +58,32 @@ pub enum RequestKind {
 }
 
 impl RequestKind {
+    const ALL: [RequestKind; 3] = [RequestKind::Write, RequestKind::Read, RequestKind::Transfer];
+
     /// Byte on the wire.
-    pub fn code(self) -> u8 {
-        match self {
-            RequestKind::Write => 0x40,
-            RequestKind::Read => 0xC0,
-            RequestKind::Transfer => 0x43,
+    pub fn code(self, protocol: Protocol) -> u8 {
+        match (self, protocol) {
+            (RequestKind::Write, Protocol::V4) => 0x40,
+            (RequestKind::Read, Protocol::V4) => 0xC0,
+            (RequestKind::Transfer, Protocol::V4) => 0x43,
+            (RequestKind::Write, Protocol::V3) => 0x41,
+            (RequestKind::Read, Protocol::V3) => 0xC1,
+            (RequestKind::Transfer, Protocol::V3) => 0xE1,
         }
     }
 
-    /// From the byte on the wire.
-    pub fn from_code(code: u8) -> Option<Self> {
-        [RequestKind::Write, RequestKind::Read, RequestKind::Transfer].into_iter().find(|k| k.code() == code)
+    /// From the byte on the wire, which also tells the version.
+    pub fn from_code(code: u8) -> Option<(Self, Protocol)> {
+        let pairs = Protocol::ALL.into_iter().flat_map(|p| RequestKind::ALL.into_iter().map(move |k| (k, p)));
+        pairs.into_iter().find(|(kind, protocol)| kind.code(*protocol) == code)
     }
 }
 
 /// A request as it stands on the wire.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
+    /// Version whose codes it has.
+    pub protocol: Protocol,
     /// Direction of the payload.
     pub kind: RequestKind,
     /// Group of functions (bRequest).
@@ -91,9 +99,14 @@ pub struct Request {
 }
 
 impl Request {
+    /// First byte, which the answer repeats.
+    pub fn kind_code(&self) -> u8 {
+        self.kind.code(self.protocol)
+    }
+
     /// The bytes on the wire.
     pub fn encode(&self) -> Vec<u8> {
-        let mut bytes = vec![self.kind.code(), self.request];
+        let mut bytes = vec![self.kind_code(), self.request];
         for word in [self.value, self.index, self.length] {
             bytes.extend(word.to_le_bytes());
         }
@@ -105,14 +118,14 @@ impl Request {
     /// Bytes of payload that follow a header, from the header itself; `None` if the kind is unknown.
     pub fn payload_length(header: &[u8; REQUEST_HEADER_LENGTH]) -> Option<usize> {
         let length = usize::from(u16::from_le_bytes([header[6], header[7]]));
-        RequestKind::from_code(header[0]).map(|kind| if kind == RequestKind::Read { 0 } else { length })
+        RequestKind::from_code(header[0]).map(|(kind, _)| if kind == RequestKind::Read { 0 } else { length })
     }
 
     /// From one whole message.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         let short = DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + 2 };
         let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>().ok_or(short)?;
-        let kind = RequestKind::from_code(header[0]).ok_or(DecodeError::Kind { got: header[0] })?;
+        let (kind, protocol) = RequestKind::from_code(header[0]).ok_or(DecodeError::Kind { got: header[0] })?;
         let payload = Request::payload_length(header).unwrap_or(0);
         if rest.len() != payload + 2 {
             return Err(DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + payload + 2 });
@@ -122,7 +135,7 @@ impl Request {
         }
         let word = |i: usize| u16::from_le_bytes([header[i], header[i + 1]]);
         let payload = rest.get(..payload).unwrap_or(&[]).to_vec();
-        Ok(Request { kind, request: header[1], value: word(2), index: word(4), length: word(6), payload })
+        Ok(Request { protocol, kind, request: header[1], value: word(2), index: word(4), length: word(6), payload })
     }
 }
 
@@ -138,7 +151,9 @@ pub enum DecodeError {
         need: usize,
     },
     /// Unknown direction.
-    #[error("strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer)")]
+    #[error(
+        "strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer), in version 3 0x41, 0xc1 or 0xe1"
+    )]
     Kind {
         /// What was given.
         got: u8,
@@ -171,6 +186,11 @@ impl DataFormat {
 pub enum Command {
     /// USB ids and name.
     BoardInfo,
+    /// The same, cut or filled up with zeros to a length (version 3 only).
+    BoardInfoFixed {
+        /// Bytes wanted.
+        length: u16,
+    },
     /// Versions of firmware and protocol.
     FirmwareVersion,
     /// 16 bytes of identity.
@@ -179,7 +199,12 @@ pub enum Command {
     ExtendedVersion,
     /// How many components of a type the board has.
     ComponentCount {
-        /// Type, such as [`COMPONENT_AVIAN`].
+        /// Type, such as [`COMPONENT_AVIAN`](super::COMPONENT_AVIAN).
+        component: u16,
+    },
+    /// Which implementation of a component type the board has (version 3 only).
+    ComponentImplementation {
+        /// Type, such as [`COMPONENT_RADAR`].
         component: u16,
     },
     /// Index of the radar chip's data channel.
@@ -197,6 +222,13 @@ pub enum Command {
         address: u8,
         /// How many.
         count: u8,
+    },
+    /// Sets bits of a register and leaves its others as they are.
+    SetBits {
+        /// Register.
+        address: u8,
+        /// Bits to set.
+        mask: u32,
     },
     /// Pulls the chip's reset pin.
     HardwareReset,
@@ -232,12 +264,16 @@ const READ_BURST: u16 = function(1, 4);
 const DATA_INDEX: u16 = function(0, 2);
 const RESET_PIN: u16 = function(2, 5);
 const EXECUTE: u16 = function(3, 1);
+const SET_BITS: u16 = function(3, 2);
+/// Data index in version 3.
+const DATA_INDEX_V3: u16 = function(0, 7);
 
 impl Command {
-    /// As a request.
-    pub fn to_request(&self) -> Request {
+    /// As a request. What a version does not know is encoded as in the other: the board will refuse it.
+    pub fn to_request(&self, protocol: Protocol) -> Request {
         use RequestKind::{Read, Transfer, Write};
         let write = |request, value, index, payload: Vec<u8>| Request {
+            protocol,
             kind: Write,
             request,
             value,
@@ -248,26 +284,38 @@ impl Command {
         let transfer =
             |request, value, index, payload| Request { kind: Transfer, ..write(request, value, index, payload) };
         let read =
-            |request, value, index, length| Request { kind: Read, request, value, index, length, payload: Vec::new() };
+            |request, value, index, length| Request { kind: Read, length, ..write(request, value, index, vec![]) };
+        let avian = protocol.avian_value();
         match self {
             Command::BoardInfo => transfer(BOARD, 0, 0, Vec::new()),
+            Command::BoardInfoFixed { length } => read(BOARD, 0, 0, *length),
             Command::FirmwareVersion => read(BOARD, 1, 0, 16),
             Command::Uuid => read(BOARD, 2, 0, 16),
             Command::ExtendedVersion => transfer(BOARD, 3, 0, Vec::new()),
             Command::ComponentCount { component } => read(COMPONENT, 0, *component, 1),
-            Command::DataIndex => read(COMPONENT, COMPONENT_AVIAN, DATA_INDEX, 1),
+            Command::ComponentImplementation { component } => read(COMPONENT, *component, 0, 1),
+            Command::DataIndex if protocol == Protocol::V3 => read(COMPONENT, COMPONENT_RADAR, DATA_INDEX_V3, 1),
+            Command::DataIndex => read(COMPONENT, avian, DATA_INDEX, 1),
             Command::WriteRegisters { address, values } => {
                 let mut payload: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
                 payload.push(*address);
-                write(COMPONENT, COMPONENT_AVIAN, WRITE_BURST, payload)
+                write(COMPONENT, avian, WRITE_BURST, payload)
             }
             Command::ReadRegisters { address, count } => {
-                transfer(COMPONENT, COMPONENT_AVIAN, READ_BURST, vec![*count, *address])
+                let payload = match protocol {
+                    Protocol::V3 => vec![*address, *count],
+                    Protocol::V4 => vec![*count, *address],
+                };
+                transfer(COMPONENT, avian, READ_BURST, payload)
             }
-            Command::HardwareReset => write(COMPONENT, COMPONENT_AVIAN, RESET_PIN, Vec::new()),
+            Command::SetBits { address, mask } => {
+                let word = u32::from(*address) << 24 | mask & 0xFF_FFFF;
+                write(COMPONENT, avian, SET_BITS, word.to_le_bytes().to_vec())
+            }
+            Command::HardwareReset => write(COMPONENT, avian, RESET_PIN, Vec::new()),
             Command::Execute { words, answer } => {
                 let payload = words.iter().flat_map(|w| w.to_bytes()).collect();
-                let request = write(COMPONENT, COMPONENT_AVIAN, EXECUTE, payload);
+                let request = write(COMPONENT, avian, EXECUTE, payload);
                 Request { kind: if *answer { Transfer } else { Write }, ..request }
             }
             Command::ConfigureData { format, slice_samples } => {
@@ -285,16 +333,20 @@ impl Command {
     /// From a request, or the status that the board answers to one that it does not know.
     pub fn from_request(request: &Request) -> Result<Self, Status> {
         use RequestKind::{Read, Transfer, Write};
-        let Request { kind, payload, .. } = request;
+        let Request { protocol, kind, payload, .. } = request;
+        let is_v3 = *protocol == Protocol::V3;
         match (request.request, *kind, request.value, request.index) {
             (BOARD, Transfer, 0, _) => Ok(Command::BoardInfo),
+            (BOARD, Read, 0, _) if is_v3 => Ok(Command::BoardInfoFixed { length: request.length }),
             (BOARD, Read, 1, _) => Ok(Command::FirmwareVersion),
             (BOARD, Read, 2, _) => Ok(Command::Uuid),
             (BOARD, Transfer, 3, _) => Ok(Command::ExtendedVersion),
             (BOARD, ..) => Err(Status::RequestValueInvalid),
-            (COMPONENT, Read, 0, component) => Ok(Command::ComponentCount { component }),
-            (COMPONENT, _, COMPONENT_AVIAN, index) => match (index, *kind) {
-                (DATA_INDEX, Read) => Ok(Command::DataIndex),
+            (COMPONENT, Read, 0, component) if !is_v3 => Ok(Command::ComponentCount { component }),
+            (COMPONENT, Read, component, 0) if is_v3 => Ok(Command::ComponentImplementation { component }),
+            (COMPONENT, Read, COMPONENT_RADAR, DATA_INDEX_V3) if is_v3 => Ok(Command::DataIndex),
+            (COMPONENT, _, component, index) if component == protocol.avian_value() => match (index, *kind) {
+                (DATA_INDEX, Read) if !is_v3 => Ok(Command::DataIndex),
                 (WRITE_BURST, Write) => match payload.split_last() {
                     Some((&address, values)) if values.len() % 4 == 0 && !values.is_empty() => {
                         let values = values.as_chunks::<4>().0.iter().map(|v| u32::from_le_bytes(*v)).collect();
@@ -303,7 +355,12 @@ impl Command {
                     _ => Err(Status::RequestPayloadInvalid),
                 },
                 (READ_BURST, Transfer) => match payload.as_slice() {
+                    &[address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
                     &[count, address] => Ok(Command::ReadRegisters { address, count }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (SET_BITS, Write) => match payload.as_slice() {
+                    &[a, b, c, address] => Ok(Command::SetBits { address, mask: u32::from_le_bytes([a, b, c, 0]) }),
                     _ => Err(Status::RequestPayloadInvalid),
                 },
                 (RESET_PIN, Write) => Ok(Command::HardwareReset),

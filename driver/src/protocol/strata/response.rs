@@ -2,7 +2,6 @@
 
 use thiserror::Error;
 
-use super::RequestKind;
 use crate::protocol::crc::crc16;
 
 macro_rules! statuses {
@@ -135,14 +134,9 @@ pub struct Response<'a> {
     pub payload: &'a [u8],
 }
 
-impl<'a> Response<'a> {
+impl Response<'_> {
     /// Bytes before the payload.
     pub const HEADER_LENGTH: usize = 4;
-
-    /// An answer to a request of this kind.
-    pub fn new(kind: RequestKind, status: Status, payload: &'a [u8]) -> Self {
-        Response { kind_code: kind.code(), status, payload }
-    }
 
     /// Appends the bytes on the wire. Payloads longer than a message allows are the caller's fault and are cut.
     pub fn encode(&self, out: &mut Vec<u8>) {

@@ -65,7 +65,7 @@ fn requests_of_the_session_are_those_of_the_vendor_client() {
     let sent: Vec<_> = transcript.into_iter().filter(|(host, _)| *host).map(|(_, bytes)| bytes).collect();
     assert_eq!(sent.len(), session().len());
     for (bytes, command) in sent.iter().zip(session()) {
-        assert_eq!(&command.to_request().encode(), bytes, "{command:?}");
+        assert_eq!(&command.to_request(Protocol::V4).encode(), bytes, "{command:?}");
         let request = Request::decode(bytes).expect("decodes");
         assert_eq!(Command::from_request(&request), Ok(command));
     }
@@ -153,7 +153,7 @@ proptest! {
     #[test]
     fn arbitrary_bytes_do_not_panic(bytes in prop::collection::vec(any::<u8>(), 0..2000), piece in 1usize..300) {
         counters(&bytes, piece);
-        let mut host = HostParser::new();
+        let mut host = HostParser::new(Protocol::V4);
         for piece in bytes.chunks(piece) {
             host.push(piece);
             while host.next_event().is_some() {}
@@ -169,8 +169,9 @@ proptest! {
         (value, index) in (prop::sample::select(vec![0u16, 1, 2, 3, 4, 0x103]), any::<u16>()),
         payload in prop::collection::vec(any::<u8>(), 0..30),
     ) {
+        let protocol = Protocol::ALL[usize::from(index % 2)];
         let kind = [RequestKind::Write, RequestKind::Read, RequestKind::Transfer][kind];
-        let _ = Command::from_request(&Request { kind, request, value, index, length: 0, payload });
+        let _ = Command::from_request(&Request { protocol, kind, request, value, index, length: 0, payload });
     }
 
     /// What lies between garbage is found, whatever the garbage and however the bytes are delivered.
