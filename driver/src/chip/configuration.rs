@@ -313,24 +313,13 @@ impl ChipConfiguration {
             content(CS2, &standby(CS2::BG_TMRF_EN, CS2::BG_EN)),
             content(CS3, &standby(CS3::BG_TMRF_EN, CS3::BG_EN)),
             content(CS4, &standby(CS4::BG_TMRF_EN, CS4::BG_EN)),
-            content(
-                CCR0,
-                &[(CCR0::TR_INIT1, 70), (CCR0::REPT, 15), (CCR0::CONT_MODE, 1), (CCR0::TMREND, 14)],
-            ),
+            content(CCR0, &[(CCR0::TR_INIT1, 70), (CCR0::REPT, 15), (CCR0::CONT_MODE, 1), (CCR0::TMREND, 14)]),
             content(
                 CCR1,
-                &[
-                    (CCR1::TFED_MUL, fed_mul),
-                    (CCR1::TFED, fed),
-                    (CCR1::PD_MODE, frame_power_mode),
-                    (CCR1::TMRSTRT, 10),
-                ],
+                &[(CCR1::TFED_MUL, fed_mul), (CCR1::TFED, fed), (CCR1::PD_MODE, frame_power_mode), (CCR1::TMRSTRT, 10)],
             ),
             content(CCR2, &[(CCR2::FRAME_LEN, frame_len)]),
-            content(
-                CCR3,
-                &[(CCR3::TR_MUL0, 1), (CCR3::TR_INIT0, 225), (CCR3::T_SSTRT, 31), (CCR3::T_PAEN, 30)],
-            ),
+            content(CCR3, &[(CCR3::TR_MUL0, 1), (CCR3::TR_INIT0, 225), (CCR3::T_SSTRT, 31), (CCR3::T_PAEN, 30)]),
             content(PLL1_0, &[(PLL1_0::FSU, fsu)]),
             content(PLL1_1, &[(PLL1_1::RSU, rsu)]),
             content(PLL1_2, &[(PLL1_2::RTU, rtu_field)]),
