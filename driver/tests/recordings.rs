@@ -158,7 +158,13 @@ fn record(path: &Path, finish: bool) -> Option<recording::mcap::RecordingSummary
 const GAP: Gap = Gap { first_sequence: 10, frames: 2, reason: GapReason::Crc };
 
 fn label(name: &str, start_s: f64) -> LabelSpan {
-    LabelSpan { start_s, end_s: start_s + 1.0, label: name.into(), who: Some("test".into()), confidence: Some(0.1) }
+    LabelSpan {
+        who: Some("test".into()),
+        confidence: Some(0.1),
+        made_ns: Some(1_767_683_775_123_456_789),
+        note: Some("behind the desk".into()),
+        ..LabelSpan::new(start_s, start_s + 1.0, name)
+    }
 }
 
 #[test]

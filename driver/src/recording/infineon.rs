@@ -13,8 +13,8 @@ use std::path::{Path, PathBuf};
 
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
-use super::{RecordingError, first_index, time_ns};
 use super::vendor_config::read_waveform;
+use super::{RecordingError, first_index, time_ns};
 
 pub use writer::InfineonWriter;
 
@@ -284,7 +284,8 @@ fn parse_time_ns(text: &str) -> Option<u64> {
         let seconds: f64 = text.parse().ok()?;
         return (0.0..1e10).contains(&seconds).then_some((seconds * 1e9).round() as u64);
     }
-    let nanoseconds = fraction.bytes().chain(std::iter::repeat(b'0')).take(9).fold(0, |n, b| 10 * n + u64::from(b - b'0'));
+    let nanoseconds =
+        fraction.bytes().chain(std::iter::repeat(b'0')).take(9).fold(0, |n, b| 10 * n + u64::from(b - b'0'));
     whole.parse::<u64>().ok()?.checked_mul(1_000_000_000)?.checked_add(nanoseconds)
 }
 

@@ -15,8 +15,10 @@
 //! written as a whole every second of board time or 4 MB, so that a recording can be read up to its last chunk whenever
 //! its writer dies. Nothing depends on the wall clock: the same frames give the same bytes.
 
+mod index;
 mod reader;
 mod recorder;
+mod records;
 
 pub use reader::McapReader;
 pub use recorder::{Recorder, RecordingSummary};
@@ -69,6 +71,24 @@ pub struct LabelSpan {
     /// How sure, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<f64>,
+    /// When it was said, ns since 1970.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub made_ns: Option<u64>,
+    /// What else there is to say.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub note: Option<String>,
+}
+
+impl LabelSpan {
+    /// A label by nobody in particular.
+    pub fn new(start_s: f64, end_s: f64, label: impl Into<String>) -> Self {
+        LabelSpan { start_s, end_s, label: label.into(), who: None, confidence: None, made_ns: None, note: None }
+    }
+
+    /// The class that the label names; none if it is free text.
+    pub fn occupancy(&self) -> Option<Occupancy> {
+        Occupancy::from_name(&self.label)
+    }
 }
 
 fn encode_frame(frame: &Frame, out: &mut Vec<u8>) {
@@ -120,4 +140,18 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     frame.truth = truth;
     frame.temperature_millicelsius = (flags & 2 != 0).then_some(temperature);
     Ok(())
+}
+
+/// Number and board time of a frame.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Position {
+    sequence: u64,
+    time_ns: u64,
+}
+
+/// Where a frame stands, without decoding it; `None` if it is shorter than a header.
+fn frame_position(bytes: &[u8]) -> Option<Position> {
+    let header: &[u8; FRAME_HEADER] = bytes.first_chunk()?;
+    let long = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b));
+    Some(Position { sequence: long(12)?, time_ns: long(20)? })
 }

@@ -12,8 +12,8 @@ mod writer;
 use std::path::{Path, PathBuf};
 
 pub use opened::Recording;
-pub use writer::{Format, RecordingWriter, WriteReport};
 pub(crate) use writer::Tally;
+pub use writer::{Format, RecordingWriter, WriteReport};
 
 use radome_dsp::{FrameSource, WaveformError};
 use thiserror::Error;
@@ -186,7 +186,7 @@ fn time_ns(time_s: f64) -> u64 {
 }
 
 /// The first of `count` indices for which something holds that then holds for all that follow; `count` if there is none.
-fn first_index(count: u64, holds: impl Fn(u64) -> bool) -> u64 {
+fn first_index(count: u64, mut holds: impl FnMut(u64) -> bool) -> u64 {
     let (mut low, mut high) = (0, count);
     while low < high {
         let middle = low + (high - low) / 2;

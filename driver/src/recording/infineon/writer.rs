@@ -1,0 +1,226 @@
+//! Writing the vendor's folder.
+
+use std::fs::File;
+use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Frame, Gap};
+use serde_json::json;
+
+use super::{FIRST_UNIX_NS, SUPPORTED_VERSION, nominal_time_ns};
+use crate::recording::mcap::{LabelSpan, RecordingHeader};
+use crate::recording::partial::Partial;
+use crate::recording::vendor_config::{write_file, write_json, write_waveform};
+use crate::recording::{RecordingError, Tally, WriteReport};
+
+/// Header of an NPY file of this shape: 128 bytes for any number of frames, so that it can be written last.
+fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
+    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    bytes.extend(format!("{header:<117}\n").as_bytes());
+    bytes
+}
+
+/// Writes a session's folder with one radar. It appears under its name when [`InfineonWriter::finish`] has made it
+/// whole, and not at all otherwise.
+///
+/// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures. It
+/// numbers frames without their gaps and knows neither labels nor truth.
+#[derive(Debug)]
+pub struct InfineonWriter {
+    partial: Partial,
+    folder: PathBuf,
+    data: PathBuf,
+    file: BufWriter<File>,
+    header: RecordingHeader,
+    bytes: Vec<u8>,
+    /// Board's and host's time of each frame, ns.
+    times_ns: Vec<(u64, u64)>,
+    /// Frame and temperature in thousandths of a degree Celsius, where it changed.
+    temperatures: Vec<(usize, i32)>,
+    tally: Tally,
+}
+
+impl InfineonWriter {
+    /// Starts a folder. One that exists must be empty.
+    pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
+        if path.exists() && std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()) {
+            return Err(RecordingError::Occupied { path: path.to_owned() });
+        }
+        let partial = Partial::new(path)?;
+        let folder = partial.path().join("RadarIfxAvian_00");
+        std::fs::create_dir(partial.path())
+            .and_then(|()| std::fs::create_dir(&folder))
+            .map_err(RecordingError::cannot_write(path))?;
+        let data = folder.join("radar.npy");
+        let mut file = BufWriter::new(File::create(&data).map_err(RecordingError::cannot_write(&data))?);
+        file.write_all(&[0; 128]).map_err(RecordingError::cannot_write(&data))?;
+        Ok(InfineonWriter {
+            partial,
+            folder,
+            data,
+            file,
+            header: header.clone(),
+            bytes: Vec::new(),
+            times_ns: Vec::new(),
+            temperatures: Vec::new(),
+            tally: Tally::default(),
+        })
+    }
+
+    /// Adds a frame.
+    pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
+        self.tally.frame(&self.data, self.header.waveform.shape(), frame)?;
+        self.bytes.clear();
+        self.bytes.extend(frame.codes.iter().flat_map(|code| code.to_le_bytes()));
+        self.file.write_all(&self.bytes).map_err(RecordingError::cannot_write(&self.data))?;
+        if let Some(now) = frame.temperature_millicelsius
+            && self.temperatures.last().is_none_or(|(_, last)| *last != now)
+        {
+            self.temperatures.push((self.times_ns.len(), now));
+        }
+        self.times_ns.push((frame.time_ns, frame.host_time_ns));
+        Ok(())
+    }
+
+    /// Takes note of a gap, which the format cannot hold.
+    pub fn gap(&mut self, gap: &Gap) {
+        self.tally.gap(gap);
+    }
+
+    /// Takes note of a label, which the format cannot hold.
+    pub fn label(&mut self, _: &LabelSpan) {
+        self.tally.labels += 1;
+    }
+
+    /// Completes the folder.
+    pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
+        let frames = self.times_ns.len();
+        let shape = self.header.waveform.shape();
+        let shape_text = format!("({frames}, {}, {}, {})", shape.rx, shape.chirps, shape.samples);
+        let cannot = || RecordingError::cannot_write(&self.data);
+        self.file.seek(SeekFrom::Start(0)).map_err(cannot())?;
+        self.file.write_all(&npy_header("<u2", &shape_text)).map_err(cannot())?;
+        self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
+        let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
+
+        let mut unheld = self.tally.unheld();
+        let stamps_ns = self.stamps(&mut unheld);
+        if let Some(stamps_ns) = &stamps_ns {
+            write_seconds(&self.folder.join("radar_timestamp.csv"), stamps_ns.iter().copied())?;
+            self.write_temperatures(stamps_ns)?;
+        } else if !self.temperatures.is_empty() {
+            unheld.push("temperatures, for want of times".into());
+        }
+        if !self.header.registers.is_empty() {
+            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+        }
+        self.write_descriptions()?;
+        self.partial.finish()?;
+        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+    }
+
+    /// Times to write; `None` where they say no more than the frame interval does, or go backwards.
+    fn stamps(&self, unheld: &mut Vec<String>) -> Option<Vec<u64>> {
+        let board: Vec<u64> = self.times_ns.iter().map(|t| t.0).collect();
+        let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
+        let has_host = host.iter().any(|t| *t > 0);
+        if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() {
+            let first = host.first().copied().unwrap_or(0);
+            if host.iter().zip(&board).any(|(host, board)| host - first != *board) {
+                unheld.push("times by the board's clock (the host's are kept)".into());
+            }
+            return Some(host);
+        }
+        if has_host {
+            unheld.push("times by the host's clock, absent from some frames or going backwards".into());
+        }
+        if !board.is_sorted() || board.iter().any(|t| *t >= FIRST_UNIX_NS) {
+            unheld.push("times by the board's clock, which go backwards".into());
+            return None;
+        }
+        let nominal = |(index, time): (usize, &u64)| nominal_time_ns(&self.header.waveform, index as u64) == *time;
+        (!self.temperatures.is_empty() || !board.iter().enumerate().all(nominal)).then_some(board)
+    }
+
+    fn write_temperatures(&self, stamps_ns: &[u64]) -> Result<(), RecordingError> {
+        if self.temperatures.is_empty() {
+            return Ok(());
+        }
+        let mut bytes = npy_header("<f8", &format!("({},)", self.temperatures.len()));
+        bytes.extend(self.temperatures.iter().flat_map(|(_, milli)| (f64::from(*milli) / 1e3).to_le_bytes()));
+        write_file(&self.folder.join("temperature.npy"), &bytes)?;
+        let times = self.temperatures.iter().filter_map(|(index, _)| stamps_ns.get(*index).copied());
+        write_seconds(&self.folder.join("temperature_timestamp.csv"), times)
+    }
+
+    fn write_descriptions(&self) -> Result<(), RecordingError> {
+        let board = self.header.board.as_ref();
+        write_waveform(&self.header.waveform, &self.folder.join("config.json"))?;
+        write_json(
+            &self.folder.join("meta.json"),
+            &json!({
+                "adc_resolution": 12,
+                "description": "BGT60TR13C FMCW Radar Sensor",
+                "firmware_version": board.map_or("", |b| b.firmware_version.as_str()),
+                "sdk_version": concat!("radome ", env!("CARGO_PKG_VERSION")),
+                "uuid": board.map_or("0", |b| b.uuid.as_str()),
+            }),
+        )?;
+        // Nothing of the machine that writes: the same recording gives the same folder.
+        write_json(
+            &self.partial.path().join("meta.json"),
+            &json!({
+                "date_captured": self.times_ns.first().filter(|t| t.1 > 0).map(|t| iso_8601(t.1 / 1_000_000_000)),
+                "hostname": "unknown",
+                "ifxdaq_version": "1.0.0",
+                "machine": "",
+                "os": "",
+                "os_version": "",
+                "username": "",
+            }),
+        )?;
+        // Last: without it the folder is not read.
+        write_file(&self.folder.join("format.version"), format!("{SUPPORTED_VERSION}\n").as_bytes())
+    }
+}
+
+fn write_seconds(path: &Path, times_ns: impl Iterator<Item = u64>) -> Result<(), RecordingError> {
+    let mut text = String::new();
+    for time in times_ns {
+        text += &format!("{}.{:09}\n", time / 1_000_000_000, time % 1_000_000_000);
+    }
+    write_file(path, text.as_bytes())
+}
+
+/// UTC, as the vendor spells it. The date by H. Hinnant, "chrono-compatible low-level date algorithms", `civil_from_days`.
+fn iso_8601(unix_s: u64) -> String {
+    let (days, second) = (unix_s / 86_400 + 719_468, unix_s % 86_400);
+    let (era, day_of_era) = (days / 146_097, days % 146_097);
+    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
+    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let month_from_march = (5 * day_of_year + 2) / 153;
+    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
+    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
+    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}+0000")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `date -u -d @SECONDS +%FT%T+0000`
+    #[test]
+    fn dates_are_those_of_the_calendar() {
+        for (unix_s, date) in [
+            (0, "1970-01-01T00:00:00+0000"),
+            (951_782_399, "2000-02-28T23:59:59+0000"),
+            (951_868_800, "2000-03-01T00:00:00+0000"),
+            (1_767_683_775, "2026-01-06T07:16:15+0000"),
+        ] {
+            assert_eq!(iso_8601(unix_s), date);
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! Where the chunks are: from the summary at the end of a finished file, else by going from record to record.
+
+use std::collections::BTreeMap;
+
+use mcap::records::{Record, op};
+
+use super::Position;
+use super::records::{Next, RECORD_HEADER, Records, Topic};
+use crate::recording::RecordingError;
+
+/// Footer record and magic: the end of every finished file.
+const FOOTER: u64 = RECORD_HEADER + 20 + 8;
+
+/// A chunk.
+#[derive(Debug)]
+pub(super) struct Chunk {
+    pub offset: u64,
+    pub has_labels: bool,
+    /// Its first frame, once somebody has looked: none if it holds no frame that can be read.
+    pub first: Option<Option<Position>>,
+}
+
+#[derive(Debug)]
+pub(super) struct Index {
+    pub chunks: Vec<Chunk>,
+    pub frames: u64,
+    /// Whether the file was finished.
+    pub complete: bool,
+}
+
+impl Index {
+    /// Finds the chunks of a file.
+    pub fn read(records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<Self, RecordingError> {
+        let summary_start = summary_start(records)?;
+        if let Some(start) = summary_start.filter(|start| *start > 0)
+            && let Some(index) = from_summary(records, start, channels)?
+        {
+            return Ok(index);
+        }
+        scan(records, summary_start.is_some(), channels)
+    }
+}
+
+/// Start of the summary, 0 if the file has none; `None` if the file was never finished.
+fn summary_start(records: &mut Records) -> Result<Option<u64>, RecordingError> {
+    let mut footer = [0; FOOTER as usize];
+    let Some(at) = records.length.checked_sub(FOOTER) else { return Ok(None) };
+    if records.peek(at, &mut footer)? != footer.len() {
+        return Ok(None);
+    }
+    let ([opcode, rest @ ..], ends) = (&footer, footer.ends_with(mcap::MAGIC));
+    let number = |at: usize| rest.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+    Ok((ends && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
+}
+
+/// The index that the writer left; `None` if it contradicts the file or itself.
+fn from_summary(
+    records: &mut Records,
+    start: u64,
+    channels: &BTreeMap<u16, Topic>,
+) -> Result<Option<Index>, RecordingError> {
+    if start >= records.length {
+        return Ok(None);
+    }
+    records.go_to(start)?;
+    let (mut body, mut chunks, mut statistics) = (Vec::new(), Vec::new(), None);
+    let mut end = 0;
+    loop {
+        match records.next(&mut body, |opcode| matches!(opcode, op::CHUNK_INDEX | op::STATISTICS)) {
+            Ok(Next::Record(opcode @ (op::CHUNK_INDEX | op::STATISTICS), _)) => match mcap::parse_record(opcode, &body)
+            {
+                Ok(Record::ChunkIndex(chunk)) => {
+                    // In order, and none on top of another.
+                    if chunk.chunk_start_offset < end.max(8) || chunk.chunk_start_offset >= start {
+                        return Ok(None);
+                    }
+                    end = chunk.chunk_start_offset.saturating_add(chunk.chunk_length);
+                    let mut topics = chunk.message_index_offsets.keys().filter_map(|id| channels.get(id));
+                    let has_labels = topics.any(|topic| *topic == Topic::Label);
+                    chunks.push(Chunk { offset: chunk.chunk_start_offset, has_labels, first: None });
+                }
+                Ok(Record::Statistics(found)) => statistics = Some(found),
+                _ => return Ok(None),
+            },
+            Ok(Next::Record(..)) => {}
+            Ok(Next::End) => break,
+            Ok(Next::CutShort) | Err(RecordingError::Corrupt { .. }) => return Ok(None),
+            Err(error) => return Err(error),
+        }
+    }
+    let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
+    let frames = statistics.channel_message_counts.iter().filter(|(id, _)| channels.get(id) == Some(&Topic::Frame));
+    let frames = frames.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
+    Ok(Some(Index { chunks, frames, complete: true }))
+}
+
+/// Goes through the file; chunks themselves are passed over.
+fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>) -> Result<Index, RecordingError> {
+    records.go_to(8)?;
+    let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false });
+    loop {
+        match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX)? {
+            Next::Record(op::CHUNK, offset) => index.chunks.push(Chunk { offset, has_labels: false, first: None }),
+            Next::Record(op::MESSAGE_INDEX, _) => {
+                let Ok(Record::MessageIndex(messages)) = mcap::parse_record(op::MESSAGE_INDEX, &body) else { continue };
+                match channels.get(&messages.channel_id) {
+                    Some(Topic::Frame) => index.frames += messages.records.len() as u64,
+                    Some(Topic::Label) => {
+                        if let Some(chunk) = index.chunks.last_mut() {
+                            chunk.has_labels = true;
+                        }
+                    }
+                    _ => {}
+                }
+            }
+            Next::Record(..) => {}
+            Next::End => {
+                index.complete = has_footer;
+                return Ok(index);
+            }
+            Next::CutShort => return Ok(index),
+        }
+    }
+}

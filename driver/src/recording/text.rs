@@ -1,0 +1,291 @@
+//! The text recording of the vendor's SDK application (`-r NAME`): one code a line, divided by 4095 and with six decimals,
+//! in the order receiver, chirp, sample; an empty line after each chirp. `NAME_config.json` beside it holds the waveform.
+//! It knows no times, numbers, gaps, labels or truth.
+//!
+//! Every value is as wide as every other, so that frames are found by offset.
+
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::{BufReader, BufWriter, Read, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceError, SourceEvent, Waveform};
+
+use super::mcap::{LabelSpan, RecordingHeader};
+use super::partial::Partial;
+use super::vendor_config::{read_waveform, write_waveform};
+use super::{RecordingError, Tally, WriteReport, first_index, time_ns};
+
+/// Characters of a value: `0.123456`.
+const VALUE: usize = 8;
+/// One, in the last decimal.
+const SCALE: u32 = 1_000_000;
+
+/// `NAME_config.json`.
+fn config_name(path: &Path) -> PathBuf {
+    let mut name = OsString::from(path.file_name().unwrap_or_default());
+    name.push("_config.json");
+    path.with_file_name(name)
+}
+
+/// The configuration that belongs to a text recording: `NAME_config.json`, or the same without NAME's extension.
+pub(super) fn config_path(path: &Path) -> Option<PathBuf> {
+    [config_name(path), config_name(&path.with_extension(""))].into_iter().find(|path| path.is_file())
+}
+
+/// Reads the vendor's text recording frame by frame.
+#[derive(Debug)]
+pub struct TextReader {
+    path: PathBuf,
+    file: BufReader<File>,
+    length: u64,
+    /// Characters of a line's end: 1, or 2 where the file has been on Windows.
+    line_end: usize,
+    waveform: Waveform,
+    next: u64,
+    bytes: Vec<u8>,
+}
+
+impl TextReader {
+    /// Opens a text recording; its configuration lies beside it.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let config = config_path(path).ok_or_else(|| RecordingError::Missing { path: config_name(path) })?;
+        let waveform = read_waveform(&config)?;
+        let mut file = BufReader::new(File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?);
+        let length = file.get_ref().metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
+        let mut line = Vec::new();
+        let prelude = VALUE as u64 + 2;
+        file.by_ref().take(prelude).read_to_end(&mut line).map_err(RecordingError::io(path, "cannot be read"))?;
+        file.seek(SeekFrom::Start(0)).map_err(RecordingError::io(path, "cannot be read"))?;
+        let line_end = match line.get(VALUE..) {
+            Some([b'\r', b'\n']) => 2,
+            Some([b'\n', _]) => 1,
+            _ if length == 0 => 1,
+            _ => {
+                let reason = "the first line is no value with six decimals, such as 0.512345".into();
+                return Err(RecordingError::Corrupt { path: path.to_owned(), offset: 0, reason });
+            }
+        };
+        let mut reader =
+            TextReader { path: path.to_owned(), file, length, line_end, waveform, next: 0, bytes: Vec::new() };
+        reader.bytes = vec![0; reader.frame_bytes()];
+        Ok(reader)
+    }
+
+    fn frame_bytes(&self) -> usize {
+        let shape = self.waveform.shape();
+        shape.codes() * (VALUE + self.line_end) + shape.rx * shape.chirps * self.line_end
+    }
+
+    fn whole_frames(&self) -> u64 {
+        self.length / self.frame_bytes().max(1) as u64
+    }
+
+    /// Goes to a frame by its number; behind the last one, to the end.
+    pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
+        self.next = sequence.min(self.whole_frames());
+        let offset = self.next * self.frame_bytes() as u64;
+        self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        Ok(())
+    }
+
+    /// Goes to the first frame at or after this time by the frame interval, s.
+    pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
+        let time_ns = time_ns(time_s);
+        self.seek_frame(first_index(self.whole_frames(), |index| self.time_ns(index) >= time_ns))
+    }
+
+    fn time_ns(&self, index: u64) -> u64 {
+        (index as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64
+    }
+
+    fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
+        let start = self.next * self.frame_bytes() as u64;
+        if self.next >= self.whole_frames() {
+            if self.length > start {
+                return Err(RecordingError::Truncated {
+                    path: self.path.clone(),
+                    offset: self.length,
+                    whole_frames: self.next,
+                    expected_frames: self.next + 1,
+                });
+            }
+            return Ok(SourceEvent::End);
+        }
+        self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.path, "cannot be read"))?;
+        frame.shape = self.waveform.shape();
+        frame.codes.clear();
+        let end: &[u8] = if self.line_end == 2 { b"\r\n" } else { b"\n" };
+        let chirp_bytes = frame.shape.samples * (VALUE + self.line_end) + self.line_end;
+        let corrupt = |offset: usize, reason: &str| RecordingError::Corrupt {
+            path: self.path.clone(),
+            offset: start + offset as u64,
+            reason: reason.into(),
+        };
+        for (index, chirp) in self.bytes.chunks_exact(chirp_bytes.max(1)).enumerate() {
+            let (values, blank) = chirp.split_at(chirp.len() - self.line_end);
+            for (line, value) in values.chunks_exact(VALUE + self.line_end).enumerate() {
+                let (number, line_end) = value.split_at(VALUE);
+                let code = parse_code(number).filter(|_| line_end == end).ok_or_else(|| {
+                    let offset = index * chirp_bytes + line * value.len();
+                    corrupt(offset, "expected a line such as 0.512345: a code of 0 to 4095, divided by 4095")
+                })?;
+                frame.codes.push(code);
+            }
+            if blank != end {
+                return Err(corrupt(index * chirp_bytes + values.len(), "expected an empty line after each chirp"));
+            }
+        }
+        frame.sequence = self.next;
+        frame.time_ns = self.time_ns(self.next);
+        frame.host_time_ns = 0;
+        frame.truth = None;
+        frame.temperature_millicelsius = None;
+        self.next += 1;
+        Ok(SourceEvent::Frame)
+    }
+}
+
+impl FrameSource for TextReader {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        Ok(self.read_next(frame)?)
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        Some(self.whole_frames())
+    }
+}
+
+/// A code as text; millionths, rounded.
+fn millionths(code: u16) -> u32 {
+    (u32::from(code) * SCALE + u32::from(MAX_CODE) / 2) / u32::from(MAX_CODE)
+}
+
+/// The code that a value stands for. Single precision may have rounded the last decimal either way.
+fn parse_code(text: &[u8]) -> Option<u16> {
+    let [whole @ b'0'..=b'1', b'.', decimals @ ..] = text else { return None };
+    if decimals.len() != 6 || !decimals.iter().all(u8::is_ascii_digit) {
+        return None;
+    }
+    let value = decimals.iter().fold(u32::from(whole - b'0'), |n, d| 10 * n + u32::from(d - b'0'));
+    let code = (u64::from(value) * u64::from(MAX_CODE) + u64::from(SCALE / 2)) / u64::from(SCALE);
+    let code = u16::try_from(code).ok()?;
+    (code <= MAX_CODE && millionths(code).abs_diff(value) <= 1).then_some(code)
+}
+
+/// Writes the vendor's text recording. It appears under its name when [`TextWriter::finish`] has made it whole, and not at
+/// all otherwise.
+#[derive(Debug)]
+pub struct TextWriter {
+    partial: Partial,
+    partial_config: Partial,
+    file: BufWriter<File>,
+    path: PathBuf,
+    header: RecordingHeader,
+    /// Every code as a line.
+    lines: Vec<[u8; VALUE + 1]>,
+    tally: Tally,
+    timed: bool,
+    temperatures: bool,
+}
+
+impl TextWriter {
+    /// Starts a text file and its configuration.
+    pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
+        let (partial, partial_config) = (Partial::new(path)?, Partial::new(&config_name(path))?);
+        let file = File::create(partial.path()).map_err(RecordingError::cannot_write(path))?;
+        write_waveform(&header.waveform, partial_config.path())?;
+        let line = |code| {
+            let mut line = *b"0.000000\n";
+            let mut rest = millionths(code);
+            for digit in [7, 6, 5, 4, 3, 2, 0] {
+                line[digit] = b'0' + (rest % 10) as u8;
+                rest /= 10;
+            }
+            line
+        };
+        Ok(TextWriter {
+            partial,
+            partial_config,
+            file: BufWriter::new(file),
+            path: path.to_owned(),
+            header: header.clone(),
+            lines: (0..=MAX_CODE).map(line).collect(),
+            tally: Tally::default(),
+            timed: false,
+            temperatures: false,
+        })
+    }
+
+    /// Adds a frame.
+    pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
+        self.tally.frame(&self.path, self.header.waveform.shape(), frame)?;
+        self.timed |= frame.host_time_ns > 0
+            || frame.time_ns != (frame.sequence as f64 * self.header.waveform.frame_interval_s() * 1e9).round() as u64;
+        self.temperatures |= frame.temperature_millicelsius.is_some();
+        for chirp in frame.codes.chunks(frame.shape.samples.max(1)) {
+            for line in chirp.iter().filter_map(|code| self.lines.get(usize::from(*code))) {
+                self.file.write_all(line).map_err(RecordingError::cannot_write(&self.path))?;
+            }
+            self.file.write_all(b"\n").map_err(RecordingError::cannot_write(&self.path))?;
+        }
+        Ok(())
+    }
+
+    /// Takes note of a gap, which the format cannot hold.
+    pub fn gap(&mut self, gap: &Gap) {
+        self.tally.gap(gap);
+    }
+
+    /// Takes note of a label, which the format cannot hold.
+    pub fn label(&mut self, _: &LabelSpan) {
+        self.tally.labels += 1;
+    }
+
+    /// Completes the file and its configuration.
+    pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
+        let cannot = || RecordingError::cannot_write(&self.path);
+        self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
+        let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
+        let mut unheld = self.tally.unheld();
+        if self.timed {
+            unheld.push("the times of the frames".into());
+        }
+        if self.temperatures {
+            unheld.push("temperatures".into());
+        }
+        if !self.header.registers.is_empty() {
+            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+        }
+        // The samples last: without them there is no recording.
+        self.partial_config.finish()?;
+        self.partial.finish()?;
+        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the formula, in f64 and in the single precision of a C program.
+    #[test]
+    fn every_code_survives_six_decimals() {
+        for code in 0..=MAX_CODE {
+            for value in [f64::from(code) / 4095.0, f64::from(f32::from(code) / 4095.0)] {
+                assert_eq!(parse_code(format!("{value:.6}").as_bytes()), Some(code));
+            }
+            assert_eq!(
+                format!("{:.6}", f64::from(code) / 4095.0),
+                format!("0.{:06}", millionths(code)).replace("0.1000000", "1.000000")
+            );
+        }
+        for wrong in ["0.000100", "1.000244", "2.000000", "0.00000x", "-0.00000", "0,512345"] {
+            assert_eq!(parse_code(wrong.as_bytes()), None, "{wrong}");
+        }
+    }
+}

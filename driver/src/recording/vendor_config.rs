@@ -1,0 +1,145 @@
+//! `config.json` as the vendor's tools write it, beside folders and text files alike.
+
+use std::io::Write;
+use std::path::Path;
+
+use radome_dsp::{RxMask, Waveform, WaveformRequest};
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::RecordingError;
+
+/// Fields of a configuration under their new and old names.
+struct Fields<'a> {
+    path: &'a Path,
+    object: &'a Value,
+}
+
+impl Fields<'_> {
+    fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
+        RecordingError::Field { path: self.path.to_owned(), field: field.to_owned(), reason: reason.into() }
+    }
+
+    fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
+        match self.object.get(field) {
+            None | Some(Value::Null) => Ok(None),
+            // Some recorders write numbers as text.
+            Some(Value::String(text)) => match text.trim().parse() {
+                Ok(number) => Ok(Some(number)),
+                Err(_) => Err(self.error(field, format!("is \"{text}\", expected a number"))),
+            },
+            Some(value) => match value.as_f64() {
+                Some(number) => Ok(Some(number)),
+                None => Err(self.error(field, format!("is {value}, expected a number"))),
+            },
+        }
+    }
+
+    fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
+        let value = match (self.optional(field)?, old) {
+            (None, Some(old)) => self.optional(old)?,
+            (value, _) => value,
+        };
+        value.ok_or_else(|| match old {
+            Some(old) => self.error(field, format!("is absent, and so is its old name `{old}`")),
+            None => self.error(field, "is absent"),
+        })
+    }
+
+    fn count(&self, field: &str) -> Result<usize, RecordingError> {
+        let number = self.number(field, None)?;
+        if number < 0.0 || number > f64::from(u32::MAX) || number.fract() != 0.0 {
+            return Err(self.error(field, format!("is {number}, expected a whole number")));
+        }
+        Ok(number as usize)
+    }
+
+    fn antennas(&self) -> Result<RxMask, RecordingError> {
+        let field = "rx_antennas";
+        let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
+        let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
+        let antennas: Option<Vec<u8>> = list.iter().map(|v| v.as_f64().map(|a| a as u8)).collect();
+        let antennas = antennas.ok_or_else(|| wrong(self))?;
+        RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
+    }
+}
+
+pub(super) fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
+    let text = std::fs::read_to_string(path).map_err(RecordingError::io(path, "cannot be read"))?;
+    let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
+        path: path.into(),
+        offset: text.split_inclusive('\n').take(e.line().saturating_sub(1)).map(str::len).sum::<usize>() as u64
+            + e.column() as u64,
+        reason: format!("not JSON: {e}"),
+    })?;
+    let object = root.pointer("/device_config/fmcw_single_shape").ok_or_else(|| RecordingError::Field {
+        path: path.into(),
+        field: "device_config.fmcw_single_shape".into(),
+        reason: "is absent; recordings configured otherwise cannot be read".into(),
+    })?;
+    let fields = Fields { path, object };
+    let request = WaveformRequest {
+        start_frequency_hz: fields.number("start_frequency_Hz", Some("lower_frequency_Hz"))?,
+        end_frequency_hz: fields.number("end_frequency_Hz", Some("upper_frequency_Hz"))?,
+        samples_per_chirp: fields.count("num_samples_per_chirp")?,
+        chirps_per_frame: fields.count("num_chirps_per_frame")?,
+        sample_rate_hz: fields.number("sample_rate_Hz", None)?,
+        chirp_interval_s: fields.number("chirp_repetition_time_s", None)?,
+        frame_interval_s: fields.number("frame_repetition_time_s", None)?,
+        rx_antennas: fields.antennas()?,
+        tx_power_level: fields.optional("tx_power_level")?.unwrap_or(31.0).clamp(0.0, 255.0) as u8,
+        if_gain_db: fields.number("if_gain_dB", None)?,
+        high_pass_cutoff_hz: fields.optional("hp_cutoff_Hz")?.unwrap_or(80e3),
+        anti_alias_cutoff_hz: fields.optional("aaf_cutoff_Hz")?.unwrap_or(500e3),
+    };
+    Waveform::realise(request).map_err(|source| RecordingError::Waveform { path: path.into(), source })
+}
+
+/// A number as the vendor writes it: without a fraction where it has none.
+fn number(value: f64) -> Value {
+    if value.fract() == 0.0 && value.abs() < 9e15 { json!(value as i64) } else { json!(value) }
+}
+
+/// The configuration of a recording with this waveform: what was asked for, so that reading it gives the same waveform.
+pub(super) fn write_waveform(waveform: &Waveform, path: &Path) -> Result<(), RecordingError> {
+    let r = &waveform.request;
+    write_json(
+        path,
+        &json!({ "device_config": { "fmcw_single_shape": {
+            "aaf_cutoff_Hz": number(r.anti_alias_cutoff_hz),
+            "chirp_repetition_time_s": number(r.chirp_interval_s),
+            "end_frequency_Hz": number(r.end_frequency_hz),
+            "frame_repetition_time_s": number(r.frame_interval_s),
+            "hp_cutoff_Hz": number(r.high_pass_cutoff_hz),
+            "if_gain_dB": number(r.if_gain_db),
+            "mimo_mode": "off",
+            "num_chirps_per_frame": r.chirps_per_frame,
+            "num_samples_per_chirp": r.samples_per_chirp,
+            "rx_antennas": r.rx_antennas.antennas(),
+            "sample_rate_Hz": number(r.sample_rate_hz),
+            "start_frequency_Hz": number(r.start_frequency_hz),
+            "tx_antennas": [1],
+            "tx_power_level": r.tx_power_level,
+        } } }),
+    )
+}
+
+/// Writes a JSON file with the vendor's indentation.
+pub(super) fn write_json(path: &Path, value: &Value) -> Result<(), RecordingError> {
+    let mut bytes = Vec::new();
+    let formatter = serde_json::ser::PrettyFormatter::with_indent(b"    ");
+    let mut serializer = serde_json::Serializer::with_formatter(&mut bytes, formatter);
+    value.serialize(&mut serializer).map_err(|e| RecordingError::cannot_write(path)(e.into()))?;
+    bytes.push(b'\n');
+    write_file(path, &bytes)
+}
+
+/// Writes a small file down to the disk.
+pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
+    let write = || {
+        let mut file = std::fs::File::create(path)?;
+        file.write_all(bytes)?;
+        file.sync_all()
+    };
+    write().map_err(RecordingError::cannot_write(path))
+}

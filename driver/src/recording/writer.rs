@@ -1,0 +1,184 @@
+//! A new recording of any kind, and what its format could not hold.
+
+use std::path::Path;
+
+use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+
+use super::RecordingError;
+use super::infineon::InfineonWriter;
+use super::mcap::{LabelSpan, Recorder, RecordingHeader};
+use super::partial::Partial;
+use super::text::TextWriter;
+
+/// Kinds of recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// The native MCAP file.
+    Mcap,
+    /// The vendor's folder.
+    Infineon,
+    /// The vendor's text file.
+    Text,
+}
+
+impl Format {
+    /// The kind that an output's name asks for: `.mcap`, `.txt`, or a folder: one that exists, or a name without
+    /// extension or with a slash at its end.
+    pub fn of_output(path: &Path) -> Option<Self> {
+        let is_folder = path.is_dir() || path.as_os_str().to_string_lossy().ends_with('/');
+        match path.extension().and_then(|e| e.to_str()) {
+            _ if is_folder => Some(Format::Infineon),
+            Some("mcap") => Some(Format::Mcap),
+            Some("txt") => Some(Format::Text),
+            None => Some(Format::Infineon),
+            Some(_) => None,
+        }
+    }
+}
+
+/// What has been written, and what the format has no place for.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct WriteReport {
+    /// Frames written.
+    pub frames: u64,
+    /// Gaps that were there, whether the format holds them or not.
+    pub gaps: u64,
+    /// Frames that the gaps are known to stand for.
+    pub frames_lost: u64,
+    /// Length of the file with the samples, bytes.
+    pub bytes: u64,
+    /// What the format could not hold, in words; empty if all is there.
+    pub unheld: Vec<String>,
+}
+
+/// Counts what passes a writer whose format holds frames alone.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    frames: u64,
+    gaps: u64,
+    frames_lost: u64,
+    truths: u64,
+    pub labels: u64,
+    renumbered: bool,
+}
+
+impl Tally {
+    /// Checks and counts a frame.
+    pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
+        if frame.shape != shape || frame.codes.len() != shape.codes() {
+            return Err(RecordingError::FrameShape {
+                path: path.to_owned(),
+                sequence: frame.sequence,
+                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
+                expected: shape.to_string(),
+            });
+        }
+        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
+            let (offset, code) = (self.frames * 2 * shape.codes() as u64, *code);
+            return Err(RecordingError::Code { path: path.to_owned(), offset, frame: frame.sequence, code });
+        }
+        self.renumbered |= frame.sequence != self.frames;
+        self.frames += 1;
+        self.truths += u64::from(frame.truth.is_some());
+        Ok(())
+    }
+
+    pub fn gap(&mut self, gap: &Gap) {
+        self.gaps += 1;
+        self.frames_lost += gap.frames;
+    }
+
+    /// What the vendor's formats have no place for.
+    pub fn unheld(&self) -> Vec<String> {
+        let mut unheld = Vec::new();
+        if self.gaps > 0 {
+            unheld.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
+        }
+        if self.renumbered {
+            unheld.push("the numbers of the frames (they count from 0 without gaps)".into());
+        }
+        if self.truths > 0 {
+            unheld.push(format!("the truth of {} frames", self.truths));
+        }
+        if self.labels > 0 {
+            unheld.push(format!("{} labels", self.labels));
+        }
+        unheld
+    }
+
+    pub fn report(&self) -> WriteReport {
+        let Tally { frames, gaps, frames_lost, .. } = *self;
+        WriteReport { frames, gaps, frames_lost, bytes: 0, unheld: Vec::new() }
+    }
+}
+
+enum Writer {
+    Mcap(Recorder, Partial),
+    Infineon(Box<InfineonWriter>),
+    Text(Box<TextWriter>),
+}
+
+/// Writes a recording of any kind. It appears under its name when [`RecordingWriter::finish`] has made it whole, and not
+/// at all otherwise.
+pub struct RecordingWriter {
+    writer: Writer,
+}
+
+impl RecordingWriter {
+    /// Starts a recording. A file that exists is replaced at the end, a folder must be empty.
+    pub fn create(path: &Path, format: Format, header: &RecordingHeader) -> Result<Self, RecordingError> {
+        let writer = match format {
+            Format::Mcap => {
+                let partial = Partial::new(path)?;
+                Writer::Mcap(Recorder::create(partial.path(), header)?, partial)
+            }
+            Format::Infineon => Writer::Infineon(Box::new(InfineonWriter::create(path, header)?)),
+            Format::Text => Writer::Text(Box::new(TextWriter::create(path, header)?)),
+        };
+        Ok(RecordingWriter { writer })
+    }
+
+    /// Adds a frame.
+    pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
+        match &mut self.writer {
+            Writer::Mcap(recorder, _) => recorder.frame(frame),
+            Writer::Infineon(writer) => writer.frame(frame),
+            Writer::Text(writer) => writer.frame(frame),
+        }
+    }
+
+    /// Adds a gap.
+    pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
+        match &mut self.writer {
+            Writer::Mcap(recorder, _) => recorder.gap(gap)?,
+            Writer::Infineon(writer) => writer.gap(gap),
+            Writer::Text(writer) => writer.gap(gap),
+        }
+        Ok(())
+    }
+
+    /// Adds a label.
+    pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
+        match &mut self.writer {
+            Writer::Mcap(recorder, _) => recorder.label(label)?,
+            Writer::Infineon(writer) => writer.label(label),
+            Writer::Text(writer) => writer.label(label),
+        }
+        Ok(())
+    }
+
+    /// Completes the recording.
+    pub fn finish(self) -> Result<WriteReport, RecordingError> {
+        match self.writer {
+            Writer::Mcap(recorder, partial) => {
+                let summary = recorder.finish()?;
+                partial.finish()?;
+                let (frames, gaps, frames_lost, bytes) =
+                    (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
+                Ok(WriteReport { frames, gaps, frames_lost, bytes, unheld: Vec::new() })
+            }
+            Writer::Infineon(writer) => writer.finish(),
+            Writer::Text(writer) => writer.finish(),
+        }
+    }
+}

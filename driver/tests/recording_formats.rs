@@ -1,0 +1,323 @@
+//! The vendor's formats, written and read back: what they can hold comes back exactly, what they cannot is named.
+
+#[allow(dead_code)]
+mod common;
+
+use std::path::Path;
+
+use common::waveform;
+use proptest::prelude::*;
+use radome_driver::recording::infineon::InfineonReader;
+use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
+use radome_driver::{LabelSpan, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
+
+fn read(path: &Path) -> (Waveform, Vec<Frame>) {
+    let mut source = Recording::open(path).expect("opens");
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut frames = Vec::new();
+    while source.next_frame(&mut frame).expect("frame") == SourceEvent::Frame {
+        frames.push(frame.clone());
+    }
+    assert_eq!(source.frame_count(), Some(frames.len() as u64));
+    (source.waveform().clone(), frames)
+}
+
+fn write(path: &Path, format: Format, waveform: &Waveform, frames: &[Frame]) -> WriteReport {
+    let mut writer = RecordingWriter::create(path, format, &RecordingHeader::new(waveform.clone())).expect("creates");
+    frames.iter().for_each(|frame| writer.frame(frame).expect("writes"));
+    writer.finish().expect("finishes")
+}
+
+/// Frames at the nominal times of a simulation.
+fn simulated(waveform: &Waveform, count: u64, seed: u64) -> Vec<Frame> {
+    let frame = |sequence: u64| {
+        let mut frame = Frame::zeroed(waveform.shape());
+        for (i, code) in frame.codes.iter_mut().enumerate() {
+            *code = ((i as u64 + 7 * sequence + seed).wrapping_mul(0x9E37_79B9_7F4A_7C15) >> 52) as u16;
+        }
+        frame.sequence = sequence;
+        frame.time_ns = (sequence as f64 * waveform.frame_interval_s() * 1e9).round() as u64;
+        frame
+    };
+    (0..count).map(frame).collect()
+}
+
+fn waveforms() -> impl Strategy<Value = Waveform> {
+    let antennas = prop::sample::select(vec![vec![1], vec![2, 3], vec![1, 2, 3]]);
+    (antennas, 1..9usize, 8..40usize, 0.05..0.3, 58e9..60e9, 1e9..3.5e9).prop_filter_map(
+        "realisable",
+        |(antennas, chirps, samples, frame_interval_s, start_frequency_hz, bandwidth_hz)| {
+            let mut request = waveform(&antennas, chirps, samples, 0.1).request;
+            request.frame_interval_s = frame_interval_s;
+            request.start_frequency_hz = start_frequency_hz;
+            request.end_frequency_hz = start_frequency_hz + bandwidth_hz;
+            Waveform::realise(WaveformRequest { sample_rate_hz: 2e6, ..request }).ok()
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(48))]
+
+    /// Whatever a board's frames are: samples, times and temperatures come back, and so does the waveform.
+    #[test]
+    fn the_folder_gives_everything_back(
+        waveform in waveforms(),
+        seed in any::<u64>(),
+        steps in prop::collection::vec((1..3_000_000_000u64, prop::option::of(-40_000..125_000i32)), 0..12),
+        start_ns in 0..1_000_000_000u64,
+    ) {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("session");
+        let mut frames = simulated(&waveform, steps.len() as u64, seed);
+        let (mut now, mut known) = (start_ns, None);
+        for (frame, (step, temperature)) in frames.iter_mut().zip(steps) {
+            frame.time_ns = now;
+            now += step;
+            // A temperature holds until the next is known.
+            known = temperature.or(known);
+            frame.temperature_millicelsius = known;
+        }
+        let report = write(&path, Format::Infineon, &waveform, &frames);
+        prop_assert_eq!((report.frames, report.unheld), (frames.len() as u64, vec![]));
+        prop_assert_eq!(read(&path), (waveform, frames));
+        prop_assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    #[test]
+    fn the_text_file_gives_samples_and_waveform_back(waveform in waveforms(), seed in any::<u64>(), count in 0..6u64) {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("session.txt");
+        let frames = simulated(&waveform, count, seed);
+        let report = write(&path, Format::Text, &waveform, &frames);
+        prop_assert_eq!((report.frames, report.unheld), (count, vec![]));
+        let dos = std::fs::read_to_string(&path).expect("text").replace('\n', "\r\n");
+        prop_assert_eq!(read(&path), (waveform.clone(), frames.clone()));
+        std::fs::write(&path, dos).expect("writes");
+        prop_assert_eq!(read(&path), (waveform, frames));
+    }
+}
+
+#[test]
+fn text_is_laid_out_as_the_vendor_lays_it_out() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("session.txt");
+    let waveform = waveform(&[1, 3], 2, 8, 0.1);
+    let mut frame = Frame::zeroed(waveform.shape());
+    frame.codes = (0..32).map(|i| i * 132).collect();
+    write(&path, Format::Text, &waveform, &[frame]);
+    let text = std::fs::read_to_string(&path).expect("text");
+    let lines: Vec<_> = text.lines().collect();
+    assert_eq!(lines.len(), 2 * 2 * (8 + 1));
+    for (index, line) in lines.iter().enumerate() {
+        let (chirp, sample) = (index / 9, index % 9);
+        let code = 132.0 * (chirp * 8 + sample) as f64;
+        assert_eq!(*line, if sample == 8 { String::new() } else { format!("{:.6}", code / 4095.0) });
+    }
+    assert!(folder.path().join("session.txt_config.json").exists());
+}
+
+/// The keys of a real file (hardware notes, section 5.1), in its order.
+#[test]
+fn the_folder_has_the_vendors_files_and_keys() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("session");
+    let waveform = waveform(&[1, 2, 3], 4, 16, 0.1);
+    write(&path, Format::Infineon, &waveform, &simulated(&waveform, 3, 1));
+    let radar = path.join("RadarIfxAvian_00");
+    let mut names: Vec<_> = std::fs::read_dir(&radar).expect("lists").flatten().map(|e| e.file_name()).collect();
+    names.sort();
+    assert_eq!(names, ["config.json", "format.version", "meta.json", "radar.npy"]);
+    assert_eq!(std::fs::read_to_string(radar.join("format.version")).expect("reads"), "1.0.0\n");
+    let config = std::fs::read_to_string(radar.join("config.json")).expect("reads");
+    let keys: Vec<_> = config.lines().filter_map(|l| l.trim().strip_prefix('"')?.split('"').next()).collect();
+    let expected = "device_config fmcw_single_shape aaf_cutoff_Hz chirp_repetition_time_s end_frequency_Hz \
+        frame_repetition_time_s hp_cutoff_Hz if_gain_dB mimo_mode num_chirps_per_frame num_samples_per_chirp \
+        rx_antennas sample_rate_Hz start_frequency_Hz tx_antennas tx_power_level";
+    assert_eq!(keys.join(" "), expected.split_whitespace().collect::<Vec<_>>().join(" "));
+    let npy = std::fs::read(radar.join("radar.npy")).expect("reads");
+    assert_eq!(npy.len(), 128 + 3 * 3 * 4 * 16 * 2);
+    let header = npyz::NpyFile::new(npy.as_slice()).expect("an array");
+    assert_eq!(header.shape(), [3, 3, 4, 16]);
+    assert!(path.join("meta.json").exists());
+}
+
+#[test]
+fn host_times_are_kept_to_the_nanosecond() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("session");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let mut frames = simulated(&waveform, 4, 1);
+    for frame in &mut frames {
+        frame.host_time_ns = 1_767_683_775_123_456_789 + frame.time_ns + 3 * frame.sequence;
+    }
+    let report = write(&path, Format::Infineon, &waveform, &frames);
+    assert_eq!(report.unheld, ["times by the board's clock (the host's are kept)"]);
+    let (_, back) = read(&path);
+    for (a, b) in frames.iter().zip(&back) {
+        assert_eq!((b.host_time_ns, b.time_ns), (a.host_time_ns, a.time_ns + 3 * a.sequence));
+    }
+    let meta = std::fs::read_to_string(path.join("meta.json")).expect("reads");
+    assert!(meta.contains("\"date_captured\": \"2026-01-06T07:16:15+0000\""), "{meta}");
+}
+
+#[test]
+fn what_a_format_cannot_hold_is_named() {
+    let folder = tempfile::tempdir().expect("folder");
+    let waveform = waveform(&[1], 2, 8, 0.1);
+    let label = LabelSpan::new(0.0, 1.0, Occupancy::One.name());
+    for (name, format) in [("session", Format::Infineon), ("session.txt", Format::Text)] {
+        let path = folder.path().join(name);
+        assert_eq!(Format::of_output(&path), Some(format));
+        let header = RecordingHeader::new(waveform.clone());
+        let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
+        let mut frame = Frame::zeroed(waveform.shape());
+        frame.truth = Some(Truth { occupancy: Occupancy::One, transition: false });
+        writer.frame(&frame).expect("writes");
+        writer.gap(&Gap { first_sequence: 1, frames: 4, reason: GapReason::Crc }).expect("counted");
+        writer.label(&label).expect("counted");
+        frame.sequence = 5;
+        frame.time_ns = 500_000_000;
+        writer.frame(&frame).expect("writes");
+        let report = writer.finish().expect("finishes");
+        assert_eq!((report.frames, report.gaps, report.frames_lost), (2, 1, 4));
+        let said = report.unheld.join("; ");
+        for part in ["1 gaps, in which 4 frames", "numbers of the frames", "truth of 2 frames", "1 labels"] {
+            assert!(said.contains(part), "'{part}' is not in: {said}");
+        }
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn an_interrupted_writer_leaves_nothing_that_looks_whole() {
+        let folder = tempfile::tempdir().expect("folder");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let header = RecordingHeader::new(waveform.clone());
+        for (name, format) in [("a", Format::Infineon), ("a.txt", Format::Text), ("a.mcap", Format::Mcap)] {
+            let path = folder.path().join(name);
+            let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
+            simulated(&waveform, 5, 1).iter().for_each(|frame| writer.frame(frame).expect("writes"));
+            // As a killed program leaves it.
+            let partial = folder.path().join(format!(".{name}.partial"));
+            assert!(!path.exists() && partial.exists());
+            if format != Format::Mcap {
+                assert!(Recording::open(&partial).is_err());
+            }
+            // As a failed one leaves it.
+            drop(writer);
+            assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_folder_that_holds_something_is_not_touched() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("mine");
+        std::fs::create_dir(&path).expect("creates");
+        let header = RecordingHeader::new(waveform(&[1], 2, 8, 0.1));
+        RecordingWriter::create(&path, Format::Infineon, &header).expect("an empty folder may be filled");
+        std::fs::write(path.join("thesis.tex"), "x").expect("writes");
+        let error = RecordingWriter::create(&path, Format::Infineon, &header).err().expect("refused").to_string();
+        assert!(error.contains("mine") && error.contains("not empty"), "{error}");
+        assert!(path.join("thesis.tex").exists());
+    }
+
+    #[test]
+    fn a_text_file_cut_or_damaged_names_the_place() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.txt");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        write(&path, Format::Text, &waveform, &simulated(&waveform, 3, 1));
+        let whole = std::fs::read(&path).expect("reads");
+        let frame_bytes = whole.len() / 3;
+        let message = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).expect("writes");
+            let mut source = match Recording::open(&path) {
+                Ok(source) => source,
+                Err(error) => return (0, error.to_string()),
+            };
+            let mut frame = Frame::zeroed(source.waveform().shape());
+            let mut count = 0;
+            loop {
+                match source.next_frame(&mut frame) {
+                    Ok(SourceEvent::End) => return (count, "whole".into()),
+                    Ok(_) => count += 1,
+                    Err(error) => return (count, error.to_string()),
+                }
+            }
+        };
+        let (count, said) = message(&whole[..whole.len() - 1]);
+        assert!(count == 2 && said.contains("cut short") && said.contains("2 whole frames"), "{count}: {said}");
+        for (at, byte) in [(3, b'x'), (8, b'0'), (frame_bytes - 1, b'0')] {
+            let mut bytes = whole.clone();
+            bytes[frame_bytes + at] = byte;
+            let (count, said) = message(&bytes);
+            let line = frame_bytes + if at == frame_bytes - 1 { at } else { 0 };
+            assert!(count == 1 && said.contains(&format!("at byte {line}:")), "{count}: {said}");
+        }
+        assert!(message(b"hello\n").1.contains("first line"));
+        assert_eq!(message(b""), (0, "whole".into()));
+        std::fs::remove_file(folder.path().join("a.txt_config.json")).expect("removes");
+        assert!(message(&whole).1.contains("not a recording"));
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(128))]
+
+        /// Any bytes, whole or grafted onto a good file, in each file of each format: an error or frames.
+        #[test]
+        fn any_bytes_are_refused_or_read(
+            bytes in prop::collection::vec(any::<u8>(), 0..600),
+            at in any::<prop::sample::Index>(),
+            which in 0..6usize,
+        ) {
+            let folder = tempfile::tempdir().expect("folder");
+            let waveform = waveform(&[1], 2, 8, 0.1);
+            let mut frames = simulated(&waveform, 3, 1);
+            frames[1].temperature_millicelsius = Some(25_000);
+            let path = folder.path().join(["a", "a.txt"][which / 5]);
+            write(&path, [Format::Infineon, Format::Text][which / 5], &waveform, &frames);
+            let file = [
+                "a/RadarIfxAvian_00/radar.npy",
+                "a/RadarIfxAvian_00/config.json",
+                "a/RadarIfxAvian_00/radar_timestamp.csv",
+                "a/RadarIfxAvian_00/temperature.npy",
+                "a/RadarIfxAvian_00/format.version",
+                "a.txt",
+            ][which];
+            let file = folder.path().join(file);
+            let whole = std::fs::read(&file).expect("reads");
+            let start = at.index(whole.len());
+            let grafted = [&whole[..start], &bytes, &whole[(start + bytes.len()).min(whole.len())..]].concat();
+            for content in [bytes, grafted] {
+                std::fs::write(&file, content).expect("writes");
+                let Ok(mut source) = Recording::open(&path) else { continue };
+                let mut frame = Frame::zeroed(source.waveform().shape());
+                let _ = source.seek_time_s(0.1);
+                while source.next_frame(&mut frame).is_ok_and(|event| event != SourceEvent::End) {}
+            }
+        }
+    }
+
+    #[test]
+    fn stamps_with_an_exponent_are_read_and_nonsense_is_not() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a");
+        let waveform = waveform(&[1], 2, 8, 0.1);
+        let mut frames = simulated(&waveform, 2, 1);
+        frames[0].time_ns = 5;
+        write(&path, Format::Infineon, &waveform, &frames);
+        let stamps = path.join("RadarIfxAvian_00/radar_timestamp.csv");
+        assert_eq!(std::fs::read_to_string(&stamps).expect("reads"), "0.000000005\n0.100000000\n");
+        std::fs::write(&stamps, "1e-1\n+2.5\n").expect("writes");
+        assert_eq!(read(&path).1.iter().map(|f| f.time_ns).collect::<Vec<_>>(), [100_000_000, 2_500_000_000]);
+        for wrong in ["1\n0\n", "-1\n2\n", "nan\n2\n", "1\n", "1\n2\n3\n", "1\n99999999999999999999\n", "..\n2\n"] {
+            std::fs::write(&stamps, wrong).expect("writes");
+            assert!(InfineonReader::open(&path).is_err(), "{wrong}");
+        }
+    }
+}

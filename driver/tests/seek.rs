@@ -1,0 +1,179 @@
+//! Seeking finds what reading from the start finds.
+
+#[allow(dead_code)]
+mod common;
+
+use std::path::Path;
+
+use common::{Pattern, waveform};
+use proptest::prelude::*;
+use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_driver::{Recorder, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+#[derive(Debug, Clone, PartialEq)]
+enum Event {
+    Frame(Frame),
+    Gap(Gap),
+}
+
+fn rest(source: &mut Recording) -> Vec<Event> {
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut events = Vec::new();
+    loop {
+        match source.next_frame(&mut frame).expect("reads") {
+            SourceEvent::Frame => events.push(Event::Frame(frame.clone())),
+            SourceEvent::Gap(gap) => events.push(Event::Gap(gap)),
+            SourceEvent::End => return events,
+        }
+    }
+}
+
+/// Everything behind the last earlier frame.
+fn behind(events: &[Event], is_earlier: impl Fn(&Frame) -> bool) -> &[Event] {
+    let last = events.iter().rposition(|e| matches!(e, Event::Frame(frame) if is_earlier(frame)));
+    &events[last.map_or(0, |last| last + 1)..]
+}
+
+/// What [`Recording::seek_frame`] promises.
+fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
+    let mut found = behind(events, |frame| frame.sequence < sequence);
+    while let [Event::Gap(gap), rest @ ..] = found
+        && gap.frames > 0
+        && gap.first_sequence + gap.frames <= sequence
+    {
+        found = rest;
+    }
+    found
+}
+
+/// A recording of several chunks with these frames left out.
+fn record(path: &Path, finish: bool, lost: impl Fn(u64) -> bool) {
+    let pattern = Pattern::new(waveform(&[1], 4, 16, 0.17), 0);
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(pattern.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(pattern.waveform.shape());
+    let mut first_lost = None;
+    for sequence in 0..90 {
+        if lost(sequence) {
+            first_lost.get_or_insert(sequence);
+            continue;
+        }
+        if let Some(first_sequence) = first_lost.take() {
+            let gap = Gap { first_sequence, frames: sequence - first_sequence, reason: GapReason::FifoOverflow };
+            recorder.gap(&gap).expect("records");
+        }
+        pattern.fill(sequence, &mut frame);
+        recorder.frame(&frame).expect("records");
+    }
+    if finish {
+        recorder.finish().expect("finishes");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+
+    #[test]
+    fn an_mcap_file_is_entered_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, finish, |sequence| lost.contains(&sequence) || (40..55).contains(&sequence));
+        let mut source = Recording::open(&path).expect("opens");
+        let events = rest(&mut source);
+        for sequence in (0..95).rev().chain([u64::MAX]) {
+            source.seek_frame(sequence).expect("seeks");
+            prop_assert_eq!(rest(&mut source), from_frame(&events, sequence), "frame {}", sequence);
+        }
+        for tenths in (-3..170).step_by(3) {
+            let time_s = f64::from(tenths) / 10.0;
+            source.seek_time_s(time_s).expect("seeks");
+            let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
+            prop_assert_eq!(rest(&mut source), expected, "at {} s", time_s);
+        }
+    }
+}
+
+#[test]
+fn the_vendors_formats_are_entered_anywhere() {
+    let folder = tempfile::tempdir().expect("folder");
+    let pattern = Pattern::new(waveform(&[1, 2], 4, 16, 0.17), 0);
+    for (name, format) in [("a", Format::Infineon), ("a.txt", Format::Text)] {
+        let path = folder.path().join(name);
+        let header = RecordingHeader::new(pattern.waveform.clone());
+        let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
+        let mut frame = Frame::zeroed(pattern.waveform.shape());
+        for sequence in 0..40 {
+            pattern.fill(sequence, &mut frame);
+            // Not the nominal times: the folder must look them up.
+            frame.time_ns += sequence.pow(3) * 1000;
+            writer.frame(&frame).expect("writes");
+        }
+        writer.finish().expect("finishes");
+        let mut source = Recording::open(&path).expect("opens");
+        let events = rest(&mut source);
+        for sequence in (0..45).rev().chain([u64::MAX]) {
+            source.seek_frame(sequence).expect("seeks");
+            assert_eq!(rest(&mut source), from_frame(&events, sequence));
+        }
+        for tenths in -3..80 {
+            let time_s = f64::from(tenths) / 10.0;
+            source.seek_time_s(time_s).expect("seeks");
+            let expected = behind(&events, |frame| frame.time_ns < (time_s.max(0.0) * 1e9).round() as u64);
+            assert_eq!(rest(&mut source), expected, "at {time_s} s");
+        }
+    }
+}
+
+/// A place in the middle costs the chunks of a bisection, not the file: counted in bytes read.
+#[test]
+#[cfg(target_os = "linux")]
+fn a_place_is_found_without_reading_the_file() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("long.mcap");
+    let pattern = Pattern::new(waveform(&[1, 2, 3], 8, 128, 1.0), 0);
+    let mut recorder = Recorder::create(&path, &RecordingHeader::new(pattern.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(pattern.waveform.shape());
+    for sequence in 0..2000 {
+        pattern.fill(sequence, &mut frame);
+        recorder.frame(&frame).expect("records");
+    }
+    let bytes = recorder.finish().expect("finishes").bytes;
+    // What this thread has read so far, by the kernel's count.
+    let read = || {
+        let text = std::fs::read_to_string("/proc/thread-self/io").expect("a count");
+        text.lines().find_map(|l| l.strip_prefix("rchar: ")?.parse::<u64>().ok()).expect("rchar")
+    };
+    let before = read();
+    let mut source = Recording::open(&path).expect("opens");
+    source.seek_frame(1234).expect("seeks");
+    source.next_frame(&mut frame).expect("reads");
+    let cost = read() - before;
+    assert_eq!(frame.sequence, 1234);
+    assert!(cost < bytes / 20, "{cost} of {bytes} bytes");
+    source.seek_time_s(777.0).expect("seeks");
+    source.next_frame(&mut frame).expect("reads");
+    assert_eq!(frame.sequence, 777);
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// A damaged chunk is no place to start from, and no reason to miss the others.
+    #[test]
+    fn seeking_steps_around_damage() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, true, |_| false);
+        let mut bytes = std::fs::read(&path).expect("reads");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x10;
+        std::fs::write(&path, bytes).expect("writes");
+        let mut source = Recording::open(&path).expect("opens");
+        let mut frame = Frame::zeroed(source.waveform().shape());
+        for sequence in [0, 1, 88, 89] {
+            source.seek_frame(sequence).expect("seeks");
+            source.next_frame(&mut frame).expect("reads");
+            assert_eq!(frame.sequence, sequence);
+        }
+    }
+}
