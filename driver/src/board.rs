@@ -198,7 +198,13 @@ impl Board {
 
     /// Programs the chip and starts measuring. The stream's waveform has the chirp interval that the registers realise.
     pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
-        BoardStream::start(self, waveform)
+        BoardStream::start(self, waveform, false)
+    }
+
+    /// Like [`Board::start`], but the chip sends its [test pattern](crate::chip::test_pattern) as the samples of RX1,
+    /// which the waveform must have.
+    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
+        BoardStream::start(self, waveform, true)
     }
 
     /// Contents of registers, read one by one.

@@ -7,7 +7,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
 use super::{Board, BoardError};
-use crate::chip::{ChipConfiguration, RegisterFile, RegisterList};
+use crate::chip::{ChipConfiguration, RegisterFile, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
@@ -26,10 +26,14 @@ pub struct BoardStream {
 }
 
 impl BoardStream {
-    pub(super) fn start(board: Board, waveform: &Waveform) -> Result<Self, BoardError> {
+    pub(super) fn start(board: Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
         let slice = SliceLayout::for_frame(waveform.shape().codes());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
-        let registers = configuration.compile()?;
+        let mut registers = configuration.compile()?;
+        if test_pattern {
+            let lfsr = field::SFCTL::LFSR_EN;
+            registers.iter_mut().filter(|r| r.address == lfsr.address).for_each(|r| r.value = lfsr.put(r.value, 1));
+        }
         // The registers hold the chirp interval only roughly: what they make of it is the truth.
         let mut file = RegisterFile::default();
         registers.iter().for_each(|r| file.set(r.address, r.value));

@@ -3,6 +3,7 @@
 mod configuration;
 mod register;
 mod table;
+pub mod test_pattern;
 
 pub use configuration::{ChipConfiguration, ChipError, RegisterList, RegisterValue};
 pub use register::{RegisterFile, main_bits};

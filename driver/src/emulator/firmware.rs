@@ -3,7 +3,7 @@
 use radome_dsp::Waveform;
 
 use super::EmulatorOptions;
-use crate::chip::{ChipConfiguration, RegisterFile, address, main_bits};
+use crate::chip::{ChipConfiguration, RegisterFile, address, field, main_bits};
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, HostEvent, IMPLEMENTATION_AVIAN,
     Response, SliceLayout, SpiWord, Status,
@@ -58,6 +58,11 @@ impl Firmware {
     /// Slice and waveform while slices are to be sent.
     pub fn streaming(&self) -> Option<(SliceLayout, &Waveform)> {
         self.slice.filter(|_| self.data_started).zip(self.frames.as_ref())
+    }
+
+    /// Whether the chip puts its test pattern in the place of RX1's samples.
+    pub fn test_pattern(&self) -> bool {
+        self.registers.field(field::SFCTL::LFSR_EN) == 1
     }
 
     /// The firmware stops by itself after an overflow.

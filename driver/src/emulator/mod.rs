@@ -286,7 +286,8 @@ impl Device {
             let wanted = waveform.request.rx_antennas.antennas();
             let channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
             let waveform = waveform.clone();
-            self.world.restart(&waveform, channels);
+            let test_pattern = wanted.iter().position(|a| *a == 1).filter(|_| self.firmware.test_pattern());
+            self.world.restart(&waveform, channels, test_pattern);
         }
         if self.sending.is_none() {
             match self.world.slice(layout.samples as u64) {

@@ -8,6 +8,7 @@ use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Waveform};
 
 use super::Pace;
+use crate::chip::test_pattern;
 use crate::protocol::fifo;
 use crate::timing::SampleTiming;
 
@@ -44,6 +45,8 @@ pub(super) struct World {
     /// Indices of the source's receivers that the chip has switched on.
     channels: Vec<usize>,
     codes_per_frame: u64,
+    /// Place of RX1 among the channels, and the next word of the test pattern, if the chip sends that.
+    test_pattern: Option<(usize, u16)>,
     pace: Pace,
     /// Codes of frames not yet sent, FIFO order, from `taken` on.
     codes: Vec<u16>,
@@ -76,6 +79,7 @@ impl World {
             timing: SampleTiming::new(&waveform),
             channels: (0..waveform.shape().rx).collect(),
             codes_per_frame: waveform.shape().codes() as u64,
+            test_pattern: None,
             pace,
             codes: Vec::new(),
             taken: 0,
@@ -88,8 +92,10 @@ impl World {
         })
     }
 
-    /// The chip starts frames with this waveform and these receivers of the source.
-    pub fn restart(&mut self, waveform: &Waveform, channels: Vec<usize>) {
+    /// The chip starts frames with this waveform and these receivers of the source, and sends its test pattern instead
+    /// of one of them.
+    pub fn restart(&mut self, waveform: &Waveform, channels: Vec<usize>, test_pattern: Option<usize>) {
+        self.test_pattern = test_pattern.map(|channel| (channel, test_pattern::FIRST));
         self.timing = SampleTiming::new(waveform);
         self.codes_per_frame = (channels.len() * self.shape.chirps * self.shape.samples) as u64;
         self.channels = channels;
@@ -153,7 +159,14 @@ impl World {
             self.clock = Some((Instant::now(), frame.time_ns));
         }
         self.frames.push_back((self.put, frame.time_ns));
+        let start = self.codes.len();
         fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
+        if let Some((channel, word)) = &mut self.test_pattern {
+            for code in self.codes.iter_mut().skip(start + *channel).step_by(self.channels.len().max(1)) {
+                *code = *word;
+                *word = test_pattern::next(*word);
+            }
+        }
         self.put += self.codes_per_frame;
         let _ = self.spare.try_send(frame);
     }
