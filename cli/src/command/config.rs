@@ -1,4 +1,6 @@
-use radome_driver::chip::ChipConfiguration;
+use std::collections::BTreeMap;
+
+use radome_driver::chip::{ChipConfiguration, RegisterValue};
 use radome_driver::protocol::strata::SliceLayout;
 use radome_dsp::Waveform;
 use serde::Serialize;
@@ -11,12 +13,34 @@ pub struct Arguments {
     /// `paper`, a .toml file with the fields of a waveform, or a model file
     #[arg(default_value = "paper")]
     waveform: String,
-    /// The register list that it compiles to
+    /// The register list that it compiles to, with the names of registers and fields
     #[arg(long)]
     registers: bool,
     /// One object
     #[arg(long)]
     json: bool,
+}
+
+/// A register with its name and the fields that are not zero.
+#[derive(Serialize)]
+struct NamedRegister {
+    address: u8,
+    value: u32,
+    name: &'static str,
+    fields: BTreeMap<&'static str, u32>,
+}
+
+impl NamedRegister {
+    fn new(register: RegisterValue) -> Self {
+        let (name, fields) = register.named().unwrap_or_default();
+        NamedRegister { address: register.address, value: register.value, name, fields: fields.into_iter().collect() }
+    }
+
+    /// As `ADDRESS:VALUE NAME FIELD=VALUE ...`, address and value in hexadecimal.
+    fn line(&self) -> String {
+        let fields: String = self.fields.iter().map(|(name, value)| format!(" {name}={value}")).collect();
+        format!("{:02X}:{:06X} {:9}{fields}", self.address, self.value, self.name)
+    }
 }
 
 #[derive(Serialize)]
@@ -32,7 +56,7 @@ struct Derived<'a> {
     samples_per_frame: usize,
     data_rate_bit_per_s: f64,
     #[serde(skip_serializing_if = "Option::is_none")]
-    registers: Option<Vec<String>>,
+    registers: Option<Vec<NamedRegister>>,
 }
 
 /// Checks a waveform and says what follows from it.
@@ -41,7 +65,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let registers = if arguments.registers {
         let slice_samples = SliceLayout::for_frame(w.shape().codes()).samples;
         let list = ChipConfiguration { waveform: w.clone(), slice_samples }.compile()?;
-        Some(list.iter().map(|r| format!("{:02X}:{:06X}", r.address, r.value)).collect::<Vec<_>>())
+        Some(list.into_iter().map(NamedRegister::new).collect::<Vec<_>>())
     } else {
         None
     };
@@ -93,7 +117,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output::text_line(&format!("{name:20} {value}"))?;
     }
     for register in registers.iter().flatten() {
-        output::text_line(register)?;
+        output::text_line(register.line().trim_end())?;
     }
     Ok(())
 }

@@ -6,12 +6,26 @@ use serde_json::json;
 use crate::output;
 use crate::source::{self, SourceOptions};
 
+#[derive(Clone, Copy, Default, clap::ValueEnum)]
+enum Protocol {
+    /// Radar Baseboard MCU7, protocol 4
+    #[default]
+    #[value(name = "mcu7-4")]
+    Mcu7V4,
+    /// Radar Baseboard MCU7, protocol 3
+    #[value(name = "mcu7-3")]
+    Mcu7V3,
+}
+
 /// `radome emulate`
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Recording or SCENE.toml to serve
     #[arg(long)]
     from: String,
+    /// What the board speaks
+    #[arg(long, value_enum, default_value_t)]
+    protocol: Protocol,
     /// Times real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -28,7 +42,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let source = source::open(&arguments.from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
     let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
-    let mut board = EmulatedBoard::spawn(source.frames, EmulatorOptions { pace, ..Default::default() })?;
+    let protocol_version = match arguments.protocol {
+        Protocol::Mcu7V4 => 4,
+        Protocol::Mcu7V3 => 3,
+    };
+    let options = EmulatorOptions { pace, protocol_version, ..Default::default() };
+    let mut board = EmulatedBoard::spawn(source.frames, options)?;
     let path = board.path().display().to_string();
     if arguments.json {
         output::json_line(&json!({ "port": path }))?;
