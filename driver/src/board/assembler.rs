@@ -60,6 +60,9 @@ pub(super) struct Assembler {
 impl Assembler {
     pub fn new(waveform: &Waveform, slice: SliceLayout) -> Self {
         let shape = waveform.shape();
+        // What a slice can complete, so that nothing is allocated while frames come.
+        let at_once = slice.samples / shape.codes().max(1) + 2;
+        let frame_bytes = packed12::packed_length(shape.codes()) + 3;
         Assembler {
             slice,
             shape,
@@ -67,18 +70,18 @@ impl Assembler {
             frame_interval_us: waveform.frame_interval_s() * 1e6,
             next_packet: 0,
             received: 0,
-            buffer: Vec::new(),
+            buffer: Vec::with_capacity(frame_bytes + 2 * slice.data_bytes()),
             buffer_start: 0,
             next_frame: 0,
             base: Some(0),
             next_sequence: 0,
             origin_us: None,
             last_time_us: 0.0,
-            stamps: VecDeque::new(),
+            stamps: VecDeque::with_capacity(shape.codes() / slice.samples.max(1) + 4),
             damaged: false,
             restart_reason: GapReason::Disconnected,
-            ready: VecDeque::new(),
-            spare: Vec::new(),
+            ready: VecDeque::with_capacity(at_once + 2),
+            spare: vec![vec![0; shape.codes()]; at_once],
             scratch: vec![0; shape.codes() + 2],
         }
     }
@@ -233,6 +236,11 @@ impl Assembler {
         self.ready.push_back(Ready::Gap(gap));
         self.base = Some(sequence.saturating_sub(frame));
         sequence
+    }
+
+    /// Whether [`Self::pop`] has something to give.
+    pub fn is_ready(&self) -> bool {
+        !self.ready.is_empty()
     }
 
     /// The next frame or gap. The frame's former memory is used again.

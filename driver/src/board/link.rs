@@ -12,6 +12,8 @@ use crate::protocol::strata::{BoardEvent, BoardParser, Command, Packet, Protocol
 const BAUD_RATE: u32 = 921_600;
 /// Longest that a board takes to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+/// Bytes taken from the port at once.
+const BUFFER: usize = 65_536;
 /// After so long without a byte the rest of a message will not come.
 const SILENCE: Duration = Duration::from_millis(200);
 
@@ -48,8 +50,8 @@ impl Link {
             path: path.into(),
             protocol: Protocol::default(),
             port,
-            parser: BoardParser::new(),
-            buffer: vec![0; 65_536],
+            parser: BoardParser::with_capacity(BUFFER),
+            buffer: vec![0; BUFFER],
             last_byte: Instant::now(),
         })
     }

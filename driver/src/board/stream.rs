@@ -78,7 +78,7 @@ impl BoardStream {
     /// The next frame or gap, or `None` if it is not there within `timeout`.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let end = Instant::now() + timeout;
-        loop {
+        'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
                 if event == SourceEvent::Frame {
                     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -91,11 +91,7 @@ impl BoardStream {
                 self.assembler.restart(reason);
                 self.program()?;
             }
-            let left = end.saturating_duration_since(Instant::now());
             let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
-            if !link.receive(left.min(Duration::from_millis(50)))? && left.is_zero() {
-                return Ok(None);
-            }
             while let Some(incoming) = link.next_incoming() {
                 let outcome = match incoming {
                     Incoming::Damaged => {
@@ -112,9 +108,14 @@ impl BoardStream {
                     }
                     Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
                 }
-                if self.restart.is_some() {
-                    break;
+                // What has come first goes out first, before anything else is looked at.
+                if self.restart.is_some() || self.assembler.is_ready() {
+                    continue 'next;
                 }
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if !link.receive(left.min(Duration::from_millis(50)))? && left.is_zero() {
+                return Ok(None);
             }
         }
     }

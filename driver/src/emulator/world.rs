@@ -48,8 +48,9 @@ pub(super) struct World {
     /// Place of RX1 among the channels, and the next word of the test pattern, if the chip sends that.
     test_pattern: Option<(usize, u16)>,
     pace: Pace,
-    /// Codes of frames not yet sent, FIFO order, from `taken` on.
+    /// Codes of frames not yet sent, FIFO order; those before `sent` have been.
     codes: Vec<u16>,
+    sent: usize,
     /// Codes taken out, and codes put in, since the frames started.
     taken: u64,
     put: u64,
@@ -82,6 +83,7 @@ impl World {
             test_pattern: None,
             pace,
             codes: Vec::new(),
+            sent: 0,
             taken: 0,
             put: 0,
             frames: VecDeque::new(),
@@ -100,6 +102,7 @@ impl World {
         self.codes_per_frame = (channels.len() * self.shape.chirps * self.shape.samples) as u64;
         self.channels = channels;
         self.codes.clear();
+        self.sent = 0;
         self.frames.clear();
         (self.taken, self.put, self.missing) = (0, 0, 0);
         self.skip_past = self.clock.is_some();
@@ -214,12 +217,17 @@ impl World {
 
     /// Codes of the slice that is ready.
     pub fn codes(&self, samples: usize) -> &[u16] {
-        self.codes.get(..samples).unwrap_or(&self.codes)
+        self.codes.get(self.sent..self.sent + samples).unwrap_or(&[])
     }
 
     /// Removes codes, and the frames that were sent with them.
     pub fn take(&mut self, samples: usize) {
-        self.codes.drain(..samples.min(self.codes.len()));
+        self.sent = (self.sent + samples).min(self.codes.len());
+        // Moved together now and then only: moving everything for each slice would cost more than sending it.
+        if 2 * self.sent >= self.codes.len() {
+            self.codes.drain(..self.sent);
+            self.sent = 0;
+        }
         self.taken += samples as u64;
         while self.frames.get(1).is_some_and(|(first, _)| *first <= self.taken) {
             self.frames.pop_front();

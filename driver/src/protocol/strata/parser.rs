@@ -61,12 +61,20 @@ pub struct BoardParser {
     buffer: Vec<u8>,
     /// Bytes of `buffer` that have been handed out.
     used: usize,
+    /// Length of the message after them, if it has been found whole: its CRC need not be computed again.
+    checked: Option<usize>,
 }
 
 impl BoardParser {
     /// An empty parser.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// An empty parser that allocates nothing as long as at most so many bytes at a time are pushed, and taken out as
+    /// far as they are whole.
+    pub fn with_capacity(bytes: usize) -> Self {
+        BoardParser { buffer: Vec::with_capacity(bytes + MAX_MESSAGE), ..Self::default() }
     }
 
     /// Takes received bytes.
@@ -81,6 +89,10 @@ impl BoardParser {
     /// The next message or stretch of garbage; `None` until more bytes come.
     pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
         let start = self.used;
+        if let Some(length) = self.checked.take() {
+            self.used = start + length;
+            return self.buffer.get(start..start + length).and_then(decode);
+        }
         let mut at = start;
         loop {
             let rest = self.buffer.get(at..).unwrap_or(&[]);
@@ -100,18 +112,26 @@ impl BoardParser {
     }
 
     /// Whether the next event is an answer; `None` until more bytes come.
-    pub fn peek_is_response(&self) -> Option<bool> {
+    pub fn peek_is_response(&mut self) -> Option<bool> {
         let rest = self.buffer.get(self.used..).unwrap_or(&[]);
-        match candidate(rest) {
+        let candidate = match self.checked {
+            Some(length) => Candidate::Message(length),
+            None => candidate(rest),
+        };
+        match candidate {
             Candidate::Incomplete => None,
             Candidate::No => Some(false),
-            Candidate::Message(_) => Some(rest.first().is_some_and(|first| first & 0xF0 != 0xD0)),
+            Candidate::Message(length) => {
+                self.checked = Some(length);
+                Some(rest.first().is_some_and(|first| first & 0xF0 != 0xD0))
+            }
         }
     }
 
     /// To be called when the line has been silent: a message that is still incomplete will not come any more, and its
     /// header may have been garbage that hides a real message. Gives up on one byte; ask [`Self::next_event`] again.
     pub fn on_silence(&mut self) {
+        self.checked = None;
         self.used = (self.used + 1).min(self.buffer.len());
     }
 
@@ -124,6 +144,7 @@ impl BoardParser {
     pub fn clear(&mut self) {
         self.buffer.clear();
         self.used = 0;
+        self.checked = None;
     }
 }
 
