@@ -1,6 +1,5 @@
 //! The vendor's formats, written and read back: what they can hold comes back exactly, what they cannot is named.
 
-#[allow(dead_code)]
 mod common;
 
 use std::path::Path;

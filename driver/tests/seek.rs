@@ -1,6 +1,5 @@
 //! Seeking finds what reading from the start finds.
 
-#[allow(dead_code)]
 mod common;
 
 use std::path::Path;

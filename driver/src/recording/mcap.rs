@@ -15,13 +15,17 @@
 //! written as a whole every second of board time or 4 MB, so that a recording can be read up to its last chunk whenever
 //! its writer dies. Nothing depends on the wall clock: the same frames give the same bytes.
 
+mod append;
 mod index;
 mod reader;
 mod recorder;
 mod records;
+mod repair;
 
+pub use append::append_labels;
 pub use reader::McapReader;
 pub use recorder::{Recorder, RecordingSummary};
+pub use repair::{Damage, RepairReport, repair};
 
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use serde::{Deserialize, Serialize};

@@ -37,6 +37,14 @@ pub enum RecordingError {
         /// File.
         path: PathBuf,
     },
+    /// The file holds what is not ours, and rewriting it would lose that.
+    #[error("{path}: holds {what}, which rewriting would lose", path = path.display())]
+    Foreign {
+        /// File.
+        path: PathBuf,
+        /// What is not ours.
+        what: String,
+    },
     /// An output exists and would be overwritten.
     #[error("{path}: exists and is not empty; remove it or choose another name", path = path.display())]
     Occupied {
@@ -174,8 +182,8 @@ impl RecordingError {
 /// Opens a recording of any kind.
 pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
     Ok(match Recording::open(path)? {
-        Recording::Mcap(reader) => Box::new(reader),
-        Recording::Infineon(reader) => Box::new(reader),
+        Recording::Mcap(reader) => reader,
+        Recording::Infineon(reader) => reader,
         Recording::Text(reader) => Box::new(reader),
     })
 }

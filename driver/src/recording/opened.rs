@@ -15,9 +15,9 @@ use super::text::TextReader;
 #[derive(Debug)]
 pub enum Recording {
     /// The native MCAP file.
-    Mcap(McapReader),
+    Mcap(Box<McapReader>),
     /// The vendor's folder.
-    Infineon(InfineonReader),
+    Infineon(Box<InfineonReader>),
     /// The vendor's text file.
     Text(TextReader),
 }
@@ -27,12 +27,12 @@ impl Recording {
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let metadata = std::fs::metadata(path).map_err(RecordingError::io(path, "cannot be opened"))?;
         if metadata.is_dir() {
-            return Ok(Recording::Infineon(InfineonReader::open(path)?));
+            return Ok(Recording::Infineon(Box::new(InfineonReader::open(path)?)));
         }
         let mut magic = [0; 8];
         let mut file = File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
         if file.read_exact(&mut magic).is_ok() && magic == *::mcap::MAGIC {
-            return Ok(Recording::Mcap(McapReader::open(path)?));
+            return Ok(Recording::Mcap(Box::new(McapReader::open(path)?)));
         }
         if super::text::config_path(path).is_some() {
             return Ok(Recording::Text(TextReader::open(path)?));
@@ -80,8 +80,8 @@ impl Recording {
 
     fn source(&mut self) -> &mut dyn FrameSource {
         match self {
-            Recording::Mcap(reader) => reader,
-            Recording::Infineon(reader) => reader,
+            Recording::Mcap(reader) => reader.as_mut(),
+            Recording::Infineon(reader) => reader.as_mut(),
             Recording::Text(reader) => reader,
         }
     }

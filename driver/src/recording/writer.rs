@@ -113,7 +113,7 @@ impl Tally {
 }
 
 enum Writer {
-    Mcap(Recorder, Partial),
+    Mcap(Box<Recorder>, Partial),
     Infineon(Box<InfineonWriter>),
     Text(Box<TextWriter>),
 }
@@ -130,7 +130,7 @@ impl RecordingWriter {
         let writer = match format {
             Format::Mcap => {
                 let partial = Partial::new(path)?;
-                Writer::Mcap(Recorder::create(partial.path(), header)?, partial)
+                Writer::Mcap(Box::new(Recorder::create(partial.path(), header)?), partial)
             }
             Format::Infineon => Writer::Infineon(Box::new(InfineonWriter::create(path, header)?)),
             Format::Text => Writer::Text(Box::new(TextWriter::create(path, header)?)),

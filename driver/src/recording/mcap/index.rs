@@ -42,7 +42,7 @@ impl Index {
 }
 
 /// Start of the summary, 0 if the file has none; `None` if the file was never finished.
-fn summary_start(records: &mut Records) -> Result<Option<u64>, RecordingError> {
+pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, RecordingError> {
     let mut footer = [0; FOOTER as usize];
     let Some(at) = records.length.checked_sub(FOOTER) else { return Ok(None) };
     if records.peek(at, &mut footer)? != footer.len() {

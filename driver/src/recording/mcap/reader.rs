@@ -176,7 +176,7 @@ impl McapReader {
         Ok(())
     }
 
-    fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
+    pub(super) fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {
         loop {
             self.fill_pending()?;
             let Some((topic, data)) = self.pending.pop_front() else { return Ok(SourceEvent::End) };

@@ -33,7 +33,8 @@ pub struct RecordingSummary {
 }
 
 /// Writes a recording. Without [`Recorder::finish`] the file stays readable up to its last chunk, but is marked
-/// unfinished.
+/// unfinished. However its process ends, every frame older than a second before the last one given to it can be read: a
+/// chunk is complete on its way to the disk before it spans more.
 pub struct Recorder {
     path: PathBuf,
     /// Taken when finished.
@@ -124,8 +125,9 @@ impl Recorder {
         writer.write_to_known_channel(&header, data).map_err(failed(&self.path, "cannot be written"))
     }
 
-    /// Writes what is waiting as a chunk.
-    fn flush(&mut self) -> Result<(), RecordingError> {
+    /// Writes what is waiting as a chunk of its own, which survives whatever happens to this process. A recording does so
+    /// by itself every second of board time; this is for sources that have fallen silent.
+    pub fn flush(&mut self) -> Result<(), RecordingError> {
         self.chunk_bytes = 0;
         let Some(writer) = &mut self.writer else { return Ok(()) };
         writer.flush().map_err(failed(&self.path, "cannot be written"))
@@ -145,9 +147,9 @@ impl Recorder {
             let offset = self.summary.bytes;
             return Err(RecordingError::Code { path: self.path.clone(), offset, frame: frame.sequence, code: *code });
         }
-        if self.chunk_bytes > 0
-            && (self.chunk_bytes >= CHUNK_BYTES || frame.time_ns.saturating_sub(self.chunk_start_ns) >= CHUNK_NS)
-        {
+        // A clock that goes backwards has started again.
+        let span_ns = frame.time_ns.checked_sub(self.chunk_start_ns).unwrap_or(CHUNK_NS);
+        if self.chunk_bytes > 0 && (self.chunk_bytes >= CHUNK_BYTES || span_ns >= CHUNK_NS) {
             self.flush()?;
         }
         if self.chunk_bytes == 0 {
@@ -158,8 +160,10 @@ impl Recorder {
         let log_time = if frame.host_time_ns > 0 { frame.host_time_ns } else { frame.time_ns };
         let result = self.write(0, Some((log_time, frame.time_ns)), &buffer);
         self.buffer = buffer;
-        self.summary.frames += u64::from(result.is_ok());
-        result
+        result?;
+        self.summary.frames += 1;
+        tracing::trace!(sequence = frame.sequence, time_ns = frame.time_ns, "frame recorded");
+        Ok(())
     }
 
     /// Adds a gap.

@@ -149,6 +149,27 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTree
     Ok((header, channels))
 }
 
+/// What holds for the whole file, whatever state the rest of it is in.
+pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader, RecordingError> {
+    let mut body = Vec::new();
+    loop {
+        match records.next(&mut body, |opcode| opcode == op::METADATA)? {
+            Next::Record(op::METADATA, at) => {
+                if let Ok(Record::Metadata(metadata)) = mcap::parse_record(op::METADATA, &body)
+                    && metadata.name == METADATA_NAME
+                {
+                    return parse_header(records, at, &metadata.metadata);
+                }
+            }
+            Next::Record(..) => {}
+            Next::End | Next::CutShort => {
+                let reason = "no metadata `radome`: not one of our recordings, or cut before its start".into();
+                return Err(records.corrupt(8, reason));
+            }
+        }
+    }
+}
+
 /// The messages of a chunk, once all of it has been decompressed and its CRC checked: until then no length in
 /// it can be believed.
 pub(super) fn read_chunk(

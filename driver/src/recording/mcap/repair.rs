@@ -1,0 +1,257 @@
+//! What can be read of a cut or damaged file, as a file that is whole, and what cannot.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use mcap::records::{Record, op};
+use radome_dsp::{Frame, Gap, GapReason};
+
+use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
+use super::{RecordingHeader, decode_frame};
+use crate::recording::{Format, RecordingError, RecordingWriter};
+
+/// A stretch of a file that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// Where it starts, bytes.
+    pub offset: u64,
+    /// How long it is, bytes.
+    pub bytes: u64,
+    /// Frames in it, where the file still says.
+    pub frames: Option<u64>,
+    /// What is wrong with it.
+    pub reason: String,
+}
+
+/// What a repair has saved and what is lost.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct RepairReport {
+    /// Frames written.
+    pub frames: u64,
+    /// Labels written.
+    pub labels: u64,
+    /// Gaps that the recording had already.
+    pub gaps: u64,
+    /// Gaps that stand for what is lost now, as written; one of 0 frames where nobody knows how many.
+    pub lost: Vec<Gap>,
+    /// Where the file is damaged.
+    pub damage: Vec<Damage>,
+    /// Whether the recording was finished by its recorder.
+    pub was_finished: bool,
+}
+
+impl RepairReport {
+    /// Frames that are known to be lost.
+    pub fn frames_lost(&self) -> u64 {
+        self.lost.iter().map(|gap| gap.frames).sum()
+    }
+
+    /// Bytes that cannot be read.
+    pub fn bytes_lost(&self) -> u64 {
+        self.damage.iter().map(|damage| damage.bytes).sum()
+    }
+}
+
+/// Reads what can be read of `input`, which stays as it is, and writes it to `output`: all frames of chunks whose check
+/// sum is right. What lies between them becomes gaps. The file's header must be whole.
+pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingError> {
+    let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
+    if is_same(input, output) {
+        return Err(RecordingError::Occupied { path: output.to_owned() });
+    }
+    let mut records = Records::open(input)?;
+    let header = read_header_alone(&mut records)?;
+    let writer = RecordingWriter::create(output, Format::Mcap, &header)?;
+    let frame = Frame::zeroed(header.waveform.shape());
+    let mut repair =
+        Repair { writer, header, frame, report: RepairReport::default(), expected: None, unread: None };
+    repair.copy(&mut records)?;
+    repair.writer.finish()?;
+    Ok(repair.report)
+}
+
+/// Frames that could not be read.
+#[derive(Clone, Copy, Default)]
+struct Unread {
+    /// Those that an index counts.
+    frames: u64,
+    /// Whether there is more that no index counts.
+    uncounted: bool,
+}
+
+struct Repair {
+    writer: RecordingWriter,
+    header: RecordingHeader,
+    frame: Frame,
+    report: RepairReport,
+    /// Number of the frame that should come next.
+    expected: Option<u64>,
+    /// What could not be read since the last good frame.
+    unread: Option<Unread>,
+}
+
+impl Repair {
+    fn copy(&mut self, records: &mut Records) -> Result<(), RecordingError> {
+        // What the recorder numbers them; the first chunk says so, if it can be read.
+        let mut channels = BTreeMap::from([(1, Topic::Frame), (2, Topic::Gap), (3, Topic::Label)]);
+        let mut body = Vec::new();
+        records.go_to(8)?;
+        loop {
+            let at = records.offset;
+            let reason = match records.next(&mut body, |opcode| opcode == op::CHUNK) {
+                Ok(Next::Record(op::CHUNK, _)) => match read_chunk(records, at, &body, &mut channels) {
+                    Ok(messages) => {
+                        for (topic, data) in messages {
+                            self.message(at, topic, &data)?;
+                        }
+                        continue;
+                    }
+                    Err(RecordingError::Corrupt { reason, .. }) => reason,
+                    Err(error) => return Err(error),
+                },
+                // Records of others are none of ours; a length gone wrong looks like one.
+                Ok(Next::Record(opcode, _)) if opcode < 0x80 => continue,
+                Ok(Next::Record(opcode, _)) => format!("{opcode:#04x} is no record of a recording"),
+                Ok(Next::End) => {
+                    self.report.was_finished = true;
+                    break;
+                }
+                Ok(Next::CutShort) if at == records.length => break,
+                Ok(Next::CutShort) => "the file ends within a record".to_owned(),
+                Err(RecordingError::Corrupt { reason, .. }) => reason,
+                Err(error) => return Err(error),
+            };
+            let mut opcode = [0];
+            records.peek(at, &mut opcode)?;
+            let is_chunk = opcode == [op::CHUNK];
+            let frames = if is_chunk { frames_by_index(records, at, &channels)? } else { None };
+            let next = next_chunk(records, at + 1)?;
+            let bytes = next.unwrap_or(records.length) - at;
+            let damage = Damage { offset: at, bytes, frames, reason };
+            match is_chunk || next.is_some() {
+                true => self.damaged(damage),
+                // Behind the last chunk there are no frames.
+                false => self.report.damage.push(damage),
+            }
+            match next {
+                Some(next) => records.go_to(next)?,
+                None => break,
+            }
+        }
+        // What was lost at the end.
+        self.found(None)
+    }
+
+    fn damaged(&mut self, damage: Damage) {
+        let unread = self.unread.get_or_insert_default();
+        unread.frames += damage.frames.unwrap_or(0);
+        unread.uncounted |= damage.frames.is_none();
+        self.report.damage.push(damage);
+    }
+
+    fn message(&mut self, at: u64, topic: Topic, data: &[u8]) -> Result<(), RecordingError> {
+        let malformed = |reason| Damage { offset: at, bytes: data.len() as u64, frames: None, reason };
+        match topic {
+            Topic::Frame => match decode_frame(data, self.header.waveform.shape(), &mut self.frame) {
+                Ok(()) => {
+                    self.found(Some(self.frame.sequence))?;
+                    self.writer.frame(&self.frame)?;
+                    self.expected = self.frame.sequence.checked_add(1);
+                    self.report.frames += 1;
+                }
+                Err(reason) => self.damaged(Damage { frames: Some(1), ..malformed(reason) }),
+            },
+            Topic::Gap => match serde_json::from_slice::<Gap>(data) {
+                Ok(gap) => {
+                    self.found(Some(gap.first_sequence))?;
+                    self.writer.gap(&gap)?;
+                    self.expected = gap.first_sequence.checked_add(gap.frames);
+                    self.report.gaps += 1;
+                }
+                Err(error) => self.damaged(malformed(format!("a gap is malformed: {error}"))),
+            },
+            Topic::Label => match serde_json::from_slice(data) {
+                Ok(label) => {
+                    self.writer.label(&label)?;
+                    self.report.labels += 1;
+                }
+                Err(error) => self.report.damage.push(malformed(format!("a label is malformed: {error}"))),
+            },
+        }
+        Ok(())
+    }
+
+    /// Something with this number follows, or nothing does: writes what is missing before it as a gap.
+    fn found(&mut self, sequence: Option<u64>) -> Result<(), RecordingError> {
+        let Some(unread) = self.unread.take() else { return Ok(()) };
+        let (first_sequence, frames) = match (self.expected, sequence) {
+            // Numbers know better than the index: gaps may be lost with the frames.
+            (Some(expected), Some(sequence)) => (expected, sequence.saturating_sub(expected)),
+            (Some(expected), None) => (expected, unread.frames),
+            // Nothing could be read before it: numbers start at 0 unless the index knows better.
+            (None, Some(sequence)) if unread.uncounted => (0, sequence),
+            (None, Some(sequence)) => (sequence.saturating_sub(unread.frames), unread.frames.min(sequence)),
+            (None, None) => (0, unread.frames),
+        };
+        if sequence.is_some() && frames == 0 {
+            return Ok(());
+        }
+        let gap = Gap { first_sequence, frames, reason: GapReason::Recorded };
+        self.writer.gap(&gap)?;
+        self.report.lost.push(gap);
+        Ok(())
+    }
+}
+
+/// How many frames a chunk held, by the message indexes that follow it.
+fn frames_by_index(
+    records: &mut Records,
+    at: u64,
+    channels: &BTreeMap<u16, Topic>,
+) -> Result<Option<u64>, RecordingError> {
+    records.go_to(at)?;
+    let (mut body, mut frames) = (Vec::new(), None);
+    let mut is_first = true;
+    loop {
+        match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
+            Ok(Next::Record(op::MESSAGE_INDEX, _)) => match mcap::parse_record(op::MESSAGE_INDEX, &body) {
+                Ok(Record::MessageIndex(index)) => {
+                    let is_frames = channels.get(&index.channel_id) == Some(&Topic::Frame);
+                    frames = Some(frames.unwrap_or(0) + if is_frames { index.records.len() as u64 } else { 0 });
+                }
+                _ => return Ok(None),
+            },
+            Ok(Next::Record(..)) if is_first => is_first = false,
+            Ok(_) | Err(RecordingError::Corrupt { .. }) => return Ok(frames),
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+/// Start of the first chunk from here on: opcode, a length, and 28 bytes later the compression's name and a length that
+/// agrees with the first.
+fn next_chunk(records: &mut Records, from: u64) -> Result<Option<u64>, RecordingError> {
+    const BLOCK: usize = 1 << 20;
+    const HEAD: usize = RECORD_HEADER as usize + 44;
+    let mut block = vec![0; BLOCK];
+    let mut start = from;
+    while start < records.length {
+        let filled = records.peek(start, &mut block)?;
+        let bytes = block.get(..filled).unwrap_or(&[]);
+        for (index, head) in bytes.windows(HEAD).enumerate() {
+            if head.first() != Some(&op::CHUNK) || head.get(37..45) != Some(b"\x04\0\0\0zstd") {
+                continue;
+            }
+            let number = |at: usize| head.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
+            let length = number(1);
+            if length <= MAX_RECORD && number(45).checked_add(44) == Some(length) {
+                return Ok(Some(start + index as u64));
+            }
+        }
+        if filled < BLOCK {
+            break;
+        }
+        start += (BLOCK - HEAD + 1) as u64;
+    }
+    Ok(None)
+}

@@ -1,0 +1,274 @@
+//! Repairs and labels added afterwards: nothing that can be read is lost, and what is lost is told.
+
+mod common;
+
+use std::path::Path;
+
+use common::{Pattern, waveform};
+use proptest::prelude::*;
+use radome_driver::recording::mcap::{RepairReport, append_labels, repair};
+use radome_driver::{LabelSpan, McapReader, Recorder, RecordingError, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent};
+
+const FRAMES: u64 = 50;
+const RECORDED_GAP: Gap = Gap { first_sequence: 20, frames: 3, reason: GapReason::Crc };
+
+fn pattern() -> Pattern {
+    Pattern { gap: Some(RECORDED_GAP), ..Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES) }
+}
+
+/// 50 numbers at 10 Hz, 20 to 22 lost, a chunk a second, a label.
+fn record(path: &Path) -> Vec<u8> {
+    let mut source = pattern();
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    loop {
+        match source.next_frame(&mut frame).expect("frame") {
+            SourceEvent::Frame => recorder.frame(&frame).expect("records"),
+            SourceEvent::Gap(gap) => recorder.gap(&gap).expect("records"),
+            SourceEvent::End => break,
+        }
+    }
+    recorder.label(&LabelSpan::new(0.0, 2.0, "one")).expect("records");
+    recorder.finish().expect("finishes");
+    std::fs::read(path).expect("reads")
+}
+
+/// Numbers of the frames, checked against the pattern, and the gaps.
+fn content(path: &Path) -> (Vec<u64>, Vec<Gap>) {
+    let mut source = McapReader::open(path).expect("opens").strict(true);
+    assert!(source.is_complete());
+    let pattern = pattern();
+    let (mut frame, mut expected) = (Frame::zeroed(pattern.waveform.shape()), Frame::zeroed(pattern.waveform.shape()));
+    let (mut numbers, mut gaps) = (Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame).expect("reads") {
+            SourceEvent::Frame => {
+                pattern.fill(frame.sequence, &mut expected);
+                assert_eq!(frame, expected);
+                numbers.push(frame.sequence);
+            }
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (numbers, gaps),
+        }
+    }
+}
+
+/// Repairs these bytes; the input must stay as it is.
+fn repaired(bytes: &[u8]) -> Result<(RepairReport, Vec<u64>, Vec<Gap>), RecordingError> {
+    let folder = tempfile::tempdir().expect("folder");
+    let (broken, fixed) = (folder.path().join("broken.mcap"), folder.path().join("fixed.mcap"));
+    std::fs::write(&broken, bytes).expect("writes");
+    let result = repair(&broken, &fixed);
+    assert!(std::fs::read(&broken).expect("reads") == bytes);
+    assert_eq!(fixed.exists(), result.is_ok());
+    let report = result?;
+    let (numbers, gaps) = content(&fixed);
+    assert_eq!(numbers.len() as u64, report.frames);
+    Ok((report, numbers, gaps))
+}
+
+/// Chunks: start and end.
+fn chunks(bytes: &[u8]) -> Vec<(usize, usize)> {
+    let summary = mcap::Summary::read(bytes).expect("reads").expect("a summary");
+    let mut chunks: Vec<_> = summary
+        .chunk_indexes
+        .iter()
+        .map(|c| (c.chunk_start_offset as usize, (c.chunk_start_offset + c.chunk_length) as usize))
+        .collect();
+    chunks.sort_unstable();
+    chunks
+}
+
+fn whole() -> Vec<u8> {
+    let folder = tempfile::tempdir().expect("folder");
+    record(&folder.path().join("a.mcap"))
+}
+
+#[test]
+fn a_whole_file_loses_nothing() {
+    let (report, numbers, gaps) = repaired(&whole()).expect("repairs");
+    assert!(report.was_finished && report.lost.is_empty() && report.damage.is_empty());
+    assert_eq!((report.frames, report.labels, report.gaps), (47, 1, 1));
+    assert!(numbers.into_iter().eq((0..20).chain(23..50)));
+    assert_eq!(gaps, [RECORDED_GAP]);
+}
+
+#[test]
+fn a_damaged_chunk_becomes_a_gap() {
+    let bytes = whole();
+    let chunks = chunks(&bytes);
+    // The first chunk holds channels only; then a chunk a second.
+    let (start, end) = chunks[2];
+    for at in [start + 60, (start + end) / 2, end - 1] {
+        let mut bytes = bytes.clone();
+        bytes[at] ^= 0x40;
+        let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
+        // The recorded gap stood at its end and is gone with it; the numbers tell.
+        let lost = Gap { first_sequence: 10, frames: 13, reason: GapReason::Recorded };
+        assert_eq!(report.lost, [lost], "{:?}", report.damage);
+        assert_eq!((report.damage.len(), report.damage[0].offset), (1, start as u64));
+        assert_eq!(report.damage[0].frames, Some(10));
+        assert!(report.bytes_lost() >= (end - start) as u64 && report.was_finished);
+        assert!(numbers.into_iter().eq((0..10).chain(23..50)));
+        assert_eq!(gaps, [lost]);
+    }
+}
+
+#[test]
+fn the_last_chunk_is_told_by_its_index() {
+    let mut bytes = whole();
+    let (start, end) = *chunks(&bytes).last().expect("chunks");
+    bytes[(start + end) / 2] ^= 0x40;
+    let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
+    let first = *numbers.last().expect("frames") + 1;
+    let lost = Gap { first_sequence: first, frames: 50 - first, reason: GapReason::Recorded };
+    assert_eq!((report.lost.as_slice(), gaps.last()), ([lost].as_slice(), Some(&lost)));
+}
+
+#[test]
+fn a_length_gone_wrong_costs_no_more_than_its_chunk() {
+    let bytes = whole();
+    let (start, end) = chunks(&bytes)[2];
+    for (at, byte) in [(start, 0x81), (start, 0x00), (start + 1, 0x03), (start + 3, 0x70), (start + 8, 0x70)] {
+        let mut bytes = bytes.clone();
+        bytes[at] = byte;
+        let (report, numbers, _) = repaired(&bytes).expect("repairs");
+        // A length a little wrong leaves all frames, since the chunk inside has lengths and a check sum of its own.
+        let lost = if numbers.len() == 47 { 20..20 } else { 10..23 };
+        assert!(numbers.into_iter().eq((0..50).filter(|n| !lost.contains(n) && !(20..23).contains(n))), "{:?}", report);
+        assert_eq!(report.frames_lost(), lost.end - lost.start);
+        assert!(report.bytes_lost() < 2 * (end - start) as u64 + 400);
+    }
+}
+
+#[test]
+fn the_channels_are_known_without_their_chunk() {
+    let mut bytes = whole();
+    let (start, end) = chunks(&bytes)[0];
+    bytes[(start + end) / 2] ^= 0x40;
+    let (report, numbers, _) = repaired(&bytes).expect("repairs");
+    assert_eq!((numbers.len(), report.frames_lost(), report.damage.len()), (47, 0, 1));
+}
+
+#[test]
+fn labels_are_added_to_a_finished_recording() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.mcap");
+    record(&path);
+    let before = content(&path);
+    let label = LabelSpan {
+        who: Some("live page".into()),
+        made_ns: Some(1_767_683_775_000_000_001),
+        note: Some("came back for her coat".into()),
+        ..LabelSpan::new(2.0, 3.5, Occupancy::Two.name())
+    };
+    let summary = append_labels(&path, &[label.clone()]).expect("appends");
+    assert_eq!((summary.frames, summary.gaps, summary.labels), (47, 1, 2));
+    assert_eq!(content(&path), before);
+    let labels = McapReader::open(&path).expect("opens").labels().expect("labels");
+    assert_eq!(labels, [LabelSpan::new(0.0, 2.0, "one"), label]);
+    assert_eq!(labels[1].occupancy(), Some(Occupancy::Two));
+    assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn labels_are_refused_where_they_would_cost_something() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        let bytes = record(&path);
+        let label = [LabelSpan::new(0.0, 1.0, "one")];
+        std::fs::write(&path, &bytes[..bytes.len() - 20]).expect("writes");
+        assert!(matches!(append_labels(&path, &label), Err(RecordingError::Unfinished { .. })));
+        let mut damaged = bytes.clone();
+        let (start, end) = chunks(&bytes)[2];
+        damaged[(start + end) / 2] ^= 1;
+        std::fs::write(&path, &damaged).expect("writes");
+        assert!(matches!(append_labels(&path, &label), Err(RecordingError::Corrupt { .. })));
+        assert!(std::fs::read(&path).expect("reads") == damaged);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    #[test]
+    fn a_file_is_not_repaired_onto_itself() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        let bytes = record(&path);
+        assert!(repair(&path, &path).is_err());
+        assert!(std::fs::read(&path).expect("reads") == bytes);
+    }
+
+    /// Whole chunks in front of the cut are saved wherever it falls.
+    #[test]
+    fn a_cut_costs_what_lies_behind_its_chunk() {
+        let bytes = whole();
+        let chunks = chunks(&bytes);
+        let header_end = chunks[0].0;
+        for cut in (0..bytes.len()).step_by(61).chain(chunks.iter().flat_map(|c| [c.1 - 1, c.1, c.1 + 1])) {
+            let result = repaired(&bytes[..cut]);
+            if cut < header_end {
+                assert!(result.is_err(), "cut at {cut}");
+                continue;
+            }
+            let (report, numbers, _) = result.expect("repairs");
+            let seconds = chunks[1..].iter().filter(|c| c.1 <= cut).count();
+            let expected = [0, 10, 20, 30, 40, 47][seconds];
+            assert_eq!(numbers.len(), expected, "cut at {cut}: {:?}", report.damage);
+        }
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(100))]
+
+        /// Whatever is damaged behind the header: no frame is wrong, and what is not there is within a gap or at the end.
+        #[test]
+        fn every_missing_frame_lies_in_a_gap(
+            changes in prop::collection::vec((any::<prop::sample::Index>(), prop::collection::vec(any::<u8>(), 1..40)), 1..6),
+            cut in prop::option::of(any::<prop::sample::Index>()),
+        ) {
+            let mut bytes = whole();
+            let header_end = chunks(&bytes)[0].0;
+            for (index, change) in &changes {
+                let at = header_end + index.index(bytes.len() - header_end);
+                let end = (at + change.len()).min(bytes.len());
+                bytes[at..end].copy_from_slice(&change[..end - at]);
+            }
+            if let Some(cut) = cut {
+                bytes.truncate(header_end + cut.index(bytes.len() - header_end));
+            }
+            let (report, numbers, gaps) = repaired(&bytes).expect("repairs");
+            let end = numbers.last().map_or(0, |last| last + 1);
+            let start = numbers.iter().chain(gaps.iter().map(|gap| &gap.first_sequence)).min().copied().unwrap_or(0);
+            for number in start..end {
+                let missing = !numbers.contains(&number);
+                let in_gap = gaps.iter().any(|g| (g.first_sequence..g.first_sequence + g.frames).contains(&number));
+                prop_assert_eq!(missing, in_gap, "frame {}, {:?}", number, report);
+            }
+        }
+
+        /// Arbitrary bytes behind the magic, or anywhere in a good file.
+        #[test]
+        fn arbitrary_bytes_are_refused_or_read(bytes in prop::collection::vec(any::<u8>(), 0..2000)) {
+            let folder = tempfile::tempdir().expect("folder");
+            let path = folder.path().join("a.mcap");
+            for content in [bytes.clone(), [mcap::MAGIC, &bytes].concat()] {
+                std::fs::write(&path, content).expect("writes");
+                let _ = McapReader::open(&path).map(|reader| reader.labels());
+                prop_assert!(repair(&path, &folder.path().join("b.mcap")).is_err());
+            }
+        }
+    }
+
+    /// A chunk of a hundred bytes that claims to unpack to exabytes.
+    #[test]
+    fn a_claimed_length_is_not_believed() {
+        let mut bytes = whole();
+        let (start, _) = chunks(&bytes)[2];
+        bytes[start + 9 + 16..start + 9 + 24].copy_from_slice(&(1u64 << 60).to_le_bytes());
+        let (report, ..) = repaired(&bytes).expect("repairs");
+        assert!(report.damage[0].reason.contains("claims"), "{:?}", report.damage);
+    }
+}
