@@ -2,6 +2,7 @@
 
 mod assembler;
 mod link;
+mod reconnect;
 mod stream;
 
 use std::path::{Path, PathBuf};
@@ -17,6 +18,7 @@ use crate::protocol::strata::{
     Protocol, SpiWord, Status,
 };
 use link::Link;
+pub use reconnect::Reconnect;
 pub use stream::BoardStream;
 
 /// Digital and RF id of the BGT60TR13C.
@@ -136,6 +138,16 @@ pub enum BoardError {
         chip: &'static str,
         /// What its register reads.
         chip_id: u32,
+    },
+    /// Another board has taken the place of the one that measured.
+    #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it", path = path.display())]
+    OtherBoard {
+        /// Port.
+        path: PathBuf,
+        /// UUID of the board that measured.
+        expected: String,
+        /// UUID of the board that is there now.
+        found: String,
     },
     /// The waveform does not fit the chip.
     #[error(transparent)]

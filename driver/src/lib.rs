@@ -17,7 +17,7 @@ mod timing;
 #[cfg(test)]
 mod testing;
 
-pub use board::{Board, BoardError, BoardIdentity, BoardStream};
+pub use board::{Board, BoardError, BoardIdentity, BoardStream, Reconnect};
 pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Pace};
 pub use recording::RecordingError;

@@ -5,6 +5,7 @@
 //! packets therefore cost the frames that they belong to and no others: the next whole frame is known.
 
 use std::collections::VecDeque;
+use std::time::Duration;
 
 use radome_dsp::{Frame, FrameShape, Gap, GapReason, SourceEvent, Waveform};
 
@@ -48,6 +49,8 @@ pub(super) struct Assembler {
     /// Board time of sequence number 0, microseconds.
     origin_us: Option<f64>,
     last_time_us: f64,
+    /// Set after a reconnection, when the board's clock says nothing: host time since the last frame, microseconds.
+    host_elapsed_us: Option<f64>,
     /// Slices and the board's clock when they were complete, oldest first.
     stamps: VecDeque<(u64, u64)>,
     damaged: bool,
@@ -77,6 +80,7 @@ impl Assembler {
             next_sequence: 0,
             origin_us: None,
             last_time_us: 0.0,
+            host_elapsed_us: None,
             stamps: VecDeque::with_capacity(shape.codes() / slice.samples.max(1) + 4),
             damaged: false,
             restart_reason: GapReason::Disconnected,
@@ -99,6 +103,20 @@ impl Assembler {
         self.damaged = false;
         self.base = None;
         self.restart_reason = reason;
+    }
+
+    /// The board is another one, or has lost its clock: how many frames were lost the host's clock must tell.
+    pub fn reconnected(&mut self) {
+        self.restart(GapReason::Disconnected);
+        self.origin_us = None;
+        self.host_elapsed_us = Some(0.0);
+    }
+
+    /// Host time since the last frame was handed out.
+    pub fn host_elapsed(&mut self, since_last_frame: Duration) {
+        if let Some(elapsed_us) = &mut self.host_elapsed_us {
+            *elapsed_us = since_last_frame.as_secs_f64() * 1e6;
+        }
     }
 
     /// First byte of the stream that holds codes of this frame. With an odd number of codes it holds its neighbour's too.
@@ -224,8 +242,11 @@ impl Assembler {
         if let Some(base) = self.base {
             return base + frame;
         }
-        let by_clock =
-            self.origin_us.map(|origin| ((start_us - origin) / self.frame_interval_us).round().max(0.0) as u64);
+        let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
+        let by_clock = match self.host_elapsed_us.take() {
+            Some(elapsed_us) => Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us)),
+            None => self.origin_us.map(|origin| intervals(start_us - origin)),
+        };
         // The frame that was cut short is lost at least.
         let sequence = by_clock.map_or(self.next_sequence, |s| s.max(self.next_sequence + 1));
         let gap = Gap {

@@ -1,12 +1,14 @@
 //! Frames as a board sends them.
 
+use std::path::PathBuf;
+use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
-use super::{Board, BoardError};
+use super::{Board, BoardError, Reconnect};
 use crate::chip::{ChipConfiguration, RegisterFile, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
 
@@ -23,6 +25,13 @@ pub struct BoardStream {
     /// Longest silence between two packets, by the frame interval.
     deadline: Duration,
     restart: Option<GapReason>,
+    path: PathBuf,
+    uuid: String,
+    reconnect: Option<Reconnect>,
+    /// When the last frame was handed out, or the stream began.
+    last_frame: Instant,
+    /// Frames lost, by reason.
+    lost: Vec<(GapReason, u64)>,
 }
 
 impl BoardStream {
@@ -42,6 +51,11 @@ impl BoardStream {
         let assembler = Assembler::new(&realised, slice);
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
         let mut stream = BoardStream {
+            path: board.path().to_owned(),
+            uuid: board.identity().uuid.clone(),
+            reconnect: None,
+            last_frame: Instant::now(),
+            lost: Vec::with_capacity(8),
             board: Some(board),
             waveform: realised,
             registers,
@@ -70,6 +84,66 @@ impl BoardStream {
         Ok(())
     }
 
+    /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
+    /// then waits for it, and what was lost meanwhile is a gap counted by the host's clock.
+    pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
+        self.reconnect = Some(policy);
+        self
+    }
+
+    /// Frames lost so far for this reason.
+    pub fn lost_frames(&self, reason: GapReason) -> u64 {
+        self.lost.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
+    }
+
+    fn count(&mut self, gap: &Gap) {
+        match self.lost.iter_mut().find(|(reason, _)| *reason == gap.reason) {
+            Some((_, frames)) => *frames += gap.frames,
+            None => self.lost.push((gap.reason, gap.frames)),
+        }
+    }
+
+    /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
+    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
+        tracing::warn!(%error, "the board is opened again");
+        // The old port must be closed before the new one can be had.
+        self.board = None;
+        self.restart = None;
+        for wait in policy.waits() {
+            let left = policy.give_up_after.saturating_sub(self.last_frame.elapsed());
+            if left.is_zero() {
+                break;
+            }
+            thread::sleep(wait.min(left));
+            let attempt = Board::open(&self.path).and_then(|board| {
+                if board.identity().uuid != self.uuid {
+                    let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
+                    return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
+                }
+                self.board = Some(board);
+                self.program()
+            });
+            match attempt {
+                Ok(()) => {
+                    self.assembler.reconnected();
+                    return Ok(());
+                }
+                Err(error) if error.is_passing() => {
+                    tracing::debug!(%error, "the board is not back yet");
+                    self.board = None;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+        Err(error)
+    }
+
+    /// The next frame or gap, or an error after the deadline.
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
     /// Register list that the board was given.
     pub fn registers(&self) -> &RegisterList {
         &self.registers
@@ -78,11 +152,17 @@ impl BoardStream {
     /// The next frame or gap, or `None` if it is not there within `timeout`.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let end = Instant::now() + timeout;
+        let mut tried = false;
         'next: loop {
             if let Some(event) = self.assembler.pop(frame) {
-                if event == SourceEvent::Frame {
-                    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-                    frame.host_time_ns = now.as_nanos() as u64;
+                match &event {
+                    SourceEvent::Frame => {
+                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                        frame.host_time_ns = now.as_nanos() as u64;
+                        self.last_frame = Instant::now();
+                    }
+                    SourceEvent::Gap(gap) => self.count(gap),
+                    SourceEvent::End => {}
                 }
                 return Ok(Some(event));
             }
@@ -98,7 +178,10 @@ impl BoardStream {
                         self.assembler.damaged();
                         continue;
                     }
-                    Incoming::Packet(packet) => self.assembler.packet(&packet),
+                    Incoming::Packet(packet) => {
+                        self.assembler.host_elapsed(self.last_frame.elapsed());
+                        self.assembler.packet(&packet)
+                    }
                 };
                 match outcome {
                     Outcome::Taken => {}
@@ -114,9 +197,11 @@ impl BoardStream {
                 }
             }
             let left = end.saturating_duration_since(Instant::now());
-            if !link.receive(left.min(Duration::from_millis(50)))? && left.is_zero() {
+            if left.is_zero() && tried {
                 return Ok(None);
             }
+            tried = true;
+            link.receive(left.min(Duration::from_millis(50)))?;
         }
     }
 
@@ -150,10 +235,15 @@ impl FrameSource for BoardStream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        let waited = self.deadline;
-        match self.poll(frame, waited)? {
-            Some(event) => Ok(event),
-            None => Err(BoardError::Stalled { path: self.board()?.link.path.clone(), waited }.into()),
+        loop {
+            let error = match self.wait(frame) {
+                Ok(event) => return Ok(event),
+                Err(error) => error,
+            };
+            match self.reconnect {
+                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
+                _ => return Err(error.into()),
+            }
         }
     }
 }

@@ -55,6 +55,13 @@ impl Firmware {
         self.frames = None;
     }
 
+    /// The board was without power: everything is as at first, but for the count of starts.
+    pub fn power_up(&mut self) {
+        self.reset();
+        self.slice = None;
+        self.data_started = false;
+    }
+
     /// Slice and waveform while slices are to be sent.
     pub fn streaming(&self) -> Option<(SliceLayout, &Waveform)> {
         self.slice.filter(|_| self.data_started).zip(self.frames.as_ref())

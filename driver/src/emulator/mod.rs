@@ -15,7 +15,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use radome_dsp::{FrameSource, Waveform};
 use thiserror::Error;
@@ -58,8 +58,27 @@ pub enum Fault {
         /// How many bytes.
         bytes: usize,
     },
+    /// The packet is sent after its successor.
+    ReorderPacket(u64),
+    /// The firmware's counter jumps before this packet, as if others had been sent.
+    SkipCounter {
+        /// Which packet.
+        packet: u64,
+        /// By how much.
+        by: u16,
+    },
     /// The chip's FIFO overflows instead of this packet being sent.
     Overflow(u64),
+    /// Nothing more is sent from this packet on until the host starts the board anew. Requests are answered.
+    Stall(u64),
+    /// The board is unplugged instead of this packet being sent, and so loses its power. It comes back after a while,
+    /// at [`EmulatorOptions::link`].
+    Unplug {
+        /// Which packet.
+        packet: u64,
+        /// For how long.
+        duration: Duration,
+    },
 }
 
 /// How the emulated board behaves.
@@ -73,6 +92,9 @@ pub struct EmulatorOptions {
     pub chip_id: u32,
     /// Major version of the protocol that the firmware reports. It speaks version 3 if that is 3, otherwise version 4.
     pub protocol_version: u16,
+    /// Symbolic link to the pseudo-terminal, to be made anew each time the board is plugged in: the terminal itself has
+    /// another name then.
+    pub link: Option<PathBuf>,
 }
 
 impl Default for EmulatorOptions {
@@ -82,6 +104,7 @@ impl Default for EmulatorOptions {
             faults: Vec::new(),
             chip_id: CHIP_ID_BGT60TR13C,
             protocol_version: Protocol::default().major(),
+            link: None,
         }
     }
 }
@@ -92,6 +115,14 @@ pub enum EmulatorError {
     /// No pseudo-terminal.
     #[error("emulator: cannot open a pseudo-terminal")]
     Pty(#[source] std::io::Error),
+    /// No symbolic link.
+    #[error("emulator: cannot make the link {path}", path = path.display())]
+    Link {
+        /// Where.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
     /// No thread.
     #[error("emulator: cannot start a thread")]
     Thread(#[source] std::io::Error),
@@ -128,6 +159,7 @@ struct Shared {
 /// A running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
 pub struct EmulatedBoard {
     path: PathBuf,
+    link: Option<PathBuf>,
     waveform: Waveform,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
@@ -143,12 +175,20 @@ impl EmulatedBoard {
         }
         let waveform = source.waveform().clone();
         let pty = Pty::open().map_err(EmulatorError::Pty)?;
-        let path = pty.path.clone();
+        if let Some(link) = &options.link {
+            pty.link(link).map_err(|source| EmulatorError::Link { path: link.clone(), source })?;
+        }
+        let path = options.link.clone().unwrap_or_else(|| pty.path.clone());
         let shared = Arc::new(Shared::default());
         let world = World::new(source, options.pace).map_err(EmulatorError::Thread)?;
         let firmware = Firmware::new(&waveform, &options);
+        let link = options.link.clone();
         let mut device = Device {
             pty,
+            link: options.link,
+            unplugged: None,
+            powered_up_us: None,
+            held: Vec::new(),
             world,
             firmware,
             source: waveform.clone(),
@@ -170,7 +210,7 @@ impl EmulatedBoard {
                 device.shared.dead.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
-        Ok(EmulatedBoard { path, waveform, shared, thread: Some(thread) })
+        Ok(EmulatedBoard { path, link, waveform, shared, thread: Some(thread) })
     }
 
     /// Device node to open as a serial port.
@@ -215,6 +255,12 @@ impl EmulatedBoard {
         {
             tracing::error!("the emulated board panicked");
         }
+        // The terminal's name will be another's: nothing must lead there.
+        if let Some(link) = self.link.take()
+            && let Err(error) = std::fs::remove_file(&link)
+        {
+            tracing::warn!(%error, link = %link.display(), "the link could not be removed");
+        }
     }
 }
 
@@ -233,6 +279,13 @@ struct Sending {
 
 struct Device {
     pty: Pty,
+    link: Option<PathBuf>,
+    /// To be unplugged for so long.
+    unplugged: Option<Duration>,
+    /// World time at which the board's clock began again after it was unplugged; `Some(None)` until the next slice.
+    powered_up_us: Option<Option<u64>>,
+    /// A packet to be sent after its successor.
+    held: Vec<u8>,
     world: World,
     firmware: Firmware,
     source: Waveform,
@@ -250,6 +303,9 @@ impl Device {
     fn serve(&mut self) -> std::io::Result<()> {
         let mut buffer = [0; 4096];
         while !self.shared.stop.load(Ordering::Acquire) {
+            if let Some(duration) = self.unplugged.take() {
+                self.unplug(duration)?;
+            }
             // Between the bytes of a message nothing else is sent; between messages requests are answered.
             if self.written < self.out.len() {
                 self.pty.wait(true, Duration::from_millis(20))?;
@@ -273,6 +329,30 @@ impl Device {
         Ok(())
     }
 
+    /// The terminal goes, and another comes in its place.
+    fn unplug(&mut self, duration: Duration) -> std::io::Result<()> {
+        let is_back = Pty::open()?;
+        drop(std::mem::replace(&mut self.pty, is_back));
+        if let Some(link) = &self.link {
+            std::fs::remove_file(link)?;
+        }
+        let end = Instant::now() + duration;
+        while Instant::now() < end && !self.shared.stop.load(Ordering::Acquire) {
+            thread::sleep(Duration::from_millis(5));
+            self.world.advance();
+        }
+        self.firmware.power_up();
+        self.parser = HostParser::new(self.parser.protocol());
+        self.out.clear();
+        self.written = 0;
+        self.held.clear();
+        self.powered_up_us = Some(None);
+        match &self.link {
+            Some(link) => self.pty.link(link),
+            None => Ok(()),
+        }
+    }
+
     /// Puts the next data packet into `out`; whether there was anything to do.
     fn next_packet(&mut self) -> bool {
         let Some((layout, waveform)) = self.firmware.streaming() else {
@@ -294,7 +374,11 @@ impl Device {
                 Slice::Ready { time_us } => {
                     let mut bytes = Vec::with_capacity(layout.data_bytes() + 8);
                     packed12::pack(self.world.codes(layout.samples), &mut bytes);
-                    bytes.extend(time_us.to_le_bytes());
+                    let clock_began_us = match &mut self.powered_up_us {
+                        Some(began) => *began.get_or_insert(time_us),
+                        None => 0,
+                    };
+                    bytes.extend(time_us.saturating_sub(clock_began_us).to_le_bytes());
                     self.world.take(layout.samples);
                     self.sending = Some(Sending { layout, bytes, next: 0 });
                     self.shared.slices.fetch_add(1, Ordering::Relaxed);
@@ -330,6 +414,20 @@ impl Device {
             self.overflow();
             return;
         }
+        for fault in &self.faults {
+            match *fault {
+                Fault::Stall(packet) if packet == number => {
+                    self.sending = None;
+                    self.firmware.stop_by_itself();
+                }
+                Fault::Unplug { packet, duration } if packet == number => {
+                    self.sending = None;
+                    self.unplugged = Some(duration);
+                }
+                Fault::SkipCounter { packet, by } if packet == number => self.counter = self.counter.wrapping_add(by),
+                _ => {}
+            }
+        }
         let Some(sending) = &mut self.sending else { return };
         let index = sending.next;
         let start = index * MAX_PACKET_PAYLOAD;
@@ -354,6 +452,8 @@ impl Device {
                     }
                 }
                 Fault::TruncatePacket { packet, bytes } if packet == number => self.out.truncate(bytes),
+                Fault::ReorderPacket(n) if n == number => self.held.append(&mut self.out),
+                Fault::ReorderPacket(n) if n + 1 == number => self.out.append(&mut self.held),
                 _ => {}
             }
         }

@@ -4,7 +4,7 @@ use std::ffi::OsStr;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
@@ -31,6 +31,14 @@ impl Pty {
         tcsetattr(&slave, OptionalActions::Now, &settings)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
         Ok(Pty { master, _slave: slave, path })
+    }
+
+    /// Makes a symbolic link to the terminal, in the place of a former one.
+    pub fn link(&self, link: &Path) -> io::Result<()> {
+        let mut fresh = link.as_os_str().to_owned();
+        fresh.push(".new");
+        std::os::unix::fs::symlink(&self.path, &fresh)?;
+        std::fs::rename(&fresh, link)
     }
 
     /// Waits until there are bytes to read, or room to write if `write` is set, at most so long.

@@ -1,5 +1,6 @@
 //! What boards say and hear, as pure functions over bytes. Each decoder stands beside its encoder; nothing here does I/O.
 
+pub mod ascii;
 pub mod crc;
 pub mod fifo;
 pub mod packed12;

@@ -188,6 +188,11 @@ impl HostParser {
         HostParser { protocol, buffer: Vec::new() }
     }
 
+    /// Version that it was made for.
+    pub fn protocol(&self) -> Protocol {
+        self.protocol
+    }
+
     /// Takes received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.extend_from_slice(bytes);

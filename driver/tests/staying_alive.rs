@@ -1,0 +1,189 @@
+//! Boards that vanish, stall and lose their place: the stream goes on, and what was lost is counted once.
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Pattern, waveform};
+use radome_driver::{Board, BoardStream, EmulatedBoard, EmulatorOptions, Fault, Pace, Reconnect};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+
+/// Patient enough for any machine.
+const POLICY: Reconnect = Reconnect {
+    first_wait: Duration::from_millis(10),
+    longest_wait: Duration::from_millis(50),
+    give_up_after: Duration::from_secs(60),
+};
+
+fn options(faults: &[Fault]) -> EmulatorOptions {
+    EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
+}
+
+fn source(waveform: &Waveform) -> Box<Pattern> {
+    Box::new(Pattern::new(waveform.clone(), u64::MAX))
+}
+
+/// Reads so many frames. Each must be a whole frame of the source, later than the one before, and sequence numbers must
+/// leave no hole but the gaps. Gives the gaps.
+fn read(stream: &mut BoardStream, waveform: &Waveform, frames: usize) -> Vec<Gap> {
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut expected = frame.clone();
+    let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
+    while received < frames {
+        match stream.next_frame(&mut frame).expect("stream") {
+            SourceEvent::Frame => {
+                let pattern = Pattern::new(waveform.clone(), 0);
+                let found = (next_of_source..next_of_source + 1000).find(|sequence| {
+                    pattern.fill(*sequence, &mut expected);
+                    expected.codes == frame.codes
+                });
+                next_of_source = found.expect("a frame of the source") + 1;
+                assert_eq!(frame.sequence, next_sequence);
+                next_sequence += 1;
+                received += 1;
+            }
+            SourceEvent::Gap(gap) => {
+                assert!(gap.first_sequence == next_sequence && gap.frames > 0, "{gap:?}");
+                next_sequence += gap.frames;
+                gaps.push(gap);
+            }
+            SourceEvent::End => panic!("a board does not end"),
+        }
+    }
+    for reason in [GapReason::Disconnected, GapReason::PacketLost, GapReason::Crc, GapReason::FifoOverflow] {
+        let frames: u64 = gaps.iter().filter(|g| g.reason == reason).map(|g| g.frames).sum();
+        assert_eq!(stream.lost_frames(reason), frames, "{reason:?}");
+    }
+    gaps
+}
+
+fn reasons(gaps: &[Gap]) -> Vec<GapReason> {
+    gaps.iter().map(|g| g.reason).collect()
+}
+
+#[test]
+fn a_board_that_is_plugged_in_again_goes_on() {
+    let folder = tempfile::tempdir().expect("folder");
+    // What the host has not read yet goes with the terminal: unplug so seldom that frames arrive in between.
+    for (chirps, samples, packets, frames) in [(8, 64, 1, [100, 300, 500]), (128, 256, 48, [3, 7, 12])] {
+        let waveform = waveform(&[1, 2, 3], chirps, samples, 0.1);
+        let duration = Duration::from_millis(100);
+        let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
+        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let client = Board::open(board.path()).expect("opens");
+        let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
+        let gaps = read(&mut stream, &waveform, frames[2] as usize + 20);
+        assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
+    }
+}
+
+#[test]
+fn a_board_that_stalls_is_started_anew() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let board = EmulatedBoard::spawn(source(&waveform), options(&[Fault::Stall(4)])).expect("spawns");
+    let client = Board::open(board.path()).expect("opens");
+    let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
+    let gaps = read(&mut stream, &waveform, 10);
+    assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
+    // By the host's clock: the frame after the deadline of 1.3 s is the thirteenth at least.
+    assert!(gaps[0].frames >= 12, "{gaps:?}");
+}
+
+/// A counter that jumps by less than a slice says that a packet is what it cannot be.
+#[test]
+fn lost_alignment_is_found_by_starting_anew() {
+    let waveform = waveform(&[1, 2, 3], 128, 256, 0.1);
+    for by in [1, 2, 3, 5] {
+        let fault = Fault::SkipCounter { packet: 48 + 6, by };
+        let board = EmulatedBoard::spawn(source(&waveform), options(&[fault])).expect("spawns");
+        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let gaps = read(&mut stream, &waveform, 5);
+        // A middle packet may pass for another one; the last of its slice does not.
+        assert!((1..=2).contains(&gaps.len()), "{gaps:?}");
+        assert!(gaps.iter().all(|gap| gap.reason == GapReason::PacketLost), "{gaps:?}");
+        assert_eq!(gaps[0].first_sequence, 1);
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// Reads on until there is an error.
+    fn first_error(stream: &mut BoardStream, waveform: &Waveform) -> radome_dsp::SourceError {
+        let mut frame = Frame::zeroed(waveform.shape());
+        loop {
+            if let Err(error) = stream.next_frame(&mut frame) {
+                return error;
+            }
+        }
+    }
+
+    #[test]
+    fn packets_in_the_wrong_order_cost_their_frames_only() {
+        let small = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let board = EmulatedBoard::spawn(source(&small), options(&[Fault::ReorderPacket(3)])).expect("spawns");
+        let mut stream = Board::open(board.path()).expect("opens").start(&small).expect("starts");
+        let gaps = read(&mut stream, &small, 8);
+        assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
+    }
+
+    #[test]
+    fn every_fault_at_once_is_survived() {
+        let folder = tempfile::tempdir().expect("folder");
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let faults = [
+            Fault::DropPacket(2),
+            Fault::FlipBit { packet: 5, bit: 999 },
+            Fault::TruncatePacket { packet: 11, bytes: 700 },
+            Fault::Overflow(14),
+            Fault::DoublePacket(16),
+            Fault::ReorderPacket(18),
+            Fault::SkipCounter { packet: 22, by: 3 },
+            Fault::Unplug { packet: 100, duration: Duration::from_millis(50) },
+            Fault::DropPacket(200),
+        ];
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
+        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let client = Board::open(board.path()).expect("opens");
+        let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
+        let gaps = read(&mut stream, &waveform, 250);
+        use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
+        assert_eq!(
+            reasons(&gaps),
+            [PacketLost, Crc, Crc, FifoOverflow, PacketLost, PacketLost, Disconnected, PacketLost]
+        );
+    }
+
+    #[test]
+    fn a_board_that_never_comes_back_is_given_up() {
+        let folder = tempfile::tempdir().expect("folder");
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        // With a link: the number of a terminal that has gone is soon that of another test's board.
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[]) };
+        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let client = Board::open(board.path()).expect("opens");
+        let policy = Reconnect { give_up_after: Duration::from_millis(300), ..POLICY };
+        let mut stream = client.start(&waveform).expect("starts").with_reconnect(policy);
+        read(&mut stream, &waveform, 3);
+        drop(board);
+        let error = first_error(&mut stream, &waveform);
+        assert!(error.to_string().contains("connection broke"), "{error}");
+        // The stream is over; it says so as often as it is asked.
+        first_error(&mut stream, &waveform);
+    }
+
+    /// Who has not asked for reconnection hears of it.
+    #[test]
+    fn without_leave_to_reconnect_the_error_comes_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
+        let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
+        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        read(&mut stream, &waveform, 10);
+        let error = first_error(&mut stream, &waveform);
+        assert!(error.to_string().contains("connection broke"), "{error}");
+    }
+}
