@@ -24,7 +24,7 @@ impl FrameSource for Same {
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         let shape = self.waveform.shape();
         if frame.codes.len() != shape.codes() {
-            frame.codes = (0..shape.codes()).map(|i| (i * 2_654_435_761 >> 7 & 0xFFF) as u16).collect();
+            frame.codes = (0..shape.codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
         }
         frame.shape = shape;
         (frame.sequence, frame.time_ns) =

@@ -42,14 +42,14 @@ fn sent_by_host(transcript: &[Message]) -> Vec<Vec<u8>> {
 
 /// The waveform that the client of a transcript programmed: the registers of its last long list.
 fn programmed(transcript: &[Message]) -> Waveform {
-    let lists = sent_by_host(transcript).into_iter().filter_map(|bytes| {
+    let mut lists = sent_by_host(transcript).into_iter().rev().filter_map(|bytes| {
         match Command::from_request(&Request::decode(&bytes).expect("request")) {
             Ok(Command::Execute { words, .. }) if words.len() > 30 => Some(words),
             _ => None,
         }
     });
     let mut file = RegisterFile::default();
-    lists.last().expect("a list").iter().for_each(|w| file.set(w.address, w.value));
+    lists.next().expect("a list").iter().for_each(|w| file.set(w.address, w.value));
     ChipConfiguration::decode(&file).expect("a waveform").waveform
 }
 
@@ -325,12 +325,13 @@ fn our_client_differs_from_protocol_3_only_where_it_has_a_reason() {
     assert_eq!(differences(&sent_by_host(&transcript), &ours), expected);
 
     let list = |requests: &[Vec<u8>]| {
-        let lists =
-            requests.iter().filter_map(|bytes| match Command::from_request(&Request::decode(bytes).ok()?).ok()? {
+        let mut lists = requests.iter().rev().filter_map(|bytes| {
+            match Command::from_request(&Request::decode(bytes).ok()?).ok()? {
                 Command::Execute { words, .. } if words.len() > 30 => Some(words),
                 _ => None,
-            });
-        lists.last().expect("a list")
+            }
+        });
+        lists.next().expect("a list")
     };
     let (vendor, ours) = (list(&sent_by_host(&transcript)), list(&ours));
     let different: Vec<_> = vendor.iter().zip(&ours).filter(|(a, b)| a != b).collect();

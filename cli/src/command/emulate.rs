@@ -1,3 +1,4 @@
+use std::path::PathBuf;
 use std::time::Duration;
 
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
@@ -26,6 +27,9 @@ pub struct Arguments {
     /// What the board speaks
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
+    /// Symbolic link to the pty, so that it has the same path each time
+    #[arg(long)]
+    link: Option<PathBuf>,
     /// Times real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -46,7 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Protocol::Mcu7V4 => 4,
         Protocol::Mcu7V3 => 3,
     };
-    let options = EmulatorOptions { pace, protocol_version, ..Default::default() };
+    let options = EmulatorOptions { pace, protocol_version, link: arguments.link.clone(), ..Default::default() };
     let mut board = EmulatedBoard::spawn(source.frames, options)?;
     let path = board.path().display().to_string();
     if arguments.json {

@@ -1,6 +1,6 @@
 //! A source of known frames, and where shared data lies. Each test binary uses a part.
 
-#![allow(dead_code)]
+#![allow(dead_code, clippy::print_stderr)]
 
 use radome_dsp::{Frame, FrameSource, Gap, RxMask, SourceError, SourceEvent, Truth, Waveform, WaveformRequest};
 

@@ -354,9 +354,9 @@ impl Command {
                     }
                     _ => Err(Status::RequestPayloadInvalid),
                 },
-                (READ_BURST, Transfer) => match payload.as_slice() {
-                    &[address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
-                    &[count, address] => Ok(Command::ReadRegisters { address, count }),
+                (READ_BURST, Transfer) => match *payload.as_slice() {
+                    [address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
+                    [count, address] => Ok(Command::ReadRegisters { address, count }),
                     _ => Err(Status::RequestPayloadInvalid),
                 },
                 (SET_BITS, Write) => match payload.as_slice() {
