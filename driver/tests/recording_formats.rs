@@ -136,7 +136,7 @@ fn the_folder_has_the_vendors_files_and_keys() {
         rx_antennas sample_rate_Hz start_frequency_Hz tx_antennas tx_power_level";
     assert_eq!(keys.join(" "), expected.split_whitespace().collect::<Vec<_>>().join(" "));
     let npy = std::fs::read(radar.join("radar.npy")).expect("reads");
-    assert_eq!(npy.len(), 128 + 3 * 3 * 4 * 16 * 2);
+    assert_eq!(npy.len(), 1024 + 3 * 3 * 4 * 16 * 2);
     let header = npyz::NpyFile::new(npy.as_slice()).expect("an array");
     assert_eq!(header.shape(), [3, 3, 4, 16]);
     assert!(path.join("meta.json").exists());

@@ -163,7 +163,7 @@ fn labels_are_added_to_a_finished_recording() {
         note: Some("came back for her coat".into()),
         ..LabelSpan::new(2.0, 3.5, Occupancy::Two.name())
     };
-    let summary = append_labels(&path, &[label.clone()]).expect("appends");
+    let summary = append_labels(&path, std::slice::from_ref(&label)).expect("appends");
     assert_eq!((summary.frames, summary.gaps, summary.labels), (47, 1, 2));
     assert_eq!(content(&path), before);
     let labels = McapReader::open(&path).expect("opens").labels().expect("labels");

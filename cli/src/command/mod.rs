@@ -3,6 +3,7 @@
 mod bench;
 mod circuit;
 mod config;
+mod convert;
 mod dataset;
 mod demo;
 mod devices;
@@ -12,6 +13,7 @@ mod live;
 mod models;
 mod rdm;
 mod record;
+mod repair;
 mod simulate;
 mod train;
 
@@ -32,6 +34,10 @@ pub enum Command {
     Live(live::Arguments),
     /// An emulated board on a pty that serves any source until stopped
     Emulate(emulate::Arguments),
+    /// A recording in another format: MCAP, Infineon's folder, text
+    Convert(convert::Arguments),
+    /// What can be read of a cut or damaged recording, as a new file, and what is lost
+    Repair(repair::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
     /// Simulate a scene: raw frames, truth and labels
@@ -59,6 +65,8 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Record(arguments) => record::run(&arguments),
         Command::Live(arguments) => live::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
+        Command::Convert(arguments) => convert::run(&arguments),
+        Command::Repair(arguments) => repair::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),

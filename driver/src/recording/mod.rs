@@ -184,7 +184,7 @@ pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
     Ok(match Recording::open(path)? {
         Recording::Mcap(reader) => reader,
         Recording::Infineon(reader) => reader,
-        Recording::Text(reader) => Box::new(reader),
+        Recording::Text(reader) => reader,
     })
 }
 

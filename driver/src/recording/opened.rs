@@ -19,7 +19,7 @@ pub enum Recording {
     /// The vendor's folder.
     Infineon(Box<InfineonReader>),
     /// The vendor's text file.
-    Text(TextReader),
+    Text(Box<TextReader>),
 }
 
 impl Recording {
@@ -35,7 +35,7 @@ impl Recording {
             return Ok(Recording::Mcap(Box::new(McapReader::open(path)?)));
         }
         if super::text::config_path(path).is_some() {
-            return Ok(Recording::Text(TextReader::open(path)?));
+            return Ok(Recording::Text(Box::new(TextReader::open(path)?)));
         }
         Err(RecordingError::Unknown { path: path.to_owned() })
     }
@@ -82,7 +82,7 @@ impl Recording {
         match self {
             Recording::Mcap(reader) => reader.as_mut(),
             Recording::Infineon(reader) => reader.as_mut(),
-            Recording::Text(reader) => reader,
+            Recording::Text(reader) => reader.as_mut(),
         }
     }
 }

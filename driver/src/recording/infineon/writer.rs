@@ -13,11 +13,17 @@ use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
 use crate::recording::{RecordingError, Tally, WriteReport};
 
-/// Header of an NPY file of this shape: 128 bytes for any number of frames, so that it can be written last.
+/// Length of the headers that the vendor writes, bytes: any number of frames fits, so that it can be filled in last.
+const HEADER_BYTES: usize = 1024;
+
+/// Header of an NPY file, padded as the vendor pads it.
 fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
-    let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
-    let mut bytes = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
-    bytes.extend(format!("{header:<117}\n").as_bytes());
+    let text = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((HEADER_BYTES as u16 - 10).to_le_bytes());
+    bytes.extend(text.as_bytes());
+    bytes.resize(HEADER_BYTES - 1, b' ');
+    bytes.push(b'\n');
     bytes
 }
 
@@ -54,7 +60,7 @@ impl InfineonWriter {
             .map_err(RecordingError::cannot_write(path))?;
         let data = folder.join("radar.npy");
         let mut file = BufWriter::new(File::create(&data).map_err(RecordingError::cannot_write(&data))?);
-        file.write_all(&[0; 128]).map_err(RecordingError::cannot_write(&data))?;
+        file.write_all(&[0; HEADER_BYTES]).map_err(RecordingError::cannot_write(&data))?;
         Ok(InfineonWriter {
             partial,
             folder,

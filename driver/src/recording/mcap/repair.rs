@@ -63,8 +63,7 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingErro
     let header = read_header_alone(&mut records)?;
     let writer = RecordingWriter::create(output, Format::Mcap, &header)?;
     let frame = Frame::zeroed(header.waveform.shape());
-    let mut repair =
-        Repair { writer, header, frame, report: RepairReport::default(), expected: None, unread: None };
+    let mut repair = Repair { writer, header, frame, report: RepairReport::default(), expected: None, unread: None };
     repair.copy(&mut records)?;
     repair.writer.finish()?;
     Ok(repair.report)

@@ -1,0 +1,58 @@
+use std::path::PathBuf;
+
+use radome_driver::recording::mcap;
+use serde_json::json;
+
+use crate::{files, output};
+
+/// `radome repair`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// MCAP recording that was cut or damaged; it is only read
+    file: PathBuf,
+    /// MCAP file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Writes what can be read of a recording to a new one and says what is lost.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    files::check_parent(&arguments.output)?;
+    let report = mcap::repair(&arguments.file, &arguments.output)?;
+    if !report.was_finished {
+        eprintln!("the recording was never finished; what came after its last chunk is lost");
+    }
+    for damage in &report.damage {
+        let frames = damage.frames.map_or("frames unknown".into(), |frames| format!("{frames} frames"));
+        eprintln!("at byte {}: {} bytes lost, {frames}: {}", damage.offset, damage.bytes, damage.reason);
+    }
+    for gap in &report.lost {
+        match gap.frames {
+            0 => eprintln!("frames lost from {} on, nobody knows how many", gap.first_sequence),
+            frames => eprintln!("{frames} frames lost from {} on", gap.first_sequence),
+        }
+    }
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        let lost = |gap: &radome_dsp::Gap| json!({ "first_sequence": gap.first_sequence, "frames": gap.frames });
+        return output::json_line(&json!({
+            "file": file,
+            "frames": report.frames,
+            "labels": report.labels,
+            "gaps": report.gaps,
+            "lost": report.frames_lost(),
+            "lost_bytes": report.bytes_lost(),
+            "lost_from": report.lost.iter().map(lost).collect::<Vec<_>>(),
+            "was_finished": report.was_finished,
+        }));
+    }
+    output::text_line(&format!(
+        "{file}: {} frames saved, {} known to be lost, {} bytes unreadable",
+        report.frames,
+        report.frames_lost(),
+        report.bytes_lost()
+    ))
+}

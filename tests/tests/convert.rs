@@ -1,0 +1,226 @@
+//! Recordings from format to format, and recorders that are killed.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use radome_driver::recording::Recording;
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_tests::{failure, fixture, json_lines, radome, shared};
+use serde_json::Value;
+
+/// All frames of a recording, and how many were lost.
+fn read(path: &Path) -> (Vec<Frame>, u64) {
+    let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut frames, mut lost) = (Vec::new(), 0);
+    loop {
+        match source.next_frame(&mut frame).unwrap_or_else(|e| panic!("{e}")) {
+            SourceEvent::Frame => frames.push(frame.clone()),
+            SourceEvent::Gap(gap) => lost += gap.frames,
+            SourceEvent::End => return (frames, lost),
+        }
+    }
+}
+
+fn simulate(path: &Path, frames: &str) {
+    let scene = fixture("scenes/corridor.toml");
+    json_lines(radome().arg("simulate").arg(scene).args(["--frames", frames, "--seed", "5", "--json", "-o"]).arg(path));
+}
+
+fn convert(from: &Path, to: &Path) -> Value {
+    json_lines(radome().arg("convert").args([from, to]).arg("--json")).remove(0)
+}
+
+fn codes(frames: &[Frame]) -> Vec<&[u16]> {
+    frames.iter().map(|frame| frame.codes.as_slice()).collect()
+}
+
+#[test]
+fn a_simulation_becomes_a_folder_and_a_text_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    simulate(&at("x.mcap"), "15");
+    let output = radome().arg("convert").args([at("x.mcap"), at("session/")]).arg("--json").output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("truth of 15 frames"), "{said}");
+    let report: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!((&report["frames"], &report["gaps"], &report["lost"]), (&15.into(), &0.into(), &0.into()));
+
+    let (frames, _) = read(&at("x.mcap"));
+    let bytes = std::fs::read(at("session/RadarIfxAvian_00/radar.npy")).expect("an array");
+    let array = npyz::NpyFile::new(bytes.as_slice()).expect("an array");
+    assert_eq!(array.shape(), [15, 3, 128, 256]);
+    let samples: Vec<u16> = array.into_vec().expect("codes");
+    assert!(samples == codes(&frames).concat());
+    assert_eq!(report["written"], bytes.len());
+
+    convert(&at("session"), &at("y.txt"));
+    convert(&at("y.txt"), &at("z.mcap"));
+    assert!(codes(&read(&at("z.mcap")).0) == codes(&frames));
+    let waveform = |name: &str| Recording::open(&at(name)).expect("opens").waveform().clone();
+    assert_eq!(waveform("z.mcap"), waveform("x.mcap"));
+}
+
+#[test]
+fn the_real_recording_survives_the_way_there_and_back() {
+    let Some(real) = shared("data/recordings/breathing-person-20260106") else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let report = convert(&real, &at("real.mcap"));
+    assert_eq!((&report["frames"], &report["lost"]), (&256.into(), &0.into()));
+    convert(&at("real.mcap"), &at("back"));
+    let file = |root: &Path, name: &str| std::fs::read(root.join("RadarIfxAvian_00").join(name)).expect("reads");
+    assert!(file(&real, "radar.npy") == file(&at("back"), "radar.npy"));
+    let config = |root: &Path| serde_json::from_slice::<Value>(&file(root, "config.json")).expect("JSON");
+    assert_eq!(config(&real), config(&at("back")));
+    assert_eq!(read(&real), read(&at("back")));
+}
+
+#[test]
+fn a_recording_cut_in_two_is_repaired() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (cut, fixed) = (folder.path().join("cut.mcap"), folder.path().join("fixed.mcap"));
+    simulate(&cut, "35");
+    let (whole, _) = read(&cut);
+    let bytes = std::fs::read(&cut).expect("reads");
+    std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
+    let report = json_lines(radome().arg("repair").arg(&cut).arg("-o").arg(&fixed).arg("--json")).remove(0);
+    let (frames, _) = read(&fixed);
+    assert!(frames.len() >= 10 && frames == whole[..frames.len()]);
+    assert_eq!((&report["frames"], &report["was_finished"]), (&frames.len().into(), &false.into()));
+    assert!(report["lost_bytes"].as_u64().is_some_and(|bytes| bytes > 0));
+    assert!(std::fs::read(&cut).expect("reads") == bytes[..bytes.len() / 2]);
+}
+
+/// Kills a recorder at a random moment; returns how many frames it had been given and how many can be read.
+///
+/// The recorder says on stderr which frames it has, so that no clock is needed to know what must be there.
+fn kill_one(arguments: &[&str], path: &Path, draw: &mut dyn FnMut(u64) -> u64, whole: &[Frame]) -> (usize, usize) {
+    let mut child = radome()
+        .args(arguments)
+        .arg(path)
+        .env("RADOME_LOG", "radome_driver::recording=trace")
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("runs");
+    let mut stderr = BufReader::new(child.stderr.take().expect("piped"));
+    let mut said = String::new();
+    let wait_for = draw(whole.len() as u64 - 10);
+    let mut seen = 0;
+    while seen < wait_for {
+        let start = said.len();
+        assert!(stderr.read_line(&mut said).expect("reads") > 0, "ended after {seen} frames: {said}");
+        seen += u64::from(said[start..].contains("frame recorded"));
+    }
+    std::thread::sleep(Duration::from_micros(draw(60_000)));
+    child.kill().expect("kill -9");
+    child.wait().expect("ends");
+    stderr.read_to_string(&mut said).expect("reads");
+    let given = said.matches("frame recorded").count();
+    let (frames, lost) = match path.exists() && std::fs::metadata(path).expect("there").len() > 0 {
+        true => read(path),
+        // Nothing but the name of the file yet.
+        false => (Vec::new(), 0),
+    };
+    assert!(frames.len() <= given + 1 && lost == 0, "{given} frames given, {} read", frames.len());
+    for (frame, expected) in frames.iter().zip(whole) {
+        assert!(frame.sequence == expected.sequence && frame.codes == expected.codes);
+    }
+    if let Some(last) = given.checked_sub(1).and_then(|last| whole.get(last)) {
+        // A board's clock counts microseconds.
+        let due = whole.iter().filter(|frame| frame.time_ns + 1_000_010_000 <= last.time_ns).count();
+        assert!(frames.len() >= due, "{given} frames given, {due} due, {} read", frames.len());
+    }
+    (given, frames.len())
+}
+
+/// `kill -9` at random moments; 100 of them where `RADOME_LONG` is set.
+#[test]
+#[allow(clippy::print_stderr)]
+fn a_killed_recorder_leaves_all_but_the_last_second() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let reference = folder.path().join("whole.mcap");
+    simulate(&reference, "60");
+    let (whole, _) = read(&reference);
+    let scene = fixture("scenes/corridor.toml").display().to_string();
+    let emulated = format!("emulated:{scene}");
+    let mut state = 0x2026_1121_u64;
+    let mut draw = |below: u64| {
+        state = state.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mixed = (state ^ state >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        (mixed ^ mixed >> 31) % below
+    };
+    let rounds = if std::env::var_os("RADOME_LONG").is_some() { 100 } else { 10 };
+    let (mut worst, mut frames_given) = (0, 0);
+    for round in 0..rounds {
+        let path = folder.path().join(format!("{round}.mcap"));
+        let simulate = ["simulate", &scene, "--frames", "60", "--seed", "5", "-o"];
+        let record = ["record", &emulated, "--frames", "60", "--seed", "5", "--waveform", "paper", "-o"];
+        let arguments: &[&str] = if round % 2 == 0 { &simulate } else { &record };
+        let (given, read) = kill_one(arguments, &path, &mut draw, &whole);
+        worst = worst.max(given.saturating_sub(read));
+        frames_given += given;
+        // It may have been killed before it made the file.
+        let _ = std::fs::remove_file(&path);
+    }
+    eprintln!(
+        "{rounds} recorders killed after {frames_given} frames; at most {worst} frames, all of the last second, lost"
+    );
+    assert!(worst > 0, "no recorder was killed with frames on its hands: the test tests nothing");
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn left_over(folder: &Path) -> Vec<PathBuf> {
+        std::fs::read_dir(folder).expect("lists").flatten().map(|entry| entry.path()).collect()
+    }
+
+    /// A limit on the size of files stands for a full disk.
+    #[test]
+    #[cfg(unix)]
+    fn a_full_disk_leaves_nothing_that_looks_whole() {
+        let source = tempfile::tempdir().expect("a folder");
+        let input = source.path().join("x.mcap");
+        simulate(&input, "12");
+        for name in ["session", "y.txt", "y.mcap"] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let program = radome().get_program().to_owned();
+            let mut shell = std::process::Command::new("sh");
+            shell.args(["-c", "trap '' XFSZ; ulimit -f 1000; exec \"$@\"", "sh"]).arg(program);
+            let said = failure(shell.arg("convert").arg(&input).arg(folder.path().join(name)));
+            assert!(said.contains(name) && said.contains("cannot be"), "{said}");
+            assert!(left_over(folder.path()).is_empty());
+        }
+    }
+
+    #[test]
+    fn wrong_inputs_and_outputs_are_refused_and_nothing_is_left() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulate(&at("x.mcap"), "25");
+        let refused = |from: &str, to: &str| failure(radome().arg("convert").args([at(from), at(to)]));
+        assert!(refused("x.mcap", "x.mcap").contains("input and output"));
+        assert!(refused("x.mcap", "y.wav").contains("--to"));
+        assert!(refused("x.mcap", "absent/y.mcap").contains("mkdir"));
+        assert!(refused("z.mcap", "y.mcap").contains("z.mcap"));
+        std::fs::create_dir(at("full")).expect("creates");
+        std::fs::write(at("full/thesis.tex"), "x").expect("writes");
+        assert!(refused("x.mcap", "full").contains("not empty"));
+
+        let mut bytes = std::fs::read(at("x.mcap")).expect("reads");
+        let middle = bytes.len() / 2;
+        bytes[middle] ^= 0x10;
+        std::fs::write(at("x.mcap"), bytes).expect("writes");
+        let said = refused("x.mcap", "session");
+        assert!(said.contains("at byte") && said.contains("radome repair"), "{said}");
+        let said = failure(radome().arg("repair").arg(at("full/thesis.tex")).arg("-o").arg(at("y.mcap")));
+        assert!(said.contains("not an MCAP file"), "{said}");
+        let mut left = left_over(folder.path());
+        left.sort();
+        assert_eq!(left, [at("full"), at("x.mcap")]);
+    }
+}
