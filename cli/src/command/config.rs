@@ -1,5 +1,3 @@
-use std::collections::BTreeMap;
-
 use radome_driver::chip::{ChipConfiguration, RegisterValue};
 use radome_driver::protocol::strata::SliceLayout;
 use radome_dsp::Waveform;
@@ -27,13 +25,19 @@ struct NamedRegister {
     address: u8,
     value: u32,
     name: &'static str,
-    fields: BTreeMap<&'static str, u32>,
+    #[serde(serialize_with = "as_map")]
+    fields: Vec<(&'static str, u32)>,
+}
+
+/// Pairs as an object, in the order of the register.
+fn as_map<S: serde::Serializer>(fields: &[(&'static str, u32)], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(fields.iter().copied())
 }
 
 impl NamedRegister {
     fn new(register: RegisterValue) -> Self {
         let (name, fields) = register.named().unwrap_or_default();
-        NamedRegister { address: register.address, value: register.value, name, fields: fields.into_iter().collect() }
+        NamedRegister { address: register.address, value: register.value, name, fields }
     }
 
     /// As `ADDRESS:VALUE NAME FIELD=VALUE ...`, address and value in hexadecimal.
