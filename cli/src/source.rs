@@ -5,6 +5,7 @@
 //! | a path | a recording: MCAP file or Infineon folder |
 //! | `SCENE.toml` | the simulator |
 //! | `serial:/dev/ttyACM0` | a board |
+//! | `esp32:/dev/ttyUSB0` | a board that prints its frames as lines; it measures what it was built for |
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
@@ -13,7 +14,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::discover::Belief;
-use radome_driver::{Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, Pace, RealTime, candidates};
+use radome_driver::{
+    Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, LineStream, Pace, RealTime, candidates,
+};
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
@@ -60,6 +63,9 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     if let Some(port) = spec.strip_prefix("serial:") {
         return board(Path::new(port), options);
     }
+    if let Some(port) = spec.strip_prefix("esp32:") {
+        return printing_board(Path::new(port), options);
+    }
     if spec == "auto" {
         return board(&the_one_board()?, options);
     }
@@ -100,6 +106,18 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
     let stream = board.start(waveform)?;
     let registers = stream.registers().clone();
     Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
+}
+
+/// A board that takes no requests.
+fn printing_board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
+    let Some(waveform) = &options.waveform else {
+        bail!(
+            "the lines of an ESP32 do not say what it measures\n\nhint: name the waveform that it was built for with --waveform paper or --waveform FILE.toml"
+        );
+    };
+    let stream = LineStream::open(port, waveform)?;
+    let description = format!("ESP32 on {}", port.display());
+    Ok(Source { is_live: true, ..Source::without_board(Box::new(stream), description) })
 }
 
 /// The only board that discovery finds.

@@ -1,6 +1,7 @@
 //! A Radar Baseboard MCU7 on its serial port.
 
 mod assembler;
+mod lines;
 mod link;
 mod reconnect;
 mod stream;
@@ -13,10 +14,12 @@ use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::chip::{ChipError, address};
+use crate::protocol::ascii::LineError;
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
     Protocol, SpiWord, Status,
 };
+pub use lines::LineStream;
 use link::Link;
 pub use reconnect::Reconnect;
 pub use stream::BoardStream;
@@ -167,6 +170,14 @@ pub enum BoardError {
         path: PathBuf,
         /// How long was waited.
         waited: Duration,
+    },
+    /// Lines come, but none that is a frame of the waveform.
+    #[error("{path}: no frame among its lines", path = path.display())]
+    Line {
+        /// Port.
+        path: PathBuf,
+        /// What was wrong with the last one.
+        source: LineError,
     },
     /// The acquisition has ended.
     #[error("the acquisition has been stopped")]

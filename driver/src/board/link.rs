@@ -33,19 +33,24 @@ pub(super) struct Link {
     last_byte: Instant,
 }
 
+/// Opens a serial port for this program alone.
+pub(super) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort, BoardError> {
+    let name = path.to_string_lossy();
+    serialport::new(name, baud_rate).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
+        let source = std::io::Error::from(e);
+        // Another program holds the port's lock.
+        let busy = matches!(source.kind(), ErrorKind::WouldBlock | ErrorKind::ResourceBusy);
+        match (busy, source.kind()) {
+            (true, _) => BoardError::Busy { path: path.into() },
+            (_, ErrorKind::PermissionDenied) => BoardError::PermissionDenied { path: path.into() },
+            _ => BoardError::Open { path: path.into(), source },
+        }
+    })
+}
+
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let name = path.to_string_lossy();
-        let port = serialport::new(name, BAUD_RATE).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
-            let source = std::io::Error::from(e);
-            // Another program holds the port's lock.
-            let busy = matches!(source.kind(), ErrorKind::WouldBlock | ErrorKind::ResourceBusy);
-            match (busy, source.kind()) {
-                (true, _) => BoardError::Busy { path: path.into() },
-                (_, ErrorKind::PermissionDenied) => BoardError::PermissionDenied { path: path.into() },
-                _ => BoardError::Open { path: path.into(), source },
-            }
-        })?;
+        let port = open_port(path, BAUD_RATE)?;
         Ok(Link {
             path: path.into(),
             protocol: Protocol::default(),

@@ -6,6 +6,7 @@
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
 
 mod firmware;
+mod lines;
 mod pty;
 mod source;
 mod world;
@@ -24,6 +25,7 @@ use crate::board::CHIP_ID_BGT60TR13C;
 use crate::protocol::packed12;
 use crate::protocol::strata::{DataError, HostParser, MAX_PACKET_PAYLOAD, Packet, PacketFlags, Protocol, SliceLayout};
 use firmware::Firmware;
+pub use lines::EmulatedLines;
 use pty::Pty;
 pub use source::{EmulatedSource, EmulatedSourceError};
 use world::{Slice, World};

@@ -1,0 +1,280 @@
+//! Lines of ESP32 firmware (nichonaugle/esp32-bgt60tr13c-driver): `Frame N: [a, b, ...]`, one radar frame a line, codes in
+//! decimal in FIFO order. No checksum: a digit that is changed into another is not noticed; a code beyond 12 bits, a line cut
+//! short and a wrong number of codes are. Other lines are the firmware's log.
+
+use thiserror::Error;
+
+use radome_dsp::MAX_CODE;
+
+/// Longest code in decimal, a comma and a space.
+const BYTES_PER_CODE: usize = 6;
+const PREFIX: &[u8] = b"Frame ";
+
+/// What a line says.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Line<'a> {
+    /// A frame by the firmware's number; codes in FIFO order.
+    Frame {
+        /// Counts from the firmware's start.
+        number: u64,
+        /// 0..=4095.
+        codes: &'a [u16],
+    },
+    /// Talk of the firmware, or of its boot loader.
+    Log(&'a [u8]),
+}
+
+/// A line that begins like a frame and is none.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum LineError {
+    /// Something else stands where the number, a bracket or a code should.
+    #[error("frame line: unexpected byte {byte:#04x} at column {column}")]
+    Syntax {
+        /// From 1.
+        column: usize,
+        /// What stands there; 0 at the end of the line.
+        byte: u8,
+    },
+    /// A code has more than 12 bits.
+    #[error("frame {number}: code {index} is beyond 4095")]
+    Code {
+        /// The frame.
+        number: u64,
+        /// From 0.
+        index: usize,
+    },
+    /// The frame is not as long as the waveform says.
+    #[error(
+        "frame {number}: {got} codes, expected {expected}\n\nhint: name the waveform that the firmware is built for"
+    )]
+    Length {
+        /// The frame.
+        number: u64,
+        /// Codes in the line.
+        got: usize,
+        /// Codes of a frame.
+        expected: usize,
+    },
+    /// The line goes on for longer than any frame.
+    #[error("a line of more than {limit} bytes; skipped to the next")]
+    TooLong {
+        /// Bytes.
+        limit: usize,
+    },
+}
+
+/// Appends a frame's line; `codes` in FIFO order.
+pub fn encode(number: u64, codes: &[u16], line: &mut Vec<u8>) {
+    line.extend_from_slice(PREFIX);
+    line.extend_from_slice(number.to_string().as_bytes());
+    line.extend_from_slice(b": [");
+    for (i, code) in codes.iter().enumerate() {
+        if i > 0 {
+            line.extend_from_slice(b", ");
+        }
+        line.extend_from_slice(code.to_string().as_bytes());
+    }
+    line.extend_from_slice(b"]\n");
+}
+
+/// Lines out of bytes as they come.
+#[derive(Debug)]
+pub struct LineParser {
+    codes_per_frame: usize,
+    /// Bytes beyond which a line is given up.
+    limit: usize,
+    buffer: Vec<u8>,
+    /// Where the next line begins.
+    begin: usize,
+    /// Bytes from `begin` on that hold no end of line.
+    searched: usize,
+    /// The rest of a line that is being skipped comes next.
+    skipping: bool,
+    codes: Vec<u16>,
+}
+
+impl LineParser {
+    /// For frames of so many codes.
+    pub fn new(codes_per_frame: usize) -> Self {
+        let limit = codes_per_frame * BYTES_PER_CODE + 64;
+        LineParser {
+            codes_per_frame,
+            limit,
+            buffer: Vec::new(),
+            begin: 0,
+            searched: 0,
+            skipping: false,
+            codes: Vec::with_capacity(codes_per_frame),
+        }
+    }
+
+    /// Takes bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.drain(..self.begin);
+        self.begin = 0;
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next whole line, if there is one.
+    pub fn next_line(&mut self) -> Option<Result<Line<'_>, LineError>> {
+        loop {
+            let rest = self.buffer.get(self.begin + self.searched..).unwrap_or(&[]);
+            let Some(end) = rest.iter().position(|&b| b == b'\n') else {
+                self.searched += rest.len();
+                if self.searched <= self.limit {
+                    return None;
+                }
+                self.begin += self.searched;
+                self.searched = 0;
+                if !std::mem::replace(&mut self.skipping, true) {
+                    return Some(Err(LineError::TooLong { limit: self.limit }));
+                }
+                return None;
+            };
+            let (begin, end) = (self.begin, self.begin + self.searched + end);
+            self.begin = end + 1;
+            self.searched = 0;
+            if std::mem::take(&mut self.skipping) {
+                continue;
+            }
+            let line = self.buffer.get(begin..end).unwrap_or(&[]);
+            let line = line.strip_suffix(b"\r").unwrap_or(line);
+            if !line.starts_with(PREFIX) {
+                return Some(Ok(Line::Log(line)));
+            }
+            return Some(
+                frame(line, self.codes_per_frame, &mut self.codes)
+                    .map(|number| Line::Frame { number, codes: &self.codes }),
+            );
+        }
+    }
+}
+
+/// Number and codes of a line that begins with [`PREFIX`].
+fn frame(line: &[u8], expected: usize, codes: &mut Vec<u16>) -> Result<u64, LineError> {
+    codes.clear();
+    let mut at = PREFIX.len();
+    let syntax = |at: usize| LineError::Syntax { column: at + 1, byte: line.get(at).copied().unwrap_or(0) };
+    let number = decimal(line, &mut at, u64::MAX).ok_or_else(|| syntax(at))?;
+    at = literal(line, at, b": [").ok_or_else(|| syntax(at))?;
+    let mut got = 0;
+    if literal(line, at, b"]").is_none() {
+        loop {
+            let code = decimal(line, &mut at, u64::MAX).ok_or_else(|| syntax(at))?;
+            if code > u64::from(MAX_CODE) {
+                return Err(LineError::Code { number, index: got });
+            }
+            got += 1;
+            if got <= expected {
+                codes.push(code as u16);
+            }
+            match literal(line, at, b",") {
+                Some(next) => at = literal(line, next, b" ").unwrap_or(next),
+                None => break,
+            }
+        }
+    }
+    match literal(line, at, b"]") {
+        Some(end) if end == line.len() => {}
+        Some(end) => return Err(syntax(end)),
+        None => return Err(syntax(at)),
+    }
+    if got == expected { Ok(number) } else { Err(LineError::Length { number, got, expected }) }
+}
+
+/// Position behind a literal that stands at `at`.
+fn literal(line: &[u8], at: usize, text: &[u8]) -> Option<usize> {
+    line.get(at..)?.starts_with(text).then_some(at + text.len())
+}
+
+/// A decimal number at `at`, which moves behind it; `None` if there is none or it does not fit.
+fn decimal(line: &[u8], at: &mut usize, most: u64) -> Option<u64> {
+    let begin = *at;
+    let mut value = 0u64;
+    while let Some(digit) = line.get(*at).filter(|b| b.is_ascii_digit()) {
+        value = value.checked_mul(10)?.checked_add(u64::from(digit - b'0')).filter(|v| *v <= most)?;
+        *at += 1;
+    }
+    (*at > begin).then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    type Owned = Result<(u64, Vec<u16>), LineError>;
+
+    fn frames(codes_per_frame: usize, bytes: &[u8], piece: usize) -> Vec<Owned> {
+        let mut parser = LineParser::new(codes_per_frame);
+        let mut all = Vec::new();
+        for piece in bytes.chunks(piece.max(1)) {
+            parser.push(piece);
+            while let Some(line) = parser.next_line() {
+                match line {
+                    Ok(Line::Frame { number, codes }) => all.push(Ok((number, codes.to_vec()))),
+                    Ok(Line::Log(_)) => {}
+                    Err(e) => all.push(Err(e)),
+                }
+            }
+        }
+        all
+    }
+
+    #[test]
+    fn the_firmwares_line_is_read() {
+        let bytes = b"I (312) main: start\r\nFrame 7: [0, 4095, 17]\r\nFrame 8: [1,2,3]\n";
+        assert_eq!(frames(3, bytes, 100), [Ok((7, vec![0, 4095, 17])), Ok((8, vec![1, 2, 3]))]);
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read_whatever_the_pieces(
+            codes in prop::collection::vec(0u16..=4095, 1..50),
+            number: u64,
+            piece in 1usize..40,
+        ) {
+            let mut line = b"half a line from before\n".to_vec();
+            encode(number, &codes, &mut line);
+            prop_assert_eq!(frames(codes.len(), &line, piece), [Ok((number, codes))]);
+        }
+
+        #[test]
+        fn any_bytes_are_survived_in_bounded_memory(bytes in prop::collection::vec(any::<u8>(), 0..4000), piece in 1usize..300) {
+            let mut parser = LineParser::new(8);
+            for piece in bytes.chunks(piece) {
+                parser.push(piece);
+                while parser.next_line().is_some() {}
+                prop_assert!(parser.buffer.len() <= parser.limit + 2 * piece.len());
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn damage_is_named_and_costs_its_own_line() {
+            let good = b"Frame 9: [1, 2]\n";
+            for (bad, error) in [
+                (&b"Frame 1: [1, 4096]\n"[..], LineError::Code { number: 1, index: 1 }),
+                (b"Frame 1: [1]\n", LineError::Length { number: 1, got: 1, expected: 2 }),
+                (b"Frame 1: [1, 2, 3]\n", LineError::Length { number: 1, got: 3, expected: 2 }),
+                (b"Frame 1: []\n", LineError::Length { number: 1, got: 0, expected: 2 }),
+                (b"Frame 1: [1, 2\n", LineError::Syntax { column: 15, byte: 0 }),
+                (b"Frame 1: [1, x]\n", LineError::Syntax { column: 14, byte: b'x' }),
+                (b"Frame x: [1, 2]\n", LineError::Syntax { column: 7, byte: b'x' }),
+                (b"Frame 1: [1, 2] \n", LineError::Syntax { column: 16, byte: b' ' }),
+            ] {
+                let bytes = [bad, good].concat();
+                assert_eq!(frames(2, &bytes, 5), [Err(error), Ok((9, vec![1, 2]))]);
+            }
+        }
+
+        #[test]
+        fn a_line_without_end_is_skipped_once() {
+            let bytes = [&[b'7'; 500][..], b"\nFrame 9: [1, 2]\n"].concat();
+            assert_eq!(frames(2, &bytes, 50), [Err(LineError::TooLong { limit: 76 }), Ok((9, vec![1, 2]))]);
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Frames through the lines of an ESP32, sample for sample, on a pseudo-terminal.
+
+mod common;
+
+use common::{Pattern, waveform};
+use radome_driver::{EmulatedLines, LineStream, Pace};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+#[test]
+fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
+    let w = waveform(&[1, 2, 3], 16, 32, 0.05);
+    let mut source = Pattern::new(w.clone(), 30);
+    source.gap = Some(Gap { first_sequence: 10, frames: 3, reason: GapReason::Recorded });
+    let reference = Pattern::new(w.clone(), 30);
+    let board = EmulatedLines::spawn(Box::new(source), Pace::AsFastAsRead).expect("a pty");
+    let mut stream = LineStream::open(board.path(), &w).expect("opens");
+    let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
+    let (mut frames, mut gaps) = (Vec::new(), Vec::new());
+    while frames.last() != Some(&29) {
+        match stream.next_frame(&mut frame).expect("no error") {
+            SourceEvent::Frame => {
+                reference.fill(frame.sequence, &mut expected);
+                assert_eq!(frame.codes, expected.codes, "frame {}", frame.sequence);
+                assert_eq!(frame.time_ns, expected.time_ns);
+                frames.push(frame.sequence);
+            }
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => panic!("boards do not end"),
+        }
+    }
+    assert_eq!(frames, (0..10).chain(13..30).collect::<Vec<_>>());
+    assert_eq!(gaps, [Gap { first_sequence: 10, frames: 3, reason: GapReason::PacketLost }]);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn lines_of_another_waveform_are_refused_with_both_lengths() {
+        let built_for = waveform(&[1], 16, 32, 0.02);
+        let named = waveform(&[1, 2], 16, 32, 0.02);
+        let board = EmulatedLines::spawn(Box::new(Pattern::new(built_for, 5)), Pace::AsFastAsRead).expect("a pty");
+        let mut stream = LineStream::open(board.path(), &named).expect("opens");
+        let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
+        let reason = error.source().expect("a reason").to_string();
+        assert!(reason.contains("512 codes, expected 1024"), "{error}: {reason}");
+    }
+
+    #[test]
+    fn a_port_that_is_not_there_is_named() {
+        let w = waveform(&[1], 16, 32, 0.02);
+        let error = LineStream::open(std::path::Path::new("/dev/nowhere"), &w).err().expect("no such port");
+        assert!(error.to_string().contains("/dev/nowhere"), "{error}");
+    }
+}
