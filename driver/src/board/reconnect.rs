@@ -54,6 +54,7 @@ impl BoardError {
             | BoardError::OtherChip { .. }
             | BoardError::OtherBoard { .. }
             | BoardError::Chip(_)
+            | BoardError::Line { .. }
             | BoardError::Stopped => false,
         }
     }
