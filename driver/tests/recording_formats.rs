@@ -8,8 +8,13 @@ use common::waveform;
 use proptest::prelude::*;
 use radome_driver::recording::infineon::InfineonReader;
 use radome_driver::recording::{Format, Recording, RecordingWriter, WriteReport};
-use radome_driver::{LabelSpan, RecordingHeader};
+use radome_driver::{LabelSpan, McapReader, Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform, WaveformRequest};
+
+/// Fifty times as many where `RADOME_LONG` is set.
+fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
+}
 
 fn read(path: &Path) -> (Waveform, Vec<Frame>) {
     let mut source = Recording::open(path).expect("opens");
@@ -57,7 +62,7 @@ fn waveforms() -> impl Strategy<Value = Waveform> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(48))]
+    #![proptest_config(cases(48))]
 
     /// Whatever a board's frames are: samples, times and temperatures come back, and so does the waveform.
     #[test]
@@ -82,6 +87,64 @@ proptest! {
         prop_assert_eq!((report.frames, report.unheld), (frames.len() as u64, vec![]));
         prop_assert_eq!(read(&path), (waveform, frames));
         prop_assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    /// The native file holds everything there is, in order.
+    #[test]
+    fn the_native_file_gives_everything_back(
+        waveform in waveforms(),
+        seed in any::<u64>(),
+        finish in any::<bool>(),
+        items in prop::collection::vec((any::<[u64; 3]>(), any::<Option<i32>>(), 0..9usize, any::<bool>()), 0..30),
+    ) {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform.clone())).expect("creates");
+        let (mut events, mut labels) = (Vec::new(), Vec::new());
+        for (mut frame, ([sequence, time_ns, host_time_ns], temperature, kind, transition)) in
+            simulated(&waveform, items.len() as u64, seed).into_iter().zip(items)
+        {
+            match kind {
+                7 => {
+                    let gap = Gap { first_sequence: sequence, frames: time_ns, reason: GapReason::PacketLost };
+                    recorder.gap(&gap).expect("records");
+                    events.push(Err(gap));
+                }
+                8 => {
+                    let mut label = LabelSpan::new(time_ns as f64 * 1e-9, host_time_ns as f64 * 1e-9, "één");
+                    (label.made_ns, label.note) = (Some(sequence), transition.then(|| "\u{0}\"".into()));
+                    recorder.label(&label).expect("records");
+                    labels.push(label);
+                }
+                _ => {
+                    (frame.sequence, frame.time_ns, frame.host_time_ns) = (sequence, time_ns, host_time_ns);
+                    frame.temperature_millicelsius = temperature;
+                    frame.truth = Occupancy::from_index(kind).map(|occupancy| Truth { occupancy, transition });
+                    recorder.frame(&frame).expect("records");
+                    events.push(Ok(frame));
+                }
+            }
+        }
+        if finish {
+            recorder.finish().expect("finishes");
+        } else {
+            drop(recorder);
+        }
+        let mut reader = McapReader::open(&path).expect("opens");
+        prop_assert_eq!(reader.is_complete(), finish);
+        prop_assert_eq!(reader.labels().expect("labels"), labels);
+        prop_assert_eq!(reader.frame_count(), Some(events.iter().filter(|e| e.is_ok()).count() as u64));
+        prop_assert_eq!(reader.waveform(), &waveform);
+        for event in events {
+            let mut frame = Frame::zeroed(waveform.shape());
+            match (reader.next_frame(&mut frame).expect("reads"), event) {
+                (SourceEvent::Frame, Ok(expected)) => prop_assert_eq!(frame, expected),
+                (SourceEvent::Gap(gap), Err(expected)) => prop_assert_eq!(gap, expected),
+                other => prop_assert!(false, "{:?}", other),
+            }
+        }
+        let mut frame = Frame::zeroed(waveform.shape());
+        prop_assert_eq!(reader.next_frame(&mut frame).expect("reads"), SourceEvent::End);
     }
 
     #[test]
@@ -265,7 +328,7 @@ mod hard_cases {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(128))]
+        #![proptest_config(cases(128))]
 
         /// Any bytes, whole or grafted onto a good file, in each file of each format: an error or frames.
         #[test]

@@ -17,6 +17,11 @@ fn pattern() -> Pattern {
     Pattern { gap: Some(RECORDED_GAP), ..Pattern::new(waveform(&[1], 4, 32, 0.1), FRAMES) }
 }
 
+/// Fifty times as many where `RADOME_LONG` is set.
+fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
+}
+
 /// 50 numbers at 10 Hz, 20 to 22 lost, a chunk a second, a label.
 fn record(path: &Path) -> Vec<u8> {
     let mut source = pattern();
@@ -221,7 +226,7 @@ mod hard_cases {
     }
 
     proptest! {
-        #![proptest_config(ProptestConfig::with_cases(100))]
+        #![proptest_config(cases(100))]
 
         /// Whatever is damaged behind the header: no frame is wrong, and what is not there is within a gap or at the end.
         #[test]

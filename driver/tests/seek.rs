@@ -10,6 +10,11 @@ use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
+/// Fifty times as many where `RADOME_LONG` is set.
+fn cases(count: u32) -> ProptestConfig {
+    ProptestConfig::with_cases(if std::env::var_os("RADOME_LONG").is_some() { 50 * count } else { count })
+}
+
 #[derive(Debug, Clone, PartialEq)]
 enum Event {
     Frame(Frame),
@@ -70,7 +75,7 @@ fn record(path: &Path, finish: bool, lost: impl Fn(u64) -> bool) {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(cases(24))]
 
     #[test]
     fn an_mcap_file_is_entered_anywhere(lost in prop::collection::vec(0..90u64, 0..30), finish in any::<bool>()) {

@@ -1,11 +1,13 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
 use crate::{files, output};
+
+const REPAIR_HINT: &str = "\n\nhint: radome repair saves what can be read of it";
 
 /// `radome convert`
 #[derive(clap::Args)]
@@ -52,7 +54,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if is_same(input, path) {
         bail!("{} is input and output at once\n\nhint: choose another name", path.display());
     }
-    let mut source = Recording::open(input)?;
+    let mut source = match Recording::open(input) {
+        Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {
+            bail!("{error}{REPAIR_HINT}")
+        }
+        opened => opened?,
+    };
     if let Recording::Mcap(reader) = &source
         && !reader.is_complete()
     {
@@ -74,7 +81,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             Ok(SourceEvent::End) => break,
             Err(error) => {
                 let hint = match source {
-                    Recording::Mcap(_) => "\n\nhint: radome repair saves what can be read of it",
+                    Recording::Mcap(_) => REPAIR_HINT,
                     _ => "",
                 };
                 bail!("{}{hint}", output::chain(&anyhow::Error::from_boxed(error)));

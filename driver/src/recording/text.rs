@@ -66,10 +66,7 @@ impl TextReader {
                 return Err(RecordingError::Corrupt { path: path.to_owned(), offset: 0, reason });
             }
         };
-        let mut reader =
-            TextReader { path: path.to_owned(), file, length, line_end, waveform, next: 0, bytes: Vec::new() };
-        reader.bytes = vec![0; reader.frame_bytes()];
-        Ok(reader)
+        Ok(TextReader { path: path.to_owned(), file, length, line_end, waveform, next: 0, bytes: Vec::new() })
     }
 
     fn frame_bytes(&self) -> usize {
@@ -112,6 +109,8 @@ impl TextReader {
             }
             return Ok(SourceEvent::End);
         }
+        // Only now: the configuration alone may claim anything.
+        self.bytes.resize(self.frame_bytes(), 0);
         self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         frame.shape = self.waveform.shape();
         frame.codes.clear();

@@ -85,7 +85,7 @@ impl Tally {
 
     pub fn gap(&mut self, gap: &Gap) {
         self.gaps += 1;
-        self.frames_lost += gap.frames;
+        self.frames_lost = self.frames_lost.saturating_add(gap.frames);
     }
 
     /// What the vendor's formats have no place for.

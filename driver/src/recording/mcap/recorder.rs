@@ -172,7 +172,7 @@ impl Recorder {
             serde_json::to_vec(gap).map_err(|e| failed(&self.path, "cannot be written")(McapError::Io(e.into())))?;
         self.write(1, None, &json)?;
         self.summary.gaps += 1;
-        self.summary.frames_lost += gap.frames;
+        self.summary.frames_lost = self.summary.frames_lost.saturating_add(gap.frames);
         Ok(())
     }
 

@@ -43,7 +43,7 @@ pub struct RepairReport {
 impl RepairReport {
     /// Frames that are known to be lost.
     pub fn frames_lost(&self) -> u64 {
-        self.lost.iter().map(|gap| gap.frames).sum()
+        self.lost.iter().fold(0, |sum: u64, gap| sum.saturating_add(gap.frames))
     }
 
     /// Bytes that cannot be read.
