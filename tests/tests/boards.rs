@@ -1,0 +1,58 @@
+//! Every emulated board serves a recording through its own bytes, and what is recorded from it is the recording.
+
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::Stdio;
+
+use radome_tests::{fixture, json_lines, radome};
+
+const FRAMES: usize = 60;
+
+fn codes(folder: &Path) -> Vec<u16> {
+    let file = std::fs::File::open(folder.join("RadarIfxAvian_00/radar.npy")).expect("a recording folder");
+    npyz::NpyFile::new(BufReader::new(file)).expect("npy").into_vec().expect("u16")
+}
+
+#[test]
+fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    let frames = (FRAMES + 20).to_string();
+    json_lines(
+        radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]).arg(&fed),
+    );
+    let source = folder.path().join("fed");
+    json_lines(radome().arg("convert").arg(&fed).arg(&source).arg("--json"));
+    let expected = codes(&source);
+    for (protocol, scheme) in [("mcu7-4", "serial"), ("mcu7-3", "serial"), ("esp32", "esp32")] {
+        let mut board = radome()
+            .arg("emulate")
+            .arg("--from")
+            .arg(&source)
+            .args(["--protocol", protocol, "--speed", "0"])
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("starts");
+        let mut port = String::new();
+        BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
+        let recorded = folder.path().join(format!("{protocol}.mcap"));
+        let copy = folder.path().join(protocol);
+        let output = radome()
+            .arg("record")
+            .arg(format!("{scheme}:{}", port.trim()))
+            .arg("--waveform")
+            .arg(fixture("models/desk-hqnn.safetensors"))
+            .args(["--frames", &FRAMES.to_string(), "-o"])
+            .arg(&recorded)
+            .output()
+            .expect("runs");
+        let _ = board.kill();
+        let _ = board.wait();
+        assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
+        json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
+        let got = codes(&copy);
+        assert_eq!(got.len(), expected.len() / (FRAMES + 20) * FRAMES, "{protocol}");
+        assert!(expected.starts_with(&got), "{protocol}");
+    }
+}
