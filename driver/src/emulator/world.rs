@@ -128,9 +128,14 @@ impl World {
         }
     }
 
-    /// Codes that chip and board hold before they overflow.
+    /// Codes that chip and board hold before they overflow. A world that goes faster than real gives the board as much
+    /// more memory: the host, whose delays do not shrink, may be late by the same time.
     fn limit(&self) -> u64 {
-        FIFO_SAMPLES as u64 + BOARD_BUFFER_CODES
+        let speed = match self.pace {
+            Pace::RealTime(speed) => speed.clamp(1.0, 100.0),
+            Pace::AsFastAsRead => 1.0,
+        };
+        FIFO_SAMPLES as u64 + (BOARD_BUFFER_CODES as f64 * speed) as u64
     }
 
     fn pull(&mut self) {

@@ -12,19 +12,31 @@ const fn shifted(mut crc: u16) -> u16 {
     crc
 }
 
-const TABLE: [u16; 256] = {
-    let mut table = [0; 256];
+/// Entry `[n][byte]`: what a byte becomes when `n` zero bytes follow it.
+static TABLES: [[u16; 256]; 8] = {
+    let mut tables = [[0; 256]; 8];
     let mut i = 0;
     while i < 256 {
-        table[i] = shifted((i as u16) << 8);
+        tables[0][i] = shifted((i as u16) << 8);
+        let mut n = 1;
+        while n < 8 {
+            tables[n][i] = shifted(tables[n - 1][i]);
+            n += 1;
+        }
         i += 1;
     }
-    table
+    tables
 };
 
-/// CRC of these bytes, a table look-up each.
+/// CRC of these bytes, a table look-up each. Eight bytes at a time: their look-ups do not wait for each other.
 pub fn crc16(bytes: &[u8]) -> u16 {
-    bytes.iter().fold(INITIAL, |crc, &byte| (crc << 8) ^ TABLE[usize::from((crc >> 8) as u8 ^ byte)])
+    let (blocks, rest) = bytes.as_chunks::<8>();
+    let at = |n: usize, byte: u8| TABLES[n][usize::from(byte)];
+    let crc = blocks.iter().fold(INITIAL, |crc, &[b0, b1, b2, b3, b4, b5, b6, b7]| {
+        let [high, low] = crc.to_be_bytes();
+        at(7, high ^ b0) ^ at(6, low ^ b1) ^ at(5, b2) ^ at(4, b3) ^ at(3, b4) ^ at(2, b5) ^ at(1, b6) ^ at(0, b7)
+    });
+    rest.iter().fold(crc, |crc, &byte| (crc << 8) ^ at(0, (crc >> 8) as u8 ^ byte))
 }
 
 /// CRC of these bytes, bit by bit from the definition: what [`crc16`] is tested against.
