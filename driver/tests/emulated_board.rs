@@ -69,6 +69,20 @@ fn identity_and_registers_are_read_as_from_the_real_board() {
     assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
 }
 
+/// A board that refuses the codes of version 4 is spoken to in version 3.
+#[test]
+fn boards_of_protocol_3_measure_as_well() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let options = EmulatorOptions { protocol_version: 3, ..options(&[Fault::DropPacket(4), Fault::Overflow(9)]) };
+    let pattern = || Pattern::new(waveform.clone(), 20);
+    let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
+    let identity = source.identity().clone();
+    assert_eq!((identity.protocol_version.as_str(), identity.firmware_version.as_str()), ("3.0", "2.5.0"));
+    let (sequences, gaps) = read_all(&mut source, &pattern());
+    assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), [GapReason::PacketLost, GapReason::FifoOverflow]);
+    assert_eq!(sequences.len() as u64 + gaps.iter().map(|g| g.frames).sum::<u64>(), 20);
+}
+
 #[test]
 fn stream_can_be_stopped_and_started_again() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);

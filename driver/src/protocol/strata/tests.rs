@@ -71,6 +71,44 @@ fn requests_of_the_session_are_those_of_the_vendor_client() {
     }
 }
 
+/// What a version knows comes back as what it was; what only the other knows is refused.
+#[test]
+fn commands_round_trip_in_both_versions() {
+    let both = session().into_iter().filter(|c| !matches!(c, Command::ComponentCount { .. }));
+    let both = both.chain([Command::DataIndex, Command::DataStatus, Command::SetBits { address: 5, mask: 0xC0_0001 }]);
+    for command in both {
+        for protocol in Protocol::ALL {
+            let request = Request::decode(&command.to_request(protocol).encode()).expect("decodes");
+            assert_eq!(request.protocol, protocol);
+            assert_eq!(Command::from_request(&request).as_ref(), Ok(&command));
+        }
+    }
+    for (command, of) in [
+        (Command::ComponentCount { component: COMPONENT_AVIAN }, Protocol::V4),
+        (Command::ComponentImplementation { component: COMPONENT_RADAR }, Protocol::V3),
+        (Command::BoardInfoFixed { length: 32 }, Protocol::V3),
+    ] {
+        for protocol in Protocol::ALL {
+            let answer = Command::from_request(&command.to_request(protocol));
+            assert_eq!(answer.as_ref() == Ok(&command), protocol == of, "{command:?} {protocol:?}");
+        }
+    }
+}
+
+#[test]
+fn requests_of_the_other_version_are_refused() {
+    for (firmware, host) in [(Protocol::V4, Protocol::V3), (Protocol::V3, Protocol::V4)] {
+        let mut parser = HostParser::new(firmware);
+        let request = Command::BoardInfo.to_request(host);
+        parser.push(&request.encode());
+        let kind_code = request.kind_code();
+        let refused = HostEvent::Refused { kind_code, status: Status::RequestTypeInvalid };
+        assert_eq!(parser.next_event(), Some(refused));
+        parser.push(&Command::BoardInfo.to_request(firmware).encode());
+        assert!(matches!(parser.next_event(), Some(HostEvent::Request(_))));
+    }
+}
+
 #[test]
 fn answers_and_data_of_the_session_decode_to_an_unbroken_ramp() {
     let Some(transcript) = transcript() else { return };
