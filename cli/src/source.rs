@@ -2,7 +2,7 @@
 //!
 //! | SOURCE | frames from |
 //! |---|---|
-//! | a path | a recording: MCAP file or Infineon folder |
+//! | a path | a recording: MCAP file, Infineon folder or the vendor's text |
 //! | `SCENE.toml` | the simulator |
 //! | `serial:/dev/ttyACM0` | a board |
 //! | `esp32:/dev/ttyUSB0` | a board that prints its frames as lines; it measures what it was built for |
@@ -15,7 +15,7 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::discover::Belief;
 use radome_driver::{
-    Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, LineStream, Pace, RealTime, candidates,
+    Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, LineStream, Pace, RealTime, Reconnect, candidates,
 };
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -103,7 +103,8 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
     let board = Board::open(port)?;
     let identity = board.identity().clone();
     let description = format!("{} on {}", identity.name, port.display());
-    let stream = board.start(waveform)?;
+    // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
+    let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
     let registers = stream.registers().clone();
     Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
 }

@@ -122,6 +122,14 @@ fn replay(protocol: Protocol) {
     let mut answers = transcript.iter().filter(|(host, bytes)| !host && !is_packet(bytes)).map(|(_, b)| b);
     for (line, (host, bytes)) in transcript.iter().enumerate() {
         if *host {
+            // Packets that the vendor's client got before its answer were on their way before the request: a stop must not
+            // overtake them here.
+            let until_answer = transcript.iter().skip(line + 1).take_while(|(host, bytes)| *host || is_packet(bytes));
+            let so_far = transcript.iter().take(line).chain(until_answer);
+            let due = so_far.filter(|(host, bytes)| !host && is_packet(bytes)).count();
+            while packets.len() < due {
+                packets.push(message(&mut port));
+            }
             port.write_all(bytes).expect("writes");
             let answer = loop {
                 match message(&mut port) {
@@ -130,9 +138,6 @@ fn replay(protocol: Protocol) {
                 }
             };
             assert_eq!(Some(&answer), answers.next(), "answer to line {}", line + 1);
-        } else if is_packet(bytes) && packets.len() == compared {
-            // Ours may have come while we waited for an answer; after the stop no more come.
-            packets.push(message(&mut port));
         }
         while compared < packets.len() {
             let Some(expected) = expected_packets.next() else { break };

@@ -9,6 +9,7 @@ mod demo;
 mod devices;
 mod emulate;
 mod evaluate;
+mod labels;
 mod live;
 mod models;
 mod rdm;
@@ -38,6 +39,8 @@ pub enum Command {
     Convert(convert::Arguments),
     /// What can be read of a cut or damaged recording, as a new file, and what is lost
     Repair(repair::Arguments),
+    /// Labels of a recording, to and from Audacity tracks and DEEPCRAFT files
+    Labels(labels::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
     /// Simulate a scene: raw frames, truth and labels
@@ -67,6 +70,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Repair(arguments) => repair::run(&arguments),
+        Command::Labels(arguments) => labels::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),

@@ -62,11 +62,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.frames);
     let (mut frames, mut dropped) = (0u64, 0u64);
+    let mut unflushed = false;
     let end = loop {
         if output::interrupted() {
             break Ok(());
         }
-        let Ok(delivery) = inlet.receiver.recv_timeout(Duration::from_millis(200)) else { continue };
+        let Ok(delivery) = inlet.receiver.recv_timeout(Duration::from_millis(200)) else {
+            // A board that has gone silent may never come back: what it said is safe.
+            if std::mem::take(&mut unflushed) {
+                recorder.flush()?;
+            }
+            continue;
+        };
         match delivery.item {
             Item::Frame(frame) => {
                 if source.is_live && frame.host_time_ns == 0 {
@@ -78,6 +85,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                     recorder.frame(&frame)?;
                 }
                 frames += 1;
+                unflushed = true;
                 bar.inc(1);
             }
             Item::Gap(gap) => {

@@ -107,7 +107,12 @@ impl Reader {
 impl Drop for Reader {
     fn drop(&mut self) {
         self.stop();
-        if let Some(thread) = self.thread.take() {
+        // A source that waits for its board to come back may not hold up the end of the program.
+        let patience = Instant::now() + Duration::from_secs(1);
+        while self.thread.as_ref().is_some_and(|thread| !thread.is_finished() && Instant::now() < patience) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if let Some(thread) = self.thread.take().filter(JoinHandle::is_finished) {
             let _ = thread.join();
         }
     }

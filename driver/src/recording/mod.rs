@@ -2,6 +2,7 @@
 //! [`Recording::open`] read them all, [`RecordingWriter`] writes them.
 
 pub mod infineon;
+pub mod label_text;
 pub mod mcap;
 mod opened;
 mod partial;

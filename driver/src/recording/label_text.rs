@@ -1,0 +1,214 @@
+//! Spans of labels as text that other tools read: Audacity's label track and DEEPCRAFT Studio's `.label` file.
+//!
+//! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a span, by
+//! start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180).
+
+use thiserror::Error;
+
+use super::mcap::LabelSpan;
+
+/// First line of a DEEPCRAFT file, to the letter.
+pub const DEEPCRAFT_HEADER: &str = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
+
+/// A label file that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("line {line}: {what}")]
+pub struct LabelTextError {
+    /// From 1.
+    pub line: usize,
+    /// What is wrong with it.
+    pub what: String,
+}
+
+/// As an Audacity label track. Who, confidence and note have no place in it; line ends and tabs in labels become blanks.
+pub fn to_audacity(spans: &[LabelSpan]) -> String {
+    let line = |span: &LabelSpan| {
+        let label = span.label.replace(['\t', '\r', '\n'], " ");
+        format!("{:.6}\t{:.6}\t{label}\n", span.start_s, span.end_s)
+    };
+    spans.iter().map(line).collect()
+}
+
+/// From an Audacity label track. Lines that begin with a backslash hold frequencies, and are passed over.
+///
+/// # Errors
+/// A line without two times, or with times that are not finite or the wrong way round.
+pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
+    let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('\\'));
+    lines
+        .map(|(index, line)| {
+            let mut fields = line.splitn(3, '\t');
+            let mut time = |name| seconds(index, name, fields.next());
+            let (start_s, end_s) = (time("start")?, time("end")?);
+            span(index, start_s, end_s, fields.next().unwrap_or(""))
+        })
+        .collect()
+}
+
+/// As a DEEPCRAFT `.label` file. Who said it has no place in it.
+pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
+    let mut text = format!("{DEEPCRAFT_HEADER}\n");
+    for span in spans {
+        let (start_s, length_s) = (span.start_s, span.end_s - span.start_s);
+        let (label, note) = (quoted(&span.label), quoted(span.note.as_deref().unwrap_or("")));
+        text += &format!("{start_s:.6},{length_s:.6},{label},{},{note}\n", span.confidence.unwrap_or(1.0));
+    }
+    text
+}
+
+/// From a DEEPCRAFT `.label` file.
+///
+/// # Errors
+/// Another header, a row of other than five fields, a number that is none, or a negative length.
+pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
+    let fault = |line: usize, what: String| LabelTextError { line, what };
+    let mut rows = rows(text.strip_prefix('\u{feff}').unwrap_or(text))?.into_iter();
+    match rows.next() {
+        Some((_, header)) if header.join(",") == DEEPCRAFT_HEADER => {}
+        _ => return Err(fault(1, format!("expected the header {DEEPCRAFT_HEADER}"))),
+    }
+    rows.map(|(index, fields)| {
+        let [start, length, label, confidence, note] = fields.as_slice() else {
+            return Err(fault(index + 1, format!("{} fields, expected 5", fields.len())));
+        };
+        let start_s = seconds(index, "time", Some(start))?;
+        let length_s = seconds(index, "length", Some(length))?;
+        let mut span = span(index, start_s, start_s + length_s, label)?;
+        if !confidence.trim().is_empty() {
+            span.confidence = Some(seconds(index, "confidence", Some(confidence))?);
+        }
+        span.note = (!note.is_empty()).then(|| note.clone());
+        Ok(span)
+    })
+    .collect()
+}
+
+fn seconds(index: usize, name: &str, field: Option<&str>) -> Result<f64, LabelTextError> {
+    let field = field.unwrap_or("").trim();
+    let number = field.parse::<f64>().ok().filter(|number| number.is_finite());
+    number.ok_or_else(|| LabelTextError { line: index + 1, what: format!("{name} is '{field}', expected a number") })
+}
+
+fn span(index: usize, start_s: f64, end_s: f64, label: &str) -> Result<LabelSpan, LabelTextError> {
+    if end_s < start_s {
+        let what = format!("ends at {end_s} s, before its start at {start_s} s");
+        return Err(LabelTextError { line: index + 1, what });
+    }
+    Ok(LabelSpan::new(start_s, end_s, label.trim()))
+}
+
+fn quoted(field: &str) -> String {
+    if field.contains([',', '"', '\n', '\r']) || field.trim() != field {
+        format!("\"{}\"", field.replace('"', "\"\""))
+    } else {
+        field.to_owned()
+    }
+}
+
+/// Rows of comma-separated fields with the line that each begins on, from 0.
+fn rows(text: &str) -> Result<Vec<(usize, Vec<String>)>, LabelTextError> {
+    let (mut all, mut fields, mut field) = (Vec::new(), Vec::new(), String::new());
+    let (mut line, mut first_line, mut in_quotes) = (0, 0, false);
+    let mut characters = text.chars().peekable();
+    while let Some(character) = characters.next() {
+        line += usize::from(character == '\n');
+        match (character, in_quotes) {
+            ('"', true) if characters.peek() == Some(&'"') => {
+                characters.next();
+                field.push('"');
+            }
+            ('"', true) => in_quotes = false,
+            ('"', false) if field.is_empty() => in_quotes = true,
+            (',', false) => fields.push(std::mem::take(&mut field)),
+            ('\r', false) if characters.peek() == Some(&'\n') => {}
+            ('\n', false) => {
+                fields.push(std::mem::take(&mut field));
+                all.push((first_line, std::mem::take(&mut fields)));
+                first_line = line;
+            }
+            (character, _) => field.push(character),
+        }
+    }
+    if in_quotes {
+        return Err(LabelTextError { line: first_line + 1, what: "a quote is never closed".into() });
+    }
+    if !field.is_empty() || !fields.is_empty() {
+        fields.push(field);
+        all.push((first_line, fields));
+    }
+    all.retain(|(_, fields)| fields.iter().any(|f| !f.trim().is_empty()));
+    Ok(all)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn files_of_other_tools_are_read() {
+        let track = "0.500000\t2.250000\tempty\r\n\\\t100.0\t200.0\n2.25\t4\ttwo people\n";
+        let spans = [LabelSpan::new(0.5, 2.25, "empty"), LabelSpan::new(2.25, 4.0, "two people")];
+        assert_eq!(from_audacity(track), Ok(spans.to_vec()));
+        let file = format!(
+            "\u{feff}{DEEPCRAFT_HEADER}\r\n0.5,1.75,empty,1,\r\n2.25,1.75,\"two, or \"\"more\"\"\",0.5,seen\r\n"
+        );
+        let mut spans = [LabelSpan::new(0.5, 2.25, "empty"), LabelSpan::new(2.25, 4.0, "two, or \"more\"")];
+        (spans[0].confidence, spans[1].confidence) = (Some(1.0), Some(0.5));
+        spans[1].note = Some("seen".into());
+        assert_eq!(from_deepcraft(&file), Ok(spans.to_vec()));
+    }
+
+    proptest! {
+        #[test]
+        fn what_is_written_is_read(times in prop::collection::vec((0u32..1_000_000, 0u32..1_000_000), 0..8), label in "[ -~\n]{0,12}") {
+            let label = label.trim().to_owned();
+            let spans: Vec<LabelSpan> = times
+                .iter()
+                .map(|&(start_ms, length_ms)| {
+                    let mut span =
+                        LabelSpan::new(f64::from(start_ms) / 1e3, f64::from(start_ms + length_ms) / 1e3, label.clone());
+                    span.confidence = Some(1.0);
+                    span
+                })
+                .collect();
+            let near = |a: &LabelSpan, b: &LabelSpan| (a.start_s - b.start_s).abs() < 1e-6 && (a.end_s - b.end_s).abs() < 2e-6;
+            let read = from_deepcraft(&to_deepcraft(&spans)).expect("readable");
+            prop_assert_eq!(read.len(), spans.len());
+            prop_assert!(read.iter().zip(&spans).all(|(a, b)| near(a, b) && a.label == b.label && a.confidence == b.confidence));
+            let read = from_audacity(&to_audacity(&spans)).expect("readable");
+            prop_assert!(read.len() == spans.len() && read.iter().zip(&spans).all(|(a, b)| near(a, b)));
+        }
+
+        #[test]
+        fn any_text_is_survived(text in "\\PC{0,200}|[0-9,\t\n\"]{0,200}") {
+            let _ = (from_audacity(&text), from_deepcraft(&text), from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{text}")));
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn what_is_wrong_is_named_with_its_line() {
+            for (text, line, what) in [
+                ("0\t1\ta\nx\t2\tb\n", 2, "start is 'x'"),
+                ("0\n", 1, "end is ''"),
+                ("2\t1\ta\n", 1, "before its start"),
+                ("0\tinf\ta\n", 1, "end is 'inf'"),
+            ] {
+                let error = from_audacity(text).expect_err("wrong");
+                assert!(error.line == line && error.what.contains(what), "{error}");
+            }
+            for (rows, line, what) in [
+                ("1,2,a\n", 2, "3 fields"),
+                ("0,1,a,1,\n0,-1,a,1,\n", 3, "before its start"),
+                ("0,1,\"a,1,\n", 2, "quote"),
+            ] {
+                let error = from_deepcraft(&format!("{DEEPCRAFT_HEADER}\n{rows}")).expect_err("wrong");
+                assert!(error.line == line && error.what.contains(what), "{error}");
+            }
+            assert!(from_deepcraft("").expect_err("no header").to_string().contains("Time(Seconds)"));
+        }
+    }
+}
