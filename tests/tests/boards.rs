@@ -56,3 +56,59 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         assert!(expected.starts_with(&got), "{protocol}");
     }
 }
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let fed = folder.path().join("fed.mcap");
+        json_lines(
+            radome()
+                .arg("simulate")
+                .arg(fixture("scenes/desk.toml"))
+                .args(["--frames", "80", "--json", "-o"])
+                .arg(&fed),
+        );
+        let link = folder.path().join("board");
+        let mut board = radome()
+            .args(["emulate", "--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link"])
+            .arg(&link)
+            .arg("--from")
+            .arg(&fed)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("starts");
+        let mut port = String::new();
+        BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
+        assert_eq!(Path::new(port.trim()), link);
+        let recorded = folder.path().join("recorded.mcap");
+        let output = radome()
+            .arg("record")
+            .arg(format!("serial:{}", port.trim()))
+            .arg("--waveform")
+            .arg(fixture("models/desk-hqnn.safetensors"))
+            .args(["--frames", "40", "--json", "-o"])
+            .arg(&recorded)
+            .output()
+            .expect("runs");
+        let _ = board.kill();
+        let _ = board.wait();
+        let said = String::from_utf8_lossy(&output.stdout);
+        let summary: serde_json::Value = serde_json::from_str(said.trim()).expect("one object");
+        let dropped = summary["dropped"].as_u64().expect("a number");
+        assert!(summary["frames"] == 40 && dropped >= 2, "{said}");
+        let whole = json_lines(radome().arg("convert").arg(&recorded).arg(folder.path().join("copy")).arg("--json"));
+        assert_eq!((&whole[0]["frames"], whole[0]["lost"].as_u64()), (&40.into(), Some(dropped)));
+    }
+
+    #[test]
+    fn a_fault_that_nobody_can_follow_is_wrong_use() {
+        let output =
+            radome().args(["emulate", "--from", "nowhere.mcap", "--faults", "explode 3"]).output().expect("runs");
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.code() == Some(2) && said.contains("no such kind"), "{said}");
+    }
+}

@@ -1,9 +1,8 @@
-use std::path::Path;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use radome_driver::{EmulatedBoard, EmulatedLines, EmulatorOptions, Pace};
-use radome_dsp::FrameSource;
+use anyhow::bail;
+use radome_driver::{EmulatedBoard, EmulatedLines, EmulatorOptions, Fault, Pace};
 use serde_json::json;
 
 use crate::output;
@@ -34,6 +33,9 @@ pub struct Arguments {
     /// Symbolic link to the pty, so that it has the same path each time
     #[arg(long)]
     link: Option<PathBuf>,
+    /// What goes wrong on the wire of an MCU7: `drop 5, flip 12:345, unplug 70:2.5`; packets count from 0
+    #[arg(long, value_delimiter = ',')]
+    faults: Vec<Fault>,
     /// Times real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
@@ -51,10 +53,15 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let source = source::open(&arguments.from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
     let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
     let description = source.description;
+    let (faults, link) = (arguments.faults.clone(), arguments.link.clone());
+    let mcu7 = |protocol_version| EmulatorOptions { pace, protocol_version, faults, link, ..Default::default() };
     let board = match arguments.protocol {
-        Protocol::Mcu7V4 => Emulated::mcu7(source.frames, pace, 4)?,
-        Protocol::Mcu7V3 => Emulated::mcu7(source.frames, pace, 3)?,
-        Protocol::Esp32 => Emulated::Lines(EmulatedLines::spawn(source.frames, pace)?),
+        Protocol::Mcu7V4 => Emulated::Mcu7(EmulatedBoard::spawn(source.frames, mcu7(4))?),
+        Protocol::Mcu7V3 => Emulated::Mcu7(EmulatedBoard::spawn(source.frames, mcu7(3))?),
+        Protocol::Esp32 if !arguments.faults.is_empty() => {
+            bail!("--faults are faults of packets, and an ESP32 sends none\n\nhint: choose --protocol mcu7-4")
+        }
+        Protocol::Esp32 => Emulated::Lines(EmulatedLines::spawn(source.frames, pace, arguments.link.clone())?),
     };
     let path = board.path().display().to_string();
     if arguments.json {
@@ -78,11 +85,6 @@ enum Emulated {
 }
 
 impl Emulated {
-    fn mcu7(source: Box<dyn FrameSource>, pace: Pace, protocol_version: u16) -> anyhow::Result<Self> {
-        let options = EmulatorOptions { pace, protocol_version, ..Default::default() };
-        Ok(Emulated::Mcu7(EmulatedBoard::spawn(source, options)?))
-    }
-
     fn path(&self) -> &Path {
         match self {
             Emulated::Mcu7(board) => board.path(),

@@ -15,6 +15,7 @@ use crate::protocol::{ascii, fifo};
 /// The running firmware. It ends when dropped, or with its source.
 pub struct EmulatedLines {
     path: PathBuf,
+    link: Option<PathBuf>,
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
 }
@@ -23,9 +24,11 @@ impl EmulatedLines {
     /// Starts printing. Frames that the source lacks are left out, and so are their numbers; at [`Pace::RealTime`] the source's
     /// time stamps set the pace. A line waits until the host has taken the one before: nothing is lost on this side.
     ///
+    /// `link` is a symbolic link to the terminal, kept as long as the board.
+    ///
     /// # Errors
-    /// No pseudo-terminal, no thread, or a speed that is no positive number.
-    pub fn spawn(source: Box<dyn FrameSource>, pace: Pace) -> Result<Self, EmulatorError> {
+    /// No pseudo-terminal, no link, no thread, or a speed that is no positive number.
+    pub fn spawn(source: Box<dyn FrameSource>, pace: Pace, link: Option<PathBuf>) -> Result<Self, EmulatorError> {
         if let Pace::RealTime(speed) = pace
             && !(speed.is_finite() && speed > 0.0)
         {
@@ -33,18 +36,21 @@ impl EmulatedLines {
         }
         let pty = Pty::open().map_err(EmulatorError::Pty)?;
         let path = pty.path.clone();
+        if let Some(link) = &link {
+            pty.link(link).map_err(|source| EmulatorError::Link { path: link.clone(), source })?;
+        }
         let stop = Arc::new(AtomicBool::new(false));
         let told = stop.clone();
         let thread = thread::Builder::new()
             .name("emulated-lines".into())
             .spawn(move || print(source, pace, &pty, &told))
             .map_err(EmulatorError::Thread)?;
-        Ok(EmulatedLines { path, stop, thread: Some(thread) })
+        Ok(EmulatedLines { path, link, stop, thread: Some(thread) })
     }
 
-    /// The serial port.
+    /// The serial port; its link if there is one.
     pub fn path(&self) -> &Path {
-        &self.path
+        self.link.as_deref().unwrap_or(&self.path)
     }
 }
 
@@ -53,6 +59,9 @@ impl Drop for EmulatedLines {
         self.stop.store(true, Ordering::SeqCst);
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
+        }
+        if let Some(link) = &self.link {
+            let _ = std::fs::remove_file(link);
         }
     }
 }

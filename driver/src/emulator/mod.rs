@@ -8,6 +8,7 @@
 mod firmware;
 mod lines;
 mod pty;
+mod script;
 mod source;
 mod world;
 
@@ -27,6 +28,7 @@ use crate::protocol::strata::{DataError, HostParser, MAX_PACKET_PAYLOAD, Packet,
 use firmware::Firmware;
 pub use lines::EmulatedLines;
 use pty::Pty;
+pub use script::FaultError;
 pub use source::{EmulatedSource, EmulatedSourceError};
 use world::{Slice, World};
 
