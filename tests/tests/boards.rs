@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Child, Output, Stdio};
 
 use radome_tests::{fixture, json_lines, radome};
 
@@ -13,42 +13,56 @@ fn codes(folder: &Path) -> Vec<u16> {
     npyz::NpyFile::new(BufReader::new(file)).expect("npy").into_vec().expect("u16")
 }
 
+fn simulate(frames: usize, fed: &Path) {
+    let frames = frames.to_string();
+    json_lines(
+        radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]).arg(fed),
+    );
+}
+
+/// An emulated board as fast as it is read, and its port.
+fn emulate(from: &Path, arguments: &[&str]) -> (Child, String) {
+    let mut board = radome()
+        .args(["emulate", "--speed", "0"])
+        .args(arguments)
+        .arg("--from")
+        .arg(from)
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("starts");
+    let mut port = String::new();
+    BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
+    (board, port.trim().to_owned())
+}
+
+/// Records frames of a board, which is then unplugged for good.
+fn record(mut board: Child, source: &str, frames: usize, recorded: &Path) -> Output {
+    let output = radome()
+        .args(["record", source, "--json", "--waveform"])
+        .arg(fixture("models/desk-hqnn.safetensors"))
+        .args(["--frames", &frames.to_string(), "-o"])
+        .arg(recorded)
+        .output()
+        .expect("runs");
+    let _ = board.kill();
+    let _ = board.wait();
+    output
+}
+
 #[test]
 fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     let folder = tempfile::tempdir().expect("a folder");
     let fed = folder.path().join("fed.mcap");
-    let frames = (FRAMES + 20).to_string();
-    json_lines(
-        radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]).arg(&fed),
-    );
+    simulate(FRAMES + 20, &fed);
     let source = folder.path().join("fed");
     json_lines(radome().arg("convert").arg(&fed).arg(&source).arg("--json"));
     let expected = codes(&source);
     for (protocol, scheme) in [("mcu7-4", "serial"), ("mcu7-3", "serial"), ("esp32", "esp32")] {
-        let mut board = radome()
-            .arg("emulate")
-            .arg("--from")
-            .arg(&source)
-            .args(["--protocol", protocol, "--speed", "0"])
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("starts");
-        let mut port = String::new();
-        BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
+        let (board, port) = emulate(&source, &["--protocol", protocol]);
         let recorded = folder.path().join(format!("{protocol}.mcap"));
         let copy = folder.path().join(protocol);
-        let output = radome()
-            .arg("record")
-            .arg(format!("{scheme}:{}", port.trim()))
-            .arg("--waveform")
-            .arg(fixture("models/desk-hqnn.safetensors"))
-            .args(["--frames", &FRAMES.to_string(), "-o"])
-            .arg(&recorded)
-            .output()
-            .expect("runs");
-        let _ = board.kill();
-        let _ = board.wait();
+        let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
         json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
         let got = codes(&copy);
@@ -64,38 +78,12 @@ mod hard_cases {
     fn what_a_script_of_faults_costs_is_counted_and_recorded_and_the_rest_is_whole() {
         let folder = tempfile::tempdir().expect("a folder");
         let fed = folder.path().join("fed.mcap");
-        json_lines(
-            radome()
-                .arg("simulate")
-                .arg(fixture("scenes/desk.toml"))
-                .args(["--frames", "80", "--json", "-o"])
-                .arg(&fed),
-        );
-        let link = folder.path().join("board");
-        let mut board = radome()
-            .args(["emulate", "--speed", "0", "--faults", "drop 5, double 9, flip 12:345", "--link"])
-            .arg(&link)
-            .arg("--from")
-            .arg(&fed)
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-            .expect("starts");
-        let mut port = String::new();
-        BufReader::new(board.stdout.take().expect("piped")).read_line(&mut port).expect("a line");
-        assert_eq!(Path::new(port.trim()), link);
+        simulate(80, &fed);
+        let link = folder.path().join("board").display().to_string();
+        let (board, port) = emulate(&fed, &["--faults", "drop 5, double 9, flip 12:345", "--link", &link]);
+        assert_eq!(port, link);
         let recorded = folder.path().join("recorded.mcap");
-        let output = radome()
-            .arg("record")
-            .arg(format!("serial:{}", port.trim()))
-            .arg("--waveform")
-            .arg(fixture("models/desk-hqnn.safetensors"))
-            .args(["--frames", "40", "--json", "-o"])
-            .arg(&recorded)
-            .output()
-            .expect("runs");
-        let _ = board.kill();
-        let _ = board.wait();
+        let output = record(board, &format!("serial:{port}"), 40, &recorded);
         let said = String::from_utf8_lossy(&output.stdout);
         let summary: serde_json::Value = serde_json::from_str(said.trim()).expect("one object");
         let dropped = summary["dropped"].as_u64().expect("a number");
