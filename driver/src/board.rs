@@ -1,4 +1,4 @@
-//! A Radar Baseboard MCU7 on its serial port.
+//! Boards on their serial ports: a Radar Baseboard MCU7 ([`Board`]), and one that only prints ([`LineStream`]).
 
 mod assembler;
 mod lines;

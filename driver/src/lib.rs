@@ -14,9 +14,6 @@ pub mod recording;
 pub mod replay;
 mod timing;
 
-#[cfg(test)]
-mod testing;
-
 pub use board::{Board, BoardError, BoardIdentity, BoardStream, LineStream, Reconnect};
 pub use discover::{Candidate, candidates};
 pub use emulator::{

@@ -4,6 +4,8 @@
 //! [`EmulatedBoard::path`]. Differences: a waveform other than the source's is refused, and so is a slice that would
 //! trip a known firmware bug. Frames that the source itself lacks appear as packets lost. How much the board buffers
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
+//!
+//! [`EmulatedLines`] is the same for a board that prints its frames.
 
 mod firmware;
 mod lines;

@@ -30,6 +30,3 @@ pub const COMPONENT_RADAR: u16 = 0x0001;
 pub const IMPLEMENTATION_AVIAN: u8 = 3;
 /// Register address that stands for the FIFO in a data configuration.
 pub const FIFO_ADDRESS: u16 = 0x60;
-
-#[cfg(test)]
-mod tests;

@@ -95,7 +95,7 @@ statuses! {
     RequestTypeInvalid = 0x85, "REQUEST_TYPE_INVALID";
     /// bRequest is unknown.
     RequestInvalid = 0x86, "REQUEST_INVALID";
-    /// The request is known but not implemented.
+    /// The firmware knows the request and cannot serve it.
     RequestNotImplemented = 0x87, "REQUEST_NOT_IMPLEMENTED";
     /// wLength is wrong.
     RequestLengthInvalid = 0x88, "REQUEST_WLENGTH_INVALID";

@@ -1,16 +1,16 @@
 //! The codec against the transcript of an unmodified vendor client, and against arbitrary bytes.
 
-use proptest::prelude::*;
-use radome_dsp::{Waveform, WaveformRequest};
+mod common;
 
-use super::*;
-use crate::chip::ChipConfiguration;
-use crate::protocol::packed12;
-use crate::testing;
+use proptest::prelude::*;
+use radome_driver::chip::ChipConfiguration;
+use radome_driver::protocol::packed12;
+use radome_driver::protocol::strata::*;
+use radome_dsp::{Waveform, WaveformRequest};
 
 /// Messages of `protocol4.txt`: whether the host sent it, and its bytes.
 fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
-    let text = std::fs::read_to_string(testing::shared("data/wire/protocol4.txt")?).expect("transcript is text");
+    let text = std::fs::read_to_string(common::shared("data/wire/protocol4.txt")?).expect("transcript is text");
     let unhex = |hex: &str| -> Vec<u8> {
         (0..hex.len()).step_by(2).map(|i| u8::from_str_radix(&hex[i..i + 2], 16).expect("hex")).collect()
     };
