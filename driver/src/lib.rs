@@ -16,9 +16,7 @@ mod timing;
 
 pub use board::{Board, BoardError, BoardIdentity, BoardStream, LineStream, Reconnect};
 pub use discover::{Candidate, candidates};
-pub use emulator::{
-    EmulatedBoard, EmulatedLines, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Pace,
-};
+pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
 pub use recording::mcap::{LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};

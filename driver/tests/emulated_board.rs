@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use common::{Pattern, waveform};
 use radome_driver::emulator::EmulatorCounts;
-use radome_driver::{Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Pace};
+use radome_driver::{Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Pace};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
@@ -73,7 +73,7 @@ fn identity_and_registers_are_read_as_from_the_real_board() {
 #[test]
 fn boards_of_protocol_3_measure_as_well() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
-    let options = EmulatorOptions { protocol_version: 3, ..options(&[Fault::DropPacket(4), Fault::Overflow(9)]) };
+    let options = EmulatorOptions { kind: Kind::Mcu7V3, ..options(&[Fault::DropPacket(4), Fault::Overflow(9)]) };
     let pattern = || Pattern::new(waveform.clone(), 20);
     let mut source = EmulatedSource::start(Box::new(pattern()), options).expect("starts");
     let identity = source.identity().clone();
@@ -264,17 +264,15 @@ mod hard_cases {
 
     #[test]
     fn what_is_no_such_board_is_named() {
-        let open = |change: fn(&mut EmulatorOptions)| {
-            let mut options = options(&[]);
-            change(&mut options);
+        let open = |fault| {
             let source = Pattern::new(waveform(&[1], 8, 64, 0.1), 1);
-            let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+            let board = EmulatedBoard::spawn(Box::new(source), options(&[fault])).expect("spawns");
             Board::open(board.path()).err().expect("refused")
         };
-        assert!(matches!(open(|o| o.chip_id = 0), BoardError::ChipSilent { .. }));
-        assert!(matches!(open(|o| o.chip_id = 0xFF_FFFF), BoardError::ChipSilent { .. }));
-        assert!(matches!(open(|o| o.chip_id = 0x606), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
-        let error = open(|o| o.protocol_version = 5).to_string();
+        assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
+        assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
+        assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
+        let error = open(Fault::WrongVersion(5)).to_string();
         assert!(error.contains("protocol 5.0"), "{error}");
         let missing = Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
         assert!(missing.to_string().contains("/dev/no-such-port"));

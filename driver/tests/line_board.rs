@@ -3,8 +3,13 @@
 mod common;
 
 use common::{Pattern, waveform};
-use radome_driver::{EmulatedLines, LineStream, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Kind, LineStream, Pace};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+
+fn board(source: Pattern) -> EmulatedBoard {
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Esp32, ..EmulatorOptions::default() };
+    EmulatedBoard::spawn(Box::new(source), options).expect("a pty")
+}
 
 #[test]
 fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
@@ -12,7 +17,7 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
     let mut source = Pattern::new(w.clone(), 30);
     source.gap = Some(Gap { first_sequence: 10, frames: 3, reason: GapReason::Recorded });
     let reference = Pattern::new(w.clone(), 30);
-    let board = EmulatedLines::spawn(Box::new(source), Pace::AsFastAsRead, None).expect("a pty");
+    let board = board(source);
     let mut stream = LineStream::open(board.path(), &w).expect("opens");
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
     let (mut frames, mut gaps) = (Vec::new(), Vec::new());
@@ -39,8 +44,7 @@ mod hard_cases {
     fn lines_of_another_waveform_are_refused_with_both_lengths() {
         let built_for = waveform(&[1], 16, 32, 0.02);
         let named = waveform(&[1, 2], 16, 32, 0.02);
-        let board =
-            EmulatedLines::spawn(Box::new(Pattern::new(built_for, 5)), Pace::AsFastAsRead, None).expect("a pty");
+        let board = board(Pattern::new(built_for, 5));
         let mut stream = LineStream::open(board.path(), &named).expect("opens");
         let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
         let reason = error.source().expect("a reason").to_string();

@@ -13,7 +13,7 @@ use common::shared;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
 use radome_driver::protocol::strata::{Command, Protocol, Request, SpiWord};
-use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Kind, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::{SerialPort, TTYPort};
 
@@ -81,8 +81,8 @@ impl FrameSource for Ramp {
 }
 
 fn emulated(waveform: Waveform, protocol: Protocol) -> EmulatedBoard {
-    let protocol_version = protocol.major();
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, protocol_version, ..EmulatorOptions::default() };
+    let kind = if protocol == Protocol::V3 { Kind::Mcu7V3 } else { Kind::Mcu7V4 };
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
     EmulatedBoard::spawn(Box::new(Ramp { waveform, next: 0 }), options).expect("spawns")
 }
 

@@ -1,8 +1,7 @@
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::bail;
-use radome_driver::{EmulatedBoard, EmulatedLines, EmulatorOptions, Fault, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
 use serde_json::json;
 
 use crate::output;
@@ -33,7 +32,7 @@ pub struct Arguments {
     /// Symbolic link to the pty, so that it has the same path each time
     #[arg(long)]
     link: Option<PathBuf>,
-    /// What goes wrong on the wire of an MCU7: `drop 5, flip 12:345, unplug 70:2.5`; packets count from 0
+    /// What goes wrong: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
     /// Times real time; 0 is as fast as the host reads
@@ -53,16 +52,13 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let source = source::open(&arguments.from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
     let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
     let description = source.description;
-    let (faults, link) = (arguments.faults.clone(), arguments.link.clone());
-    let mcu7 = |protocol_version| EmulatorOptions { pace, protocol_version, faults, link, ..Default::default() };
-    let board = match arguments.protocol {
-        Protocol::Mcu7V4 => Emulated::Mcu7(EmulatedBoard::spawn(source.frames, mcu7(4))?),
-        Protocol::Mcu7V3 => Emulated::Mcu7(EmulatedBoard::spawn(source.frames, mcu7(3))?),
-        Protocol::Esp32 if !arguments.faults.is_empty() => {
-            bail!("--faults are faults of packets, and an ESP32 sends none\n\nhint: choose --protocol mcu7-4")
-        }
-        Protocol::Esp32 => Emulated::Lines(EmulatedLines::spawn(source.frames, pace, arguments.link.clone())?),
+    let kind = match arguments.protocol {
+        Protocol::Mcu7V4 => Kind::Mcu7V4,
+        Protocol::Mcu7V3 => Kind::Mcu7V3,
+        Protocol::Esp32 => Kind::Esp32,
     };
+    let options = EmulatorOptions { pace, kind, faults: arguments.faults.clone(), link: arguments.link.clone() };
+    let board = EmulatedBoard::spawn(source.frames, options)?;
     let path = board.path().display().to_string();
     if arguments.json {
         output::json_line(&json!({ "port": path }))?;
@@ -76,19 +72,4 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Dropping it stops it.
     drop(board);
     Ok(())
-}
-
-/// A board of either kind, until it is dropped.
-enum Emulated {
-    Mcu7(EmulatedBoard),
-    Lines(EmulatedLines),
-}
-
-impl Emulated {
-    fn path(&self) -> &Path {
-        match self {
-            Emulated::Mcu7(board) => board.path(),
-            Emulated::Lines(board) => board.path(),
-        }
-    }
 }

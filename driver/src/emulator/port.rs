@@ -1,4 +1,4 @@
-//! A pseudo-terminal whose far end looks like a serial port.
+//! The board's end of a serial line: a pseudo-terminal whose far end looks like a serial port.
 
 use std::ffi::OsStr;
 use std::io;
@@ -12,14 +12,14 @@ use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
-pub(super) struct Pty {
+pub(super) struct Port {
     master: OwnedFd,
     /// Kept open, so that a client that closes the port does not hang up the line.
     _slave: OwnedFd,
     pub path: PathBuf,
 }
 
-impl Pty {
+impl Port {
     pub fn open() -> io::Result<Self> {
         let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
         grantpt(&master)?;
@@ -30,7 +30,7 @@ impl Pty {
         settings.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &settings)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
-        Ok(Pty { master, _slave: slave, path })
+        Ok(Port { master, _slave: slave, path })
     }
 
     /// Makes a symbolic link to the terminal, in the place of a former one.

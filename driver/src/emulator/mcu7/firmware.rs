@@ -2,11 +2,12 @@
 
 use radome_dsp::Waveform;
 
-use super::EmulatorOptions;
+use crate::board::CHIP_ID_BGT60TR13C;
 use crate::chip::{ChipConfiguration, RegisterFile, address, field, main_bits};
+use crate::emulator::Fault;
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, HostEvent, IMPLEMENTATION_AVIAN,
-    Response, SliceLayout, SpiWord, Status,
+    Protocol, Response, SliceLayout, SpiWord, Status,
 };
 
 /// Longest board info that version 3 gives in a fixed length.
@@ -17,9 +18,10 @@ fn board_info() -> Vec<u8> {
     BoardInfo { vendor_id: 0x058B, product_id: 0x0251, name }.encode()
 }
 
-pub(super) struct Firmware {
+pub(super) struct Requests {
     registers: RegisterFile,
     chip_id: u32,
+    protocol: Protocol,
     protocol_version: u16,
     source: Waveform,
     slice: Option<SliceLayout>,
@@ -32,12 +34,22 @@ pub(super) struct Firmware {
     pub refusal: Option<String>,
 }
 
-impl Firmware {
-    pub fn new(source: &Waveform, options: &EmulatorOptions) -> Self {
-        let mut firmware = Firmware {
+impl Requests {
+    pub fn new(source: &Waveform, protocol: Protocol, faults: &[Fault]) -> Self {
+        let mut chip_id = CHIP_ID_BGT60TR13C;
+        let mut protocol_version = protocol.major();
+        for fault in faults {
+            match *fault {
+                Fault::ForeignChip(id) => chip_id = id,
+                Fault::WrongVersion(major) => protocol_version = major,
+                _ => {}
+            }
+        }
+        let mut requests = Requests {
             registers: RegisterFile::default(),
-            chip_id: options.chip_id,
-            protocol_version: options.protocol_version,
+            chip_id,
+            protocol,
+            protocol_version,
             source: source.clone(),
             slice: None,
             data_started: false,
@@ -45,8 +57,8 @@ impl Firmware {
             starts: 0,
             refusal: None,
         };
-        firmware.reset();
-        firmware
+        requests.reset();
+        requests
     }
 
     fn reset(&mut self) {
@@ -105,7 +117,7 @@ impl Firmware {
             }
             Command::FirmwareVersion => {
                 // Firmware 2.5 was the last to speak version 3.
-                let minor = if self.protocol_version == 3 { 5 } else { 9 };
+                let minor = if self.protocol == Protocol::V3 { 5 } else { 9 };
                 Ok(FirmwareVersion { firmware: [2, minor, 0, 0], protocol: [self.protocol_version, 0] }.encode())
             }
             Command::Uuid => Ok((0..16).collect()),

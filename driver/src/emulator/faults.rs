@@ -1,0 +1,200 @@
+//! What may go wrong with a board, and how a person writes it: `drop 5, double 9, flip 12:345, truncate 20:100, reorder 30,
+//! skip 40:3, overflow 50, stall 60, unplug 70:2.5, slow 80:0.5, chip 0x606, version 5`. The first number is the packet.
+
+use std::str::FromStr;
+use std::time::Duration;
+
+use thiserror::Error;
+
+/// Something to go wrong. Packets are the firmware's data messages (an ESP32's lines), counted from 0 since the emulator
+/// was started.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// The packet is not sent.
+    DropPacket(u64),
+    /// The packet is sent twice.
+    DoublePacket(u64),
+    /// One bit of the packet is inverted, counted from its first byte's lowest bit, modulo its length.
+    FlipBit {
+        /// Which packet.
+        packet: u64,
+        /// Which bit.
+        bit: usize,
+    },
+    /// Only the packet's first bytes are sent.
+    TruncatePacket {
+        /// Which packet.
+        packet: u64,
+        /// How many bytes.
+        bytes: usize,
+    },
+    /// The packet is sent after its successor.
+    ReorderPacket(u64),
+    /// The firmware's counter jumps before this packet, as if others had been sent.
+    SkipCounter {
+        /// Which packet.
+        packet: u64,
+        /// By how much.
+        by: u16,
+    },
+    /// The chip's FIFO overflows instead of this packet being sent.
+    Overflow(u64),
+    /// Nothing more is sent from this packet on until the host starts the board anew. Requests are answered.
+    Stall(u64),
+    /// The board is unplugged instead of this packet being sent, and so loses its power. It comes back after a while,
+    /// at [`EmulatorOptions::link`](super::EmulatorOptions::link).
+    Unplug {
+        /// Which packet.
+        packet: u64,
+        /// For how long.
+        duration: Duration,
+    },
+    /// The host reads nothing from this packet on: the port takes no more bytes while the world goes on.
+    SlowHost {
+        /// Which packet.
+        packet: u64,
+        /// For how long.
+        duration: Duration,
+    },
+    /// The chip's CHIP_ID register reads this: another chip, or none that answers (0, all ones).
+    ForeignChip(u32),
+    /// The firmware reports this major version of its protocol, and speaks as before.
+    WrongVersion(u16),
+}
+
+/// Longest that a board may be unplugged or its host be slow, s.
+const LONGEST_WAIT_S: f64 = 3600.0;
+
+/// A fault that nobody can follow.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("fault '{text}': {what}\n\nhint: one of {FORMS}; commas between several")]
+pub struct FaultError {
+    /// What was written.
+    pub text: String,
+    /// What is wrong with it.
+    pub what: &'static str,
+}
+
+const FORMS: &str = "drop N, double N, reorder N, overflow N, stall N, flip N:BIT, truncate N:BYTES, skip N:BY, \
+                     unplug N:SECONDS, slow N:SECONDS, chip ID, version MAJOR";
+
+/// A whole number, decimal or hexadecimal after `0x`.
+fn number(text: &str) -> Option<u32> {
+    match text.strip_prefix("0x") {
+        Some(digits) => u32::from_str_radix(digits, 16).ok(),
+        None => text.parse().ok(),
+    }
+}
+
+impl FromStr for Fault {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        let fault = |what| FaultError { text: text.trim().to_owned(), what };
+        let (kind, rest) = text.trim().split_once(char::is_whitespace).ok_or(fault("expected a kind and a number"))?;
+        match kind {
+            "chip" => {
+                let chip_id = number(rest.trim()).filter(|id| *id <= 0xFF_FFFF);
+                return chip_id.map(Fault::ForeignChip).ok_or(fault("the chip's id is not 0 to 0xFFFFFF"));
+            }
+            "version" => {
+                let major = rest.trim().parse().map_err(|_| fault("the version is not 0 to 65535"))?;
+                return Ok(Fault::WrongVersion(major));
+            }
+            _ => {}
+        }
+        let (packet, detail) = match rest.trim().split_once(':') {
+            Some((packet, detail)) => (packet, Some(detail.trim())),
+            None => (rest.trim(), None),
+        };
+        let packet: u64 = packet.trim().parse().map_err(|_| fault("the packet is no whole number"))?;
+        let detail_of = |what| detail.ok_or(fault(what));
+        match (kind, detail) {
+            ("drop", None) => Ok(Fault::DropPacket(packet)),
+            ("double", None) => Ok(Fault::DoublePacket(packet)),
+            ("reorder", None) => Ok(Fault::ReorderPacket(packet)),
+            ("overflow", None) => Ok(Fault::Overflow(packet)),
+            ("stall", None) => Ok(Fault::Stall(packet)),
+            ("drop" | "double" | "reorder" | "overflow" | "stall", Some(_)) => Err(fault("takes the packet alone")),
+            ("flip", _) => {
+                let bit = detail_of("lacks the bit")?.parse().map_err(|_| fault("the bit is no whole number"))?;
+                Ok(Fault::FlipBit { packet, bit })
+            }
+            ("truncate", _) => {
+                let bytes =
+                    detail_of("lacks the bytes")?.parse().map_err(|_| fault("the bytes are no whole number"))?;
+                Ok(Fault::TruncatePacket { packet, bytes })
+            }
+            ("skip", _) => {
+                let by = detail_of("lacks the jump")?.parse().map_err(|_| fault("the jump is not 0 to 65535"))?;
+                Ok(Fault::SkipCounter { packet, by })
+            }
+            ("unplug" | "slow", _) => {
+                let seconds: f64 =
+                    detail_of("lacks the seconds")?.parse().map_err(|_| fault("the seconds are no number"))?;
+                if !(0.0..=LONGEST_WAIT_S).contains(&seconds) {
+                    return Err(fault("the seconds are not 0 to 3600"));
+                }
+                let duration = Duration::from_secs_f64(seconds);
+                Ok(match kind {
+                    "slow" => Fault::SlowHost { packet, duration },
+                    _ => Fault::Unplug { packet, duration },
+                })
+            }
+            _ => Err(fault("no such kind")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_is_understood() {
+        let script = "drop 5, double 9,flip 12:345, truncate 20:100, reorder 30, skip 40:3, overflow 50, stall 60, unplug 70:2.5, \
+                      slow 80:0.5, chip 0x606, version 5";
+        let faults: Vec<Fault> = script.split(',').map(|f| f.parse().unwrap_or_else(|e| panic!("{e}"))).collect();
+        let expected = [
+            Fault::DropPacket(5),
+            Fault::DoublePacket(9),
+            Fault::FlipBit { packet: 12, bit: 345 },
+            Fault::TruncatePacket { packet: 20, bytes: 100 },
+            Fault::ReorderPacket(30),
+            Fault::SkipCounter { packet: 40, by: 3 },
+            Fault::Overflow(50),
+            Fault::Stall(60),
+            Fault::Unplug { packet: 70, duration: Duration::from_millis(2500) },
+            Fault::SlowHost { packet: 80, duration: Duration::from_millis(500) },
+            Fault::ForeignChip(0x606),
+            Fault::WrongVersion(5),
+        ];
+        assert_eq!(faults, expected);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn what_cannot_be_followed_is_named_with_what_would_do() {
+            for (text, what) in [
+                ("", "expected a kind"),
+                ("drop", "expected a kind"),
+                ("drop x", "no whole number"),
+                ("drop -1", "no whole number"),
+                ("drop 1:2", "alone"),
+                ("flip 3", "lacks the bit"),
+                ("skip 3:70000", "0 to 65535"),
+                ("unplug 3:NaN", "0 to 3600"),
+                ("unplug 3:-1", "0 to 3600"),
+                ("slow 3", "lacks the seconds"),
+                ("chip 0x1000000", "0 to 0xFFFFFF"),
+                ("version -1", "0 to 65535"),
+                ("explode 3", "no such kind"),
+            ] {
+                let error = text.parse::<Fault>().expect_err(text).to_string();
+                assert!(error.contains(what) && error.contains("hint:"), "{error}");
+            }
+        }
+    }
+}
