@@ -1,42 +1,122 @@
-//! An ESP32 that prints whatever frames a [`FrameSource`] provides ([`crate::protocol::ascii`]).
+//! An ESP32 that prints the frames of its chip ([`crate::protocol::ascii`]).
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use radome_dsp::{FrameSource, Waveform};
 
+use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
-use super::world::{Slice, World};
+use super::world::Slice;
 use super::{EmulatorOptions, Shared};
+use crate::chip::{ChipConfiguration, RegisterList, address, field};
 use crate::protocol::ascii;
+use crate::protocol::strata::SliceLayout;
 
 const BANNER: &[u8] = b"I (312) main: radar started\r\n";
+/// Frames that the board's memory holds.
+const BUFFER_FRAMES: usize = 2;
 
 /// Firmware that measures and prints from the moment it has power. It takes no requests.
 pub(super) struct Esp32 {
-    world: World,
-    waveform: Waveform,
-    channels: Vec<usize>,
-    /// Whether the banner has been printed since the board has power.
+    chip: Chip,
+    /// What it was built for.
+    registers: RegisterList,
+    slice: SliceLayout,
+    codes_per_frame: usize,
+    /// Codes of the frame that is being read from the chip, FIFO order.
+    codes: Vec<u16>,
+    /// Frames to be printed, with their numbers.
+    frames: VecDeque<(u64, Vec<u16>)>,
     is_up: bool,
-    /// Number of the next frame.
+    /// Number of the next frame to be read.
     number: u64,
+    /// Number that the first frame since the chip's start would have, had the source lacked none since.
+    first_number: u64,
     stalled: bool,
     shared: Arc<Shared>,
 }
 
 impl Esp32 {
     pub fn new(source: Box<dyn FrameSource>, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
-        let waveform = source.waveform().clone();
+        let waveform: Waveform = source.waveform().clone();
+        let codes_per_frame = waveform.shape().codes();
+        let slice = SliceLayout::for_frame(codes_per_frame);
+        let configuration = ChipConfiguration { waveform, slice_samples: slice.samples };
+        let registers = configuration.compile().map_err(std::io::Error::other)?;
         Ok(Esp32 {
-            world: World::new(source, options.pace)?,
-            channels: (0..waveform.shape().rx).collect(),
-            waveform,
+            chip: Chip::new(source, options.pace, &options.faults)?,
+            registers,
+            slice,
+            codes_per_frame,
+            codes: Vec::new(),
+            frames: VecDeque::new(),
             is_up: false,
             number: 0,
+            first_number: 0,
             stalled: false,
             shared,
         })
+    }
+
+    /// Resets the chip and starts frames. What was in its FIFO is lost; how much the chip's frame counter tells, so that
+    /// frames keep their numbers.
+    fn start(&mut self) {
+        let status = self.chip.read(address::STAT1);
+        let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
+        let measured = u64::from(field::STAT1::FRAME_CNT.of(status)) + u64::from(is_cut);
+        let counted = self.number - self.first_number;
+        // The counter has twelve bits.
+        self.number += measured.wrapping_sub(counted) % 4096;
+        self.first_number = self.number;
+        self.codes.clear();
+        self.chip.reset();
+        for register in &self.registers {
+            if let Err(reason) = self.chip.transfer((*register).into()) {
+                tracing::error!(reason, "the emulated board does not start");
+            }
+        }
+    }
+
+    /// Reads the chip's FIFO each time it calls, as long as there is room for another frame.
+    fn drain(&mut self) {
+        let frames = if self.chip.world().waits() { 1 } else { BUFFER_FRAMES };
+        while self.frames.len() < frames && !self.chip.fifo_failed() {
+            match self.chip.poll(self.slice.samples as u64) {
+                Slice::Ready { .. } => {
+                    self.chip.read_fifo(self.slice.samples, &mut self.codes);
+                    self.cut_frames();
+                }
+                Slice::Missing { frames } => {
+                    self.number += frames;
+                    self.first_number += frames;
+                }
+                Slice::Wait => return,
+                Slice::End => {
+                    if self.frames.is_empty() {
+                        self.shared.finished.store(true, Ordering::Release);
+                    }
+                    return;
+                }
+            }
+        }
+        self.chip.look_for_overflow();
+    }
+
+    /// As if the firmware had given up so many frames.
+    fn skip(&mut self, frames: u64) {
+        self.frames.iter_mut().for_each(|(number, _)| *number += frames);
+        self.number += frames;
+        self.first_number += frames;
+    }
+
+    fn cut_frames(&mut self) {
+        while self.codes.len() >= self.codes_per_frame {
+            let rest = self.codes.split_off(self.codes_per_frame);
+            self.frames.push_back((self.number, std::mem::replace(&mut self.codes, rest)));
+            self.number += 1;
+        }
     }
 }
 
@@ -49,55 +129,52 @@ impl Firmware for Esp32 {
         }
         if !self.is_up {
             self.is_up = true;
+            self.start();
             wire.send(|out| out.extend_from_slice(BANNER));
+            return true;
         }
-        let codes = self.waveform.shape().codes();
-        match self.world.slice(codes as u64) {
-            Slice::Ready { .. } => {}
-            Slice::Missing { frames } => {
-                self.number += frames;
-                return true;
-            }
-            Slice::Overflow => {
-                // The firmware counts the frames that it reads; those that its FIFO lost it never knew.
-                self.shared.overflows.fetch_add(1, Ordering::Relaxed);
-                self.world.restart(&self.waveform, self.channels.clone(), None);
-                return true;
-            }
-            Slice::Wait => return false,
-            Slice::End => {
-                self.shared.finished.store(true, Ordering::Release);
-                return false;
-            }
+        self.drain();
+        if self.chip.fifo_failed() {
+            self.shared.overflows.fetch_add(1, Ordering::Relaxed);
+            self.start();
+            return true;
         }
-        let (number, before) = wire.next_number();
+        if self.frames.is_empty() {
+            return false;
+        }
+        let (packet, before) = wire.next_number();
         for before in before {
             match before {
                 Before::Overflow => {
-                    self.shared.overflows.fetch_add(1, Ordering::Relaxed);
-                    self.world.take(codes);
+                    self.chip.overflow();
                     return true;
                 }
                 Before::Stall => {
                     self.stalled = true;
                     return false;
                 }
-                Before::Skip(by) => self.number += u64::from(by),
+                Before::Skip(by) => self.skip(u64::from(by)),
             }
         }
-        wire.send_data(number, |out| ascii::encode(self.number, self.world.codes(codes), out));
-        self.world.take(codes);
-        self.number += 1;
-        self.shared.slices.fetch_add(1, Ordering::Relaxed);
+        if let Some((number, codes)) = self.frames.pop_front() {
+            wire.send_data(packet, |out| ascii::encode(number, &codes, out));
+            self.shared.slices.fetch_add(1, Ordering::Relaxed);
+        }
         true
     }
 
     fn advance(&mut self) {
-        self.world.advance();
+        self.chip.world().advance();
+        if self.is_up && !self.stalled {
+            self.drain();
+        }
     }
 
     fn power_up(&mut self) {
-        (self.is_up, self.number, self.stalled) = (false, 0, false);
-        self.world.restart(&self.waveform, self.channels.clone(), None);
+        (self.is_up, self.stalled) = (false, false);
+        (self.number, self.first_number) = (0, 0);
+        self.chip.reset();
+        self.codes.clear();
+        self.frames.clear();
     }
 }

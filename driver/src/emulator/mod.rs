@@ -5,6 +5,7 @@
 //! trip a known firmware bug. Frames that the source itself lacks appear as packets lost. How much the board buffers
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
 
+mod chip;
 mod esp32;
 mod faults;
 mod mcu7;

@@ -12,8 +12,6 @@ use crate::chip::test_pattern;
 use crate::protocol::fifo;
 use crate::timing::SampleTiming;
 
-/// Codes that the board's memory holds beside the chip's FIFO: 192 KiB of packed samples.
-const BOARD_BUFFER_CODES: u64 = 192 * 1024 / 3 * 2;
 /// Frames that the source may be ahead.
 const FRAMES_AHEAD: usize = 2;
 
@@ -31,8 +29,6 @@ pub(super) enum Slice {
     Missing { frames: u64 },
     /// Not yet.
     Wait,
-    /// The host was too slow.
-    Overflow,
     /// Nothing will come any more.
     End,
 }
@@ -118,8 +114,8 @@ impl World {
     /// Lets the world go on while the host reads nothing: frames are sampled when their time has come.
     pub fn advance(&mut self) {
         let Some(now) = self.now_ns() else { return };
-        while self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now) && self.put < self.taken + 3 * self.limit()
-        {
+        let ahead = 3 * self.fifo_limit();
+        while self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now) && self.put < self.taken + ahead {
             let put = self.put;
             self.pull();
             if self.put == put {
@@ -128,14 +124,17 @@ impl World {
         }
     }
 
-    /// Codes that chip and board hold before they overflow. A world that goes faster than real gives the board as much
-    /// more memory: the host, whose delays do not shrink, may be late by the same time.
-    fn limit(&self) -> u64 {
-        let speed = match self.pace {
+    /// How much faster than real this world goes, as far as it can be told.
+    pub fn speed(&self) -> f64 {
+        match self.pace {
             Pace::RealTime(speed) => speed.clamp(1.0, 100.0),
             Pace::AsFastAsRead => 1.0,
-        };
-        FIFO_SAMPLES as u64 + (BOARD_BUFFER_CODES as f64 * speed) as u64
+        }
+    }
+
+    /// Whether the world waits for whoever reads it: nothing overflows then.
+    pub fn waits(&self) -> bool {
+        self.pace == Pace::AsFastAsRead
     }
 
     fn pull(&mut self) {
@@ -203,21 +202,40 @@ impl World {
             };
         }
         let ready_ns = self.time_ns(self.taken + samples - 1);
-        if let Some(now) = self.now_ns() {
-            if ready_ns > now {
-                return Slice::Wait;
-            }
-            let sampled: u64 = self
-                .frames
-                .iter()
-                .map(|(first, time_ns)| first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9))
-                .max()
-                .unwrap_or(0);
-            if sampled.saturating_sub(self.taken) > self.limit() {
-                return Slice::Overflow;
-            }
+        if self.now_ns().is_some_and(|now| ready_ns > now) {
+            return Slice::Wait;
         }
         Slice::Ready { time_us: ready_ns / 1000 }
+    }
+
+    /// Whether more has been sampled than the FIFO holds.
+    pub fn overflows(&self) -> bool {
+        !self.waits() && self.in_fifo() > self.fifo_limit()
+    }
+
+    /// Codes that the FIFO holds before it overflows. A world that goes faster than real gives the chip as much more
+    /// memory: the host, whose delays do not shrink, may be late by the same time.
+    fn fifo_limit(&self) -> u64 {
+        (FIFO_SAMPLES as f64 * self.speed()) as u64
+    }
+
+    /// Codes sampled since the frames started. A world that waits has sampled what is there.
+    pub fn sampled(&self) -> u64 {
+        let Some(now) = self.now_ns() else { return self.put };
+        let sampled = |(first, time_ns): &(u64, u64)| {
+            first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9)
+        };
+        self.frames.iter().map(sampled).max().unwrap_or(self.taken)
+    }
+
+    /// Codes sampled and not taken out.
+    pub fn in_fifo(&self) -> u64 {
+        self.sampled().saturating_sub(self.taken)
+    }
+
+    /// Codes taken out since the frames started.
+    pub fn taken(&self) -> u64 {
+        self.taken
     }
 
     /// Codes of the slice that is ready.

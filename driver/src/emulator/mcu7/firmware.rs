@@ -1,10 +1,8 @@
 //! What the MCU7 firmware answers: requests in, bytes out, and the state that the requests change.
 
-use radome_dsp::Waveform;
-
-use crate::board::CHIP_ID_BGT60TR13C;
-use crate::chip::{ChipConfiguration, RegisterFile, address, field, main_bits};
+use crate::chip::{address, main_bits};
 use crate::emulator::Fault;
+use crate::emulator::chip::Chip;
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, HostEvent, IMPLEMENTATION_AVIAN,
     Protocol, Response, SliceLayout, SpiWord, Status,
@@ -19,75 +17,49 @@ fn board_info() -> Vec<u8> {
 }
 
 pub(super) struct Requests {
-    registers: RegisterFile,
-    chip_id: u32,
+    pub chip: Chip,
     protocol: Protocol,
     protocol_version: u16,
-    source: Waveform,
     slice: Option<SliceLayout>,
     data_started: bool,
-    /// Waveform that the chip's frames run with.
-    frames: Option<Waveform>,
-    /// Counts starts of frames: the sender begins afresh when it changes.
+    /// Counts starts of data: the sender begins afresh when it changes.
     pub starts: u64,
     /// Why the last start was refused.
     pub refusal: Option<String>,
 }
 
 impl Requests {
-    pub fn new(source: &Waveform, protocol: Protocol, faults: &[Fault]) -> Self {
-        let mut chip_id = CHIP_ID_BGT60TR13C;
-        let mut protocol_version = protocol.major();
-        for fault in faults {
-            match *fault {
-                Fault::ForeignChip(id) => chip_id = id,
-                Fault::WrongVersion(major) => protocol_version = major,
-                _ => {}
-            }
-        }
-        let mut requests = Requests {
-            registers: RegisterFile::default(),
-            chip_id,
+    pub fn new(chip: Chip, protocol: Protocol, faults: &[Fault]) -> Self {
+        let wrong = faults.iter().find_map(|fault| match fault {
+            Fault::WrongVersion(major) => Some(*major),
+            _ => None,
+        });
+        Requests {
+            chip,
             protocol,
-            protocol_version,
-            source: source.clone(),
+            protocol_version: wrong.unwrap_or(protocol.major()),
             slice: None,
             data_started: false,
-            frames: None,
             starts: 0,
             refusal: None,
-        };
-        requests.reset();
-        requests
+        }
     }
 
-    fn reset(&mut self) {
-        self.registers = RegisterFile::default();
-        self.registers.set(address::CHIP_ID, self.chip_id);
-        self.frames = None;
-    }
-
-    /// The board was without power: everything is as at first, but for the count of starts.
+    /// The board was without power: everything is as at first, but for the counts of starts.
     pub fn power_up(&mut self) {
-        self.reset();
+        self.chip.reset();
         self.slice = None;
         self.data_started = false;
     }
 
-    /// Slice and waveform while slices are to be sent.
-    pub fn streaming(&self) -> Option<(SliceLayout, &Waveform)> {
-        self.slice.filter(|_| self.data_started).zip(self.frames.as_ref())
+    /// The slice while slices are to be sent.
+    pub fn streaming(&self) -> Option<SliceLayout> {
+        self.slice.filter(|_| self.data_started && self.chip.frames().is_some())
     }
 
-    /// Whether the chip puts its test pattern in the place of RX1's samples.
-    pub fn test_pattern(&self) -> bool {
-        self.registers.field(field::SFCTL::LFSR_EN) == 1
-    }
-
-    /// The firmware stops by itself after an overflow.
+    /// The firmware stops by itself after an overflow. The chip goes on measuring until it is reset.
     pub fn stop_by_itself(&mut self) {
         self.data_started = false;
-        self.frames = None;
     }
 
     pub fn handle(&mut self, event: &HostEvent, out: &mut Vec<u8>) {
@@ -128,30 +100,31 @@ impl Requests {
             }
             Command::DataIndex => Ok(vec![0]),
             Command::WriteRegisters { address, values } => {
+                // The burst's GSR0 is that from before it.
+                let failed = self.chip.fifo_failed();
                 for (offset, value) in values.iter().enumerate() {
                     self.write(address.wrapping_add(offset as u8), *value)?;
                 }
-                nothing
+                if failed { Err(Status::UnexpectedValue) } else { nothing }
             }
             Command::ReadRegisters { address, count } => {
-                let read = |offset: u8| self.registers.get(address.wrapping_add(offset));
+                let read = |offset: u8| self.chip.read(address.wrapping_add(offset));
                 Ok((0..*count).flat_map(|offset| read(offset).to_le_bytes()).collect())
             }
             Command::SetBits { address, mask } => {
-                self.write(*address, self.registers.get(*address) | mask)?;
+                self.write(*address, self.chip.read(*address) | mask)?;
                 nothing
             }
             Command::HardwareReset => {
-                self.reset();
+                self.chip.reset();
                 nothing
             }
             Command::Execute { words, answer } => {
                 let mut read = Vec::new();
-                for SpiWord { address, write, value } in words {
-                    read.extend((0xF0 << 24 | self.registers.get(*address)).to_le_bytes());
-                    if *write {
-                        self.write(*address, *value)?;
-                    }
+                for word in words {
+                    self.check_start(word)?;
+                    let answer = self.chip.transfer(*word).map_err(|reason| self.refuse(reason))?;
+                    read.extend(answer.to_le_bytes());
                 }
                 Ok(if *answer { read } else { Vec::new() })
             }
@@ -178,48 +151,24 @@ impl Requests {
     }
 
     fn write(&mut self, address: u8, value: u32) -> Result<(), Status> {
-        match address {
-            address::CHIP_ID | address::FSTAT => {}
-            address::MAIN => {
-                if value & main_bits::SW_RESET != 0 {
-                    self.reset();
-                }
-                self.registers.set(address::MAIN, value & !main_bits::ALL);
-                if value & (main_bits::FSM_RESET | main_bits::FIFO_RESET) != 0 {
-                    self.frames = None;
-                }
-                if value & main_bits::FRAME_START != 0 {
-                    self.start_frames()?;
-                }
-            }
-            _ => self.registers.set(address, value),
-        }
-        Ok(())
+        self.check_start(&SpiWord::write(address, value))?;
+        self.chip.write(address, value).map_err(|reason| self.refuse(reason))
     }
 
-    /// The chip would measure whatever it is told; the source has frames of one waveform only. Another is refused,
-    /// loudly, and so is a slice that would make the real firmware send garbage.
-    fn start_frames(&mut self) -> Result<(), Status> {
-        let refuse = |this: &mut Self, reason: String| {
-            tracing::warn!(reason, "the emulated board does not start");
-            this.refusal = Some(reason);
-            Err(Status::Failed)
-        };
-        if let Some(slice) = self.slice
-            && !slice.is_safe()
-        {
-            return refuse(self, format!("slices of {} samples make firmware 2.x send garbage", slice.samples));
+    /// A slice that would make the real firmware send garbage is refused, loudly, when frames are to start.
+    fn check_start(&mut self, word: &SpiWord) -> Result<(), Status> {
+        let starts = word.write && word.address == address::MAIN && word.value & main_bits::FRAME_START != 0;
+        match self.slice {
+            Some(slice) if starts && !slice.is_safe() => {
+                Err(self.refuse(format!("slices of {} samples make firmware 2.x send garbage", slice.samples)))
+            }
+            _ => Ok(()),
         }
-        match ChipConfiguration::decode(&self.registers) {
-            Err(error) => refuse(self, error.to_string()),
-            Ok(configuration) => match self.source.check_compatible(&configuration.waveform) {
-                Err(mismatch) => refuse(self, mismatch.to_string()),
-                Ok(()) => {
-                    self.frames = Some(configuration.waveform);
-                    self.starts += 1;
-                    Ok(())
-                }
-            },
-        }
+    }
+
+    fn refuse(&mut self, reason: String) -> Status {
+        tracing::warn!(reason, "the emulated board does not start");
+        self.refusal = Some(reason);
+        Status::Failed
     }
 }

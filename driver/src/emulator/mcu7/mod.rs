@@ -2,35 +2,43 @@
 
 mod firmware;
 
+use std::collections::VecDeque;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, PoisonError};
 
-use radome_dsp::{FrameSource, Waveform};
+use radome_dsp::FrameSource;
 
+use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
-use super::world::{Slice, World};
+use super::world::Slice;
 use super::{EmulatorOptions, Shared};
 use crate::protocol::packed12;
 use crate::protocol::strata::{DataError, HostParser, MAX_PACKET_PAYLOAD, Packet, PacketFlags, Protocol, SliceLayout};
 use firmware::Requests;
 
-/// A slice on its way.
-struct Sending {
-    layout: SliceLayout,
-    bytes: Vec<u8>,
-    next: usize,
+/// Bytes of slices that the board's memory holds (192 KiB).
+const BUFFER_BYTES: usize = 192 * 1024;
+
+/// What the board has read from its chip and not yet sent.
+enum Waiting {
+    Slice(Vec<u8>),
+    /// As if so many packets had been lost.
+    LostPackets(u16),
 }
 
 pub(super) struct Mcu7 {
     /// World time at which the board's clock began again after it was unplugged; `Some(None)` until the next slice.
     powered_up_us: Option<Option<u64>>,
-    world: World,
     requests: Requests,
-    source: Waveform,
     parser: HostParser,
-    sending: Option<Sending>,
+    buffer: VecDeque<Waiting>,
+    buffered_bytes: usize,
+    /// The next packet of the first slice in the buffer.
+    next_packet: usize,
     counter: u16,
-    starts: u64,
+    /// Starts of frames and of data when the buffer was begun.
+    starts: (u64, u64),
+    codes: Vec<u16>,
     shared: Arc<Shared>,
 }
 
@@ -41,64 +49,132 @@ impl Mcu7 {
         options: &EmulatorOptions,
         shared: Arc<Shared>,
     ) -> std::io::Result<Self> {
-        let waveform = source.waveform().clone();
+        let chip = Chip::new(source, options.pace, &options.faults)?;
         Ok(Mcu7 {
             powered_up_us: None,
-            world: World::new(source, options.pace)?,
-            requests: Requests::new(&waveform, protocol, &options.faults),
-            source: waveform,
+            requests: Requests::new(chip, protocol, &options.faults),
             parser: HostParser::new(protocol),
-            sending: None,
+            buffer: VecDeque::new(),
+            buffered_bytes: 0,
+            next_packet: 0,
             counter: 0,
-            starts: 0,
+            starts: (0, 0),
+            codes: Vec::new(),
             shared,
         })
     }
 
-    /// The firmware reports that the chip's FIFO has overflowed, and stops.
+    fn clear(&mut self) {
+        self.buffer.clear();
+        (self.buffered_bytes, self.next_packet) = (0, 0);
+    }
+
+    fn has_room(&mut self, slice: SliceLayout) -> bool {
+        let world = self.requests.chip.world();
+        match world.waits() {
+            // Nothing is gained by reading ahead.
+            true => self.buffer.is_empty(),
+            false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * world.speed()) as usize,
+        }
+    }
+
+    /// Reads the chip's FIFO each time it calls, as long as there is room; the slice that is sent, if any is. Without room
+    /// the FIFO goes on filling.
+    fn drain(&mut self) -> Option<SliceLayout> {
+        let Some(slice) = self.requests.streaming() else {
+            self.clear();
+            return None;
+        };
+        let starts = (self.requests.chip.starts, self.requests.starts);
+        if self.starts != starts {
+            self.starts = starts;
+            self.clear();
+            self.counter = 0;
+        }
+        while self.has_room(slice) && !self.requests.chip.fifo_failed() {
+            match self.requests.chip.poll(slice.samples as u64) {
+                Slice::Ready { time_us } => self.read_slice(slice, time_us),
+                Slice::Missing { frames } => self.skip(slice, frames),
+                Slice::Wait => break,
+                Slice::End => {
+                    if self.buffer.is_empty() {
+                        self.shared.finished.store(true, Ordering::Release);
+                    }
+                    break;
+                }
+            }
+        }
+        if !self.has_room(slice) {
+            self.requests.chip.look_for_overflow();
+        }
+        Some(slice)
+    }
+
+    fn read_slice(&mut self, slice: SliceLayout, time_us: u64) {
+        self.codes.clear();
+        self.requests.chip.read_fifo(slice.samples, &mut self.codes);
+        let mut bytes = Vec::with_capacity(slice.data_bytes() + 8);
+        packed12::pack(&self.codes, &mut bytes);
+        let clock_began_us = match &mut self.powered_up_us {
+            Some(began) => *began.get_or_insert(time_us),
+            None => 0,
+        };
+        bytes.extend(time_us.saturating_sub(clock_began_us).to_le_bytes());
+        self.buffered_bytes += slice.data_bytes();
+        self.buffer.push_back(Waiting::Slice(bytes));
+        self.shared.slices.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Frames that the source lacks are as packets lost; a gap that the counter cannot express stays untold.
+    fn skip(&mut self, slice: SliceLayout, frames: u64) {
+        let codes = frames * self.requests.chip.frames().map_or(0, |w| w.shape().codes() as u64);
+        let samples = slice.samples as u64;
+        let packets = codes / samples * slice.packets() as u64;
+        if codes.is_multiple_of(samples) && self.requests.chip.world().at_frame_boundary() && packets < 0x8000 {
+            self.buffer.push_back(Waiting::LostPackets(packets as u16));
+        }
+    }
+
+    /// The firmware finds at the start of a burst that the chip's FIFO has overflowed, reports it and stops.
     fn overflow(&mut self, wire: &mut Wire) {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
-        self.sending = None;
+        self.clear();
         self.requests.stop_by_itself();
         let flags = PacketFlags { first: true, last: true, timestamp: false, error: true };
         let payload = &DataError::FifoOverflow.code().to_le_bytes();
         wire.send(|out| Packet { flags, channel: 0, counter: self.counter, payload }.encode(out));
     }
 
-    fn send_packet(&mut self, wire: &mut Wire) {
+    /// Sends the next packet of the first slice in the buffer.
+    fn send_packet(&mut self, slice: SliceLayout, wire: &mut Wire) {
         let (number, before) = wire.next_number();
         for before in before {
             match before {
-                Before::Overflow => return self.overflow(wire),
+                Before::Overflow => {
+                    self.requests.chip.overflow();
+                    return self.overflow(wire);
+                }
                 Before::Stall => {
-                    self.sending = None;
+                    self.clear();
                     self.requests.stop_by_itself();
                 }
                 Before::Skip(by) => self.counter = self.counter.wrapping_add(by),
             }
         }
-        let Some(sending) = &mut self.sending else { return };
-        let index = sending.next;
+        let Some(Waiting::Slice(bytes)) = self.buffer.front() else { return };
+        let index = self.next_packet;
         let start = index * MAX_PACKET_PAYLOAD;
-        let last = index + 1 == sending.layout.packets();
-        let end = start + sending.layout.payload_length(index);
-        let payload = sending.bytes.get(start..end).unwrap_or(&[]);
+        let last = index + 1 == slice.packets();
+        let payload = bytes.get(start..start + slice.payload_length(index)).unwrap_or(&[]);
         let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
         wire.send_data(number, |out| Packet { flags, channel: 0, counter: self.counter, payload }.encode(out));
         self.counter = self.counter.wrapping_add(1);
-        sending.next += 1;
+        self.next_packet += 1;
         if last {
-            self.sending = None;
+            self.buffer.pop_front();
+            self.buffered_bytes -= slice.data_bytes();
+            self.next_packet = 0;
         }
-    }
-
-    fn begin_anew(&mut self, waveform: &Waveform) {
-        (self.counter, self.sending) = (0, None);
-        let antennas = self.source.request.rx_antennas.antennas();
-        let wanted = waveform.request.rx_antennas.antennas();
-        let channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
-        let test_pattern = wanted.iter().position(|a| *a == 1).filter(|_| self.requests.test_pattern());
-        self.world.restart(waveform, channels, test_pattern);
     }
 }
 
@@ -113,63 +189,34 @@ impl Firmware for Mcu7 {
     }
 
     fn next_message(&mut self, wire: &mut Wire) -> bool {
-        let Some((layout, waveform)) = self.requests.streaming() else {
-            self.sending = None;
-            return false;
-        };
-        let codes_per_frame = waveform.shape().codes() as u64;
-        if self.starts != self.requests.starts {
-            self.starts = self.requests.starts;
-            let waveform = waveform.clone();
-            self.begin_anew(&waveform);
+        let Some(slice) = self.drain() else { return false };
+        if self.requests.chip.fifo_failed() {
+            self.overflow(wire);
+            return true;
         }
-        if self.sending.is_none() {
-            match self.world.slice(layout.samples as u64) {
-                Slice::Ready { time_us } => {
-                    let mut bytes = Vec::with_capacity(layout.data_bytes() + 8);
-                    packed12::pack(self.world.codes(layout.samples), &mut bytes);
-                    let clock_began_us = match &mut self.powered_up_us {
-                        Some(began) => *began.get_or_insert(time_us),
-                        None => 0,
-                    };
-                    bytes.extend(time_us.saturating_sub(clock_began_us).to_le_bytes());
-                    self.world.take(layout.samples);
-                    self.sending = Some(Sending { layout, bytes, next: 0 });
-                    self.shared.slices.fetch_add(1, Ordering::Relaxed);
-                }
-                Slice::Missing { frames } => {
-                    // As if the packets had been lost; a gap that the counter cannot express stays untold.
-                    let codes = frames * codes_per_frame;
-                    let samples = layout.samples as u64;
-                    let packets = codes / samples * layout.packets() as u64;
-                    if codes.is_multiple_of(samples) && self.world.at_frame_boundary() && packets < 0x8000 {
-                        self.counter = self.counter.wrapping_add(packets as u16);
-                    }
-                    return true;
-                }
-                Slice::Wait => return false,
-                Slice::Overflow => {
-                    self.overflow(wire);
-                    return true;
-                }
-                Slice::End => {
-                    self.shared.finished.store(true, Ordering::Release);
-                    return false;
-                }
+        match self.buffer.front() {
+            None => false,
+            Some(Waiting::LostPackets(packets)) => {
+                self.counter = self.counter.wrapping_add(*packets);
+                self.buffer.pop_front();
+                true
+            }
+            Some(Waiting::Slice(_)) => {
+                self.send_packet(slice, wire);
+                true
             }
         }
-        self.send_packet(wire);
-        true
     }
 
     fn advance(&mut self) {
-        self.world.advance();
+        self.requests.chip.world().advance();
+        self.drain();
     }
 
     fn power_up(&mut self) {
         self.requests.power_up();
         self.parser = HostParser::new(self.parser.protocol());
-        self.sending = None;
+        self.clear();
         self.powered_up_us = Some(None);
     }
 }
