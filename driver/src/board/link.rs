@@ -151,6 +151,7 @@ fn name(command: &Command) -> &'static str {
         Command::WriteRegisters { .. } | Command::SetBits { .. } => "register write",
         Command::ReadRegisters { .. } => "register read",
         Command::HardwareReset => "hardware reset",
+        Command::InterruptLevel => "interrupt level",
         Command::Execute { .. } => "SPI transfer",
         Command::ConfigureData { .. } => "data configuration",
         Command::DataStatus => "data status",

@@ -102,17 +102,31 @@ impl Chip {
         }
     }
 
+    /// Codes in the FIFO.
+    fn fill(&self) -> u64 {
+        if self.frames.is_some() { self.world.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
+    }
+
+    /// Codes beyond which the chip calls.
+    fn interrupt_level(&self) -> u64 {
+        2 * u64::from(self.registers.field(field::SFCTL::FIFO_CREF))
+    }
+
+    /// Whether the interrupt line is high.
+    pub fn interrupt(&self) -> bool {
+        self.fill() / 2 * 2 > self.interrupt_level()
+    }
+
     fn fifo_status(&self) -> u32 {
-        let codes = if self.frames.is_some() { self.world.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 };
-        let words = (codes / 2) as u32;
+        let codes = self.fill();
         let flags = [
             (field::FSTAT::FOF_ERR, self.overflowed),
             (field::FSTAT::FUF_ERR, self.underflowed),
             (field::FSTAT::FULL, codes >= FIFO_SAMPLES as u64),
             (field::FSTAT::EMPTY, codes == 0),
-            (field::FSTAT::CREF, words > self.registers.field(field::SFCTL::FIFO_CREF)),
+            (field::FSTAT::CREF, self.interrupt()),
         ];
-        let status = field::FSTAT::FILL_STATUS.put(0, words);
+        let status = field::FSTAT::FILL_STATUS.put(0, (codes / 2) as u32);
         flags.iter().fold(status, |status, (flag, is_set)| flag.put(status, u32::from(*is_set)))
     }
 
@@ -179,8 +193,7 @@ impl Chip {
             return Slice::Wait;
         }
         // The line goes up at its own level; who reads more than is there then reads past the end.
-        let level = 2 * (u64::from(self.registers.field(field::SFCTL::FIFO_CREF)) + 1);
-        self.world.slice(level.min(codes).max(1))
+        self.world.slice(codes.min(self.interrupt_level() + 2))
     }
 
     /// A burst read of the FIFO, appended.
@@ -208,5 +221,187 @@ impl Chip {
     /// The world that it samples.
     pub fn world(&mut self) -> &mut World {
         &mut self.world
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::{Frame, SourceError, SourceEvent, WaveformRequest};
+
+    use super::*;
+    use crate::chip::RegisterList;
+
+    /// Frames whose codes count on from 0.
+    struct Ramp(Waveform, u64);
+
+    impl FrameSource for Ramp {
+        fn waveform(&self) -> &Waveform {
+            &self.0
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            let first = self.1 * frame.codes.len() as u64;
+            frame.codes.iter_mut().zip(first..).for_each(|(code, value)| *code = (value & 0xFFF) as u16);
+            frame.time_ns = (self.1 as f64 * self.0.frame_interval_s() * 1e9) as u64;
+            self.1 += 1;
+            Ok(SourceEvent::Frame)
+        }
+    }
+
+    /// One receiver, 4 chirps of 64 samples.
+    fn waveform() -> Waveform {
+        let rx_antennas = radome_dsp::RxMask::from_antennas(&[1]).expect("valid");
+        let request =
+            WaveformRequest { rx_antennas, samples_per_chirp: 64, chirps_per_frame: 4, ..WaveformRequest::paper() };
+        Waveform::realise(request).expect("valid")
+    }
+
+    fn chip(pace: Pace) -> Chip {
+        Chip::new(Box::new(Ramp(waveform(), 0)), pace, &[]).expect("threads")
+    }
+
+    fn list(slice_samples: usize) -> RegisterList {
+        ChipConfiguration { waveform: waveform(), slice_samples }.compile().expect("fits")
+    }
+
+    fn started(pace: Pace, slice_samples: usize) -> Chip {
+        started_with(waveform(), pace, slice_samples)
+    }
+
+    fn started_with(waveform: Waveform, pace: Pace, slice_samples: usize) -> Chip {
+        let mut chip = Chip::new(Box::new(Ramp(waveform.clone(), 0)), pace, &[]).expect("threads");
+        let list = ChipConfiguration { waveform, slice_samples }.compile().expect("fits");
+        list.iter().for_each(|r| chip.write(r.address, r.value).expect("starts"));
+        chip
+    }
+
+    fn poll(chip: &mut Chip, codes: u64) -> Slice {
+        for _ in 0..1000 {
+            match chip.poll(codes) {
+                Slice::Wait => std::thread::sleep(std::time::Duration::from_millis(1)),
+                other => return other,
+            }
+        }
+        Slice::Wait
+    }
+
+    const RESET: u32 = main_bits::FIFO_RESET | main_bits::FSM_RESET;
+
+    #[test]
+    fn a_software_reset_puts_every_register_back_and_clears_itself() {
+        let mut chip = started(Pace::AsFastAsRead, 128);
+        assert!(chip.frames().is_some());
+        assert_eq!(chip.read(address::MAIN) & main_bits::ALL, 0);
+        chip.write(address::MAIN, main_bits::SW_RESET).expect("resets");
+        assert!(chip.frames().is_none());
+        for register in
+            crate::chip::REGISTERS.iter().filter(|r| r.address != address::MAIN && r.address != address::CHIP_ID)
+        {
+            assert_eq!(chip.read(register.address), register.reset, "{}", register.name);
+        }
+        assert_eq!(chip.read(address::MAIN), 0);
+        assert_eq!(chip.read(address::CHIP_ID), CHIP_ID_BGT60TR13C);
+    }
+
+    #[test]
+    fn an_answer_is_the_status_and_what_the_register_held_before() {
+        let mut chip = chip(Pace::AsFastAsRead);
+        let write = SpiWord::write(address::SFCTL, 0x10_2BFF);
+        assert_eq!(chip.transfer(write), Ok(0xF071_0000));
+        assert_eq!(chip.transfer(write), Ok(0xF010_2BFF));
+    }
+
+    #[test]
+    fn frames_end_by_themselves_when_their_count_is_set() {
+        let mut chip = chip(Pace::AsFastAsRead);
+        for register in list(256) {
+            let counted = register.address == address::CCR2;
+            let value = if counted { field::CCR2::MAX_FRAME_CNT.put(register.value, 2) } else { register.value };
+            chip.write(register.address, value).expect("starts");
+        }
+        let mut codes = Vec::new();
+        for _ in 0..2 {
+            assert!(matches!(poll(&mut chip, 256), Slice::Ready { .. }));
+            chip.read_fifo(256, &mut codes);
+        }
+        assert_eq!(codes, (0..512).collect::<Vec<u16>>());
+        assert!(matches!(chip.poll(256), Slice::Wait));
+    }
+
+    #[test]
+    fn the_frame_counter_and_the_fifo_fill_as_frames_are_sampled() {
+        let mut chip = started(Pace::RealTime(1.0), 128);
+        assert_eq!(field::FSTAT::EMPTY.of(chip.read(address::FSTAT)), 1);
+        assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
+        assert!(chip.interrupt());
+        let status = chip.read(address::FSTAT);
+        assert_eq!((field::FSTAT::CREF.of(status), field::FSTAT::EMPTY.of(status)), (1, 0));
+        assert!(field::FSTAT::FILL_STATUS.of(status) >= 64);
+        let mut codes = Vec::new();
+        while codes.len() < 3 * 256 {
+            assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
+            chip.read_fifo(128, &mut codes);
+        }
+        assert_eq!(codes, (0..3 * 256).collect::<Vec<u16>>());
+        assert!(field::STAT1::FRAME_CNT.of(chip.read(address::STAT1)) >= 3);
+        chip.write(address::MAIN, RESET).expect("resets");
+        assert_eq!(chip.read(address::STAT1), 0);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn an_overflow_stays_until_the_fifo_is_reset() {
+            let mut chip = started(Pace::AsFastAsRead, 128);
+            chip.overflow();
+            let status = chip.transfer(SpiWord::read(address::FSTAT)).expect("answers");
+            assert_eq!((status >> 24, field::FSTAT::FOF_ERR.of(status & 0xFF_FFFF)), (0xF8, 1));
+            chip.write(address::MAIN, main_bits::FSM_RESET).expect("resets");
+            assert!(chip.fifo_failed());
+            chip.write(address::MAIN, main_bits::FIFO_RESET).expect("resets");
+            assert!(!chip.fifo_failed());
+            assert_eq!(chip.transfer(SpiWord::read(address::CHIP_ID)), Ok(0xF000_0303));
+        }
+
+        /// 16384 codes and not one more: a host that does not read loses the frames after them.
+        #[test]
+        fn a_fifo_that_nobody_reads_overflows() {
+            let request = WaveformRequest { chirps_per_frame: 64, ..waveform().request };
+            let waveform = Waveform::realise(request).expect("valid");
+            let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
+            for _ in 0..5000 {
+                chip.world().advance();
+                chip.look_for_overflow();
+                if chip.fifo_failed() {
+                    break;
+                }
+                std::thread::sleep(std::time::Duration::from_millis(1));
+            }
+            assert!(chip.fifo_failed());
+            let status = chip.read(address::FSTAT);
+            assert_eq!((field::FSTAT::FULL.of(status), field::FSTAT::FILL_STATUS.of(status)), (1, 8192));
+        }
+
+        #[test]
+        fn a_read_past_the_end_gives_ones_and_is_told() {
+            let mut chip = started(Pace::RealTime(1.0), 64);
+            assert!(matches!(poll(&mut chip, 16_384), Slice::Ready { .. }));
+            let mut codes = Vec::new();
+            chip.read_fifo(16_384, &mut codes);
+            assert_eq!(codes.len(), 16_384);
+            assert_eq!(codes.last(), Some(&0xFFF));
+            assert_eq!(field::FSTAT::FUF_ERR.of(chip.read(address::FSTAT)), 1);
+        }
+
+        #[test]
+        fn another_waveform_is_refused_with_both_named() {
+            let mut chip = chip(Pace::AsFastAsRead);
+            let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
+            let other = Waveform::realise(request).expect("valid");
+            let list = ChipConfiguration { waveform: other, slice_samples: 128 }.compile().expect("fits");
+            let refused = list.iter().find_map(|r| chip.write(r.address, r.value).err()).expect("refused");
+            assert!(refused.contains("4 chirps") && refused.contains("8 chirps"), "{refused}");
+        }
     }
 }

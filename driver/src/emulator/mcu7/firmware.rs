@@ -119,6 +119,7 @@ impl Requests {
                 self.chip.reset();
                 nothing
             }
+            Command::InterruptLevel => Ok(vec![u8::from(self.chip.interrupt())]),
             Command::Execute { words, answer } => {
                 let mut read = Vec::new();
                 for word in words {

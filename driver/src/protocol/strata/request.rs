@@ -232,6 +232,8 @@ pub enum Command {
     },
     /// Pulls the chip's reset pin.
     HardwareReset,
+    /// Level of the chip's interrupt line, one byte.
+    InterruptLevel,
     /// SPI words, verbatim.
     Execute {
         /// The words.
@@ -263,6 +265,7 @@ const WRITE_BURST: u16 = function(1, 3);
 const READ_BURST: u16 = function(1, 4);
 const DATA_INDEX: u16 = function(0, 2);
 const RESET_PIN: u16 = function(2, 5);
+const INTERRUPT_PIN: u16 = function(2, 6);
 const EXECUTE: u16 = function(3, 1);
 const SET_BITS: u16 = function(3, 2);
 /// Data index in version 3.
@@ -313,6 +316,7 @@ impl Command {
                 write(COMPONENT, avian, SET_BITS, word.to_le_bytes().to_vec())
             }
             Command::HardwareReset => write(COMPONENT, avian, RESET_PIN, Vec::new()),
+            Command::InterruptLevel => read(COMPONENT, avian, INTERRUPT_PIN, 1),
             Command::Execute { words, answer } => {
                 let payload = words.iter().flat_map(|w| w.to_bytes()).collect();
                 let request = write(COMPONENT, avian, EXECUTE, payload);
@@ -364,6 +368,7 @@ impl Command {
                     _ => Err(Status::RequestPayloadInvalid),
                 },
                 (RESET_PIN, Write) => Ok(Command::HardwareReset),
+                (INTERRUPT_PIN, Read) => Ok(Command::InterruptLevel),
                 (EXECUTE, Write | Transfer) => match payload.as_chunks::<4>() {
                     (words, []) => Ok(Command::Execute {
                         words: words.iter().map(|w| SpiWord::from_bytes(*w)).collect(),
