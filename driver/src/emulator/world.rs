@@ -54,6 +54,7 @@ pub(super) struct World {
     frames: VecDeque<(u64, u64)>,
     /// A gap that comes after the codes.
     missing: u64,
+    has_begun: bool,
     ended: bool,
     /// Wall-clock time at which the source's time was this many nanoseconds.
     clock: Option<(Instant, u64)>,
@@ -84,6 +85,7 @@ impl World {
             put: 0,
             frames: VecDeque::new(),
             missing: 0,
+            has_begun: false,
             ended: false,
             clock: None,
             skip_past: false,
@@ -102,6 +104,7 @@ impl World {
         self.frames.clear();
         (self.taken, self.put, self.missing) = (0, 0, 0);
         self.skip_past = self.clock.is_some();
+        self.has_begun = true;
     }
 
     /// Source time by the wall clock, ns.
@@ -113,7 +116,13 @@ impl World {
 
     /// Lets the world go on while the host reads nothing: frames are sampled when their time has come.
     pub fn advance(&mut self) {
-        let Some(now) = self.now_ns() else { return };
+        let Some(now) = self.now_ns() else {
+            // The first frame sets the clock.
+            if self.has_begun && !self.waits() {
+                self.pull();
+            }
+            return;
+        };
         let ahead = 3 * self.fifo_limit();
         while self.frames.back().is_none_or(|(_, time_ns)| *time_ns <= now) && self.put < self.taken + ahead {
             let put = self.put;
