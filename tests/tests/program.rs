@@ -57,6 +57,19 @@ fn config_derives_axes_from_the_sampled_band() {
     assert!((velocity - 2.5).abs() < 0.01, "{velocity}");
 }
 
+/// The gain comes in steps of 5 dB over 18 or 30, the frame of 98304 samples in twelve halves of the FIFO.
+#[test]
+fn config_reports_what_the_registers_hold_instead_and_how_frames_are_sliced() {
+    let paper = &json_lines(radome().args(["config", "paper", "--json"]))[0];
+    let nearest = paper["nearest"].as_array().expect("a list");
+    let gain = nearest.iter().find(|n| n["name"] == "IF gain").expect("48 dB is no step");
+    assert_eq!((gain["requested"].as_f64(), gain["realised"].as_f64()), (Some(48.0), Some(50.0)));
+    assert_eq!(paper["slice"]["samples"], 8192);
+    assert_eq!(paper["slice"]["slices_per_frame"], 12.0);
+    let current_a = paper["supply_current_a"].as_f64().expect("a current");
+    assert!((0.01..0.201).contains(&current_a), "{current_a}");
+}
+
 #[test]
 fn a_closed_pipe_ends_quietly() {
     let mut child =

@@ -9,7 +9,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, W
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
 use super::{Board, BoardError, Reconnect};
-use crate::chip::{ChipConfiguration, RegisterFile, RegisterList, field};
+use crate::chip::{ChipConfiguration, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
@@ -44,10 +44,8 @@ impl BoardStream {
             registers.iter_mut().filter(|r| r.address == lfsr.address).for_each(|r| r.value = lfsr.put(r.value, 1));
         }
         // The registers hold the chirp interval only roughly: what they make of it is the truth.
-        let mut file = RegisterFile::default();
-        registers.iter().for_each(|r| file.set(r.address, r.value));
         let mut realised = waveform.clone();
-        realised.chirp_interval_s = ChipConfiguration::decode(&file)?.waveform.chirp_interval_s;
+        realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
         let assembler = Assembler::new(&realised, slice);
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
         let mut stream = BoardStream {

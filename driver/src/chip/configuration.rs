@@ -31,7 +31,9 @@
 //!   if the frame interval leaves none for the wake-up it idles between frames (`PD_MODE` 1).
 //! - The anti-alias filter is not programmed: the list has no field for it.
 
-use radome_dsp::{ADC_START_DELAY_S, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformRequest};
+use radome_dsp::{
+    ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformRequest,
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -141,18 +143,24 @@ const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
 /// A waveform that the registers cannot hold, or registers that hold no waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ChipError {
-    /// A register field overflows.
-    #[error("chip: {field} would be {value}, the register holds {min} to {max}; change {hint}")]
+    /// A register field cannot hold a quantity.
+    #[error(
+        "chip: {quantity} would be {value:.7} {unit}, register {field} allows {min:.7} to {max:.7} {unit}; change {hint}"
+    )]
     FieldRange {
         /// Register field.
         field: &'static str,
+        /// What it holds.
+        quantity: &'static str,
         /// Value needed.
-        value: i64,
+        value: f64,
         /// Smallest possible.
-        min: i64,
+        min: f64,
         /// Largest possible.
-        max: i64,
-        /// Quantity of the waveform that it comes from.
+        max: f64,
+        /// Unit of the three.
+        unit: &'static str,
+        /// Quantities of the waveform that it comes from.
         hint: &'static str,
     },
     /// The interval is shorter than what happens in it.
@@ -196,12 +204,55 @@ fn delay(units: f64, max_exponent: u32) -> (u32, u32) {
     if best.0 == 0 { (0, 0) } else { (best.0, best.1) }
 }
 
-fn fits(field: &'static str, value: i64, (min, max): (i64, i64), hint: &'static str) -> Result<u32, ChipError> {
-    if value < min || value > max {
-        return Err(ChipError::FieldRange { field, value, min, max, hint });
-    }
-    Ok((value & 0xFF_FFFF) as u32)
+/// What a register field holds: `origin + step n` in some unit.
+struct Quantity {
+    name: &'static str,
+    unit: &'static str,
+    origin: f64,
+    step: f64,
+    /// Smallest and largest `n`.
+    range: (i64, i64),
 }
+
+impl Quantity {
+    const fn count(name: &'static str, unit: &'static str, origin: f64, range: (i64, i64)) -> Self {
+        Quantity { name, unit, origin, step: 1.0, range }
+    }
+
+    fn check(&self, field: &'static str, n: i64, hint: &'static str) -> Result<u32, ChipError> {
+        let at = |n: i64| self.origin + self.step * n as f64;
+        let (least, most) = self.range;
+        if n < least || n > most {
+            // A negative step turns the interval around.
+            let (min, max) = (at(least).min(at(most)), at(least).max(at(most)));
+            let (quantity, unit) = (self.name, self.unit);
+            return Err(ChipError::FieldRange { field, quantity, value: at(n), min, max, unit, hint });
+        }
+        Ok((n & 0xFF_FFFF) as u32)
+    }
+}
+
+const RAMP_START: Quantity = Quantity {
+    name: "the frequency at which the ramp starts",
+    unit: "GHz",
+    origin: FREQUENCY_ORIGIN_HZ * 1e-9,
+    step: FREQUENCY_STEP_HZ * 1e-9,
+    range: (-(1 << 23), (1 << 23) - 1),
+};
+const SLOPE: Quantity = Quantity {
+    name: "the slope",
+    unit: "MHz/us",
+    origin: 0.0,
+    step: SLOPE_STEP_HZ_PER_S * 1e-12,
+    range: (1, (1 << 23) - 1),
+};
+const RAMP_TIME: Quantity =
+    Quantity { name: "the ramp", unit: "us", origin: 0.0, step: 8e6 / REFERENCE_CLOCK_HZ, range: (1, (1 << 14) - 1) };
+const CLOCK_DIVIDER: Quantity = Quantity::count("the ADC's clock divider", "(80 MHz over the rate)", 0.0, (20, 1023));
+const SAMPLES: Quantity = Quantity::count("a chirp", "samples", 0.0, (1, 4095));
+const CHIRPS: Quantity = Quantity::count("a frame", "chirps", 1.0, (0, 4095));
+const SLICE: Quantity =
+    Quantity { name: "a slice", unit: "samples", origin: 2.0, step: 2.0, range: (0, FIFO_SAMPLES as i64 / 2 - 1) };
 
 /// RTU and ADC_DIV of a waveform.
 fn ramp(waveform: &Waveform) -> (u64, u64) {
@@ -224,13 +275,13 @@ impl ChipConfiguration {
         let fsu = start - rsu * (TX_ON_CYCLES - RAMP_START_CYCLES) as i64;
         let (rtu, divider) = ramp(w);
 
-        let fsu = fits("FSU", fsu, (-(1 << 23), (1 << 23) - 1), "start_frequency_hz")?;
-        let rsu = fits("RSU", rsu, (1, (1 << 23) - 1), "end_frequency_hz or samples_per_chirp")?;
-        let rtu_field = fits("RTU", rtu as i64, (1, (1 << 14) - 1), "samples_per_chirp or sample_rate_hz")?;
-        let divider = fits("ADC_DIV", divider as i64, (20, 1023), "sample_rate_hz")?;
-        let apu = fits("APU", r.samples_per_chirp as i64, (1, 4095), "samples_per_chirp")?;
-        let frame_len = fits("FRAME_LEN", r.chirps_per_frame as i64 - 1, (0, 4095), "chirps_per_frame")?;
-        let cref = fits("FIFO_CREF", (self.slice_samples / 2) as i64 - 1, (0, 8191), "the slice")?;
+        let fsu = RAMP_START.check("FSU", fsu, "start_frequency_hz")?;
+        let rsu = SLOPE.check("RSU", rsu, "end_frequency_hz or samples_per_chirp")?;
+        let rtu_field = RAMP_TIME.check("RTU", rtu as i64, "samples_per_chirp or sample_rate_hz")?;
+        let divider = CLOCK_DIVIDER.check("ADC_DIV", divider as i64, "sample_rate_hz")?;
+        let apu = SAMPLES.check("APU", r.samples_per_chirp as i64, "samples_per_chirp")?;
+        let frame_len = CHIRPS.check("FRAME_LEN", r.chirps_per_frame as i64 - 1, "chirps_per_frame")?;
+        let cref = SLICE.check("FIFO_CREF", (self.slice_samples / 2) as i64 - 1, "the slice")?;
 
         let chirp = w.chirp_interval_s * REFERENCE_CLOCK_HZ;
         let active = active_cycles(rtu);
@@ -353,6 +404,19 @@ impl ChipConfiguration {
                 ],
             ),
         ])
+    }
+
+    /// How long a chirp keeps the chip in active mode, from its start to the end of the ramp's aftermath, s.
+    pub(super) fn active_chirp_s(&self) -> f64 {
+        let (rtu, _) = ramp(&self.waveform);
+        active_cycles(rtu) as f64 / REFERENCE_CLOCK_HZ
+    }
+
+    /// The waveform as the registers realise it, on their own grids: the nearest to what was asked for.
+    pub fn realised(&self) -> Result<Waveform, ChipError> {
+        let mut file = RegisterFile::default();
+        self.compile()?.iter().for_each(|register| file.set(register.address, register.value));
+        Ok(ChipConfiguration::decode(&file)?.waveform)
     }
 
     /// What a chip with these registers does. The anti-alias filter, which they do not hold, is taken as 500 kHz.
@@ -524,7 +588,10 @@ mod tests {
             };
             let waveform = Waveform::realise(request).expect("valid");
             let error = ChipConfiguration { waveform, slice_samples: 8192 }.compile().expect_err("RTU overflows");
-            assert!(error.to_string().contains("RTU would be 20"), "{error}");
+            assert!(
+                error.to_string().contains("the ramp would be 2053") && error.to_string().contains("1638.3"),
+                "{error}"
+            );
         }
     }
 }

@@ -2,6 +2,7 @@
 
 mod configuration;
 mod register;
+mod supply;
 mod table;
 pub mod test_pattern;
 
