@@ -280,6 +280,18 @@ mod hard_cases {
         assert_contains(&text, &["radar.npy", "shorter than"]);
     }
 
+    /// Found by fuzzing: each bracket within brackets doubles the time that the parser of the header takes.
+    #[test]
+    fn an_npy_header_of_brackets_is_refused_at_once() {
+        for bracket in ["[", "(", "{"] {
+            let text = message(edited(|folder| {
+                let shape = format!("({}", bracket.repeat(40));
+                std::fs::write(folder.join("radar.npy"), npy("<u2", &shape, [])).expect("writes");
+            }));
+            assert_contains(&text, &["radar.npy", "brackets within brackets"]);
+        }
+    }
+
     #[test]
     fn configuration_and_data_that_disagree_are_both_named() {
         let replace = |from: &str, to: &str| {

@@ -137,6 +137,9 @@ impl LineParser {
             if std::mem::take(&mut self.skipping) {
                 continue;
             }
+            if end - begin > self.limit {
+                return Some(Err(LineError::TooLong { limit: self.limit }));
+            }
             let line = self.buffer.get(begin..end).unwrap_or(&[]);
             let line = line.strip_suffix(b"\r").unwrap_or(line);
             if !line.starts_with(PREFIX) {
@@ -268,6 +271,21 @@ mod tests {
             ] {
                 let bytes = [bad, good].concat();
                 assert_eq!(frames(2, &bytes, 5), [Err(error), Ok((9, vec![1, 2]))]);
+            }
+        }
+
+        /// Found by fuzzing: a line that came at once was read, however long; in pieces it was given up.
+        #[test]
+        fn a_line_is_too_long_whatever_pieces_it_comes_in() {
+            let line = |zeros: usize| [b"Frame 1: [1, ", &[b'0'; 90][..zeros], b"2]\nFrame 9: [1, 2]\n"].concat();
+            for piece in [1, 60, 76, 77, 200] {
+                // 76 bytes and 77.
+                assert_eq!(frames(2, &line(61), piece), [Ok((1, vec![1, 2])), Ok((9, vec![1, 2]))]);
+                assert_eq!(
+                    frames(2, &line(62), piece),
+                    [Err(LineError::TooLong { limit: 76 }), Ok((9, vec![1, 2]))],
+                    "pieces of {piece}"
+                );
             }
         }
 

@@ -223,14 +223,25 @@ impl NpyHeader {
             return Err(corrupt("not an NPY file: it does not begin with \\x93NUMPY".into()));
         }
         let [.., version, _, a, b, c, d] = prelude;
-        let length = match version {
-            1 => u64::from(u16::from_le_bytes([a, b])),
-            _ => u64::from(u32::from_le_bytes([a, b, c, d])),
+        // The text that follows; in version 1 its first two bytes have been read.
+        let (length, already_read) = match version {
+            1 => (u64::from(u16::from_le_bytes([a, b])), 2),
+            _ => (u64::from(u32::from_le_bytes([a, b, c, d])), 0),
         };
         if length > MAX_HEADER {
             return Err(corrupt(format!("the NPY header claims {length} bytes, expected at most {MAX_HEADER}")));
         }
         let io = |e: std::io::Error| corrupt(format!("the NPY header cannot be read: {e}"));
+        // The time that its parser takes doubles with each bracket within brackets: plain numbers need one dictionary and
+        // one tuple.
+        let mut text = vec![c, d];
+        file.by_ref().take(length.saturating_sub(already_read)).read_to_end(&mut text).map_err(io)?;
+        let count = |bracket: u8| text.iter().filter(|b| **b == bracket).count();
+        if count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
+            return Err(corrupt(
+                "the NPY header has brackets within brackets, expected an array of plain numbers".into(),
+            ));
+        }
         file.seek(SeekFrom::Start(0)).map_err(io)?;
         let header = npyz::NpyHeader::from_reader(&mut *file).map_err(io)?;
         let npyz::DType::Plain(type_string) = header.dtype() else {

@@ -17,6 +17,7 @@
 
 mod append;
 mod index;
+mod lengths;
 mod reader;
 mod recorder;
 mod records;

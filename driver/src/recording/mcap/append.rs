@@ -6,6 +6,7 @@ use mcap::records::{Record, op};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 use super::index::summary_start;
+use super::lengths::parse_record;
 use super::records::{Next, Records, topic};
 use super::{LabelSpan, McapReader, Recorder, RecordingSummary};
 use crate::recording::RecordingError;
@@ -51,7 +52,7 @@ fn foreign(path: &Path) -> Result<Option<String>, RecordingError> {
         if !matches!(opcode, op::CHANNEL | op::STATISTICS) {
             continue;
         }
-        match mcap::parse_record(opcode, &body) {
+        match parse_record(opcode, &body) {
             Ok(Record::Channel(channel)) if topic(&channel.topic).is_none() => {
                 return Ok(Some(format!("the channel {}", channel.topic)));
             }

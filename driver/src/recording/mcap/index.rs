@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use mcap::records::{Record, op};
 
 use super::Position;
+use super::lengths::parse_record;
 use super::records::{Next, RECORD_HEADER, Records, Topic};
 use crate::recording::RecordingError;
 
@@ -67,8 +68,7 @@ fn from_summary(
     let mut end = 0;
     loop {
         match records.next(&mut body, |opcode| matches!(opcode, op::CHUNK_INDEX | op::STATISTICS)) {
-            Ok(Next::Record(opcode @ (op::CHUNK_INDEX | op::STATISTICS), _)) => match mcap::parse_record(opcode, &body)
-            {
+            Ok(Next::Record(opcode @ (op::CHUNK_INDEX | op::STATISTICS), _)) => match parse_record(opcode, &body) {
                 Ok(Record::ChunkIndex(chunk)) => {
                     // In order, and none on top of another.
                     if chunk.chunk_start_offset < end.max(8) || chunk.chunk_start_offset >= start {
@@ -102,7 +102,7 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
         match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX)? {
             Next::Record(op::CHUNK, offset) => index.chunks.push(Chunk { offset, has_labels: false, first: None }),
             Next::Record(op::MESSAGE_INDEX, _) => {
-                let Ok(Record::MessageIndex(messages)) = mcap::parse_record(op::MESSAGE_INDEX, &body) else { continue };
+                let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 match channels.get(&messages.channel_id) {
                     Some(Topic::Frame) => index.frames += messages.records.len() as u64,
                     Some(Topic::Label) => {

@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use mcap::records::{Record, op};
-use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use radome_dsp::Waveform;
 
+use super::lengths::{parse_record, strings_fit};
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RecordingHeader};
 use crate::recording::RecordingError;
 
@@ -129,7 +129,7 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTree
     while header.is_none() || channels.is_empty() {
         match records.next(&mut body, |opcode| matches!(opcode, op::METADATA | op::CHUNK))? {
             Next::Record(op::METADATA, at) => {
-                if let Ok(Record::Metadata(metadata)) = mcap::parse_record(op::METADATA, &body)
+                if let Ok(Record::Metadata(metadata)) = parse_record(op::METADATA, &body)
                     && metadata.name == METADATA_NAME
                 {
                     header = Some(parse_header(records, at, &metadata.metadata)?);
@@ -155,7 +155,7 @@ pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader
     loop {
         match records.next(&mut body, |opcode| opcode == op::METADATA)? {
             Next::Record(op::METADATA, at) => {
-                if let Ok(Record::Metadata(metadata)) = mcap::parse_record(op::METADATA, &body)
+                if let Ok(Record::Metadata(metadata)) = parse_record(op::METADATA, &body)
                     && metadata.name == METADATA_NAME
                 {
                     return parse_header(records, at, &metadata.metadata);
@@ -178,52 +178,78 @@ pub(super) fn read_chunk(
     body: &[u8],
     channels: &mut BTreeMap<u16, Topic>,
 ) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
-    // Two times of eight bytes, then the length without compression.
-    let claimed = body.get(16..24).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
-    if claimed > MAX_RECORD {
-        let reason = format!("a chunk is damaged: it claims {claimed} bytes, expected at most {MAX_RECORD}");
-        return Err(records.corrupt(at, reason));
-    }
-    let damaged = |e: mcap::McapError| records.corrupt(at, format!("a chunk is damaged: {e}"));
-    let options = LinearReaderOptions::default()
-        .with_skip_start_magic(true)
-        .with_skip_end_magic(true)
-        .with_prevalidate_chunk_crcs(true)
-        .with_record_length_limit(MAX_RECORD as usize);
-    let mut reader = LinearReader::new_with_options(options);
-    let mut input = reader.insert(RECORD_HEADER as usize + body.len());
-    // The buffer is as long as asked for; were it not, the chunk would read as damaged.
-    let mut fed = 0;
-    for part in [&[op::CHUNK][..], &(body.len() as u64).to_le_bytes(), body] {
-        fed += input.write(part).unwrap_or(0);
-    }
-    reader.notify_read(fed);
+    let damaged = |reason: String| records.corrupt(at, format!("a chunk is damaged: {reason}"));
+    let content = chunk_content(body).map_err(damaged)?;
+    let mut rest = content.as_slice();
     let mut messages = Vec::new();
-    let mut fed_all = false;
-    while let Some(event) = reader.next_event() {
-        match event.map_err(damaged)? {
-            // The chunk is all there is: the reader is told so once and then ends, or reports what is missing.
-            LinearReadEvent::ReadRequest(_) if fed_all => break,
-            LinearReadEvent::ReadRequest(_) => {
-                fed_all = true;
-                reader.notify_read(0);
+    while let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>() {
+        let length = u64::from_le_bytes(*length);
+        let split = usize::try_from(length).ok().and_then(|length| behind.split_at_checked(length));
+        let (record, next) = split.ok_or_else(|| damaged(format!("a record of {length} bytes reaches beyond it")))?;
+        rest = next;
+        match opcode {
+            op::CHANNEL | op::MESSAGE => {}
+            op::SCHEMA | 0x80.. => continue,
+            _ => return Err(damaged(format!("it holds a record {opcode:#04x}"))),
+        }
+        match parse_record(opcode, record).map_err(|e| damaged(e.to_string()))? {
+            Record::Channel(channel) => {
+                if let Some(topic) = topic(&channel.topic) {
+                    channels.insert(channel.id, topic);
+                }
             }
-            LinearReadEvent::Record { data, opcode } => match mcap::parse_record(opcode, data).map_err(damaged)? {
-                Record::Channel(channel) => {
-                    if let Some(topic) = topic(&channel.topic) {
-                        channels.insert(channel.id, topic);
-                    }
+            Record::Message { header, data } => {
+                if let Some(topic) = channels.get(&header.channel_id) {
+                    messages.push((*topic, data.into_owned()));
                 }
-                Record::Message { header, data } => {
-                    if let Some(topic) = channels.get(&header.channel_id) {
-                        messages.push((*topic, data.into_owned()));
-                    }
-                }
-                _ => {}
-            },
+            }
+            _ => {}
         }
     }
-    Ok(messages)
+    if rest.is_empty() { Ok(messages) } else { Err(damaged(format!("{} bytes behind its last record", rest.len()))) }
+}
+
+/// What a chunk holds, decompressed, its length and CRC checked. Memory grows with what there is, not with what the header
+/// claims.
+fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
+    let short = || "its header is cut short".to_owned();
+    strings_fit(op::CHUNK, body).ok_or_else(short)?;
+    // Times of the first and the last message, length without compression, CRC, compression, length; the records.
+    let long = |at: usize| body.get(at..)?.first_chunk().map(|b| u64::from_le_bytes(*b));
+    let word = |at: usize| body.get(at..)?.first_chunk().map(|b| u32::from_le_bytes(*b));
+    let (claimed, crc, name_length) = (long(16).ok_or_else(short)?, word(24).ok_or_else(short)?, word(28).unwrap_or(0));
+    let behind_name = 32 + name_length as usize;
+    let compression = body.get(32..behind_name).unwrap_or(&[]);
+    let length = long(behind_name).ok_or_else(short)?;
+    let records = body.get(behind_name + 8..).unwrap_or(&[]);
+    if length != records.len() as u64 {
+        return Err(format!("it has {} bytes of records, its header says {length}", records.len()));
+    }
+    if claimed > MAX_RECORD {
+        return Err(format!("it claims {claimed} bytes, expected at most {MAX_RECORD}"));
+    }
+    let content = match compression {
+        b"" => records.to_vec(),
+        b"zstd" => {
+            let mut content = Vec::with_capacity((claimed as usize).min(32 * records.len()));
+            let unzipped = zstd::Decoder::with_buffer(records).and_then(|decoder| {
+                // One byte more, to see that there is more.
+                decoder.take(claimed + 1).read_to_end(&mut content)
+            });
+            unzipped.map_err(|e| e.to_string())?;
+            content
+        }
+        other => return Err(format!("its compression is '{}', expected zstd or none", String::from_utf8_lossy(other))),
+    };
+    if content.len() as u64 != claimed {
+        return Err(format!("it claims {claimed} bytes, but there are {}", content.len()));
+    }
+    // Zero stands for none.
+    let found = crc32fast::hash(&content);
+    if crc != 0 && crc != found {
+        return Err(format!("its CRC is {found:08x}, expected {crc:08x}"));
+    }
+    Ok(content)
 }
 
 pub(super) fn parse_header(

@@ -6,6 +6,7 @@ use std::path::Path;
 use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
+use super::lengths::parse_record;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
 use super::{RecordingHeader, decode_frame};
 use crate::recording::{Format, RecordingError, RecordingWriter};
@@ -213,7 +214,7 @@ fn frames_by_index(
     let mut is_first = true;
     loop {
         match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
-            Ok(Next::Record(op::MESSAGE_INDEX, _)) => match mcap::parse_record(op::MESSAGE_INDEX, &body) {
+            Ok(Next::Record(op::MESSAGE_INDEX, _)) => match parse_record(op::MESSAGE_INDEX, &body) {
                 Ok(Record::MessageIndex(index)) => {
                     let is_frames = channels.get(&index.channel_id) == Some(&Topic::Frame);
                     frames = Some(frames.unwrap_or(0) + if is_frames { index.records.len() as u64 } else { 0 });

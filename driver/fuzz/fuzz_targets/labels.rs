@@ -1,0 +1,38 @@
+//! Labels of other tools: what was read is written, and from then on stays the same, letter by letter.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use radome_driver::LabelSpan;
+use radome_driver::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
+use radome_driver_fuzz::within;
+
+/// Six decimals.
+fn near(a: &[LabelSpan], b: &[LabelSpan]) {
+    assert_eq!(a.len(), b.len());
+    for (a, b) in a.iter().zip(b) {
+        let tolerance = |x: f64| 1.1e-6 + 1e-12 * x.abs();
+        assert!((a.start_s - b.start_s).abs() <= tolerance(a.start_s), "{a:?} {b:?}");
+        assert!((a.end_s - b.end_s).abs() <= 2.0 * tolerance(a.end_s.abs().max(a.start_s.abs())), "{a:?} {b:?}");
+        assert_eq!((&a.label, &a.note, a.confidence), (&b.label, &b.note, b.confidence));
+    }
+}
+
+fuzz_target!(|input: &str| {
+    let allowed = 64 * 1024 + 1024 * input.len();
+    if let Ok(mut spans) = within(allowed, || from_audacity(input)) {
+        assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s >= s.start_s));
+        // Tabs and line ends have no place in a label track.
+        spans.iter_mut().for_each(|s| s.label = s.label.replace(['\t', '\r'], " ").trim().to_owned());
+        let again = from_audacity(&to_audacity(&spans)).expect("what was written is read");
+        near(&spans, &again);
+    }
+    if let Ok(spans) = within(allowed, || from_deepcraft(input)) {
+        assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s.is_finite() && s.end_s >= s.start_s));
+        // The format wants a confidence; who gives none is taken at his word.
+        let spans: Vec<LabelSpan> =
+            spans.into_iter().map(|s| LabelSpan { confidence: s.confidence.or(Some(1.0)), ..s }).collect();
+        let again = from_deepcraft(&to_deepcraft(&spans)).expect("what was written is read");
+        near(&spans, &again);
+    }
+});

@@ -1,0 +1,45 @@
+//! Packed samples and the order of the FIFO: the fast routines against their definitions, and back.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use radome_driver::protocol::fifo::{deinterleave, fifo_index, interleave};
+use radome_driver::protocol::packed12::{code_at, pack, packed_length, unpack};
+use radome_dsp::FrameShape;
+
+fuzz_target!(|input: &[u8]| {
+    let &[rx, chirps, samples, room, ref bytes @ ..] = input else { return };
+    // As many codes as the bytes hold, fewer or more.
+    let room = (bytes.len() / 3 * 2 + 3).saturating_sub(usize::from(room % 8));
+    let mut codes = vec![0xFFFF; room];
+    let count = unpack(bytes, &mut codes);
+    assert_eq!(count, room.min(bytes.len() / 3 * 2));
+    for (index, code) in codes.iter().enumerate() {
+        assert_eq!(*code, if index < count { code_at(bytes, index).expect("a code") } else { 0xFFFF });
+    }
+    let mut packed = Vec::new();
+    pack(&codes[..count], &mut packed);
+    assert_eq!(packed.len(), packed_length(count));
+    assert_eq!(packed[..count / 2 * 3], bytes[..count / 2 * 3]);
+
+    let shape =
+        FrameShape { rx: usize::from(rx % 5), chirps: usize::from(chirps % 9), samples: usize::from(samples % 33) };
+    let mut frame = vec![0xFFFF; shape.codes()];
+    deinterleave(&codes, shape, &mut frame);
+    for receiver in 0..shape.rx {
+        for chirp in 0..shape.chirps {
+            for sample in 0..shape.samples {
+                let code = frame[(receiver * shape.chirps + chirp) * shape.samples + sample];
+                // Three receivers at a time are taken in whole triples.
+                let at = fifo_index(shape, receiver, chirp, sample);
+                let whole = if shape.rx == 3 { codes.len() / 3 * 3 } else { codes.len() };
+                assert_eq!(code, if at < whole { codes[at] } else { 0xFFFF });
+            }
+        }
+    }
+    if codes.len() >= shape.codes() {
+        let mut back = Vec::new();
+        interleave(&frame, shape, &(0..shape.rx).collect::<Vec<_>>(), &mut back);
+        assert_eq!(back, codes[..shape.codes()]);
+    }
+});

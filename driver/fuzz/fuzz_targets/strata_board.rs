@@ -1,0 +1,78 @@
+//! What a board sends: the same messages whatever the pieces, each byte accounted for, each message as it was encoded.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use radome_driver::protocol::strata::{BoardEvent, BoardParser, MAX_MESSAGE};
+use radome_driver_fuzz::{pieces, within};
+
+#[derive(Debug, PartialEq)]
+enum Found {
+    Message(Vec<u8>),
+    Damaged(usize),
+}
+
+fn note(event: BoardEvent<'_>, found: &mut Vec<Found>) {
+    let mut bytes = Vec::new();
+    match event {
+        BoardEvent::Response(response) => response.encode(&mut bytes),
+        BoardEvent::Packet(packet) => packet.encode(&mut bytes),
+        BoardEvent::Damaged { bytes } => {
+            assert!(bytes > 0);
+            // How garbage is cut depends on when it came; how much there is does not.
+            return match found.last_mut() {
+                Some(Found::Damaged(before)) => *before += bytes,
+                _ => found.push(Found::Damaged(bytes)),
+            };
+        }
+    }
+    found.push(Found::Message(bytes));
+}
+
+/// Messages in these pieces, and the bytes that still wait. `peek` looks at each before it takes it.
+fn parse<'a>(input: impl Iterator<Item = &'a [u8]>, peek: bool) -> (Vec<Found>, usize) {
+    let mut parser = BoardParser::with_capacity(1024);
+    let (mut found, mut pushed) = (Vec::new(), 0);
+    for piece in input {
+        pushed += piece.len();
+        parser.push(piece);
+        loop {
+            let response = if peek { parser.peek_is_response() } else { Some(false) };
+            let Some(event) = parser.next_event() else { break };
+            if peek {
+                assert_eq!(response, Some(matches!(event, BoardEvent::Response(_))));
+            }
+            note(event, &mut found);
+        }
+    }
+    let taken: usize = found.iter().map(|f| if let Found::Message(bytes) = f { bytes.len() } else { 0 }).sum();
+    let damaged: usize = found.iter().map(|f| if let Found::Damaged(bytes) = f { *bytes } else { 0 }).sum();
+    let waiting = pushed - taken - damaged;
+    assert!(waiting < MAX_MESSAGE, "{waiting} bytes wait");
+    assert_eq!(parser.is_waiting(), waiting > 0);
+    // A line that has fallen silent: it must come to an end.
+    for _ in 0..=waiting {
+        parser.on_silence();
+        while parser.next_event().is_some() {}
+    }
+    assert!(!parser.is_waiting());
+    (found, waiting)
+}
+
+fuzz_target!(|input: &[u8]| {
+    let at_once = within(64 * 1024 + 8 * input.len(), || parse(std::iter::once(input), false));
+    // Every byte is where it was.
+    let mut at = 0;
+    for found in &at_once.0 {
+        match found {
+            Found::Message(bytes) => {
+                assert_eq!(input.get(at..at + bytes.len()), Some(bytes.as_slice()));
+                at += bytes.len();
+            }
+            Found::Damaged(bytes) => at += bytes,
+        }
+    }
+    assert_eq!(at + at_once.1, input.len());
+    let in_pieces = within(64 * 1024 + 8 * input.len(), || parse(pieces(input, 300), true));
+    assert_eq!(at_once, in_pieces);
+});

@@ -1,0 +1,75 @@
+//! What a host sends, and the payloads of answers: requests as they were encoded, commands that mean the same again.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use radome_driver::chip::{ChipConfiguration, RegisterFile};
+use radome_driver::protocol::strata::{
+    BoardInfo, Command, FirmwareVersion, HostEvent, HostParser, MAX_MESSAGE, Protocol, Request,
+};
+use radome_driver_fuzz::{pieces, within};
+
+fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<HostEvent> {
+    let mut parser = HostParser::new(protocol);
+    let mut events = Vec::new();
+    for piece in input {
+        parser.push(piece);
+        while let Some(event) = parser.next_event() {
+            // As the firmware, it forgets all that it has when it refuses: what pieces come after that matters.
+            let refused = matches!(event, HostEvent::Refused { .. });
+            events.push(event);
+            if refused {
+                return events;
+            }
+        }
+    }
+    events
+}
+
+fn check(request: &Request) {
+    let bytes = request.encode();
+    assert!(bytes.len() <= MAX_MESSAGE);
+    assert_eq!(Request::decode(&bytes).as_ref(), Ok(request));
+    let Ok(command) = Command::from_request(request) else { return };
+    let again = command.to_request(request.protocol);
+    assert_eq!(Command::from_request(&again).as_ref(), Ok(&command), "{request:?}");
+    // What a host may write into the chip's registers is no reason to fall over either.
+    if let Command::Execute { words, .. } = &command {
+        let mut registers = RegisterFile::default();
+        for word in words {
+            registers.set(word.address, word.value);
+        }
+        if let Ok(configuration) = ChipConfiguration::decode(&registers)
+            && let Ok(list) = configuration.compile()
+        {
+            let mut again = RegisterFile::default();
+            list.iter().for_each(|r| again.set(r.address, r.value));
+            let decoded = ChipConfiguration::decode(&again).expect("what was compiled can be decoded");
+            assert_eq!(decoded.waveform.shape(), configuration.waveform.shape());
+        }
+    }
+}
+
+fuzz_target!(|input: &[u8]| {
+    for protocol in Protocol::ALL {
+        let at_once = within(64 * 1024 + 16 * input.len(), || parse(protocol, std::iter::once(input)));
+        assert_eq!(at_once, parse(protocol, pieces(input, 40)));
+        for event in &at_once {
+            if let HostEvent::Request(request) = event {
+                assert_eq!(request.protocol, protocol);
+                check(request);
+            }
+        }
+    }
+    if let Ok(request) = Request::decode(input) {
+        assert_eq!(request.encode(), input);
+        check(&request);
+    }
+    if let Ok(info) = BoardInfo::decode(input) {
+        assert_eq!(BoardInfo::decode(&info.encode()).as_ref(), Ok(&info));
+    }
+    if let Ok(version) = FirmwareVersion::decode(input) {
+        assert_eq!(version.encode()[..12], input[..12]);
+        assert_eq!(FirmwareVersion::decode(&version.encode()), Ok(version));
+    }
+});

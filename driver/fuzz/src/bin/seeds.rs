@@ -1,0 +1,206 @@
+//! Writes what each fuzzer starts from, made by the program's own encoders: `seeds FOLDER`.
+
+use std::path::Path;
+
+use radome_driver::protocol::ascii;
+use radome_driver::protocol::packed12::pack;
+use radome_driver::protocol::strata::{
+    BoardInfo, Command, DataFormat, FirmwareVersion, Packet, PacketFlags, Protocol, Response, SpiWord, Status,
+};
+use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
+use radome_driver::recording::{Format, RecordingWriter};
+use radome_driver::{LabelSpan, RecordingHeader};
+use radome_driver_fuzz::{SEPARATOR, folder, waveform};
+use radome_dsp::{Frame, Gap, GapReason, Occupancy, Truth};
+
+// All that is built here is built for coverage and needs the fuzzer to link; this one it has nothing to do with.
+libfuzzer_sys::fuzz_target!(|_input: &[u8]| {});
+
+type Seeds = Vec<Vec<u8>>;
+
+fn commands() -> Vec<Command> {
+    let words = vec![SpiWord::write(6, 0x10_0000), SpiWord::read(2)];
+    vec![
+        Command::BoardInfo,
+        Command::BoardInfoFixed { length: 32 },
+        Command::FirmwareVersion,
+        Command::Uuid,
+        Command::ExtendedVersion,
+        Command::ComponentCount { component: 0x103 },
+        Command::ComponentImplementation { component: 1 },
+        Command::DataIndex,
+        Command::WriteRegisters { address: 6, values: vec![0x10_0000] },
+        Command::ReadRegisters { address: 2, count: 1 },
+        Command::SetBits { address: 0, mask: 0xC },
+        Command::HardwareReset,
+        Command::Execute { words, answer: true },
+        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: 6144 },
+        Command::DataStatus,
+        Command::StartData,
+        Command::StopData,
+    ]
+}
+
+fn strata_host() -> Seeds {
+    let mut seeds = Vec::new();
+    for protocol in Protocol::ALL {
+        let all: Seeds = commands().iter().map(|c| c.to_request(protocol).encode()).collect();
+        seeds.push(all.concat());
+        seeds.extend(all);
+    }
+    let name = "Radar Baseboard MCU7 (MCU B)".to_owned();
+    seeds.push(BoardInfo { vendor_id: 0x058B, product_id: 0x0251, name }.encode());
+    seeds.push(FirmwareVersion { firmware: [2, 9, 0, 0], protocol: [4, 0] }.encode());
+    let configuration = radome_driver::chip::ChipConfiguration { waveform: waveform(), slice_samples: 16 };
+    let registers = configuration.compile().expect("compiles");
+    let words = registers.iter().map(|r| (*r).into()).collect();
+    seeds.push(Command::Execute { words, answer: false }.to_request(Protocol::V4).encode());
+    seeds
+}
+
+fn strata_board() -> Seeds {
+    let mut stream = Vec::new();
+    Response { kind_code: 0x43, status: Status::Ok, payload: b"\x8b\x05\x51\x02Radar\0" }.encode(&mut stream);
+    Response { kind_code: 0xC1, status: Status::RequestTypeInvalid, payload: &[] }.encode(&mut stream);
+    let mut payload = Vec::new();
+    pack(&(0..96).map(|i| i * 41).collect::<Vec<_>>(), &mut payload);
+    payload.extend(123_456u64.to_le_bytes());
+    let mut seeds = Vec::new();
+    for (counter, last) in [(0, false), (1, true), (2, true)] {
+        let flags = PacketFlags { first: counter != 1, last, timestamp: last, error: false };
+        let mut packet = Vec::new();
+        Packet { flags, channel: 0, counter, payload: &payload }.encode(&mut packet);
+        stream.extend(&packet);
+        seeds.push(packet);
+    }
+    let flags = PacketFlags { first: true, last: true, timestamp: false, error: true };
+    Packet { flags, channel: 0, counter: 3, payload: &7u32.to_le_bytes() }.encode(&mut stream);
+    let mut damaged = stream.clone();
+    damaged[40] ^= 4;
+    seeds.extend([stream, damaged]);
+    seeds
+}
+
+fn ascii_lines() -> Seeds {
+    let mut lines = b"\x07I (312) main: radar started\r\n".to_vec();
+    ascii::encode(7, &[0, 4095, 17, 1, 2, 3, 4, 5], &mut lines);
+    ascii::encode(9, &[1; 8], &mut lines);
+    vec![lines, b"\x01Frame 1: [1,2]\nFrame 2: [1, 2, 3]\nFrame 3: [1, 4096]\nFrame 4: [\n".to_vec()]
+}
+
+fn frames() -> Vec<Frame> {
+    let waveform = waveform();
+    let frame = |sequence: u64| {
+        let mut frame = Frame::zeroed(waveform.shape());
+        frame.codes = (0..16).map(|i| 4095 - i * 200 - sequence as u16).collect();
+        frame.sequence = sequence + 2 * (sequence / 5);
+        frame.time_ns = 600_000_000 * sequence;
+        frame.truth = sequence.is_multiple_of(2).then_some(Truth { occupancy: Occupancy::One, transition: false });
+        frame.temperature_millicelsius = (sequence > 2).then_some(25_000);
+        frame
+    };
+    (0..8).map(frame).collect()
+}
+
+fn recording(format: Format) -> tempfile::TempDir {
+    let folder = folder();
+    let path = folder.path().join(if format == Format::Text { "a.txt" } else { "a" });
+    let header = RecordingHeader::new(waveform());
+    let mut writer = RecordingWriter::create(&path, format, &header).expect("creates");
+    for frame in frames() {
+        writer.frame(&frame).expect("writes");
+        if frame.sequence == 4 {
+            writer.gap(&Gap { first_sequence: 5, frames: 2, reason: GapReason::Crc }).expect("writes");
+        }
+    }
+    labels().iter().for_each(|label| writer.label(label).expect("writes"));
+    writer.finish().expect("finishes");
+    folder
+}
+
+fn labels() -> Vec<LabelSpan> {
+    let mut label = LabelSpan::new(1.5, 2.0, "two, \"quoted\"");
+    (label.confidence, label.note) = (Some(0.5), Some("seen".into()));
+    vec![LabelSpan::new(0.0, 1.5, "one"), label]
+}
+
+fn bytes(path: &Path) -> Vec<u8> {
+    std::fs::read(path).unwrap_or_default()
+}
+
+fn mcap_file() -> Seeds {
+    let whole = bytes(&recording(Format::Mcap).path().join("a"));
+    vec![whole[..whole.len() - 700].to_vec(), whole]
+}
+
+fn mcap_content() -> Seeds {
+    let waveform = serde_json::to_string(&waveform()).expect("JSON");
+    let mut parts: Seeds = vec![b"1".to_vec(), waveform.into_bytes(), b"null".to_vec(), b"[]".to_vec()];
+    let mut body = vec![0, 1, 3, 1, 0, 1, 0, 2, 0, 8, 0, 0, 0];
+    for sequence in 0..4u64 {
+        let mut frame = body.clone();
+        frame.extend(sequence.to_le_bytes());
+        frame.extend((sequence * 100_000_000).to_le_bytes());
+        frame.extend(0u64.to_le_bytes());
+        frame.extend(25_000i32.to_le_bytes());
+        frame.extend((0..16u16).flat_map(|c| (c * 250).to_le_bytes()));
+        parts.push(frame);
+        body[0] = 4 * (sequence % 2) as u8;
+    }
+    parts.push(b"\x01{\"first_sequence\":4,\"frames\":3,\"reason\":\"crc\"}".to_vec());
+    parts.push(b"\x06{\"start_s\":0.0,\"end_s\":1.5,\"label\":\"one\",\"who\":\"me\",\"confidence\":0.5}".to_vec());
+    vec![parts.join(SEPARATOR)]
+}
+
+fn infineon() -> Seeds {
+    let folder = recording(Format::Infineon);
+    let radar = folder.path().join("a/RadarIfxAvian_00");
+    let names = [
+        "config.json",
+        "radar.npy",
+        "radar_timestamp.csv",
+        "temperature.npy",
+        "temperature_timestamp.csv",
+        "format.version",
+    ];
+    let parts: Seeds = names.iter().map(|name| bytes(&radar.join(name))).collect();
+    let old = r#"{"device_config": {"fmcw_single_shape": {
+        "chirp_repetition_time_s": 591.125e-6, "frame_repetition_time_s": 0.1, "if_gain_dB": 23,
+        "lower_frequency_Hz": 60.5e9, "upper_frequency_Hz": 61.5e9, "num_chirps_per_frame": 1,
+        "num_samples_per_chirp": 8, "rx_antennas": [1, 3], "sample_rate_Hz": 2e6, "tx_power_level": 31}}}"#;
+    let mut npy =
+        b"\x93NUMPY\x01\x00\x46\x00{'descr': '<u2', 'fortran_order': False, 'shape': (1, 2, 1, 8), }".to_vec();
+    npy.resize(79, b' ');
+    npy.push(b'\n');
+    npy.extend([1; 32]);
+    vec![parts.join(SEPARATOR), parts[..2].join(SEPARATOR), [old.as_bytes(), &npy].join(SEPARATOR)]
+}
+
+fn sdk_text() -> Seeds {
+    let folder = recording(Format::Text);
+    let parts = ["a.txt_config.json", "a.txt"].map(|name| bytes(&folder.path().join(name)));
+    let dos = String::from_utf8_lossy(&parts[1]).replace('\n', "\r\n").into_bytes();
+    vec![parts.join(SEPARATOR), [parts[0].clone(), dos].join(SEPARATOR)]
+}
+
+fn main() {
+    let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
+    let all: [(&str, Seeds); 9] = [
+        ("strata_board", strata_board()),
+        ("strata_host", strata_host()),
+        ("ascii_lines", ascii_lines()),
+        ("samples", vec![(0..100).collect(), vec![3, 2, 8, 0, 0xAB, 0xCD, 0xEF]]),
+        ("mcap_file", mcap_file()),
+        ("mcap_content", mcap_content()),
+        ("infineon", infineon()),
+        ("sdk_text", sdk_text()),
+        ("labels", vec![to_audacity(&labels()).into_bytes(), to_deepcraft(&labels()).into_bytes()]),
+    ];
+    for (target, seeds) in all {
+        let folder = Path::new(&root).join(target);
+        std::fs::create_dir_all(&folder).expect("a folder");
+        for (index, seed) in seeds.iter().enumerate() {
+            std::fs::write(folder.join(format!("seed-{index:02}")), seed).expect("writes");
+        }
+    }
+}

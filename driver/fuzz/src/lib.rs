@@ -1,0 +1,246 @@
+//! What the fuzz targets share: a count of memory, pieces of random length, recordings on a RAM disk.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use radome_driver::recording::mcap::repair;
+use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_driver::{LabelSpan, McapReader, RecordingHeader};
+use radome_dsp::{Frame, FrameShape, FrameSource, Gap, SourceEvent, Waveform, WaveformRequest};
+
+struct Counting;
+
+static LIVE: AtomicUsize = AtomicUsize::new(0);
+static ALLOWED: AtomicUsize = AtomicUsize::new(usize::MAX);
+
+fn grown(bytes: usize) {
+    let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
+    if live > ALLOWED.load(Ordering::Relaxed) {
+        // The fuzzer ends the program here, so that the backtrace shows who asked for it.
+        ALLOWED.store(usize::MAX, Ordering::Relaxed);
+        panic!("{bytes} bytes more make {live}, which is too much");
+    }
+}
+
+// SAFETY: every call goes on to the system's allocator unchanged; counting does not allocate.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        grown(layout.size());
+        // SAFETY: the caller's promise about `layout` is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        grown(layout.size());
+        // SAFETY: the caller's promise about `layout` is passed on.
+        unsafe { System.alloc_zeroed(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: `pointer` came from `System` with this `layout`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        grown(size);
+        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
+        // SAFETY: `pointer` came from `System` with this `layout`; the promise about `size` is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Does something that may hold at most so many bytes more than there were before.
+pub fn within<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
+    ALLOWED.store(LIVE.load(Ordering::Relaxed) + bytes, Ordering::Relaxed);
+    let result = action();
+    ALLOWED.store(usize::MAX, Ordering::Relaxed);
+    result
+}
+
+/// Cuts bytes into pieces of 1 to `longest` bytes, the same for the same bytes.
+pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
+    let mut state =
+        bytes.iter().fold(0x9E37_79B9_7F4A_7C15u64, |s, b| (s ^ u64::from(*b)).wrapping_mul(0x100_0000_01B3));
+    let mut rest = bytes;
+    std::iter::from_fn(move || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        let length = 1 + (state >> 33) as usize % longest;
+        let (piece, others) = rest.split_at(length.min(rest.len()));
+        rest = others;
+        (!piece.is_empty()).then_some(piece)
+    })
+}
+
+/// What stands between the files of one input.
+pub const SEPARATOR: &[u8] = b"\n====\n";
+
+/// The files of an input; those that are not there are empty.
+pub fn sections<const N: usize>(input: &[u8]) -> [&[u8]; N] {
+    let mut rest = Some(input);
+    std::array::from_fn(|index| {
+        let bytes = rest.take().unwrap_or(&[]);
+        let at = bytes.windows(SEPARATOR.len()).position(|w| w == SEPARATOR).filter(|_| index + 1 < N);
+        match at {
+            Some(at) => {
+                rest = Some(&bytes[at + SEPARATOR.len()..]);
+                &bytes[..at]
+            }
+            None => bytes,
+        }
+    })
+}
+
+/// An empty folder in memory where the system has such, otherwise among the temporary files.
+pub fn folder() -> tempfile::TempDir {
+    let memory = Path::new("/dev/shm");
+    let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
+    tempfile::tempdir_in(parent).expect("a folder")
+}
+
+/// The waveform of the small recordings.
+pub fn waveform() -> Waveform {
+    let request = WaveformRequest {
+        rx_antennas: radome_dsp::RxMask::from_antennas(&[1]).expect("an antenna"),
+        chirps_per_frame: 2,
+        samples_per_chirp: 8,
+        ..WaveformRequest::paper()
+    };
+    Waveform::realise(request).expect("valid")
+}
+
+/// What a recording gives.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    Frame(Frame),
+    Gap(Gap),
+}
+
+/// All that can be read from here on, and whether the end was reached. `None` if a frame would be too large for a fuzzer.
+pub fn read(source: &mut dyn FrameSource) -> Option<(Vec<Event>, bool)> {
+    if source.waveform().shape().codes() > 1 << 16 {
+        return None;
+    }
+    // Without memory of its own: a reader must not count on what it is given.
+    let mut frame = Frame { codes: Vec::new(), ..Frame::zeroed(FrameShape { rx: 0, chirps: 0, samples: 0 }) };
+    let mut events = Vec::new();
+    loop {
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => {
+                assert_eq!(frame.shape, source.waveform().shape());
+                assert_eq!(frame.codes.len(), frame.shape.codes());
+                assert!(frame.codes.iter().all(|code| *code <= radome_dsp::MAX_CODE));
+                events.push(Event::Frame(frame.clone()));
+            }
+            Ok(SourceEvent::Gap(gap)) => events.push(Event::Gap(gap)),
+            Ok(SourceEvent::End) => {
+                assert!(matches!(source.next_frame(&mut frame), Ok(SourceEvent::End)), "an end is an end");
+                return Some((events, true));
+            }
+            Err(error) => {
+                assert!(!error.to_string().is_empty());
+                return Some((events, false));
+            }
+        }
+    }
+}
+
+/// Writes frames and gaps in a format, and labels if it holds them.
+pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan]) -> bool {
+    let mut writer = RecordingWriter::create(path, format, header).expect("creates");
+    for event in events {
+        match event {
+            Event::Frame(frame) => writer.frame(frame).expect("a frame that was read can be written"),
+            Event::Gap(gap) => writer.gap(gap).expect("a gap that was read can be written"),
+        }
+    }
+    for label in labels {
+        writer.label(label).expect("a label that was read can be written");
+    }
+    writer.finish().expect("finishes").unheld.is_empty()
+}
+
+/// What was read whole must come back from the native format, and from another one if that says that it holds all.
+pub fn round_trip(folder: &Path, header: &RecordingHeader, events: &[Event], labels: &[LabelSpan], other: Format) {
+    let path = folder.join("again.mcap");
+    write(&path, Format::Mcap, header, events, labels);
+    let mut reader = McapReader::open(&path).expect("what was written opens").strict(true);
+    assert_eq!(reader.header(), header);
+    assert_eq!(reader.labels().expect("labels"), labels);
+    assert_eq!(read(&mut reader), Some((events.to_vec(), true)));
+    let path = folder.join(if other == Format::Text { "again.txt" } else { "again" });
+    if write(&path, other, header, events, labels) {
+        let mut reader = Recording::open(&path).expect("what was written opens");
+        assert_eq!(reader.waveform(), &header.waveform);
+        assert_eq!(read(&mut reader), Some((events.to_vec(), true)));
+    }
+}
+
+/// Everything that holds for any file that may be a native recording.
+pub fn check_mcap(folder: &Path, bytes: &[u8]) {
+    let path: PathBuf = folder.join("a.mcap");
+    std::fs::write(&path, bytes).expect("writes");
+    // A chunk of a good file unpacks to a few times its length; a claim alone costs nothing.
+    let allowed = (8 << 20) + 256 * bytes.len();
+    let found = within(allowed, || {
+        let mut reader = McapReader::open(&path).ok()?;
+        let events = read(&mut reader)?;
+        Some((reader.header().clone(), reader.labels().ok(), events, reader.is_complete()))
+    });
+    if let Some((header, labels, (events, whole), complete)) = &found {
+        seek(&path, events, *whole);
+        if *whole
+            && *complete
+            && let Some(labels) = labels
+        {
+            round_trip(folder, header, events, labels, Format::Infineon);
+        }
+    }
+    let fixed = folder.join("fixed.mcap");
+    let Ok(report) = within(allowed + (8 << 20), || repair(&path, &fixed)) else { return };
+    let mut reader = McapReader::open(&fixed).expect("a repaired file opens").strict(true);
+    assert!(reader.is_complete());
+    let labels = reader.labels().expect("a repaired file's labels");
+    assert_eq!(labels.len() as u64, report.labels);
+    let Some((repaired, whole)) = read(&mut reader) else { return };
+    assert!(whole, "a repaired file is whole");
+    let frames = |events: &[Event]| -> Vec<Frame> {
+        events.iter().filter_map(|e| if let Event::Frame(f) = e { Some(f.clone()) } else { None }).collect()
+    };
+    assert_eq!(frames(&repaired).len() as u64, report.frames);
+    assert_eq!((repaired.len() - frames(&repaired).len()) as u64, report.gaps + report.lost.len() as u64);
+    if let Some((header, _, (events, _), _)) = &found {
+        assert_eq!(reader.header(), header);
+        assert!(frames(&repaired).starts_with(&frames(events)), "repair saves what a reader reads");
+    }
+    // A second repair has nothing to do.
+    let again = folder.join("again-fixed.mcap");
+    let second = repair(&fixed, &again).expect("repairs");
+    assert!(second.damage.is_empty() && second.lost.is_empty(), "{second:?}");
+    assert!(std::fs::read(&fixed).expect("reads") == std::fs::read(&again).expect("reads"));
+}
+
+/// Seeking finds a place from which reading goes on as from the start, where numbers increase.
+fn seek(path: &Path, events: &[Event], whole: bool) {
+    let numbers: Vec<u64> =
+        events.iter().filter_map(|e| if let Event::Frame(f) = e { Some(f.sequence) } else { None }).collect();
+    let increasing = numbers.is_sorted_by(|a, b| a < b);
+    let mut source = Recording::open(path).expect("opens again");
+    for wanted in [0, 1, numbers.len() as u64 / 2, numbers.last().copied().unwrap_or(9), u64::MAX] {
+        if source.seek_frame(wanted).is_err() {
+            continue;
+        }
+        let Some((found, _)) = read(&mut source) else { return };
+        if increasing && whole {
+            let first = found.iter().find_map(|e| if let Event::Frame(f) = e { Some(f.sequence) } else { None });
+            assert_eq!(first, numbers.iter().find(|n| **n >= wanted).copied(), "seeking frame {wanted}");
+        }
+    }
+    for time_s in [f64::NAN, -1.0, 0.05, 1e300] {
+        let _ = source.seek_time_s(time_s);
+    }
+}

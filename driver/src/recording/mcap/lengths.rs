@@ -1,0 +1,90 @@
+//! The lengths of strings within a record, checked before the library believes them: it sets memory aside for a string, up to
+//! 4 GB, before it looks whether the record is that long.
+
+use mcap::records::{Record, op};
+use mcap::{McapError, McapResult};
+
+/// A record of the data section or the summary.
+pub(super) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
+    strings_fit(opcode, body).ok_or(McapError::UnexpectedEof)?;
+    mcap::parse_record(opcode, body)
+}
+
+/// Whether every string of a record ends within it: `None` if one does not.
+pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
+    let mut rest = Rest(body);
+    match opcode {
+        op::HEADER => rest.strings(2),
+        op::SCHEMA => rest.skip(2)?.strings(2),
+        op::CHANNEL => rest.skip(4)?.strings(2)?.string_map(),
+        // Two times, the length without compression and the CRC; then the compression.
+        op::CHUNK => rest.skip(28)?.strings(1),
+        // Times, place and length of the chunk, a map of places, the length of the message index.
+        op::CHUNK_INDEX => rest.skip(32)?.strings(1)?.skip(8)?.strings(1),
+        op::METADATA => rest.strings(1)?.string_map(),
+        op::METADATA_INDEX => rest.skip(16)?.strings(1),
+        op::ATTACHMENT => rest.skip(16)?.strings(2),
+        op::ATTACHMENT_INDEX => rest.skip(40)?.strings(2),
+        _ => Some(&mut rest),
+    }
+    .map(|_| ())
+}
+
+struct Rest<'a>(&'a [u8]);
+
+impl Rest<'_> {
+    fn skip(&mut self, bytes: usize) -> Option<&mut Self> {
+        self.0 = self.0.get(bytes..)?;
+        Some(self)
+    }
+
+    /// A length and as many bytes.
+    fn strings(&mut self, count: usize) -> Option<&mut Self> {
+        for _ in 0..count {
+            let length = u32::from_le_bytes(*self.0.first_chunk()?);
+            self.skip(4)?.skip(usize::try_from(length).ok()?)?;
+        }
+        Some(self)
+    }
+
+    /// A length in bytes, and pairs of strings as long as it is not used up.
+    fn string_map(&mut self) -> Option<&mut Self> {
+        let length = usize::try_from(u32::from_le_bytes(*self.0.first_chunk()?)).ok()?;
+        self.skip(4)?;
+        let end = self.0.len().checked_sub(length)?;
+        while self.0.len() > end {
+            self.strings(2)?;
+        }
+        Some(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn string(text: &str) -> Vec<u8> {
+        [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Found by fuzzing: a length of a gigabyte in a record of 30 bytes had a gigabyte allocated.
+        #[test]
+        fn a_string_longer_than_its_record_is_refused_before_it_costs_memory() {
+            let pair = [string("key"), string("value")].concat();
+            let good = [string("radome"), (pair.len() as u32).to_le_bytes().to_vec(), pair].concat();
+            assert!(parse_record(op::METADATA, &good).is_ok());
+            // Each of the four lengths in turn.
+            for at in [0, 10, 14, 21] {
+                let mut bad = good.clone();
+                bad[at + 3] = 0x40;
+                assert!(parse_record(op::METADATA, &bad).is_err(), "length at byte {at}");
+            }
+            for cut in 0..good.len() {
+                assert!(parse_record(op::METADATA, &good[..cut]).is_err(), "cut at {cut}");
+            }
+        }
+    }
+}
