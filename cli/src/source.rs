@@ -4,8 +4,7 @@
 //! |---|---|
 //! | a path | a recording: MCAP file, Infineon folder or the vendor's text |
 //! | `SCENE.toml` | the simulator |
-//! | `serial:/dev/ttyACM0` | a board |
-//! | `esp32:/dev/ttyUSB0` | a board that prints its frames as lines; it measures what it was built for |
+//! | `serial:/dev/ttyACM0` | the board on that port, whatever it speaks |
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
@@ -15,7 +14,7 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::discover::Belief;
 use radome_driver::{
-    Board, BoardIdentity, Candidate, EmulatedSource, EmulatorOptions, LineStream, Pace, RealTime, Reconnect, candidates,
+    BoardIdentity, Candidate, Detected, EmulatedSource, EmulatorOptions, Pace, RealTime, Reconnect, candidates,
 };
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -23,7 +22,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 /// What to do with a source beyond its name.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
-    /// Waveform to program a board with; recordings and scenes bring their own.
+    /// Waveform to program a board with, if not the one that it has; recordings and scenes bring their own.
     pub waveform: Option<Waveform>,
     /// Seed of a simulation.
     pub seed: u64,
@@ -63,9 +62,6 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     if let Some(port) = spec.strip_prefix("serial:") {
         return board(Path::new(port), options);
     }
-    if let Some(port) = spec.strip_prefix("esp32:") {
-        return printing_board(Path::new(port), options);
-    }
     if spec == "auto" {
         return board(&the_one_board()?, options);
     }
@@ -97,28 +93,25 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
 }
 
 fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
-    let Some(waveform) = &options.waveform else {
-        bail!("a board must be told its waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml");
-    };
-    let board = Board::open(port)?;
-    let identity = board.identity().clone();
-    let description = format!("{} on {}", identity.name, port.display());
-    // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
-    let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
-    let registers = stream.registers().clone();
-    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
-}
-
-/// A board that takes no requests.
-fn printing_board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
-    let Some(waveform) = &options.waveform else {
-        bail!(
-            "the lines of an ESP32 do not say what it measures\n\nhint: name the waveform that it was built for with --waveform paper or --waveform FILE.toml"
-        );
-    };
-    let stream = LineStream::open(port, waveform)?;
-    let description = format!("ESP32 on {}", port.display());
-    Ok(Source { is_live: true, ..Source::without_board(Box::new(stream), description) })
+    match Detected::open(port, options.waveform.as_ref())? {
+        Detected::Mcu7(board, left) => {
+            let Some(waveform) = options.waveform.as_ref().or(left.as_ref()) else {
+                bail!(
+                    "the board has not been told a waveform\n\nhint: name one with --waveform paper or --waveform FILE.toml"
+                );
+            };
+            let identity = board.identity().clone();
+            let description = format!("{} on {}", identity.name, port.display());
+            // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
+            let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
+            let registers = stream.registers().clone();
+            Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
+        }
+        Detected::Lines(stream) => {
+            let description = format!("ESP32 on {}", port.display());
+            Ok(Source { is_live: true, ..Source::without_board(stream, description) })
+        }
+    }
 }
 
 /// The only board that discovery finds.

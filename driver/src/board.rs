@@ -1,6 +1,7 @@
 //! Boards on their serial ports: a Radar Baseboard MCU7 ([`Board`]), and one that only prints ([`LineStream`]).
 
 mod assembler;
+mod detect;
 mod lines;
 mod link;
 mod reconnect;
@@ -13,12 +14,13 @@ use radome_dsp::Waveform;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chip::{ChipError, address};
+use crate::chip::{ChipConfiguration, ChipError, REGISTERS, RegisterFile, address};
 use crate::protocol::ascii::LineError;
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
     Protocol, SpiWord, Status,
 };
+pub use detect::Detected;
 pub use lines::LineStream;
 use link::Link;
 pub use reconnect::Reconnect;
@@ -179,6 +181,15 @@ pub enum BoardError {
         /// What was wrong with the last one.
         source: LineError,
     },
+    /// Nobody says what is measured.
+    #[error(
+        "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml",
+        path = path.display()
+    )]
+    WaveformUntold {
+        /// Port.
+        path: PathBuf,
+    },
     /// The acquisition has ended.
     #[error("the acquisition has been stopped")]
     Stopped,
@@ -205,8 +216,18 @@ impl Board {
     /// Opens a port and asks what is there, as the vendor's client does.
     pub fn open(path: &Path) -> Result<Board, BoardError> {
         let mut link = Link::open(path)?;
-        let identity = identify(&mut link)?;
+        let identity = identify(&mut link, None)?;
         Ok(Board { link, identity })
+    }
+
+    /// Like [`Board::open`], and reads from the chip what it was programmed with before: nothing since it has power, or
+    /// the waveform of the program that used it last.
+    pub fn open_as_left(path: &Path) -> Result<(Board, Option<Waveform>), BoardError> {
+        let mut link = Link::open(path)?;
+        let mut registers = RegisterFile::default();
+        let identity = identify(&mut link, Some(&mut registers))?;
+        let waveform = ChipConfiguration::decode(&registers).ok().map(|configuration| configuration.waveform);
+        Ok((Board { link, identity }, waveform))
     }
 
     /// Who the board says it is.
@@ -238,7 +259,8 @@ impl Board {
     }
 }
 
-fn identify(link: &mut Link) -> Result<BoardIdentity, BoardError> {
+/// Asks who is there. It resets the chip; `registers` are read before, if wanted.
+fn identify(link: &mut Link, registers: Option<&mut RegisterFile>) -> Result<BoardIdentity, BoardError> {
     let path = link.path.clone();
     let malformed = |source| BoardError::Malformed { path: path.clone(), source };
     // Firmware of version 3 does not know the codes of version 4.
@@ -270,6 +292,13 @@ fn identify(link: &mut Link) -> Result<BoardIdentity, BoardError> {
     };
     if !has_chip {
         return Err(BoardError::ChipSilent { path, chip_id: 0 });
+    }
+    if let Some(registers) = registers {
+        let addresses = REGISTERS.iter().map(|register| register.address);
+        let words = addresses.clone().map(SpiWord::read).collect();
+        let answer = link.demand(&Command::Execute { words, answer: true })?;
+        let values = answer.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word));
+        addresses.zip(values).for_each(|(address, value)| registers.set(address, value));
     }
     // A stale FIFO overflow makes the first access fail; the reset clears it.
     link.request(&Command::WriteRegisters { address: address::SFCTL, values: vec![0x10_0000] })?;

@@ -18,7 +18,7 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
     source.gap = Some(Gap { first_sequence: 10, frames: 3, reason: GapReason::Recorded });
     let reference = Pattern::new(w.clone(), 30);
     let board = board(source);
-    let mut stream = LineStream::open(board.path(), &w).expect("opens");
+    let mut stream = LineStream::open(board.path(), Some(&w)).expect("opens");
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
     let (mut frames, mut gaps) = (Vec::new(), Vec::new());
     while frames.last() != Some(&29) {
@@ -45,7 +45,7 @@ mod hard_cases {
         let built_for = waveform(&[1], 16, 32, 0.02);
         let named = waveform(&[1, 2], 16, 32, 0.02);
         let board = board(Pattern::new(built_for, 5));
-        let mut stream = LineStream::open(board.path(), &named).expect("opens");
+        let mut stream = LineStream::open(board.path(), Some(&named)).expect("opens");
         let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
         let reason = error.source().expect("a reason").to_string();
         assert!(reason.contains("512 codes, expected 1024"), "{error}: {reason}");
@@ -54,7 +54,7 @@ mod hard_cases {
     #[test]
     fn a_port_that_is_not_there_is_named() {
         let w = waveform(&[1], 16, 32, 0.02);
-        let error = LineStream::open(std::path::Path::new("/dev/nowhere"), &w).err().expect("no such port");
+        let error = LineStream::open(std::path::Path::new("/dev/nowhere"), Some(&w)).err().expect("no such port");
         assert!(error.to_string().contains("/dev/nowhere"), "{error}");
     }
 }

@@ -1,5 +1,5 @@
 //! A board with an ESP32 that prints its frames as lines ([`crate::protocol::ascii`]). It takes no requests: it measures what
-//! it was built for, and the user has to name that waveform.
+//! it was built for, and the user has to name that waveform unless the firmware says it.
 
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
@@ -9,11 +9,15 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, W
 use serialport::TTYPort;
 
 use super::{BoardError, link};
-use crate::protocol::ascii::{Line, LineParser};
+use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
 
 const BAUD_RATE: u32 = 921_600;
 const BUFFER: usize = 65_536;
+/// How long firmware may take to say what it measures.
+const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
+/// Bytes among which it must have said so.
+const MOST_HEARD: usize = 1 << 22;
 
 /// Frames of such a board, from the next whole line on.
 pub struct LineStream {
@@ -42,23 +46,38 @@ struct Order {
 }
 
 impl LineStream {
-    /// Opens the port and listens.
+    /// Opens the port and listens. Without a waveform the firmware has to say what it measures.
     ///
     /// # Errors
-    /// The port cannot be opened, is busy, or may not be opened by this user.
-    pub fn open(path: &Path, waveform: &Waveform) -> Result<Self, BoardError> {
-        let port = link::open_port(path, BAUD_RATE)?;
+    /// The port cannot be opened, is busy, or may not be opened by this user; no waveform is given and none is heard.
+    pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
+        LineStream::listen(path, link::open_port(path, BAUD_RATE)?, Vec::new(), waveform)
+    }
+
+    /// Goes on with a port that has been listened to, and what was heard.
+    pub(super) fn listen(
+        path: &Path,
+        mut port: TTYPort,
+        mut heard: Vec<u8>,
+        waveform: Option<&Waveform>,
+    ) -> Result<Self, BoardError> {
+        let waveform = match waveform {
+            Some(waveform) => waveform.clone(),
+            None => hear_waveform(path, &mut port, &mut heard)?,
+        };
         let codes = waveform.shape().codes();
         // Six characters a code, ten bits a character.
         let line_s = codes as f64 * 60.0 / f64::from(BAUD_RATE);
+        let mut parser = LineParser::new(codes);
+        parser.push(&heard);
         Ok(LineStream {
             path: path.into(),
             port,
-            parser: LineParser::new(codes),
+            parser,
             buffer: vec![0; BUFFER],
-            order: Order::new(waveform),
+            order: Order::new(&waveform),
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
-            waveform: waveform.clone(),
+            waveform,
         })
     }
 
@@ -100,6 +119,28 @@ impl LineStream {
                 });
             }
         }
+    }
+}
+
+/// Listens until the firmware says what it measures; everything heard is kept.
+fn hear_waveform(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
+    let untold = || BoardError::WaveformUntold { path: path.to_owned() };
+    let began = Instant::now();
+    let mut begin = 0;
+    loop {
+        while let Some(length) = heard.get(begin..).unwrap_or(&[]).iter().position(|b| *b == b'\n') {
+            let line = heard.get(begin..begin + length).unwrap_or(&[]);
+            begin += length + 1;
+            match ascii::decode_waveform(line.strip_suffix(b"\r").unwrap_or(line)).map(|r| r.map(Waveform::realise)) {
+                None => {}
+                Some(Ok(Ok(waveform))) => return Ok(waveform),
+                Some(_) => return Err(untold()),
+            }
+        }
+        if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MOST_HEARD {
+            return Err(untold());
+        }
+        link::read_more(path, port, heard)?;
     }
 }
 

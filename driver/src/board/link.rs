@@ -48,6 +48,21 @@ pub(super) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort, BoardErr
     })
 }
 
+/// Appends what comes within some milliseconds.
+pub(super) fn read_more(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<(), BoardError> {
+    let mut buffer = [0; 4096];
+    let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
+    match port.read(&mut buffer) {
+        Ok(0) => Err(lost(ErrorKind::UnexpectedEof.into())),
+        Ok(count) => {
+            heard.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
+            Ok(())
+        }
+        Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => Ok(()),
+        Err(e) => Err(lost(e)),
+    }
+}
+
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
         let port = open_port(path, BAUD_RATE)?;

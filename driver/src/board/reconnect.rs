@@ -55,6 +55,7 @@ impl BoardError {
             | BoardError::OtherBoard { .. }
             | BoardError::Chip(_)
             | BoardError::Line { .. }
+            | BoardError::WaveformUntold { .. }
             | BoardError::Stopped => false,
         }
     }

@@ -38,7 +38,7 @@ pub(super) struct Chip {
 }
 
 impl Chip {
-    /// A chip that has just got power.
+    /// A chip that was programmed with the source's waveform and does not measure.
     pub fn new(source: Box<dyn FrameSource>, pace: Pace, faults: &[Fault]) -> std::io::Result<Self> {
         let foreign = faults.iter().find_map(|fault| match fault {
             Fault::ForeignChip(id) => Some(*id),
@@ -55,7 +55,18 @@ impl Chip {
             starts: 0,
         };
         chip.reset();
+        chip.leave_programmed();
         Ok(chip)
+    }
+
+    /// As if somebody had measured the source before, so that who asks the chip learns what it is.
+    fn leave_programmed(&mut self) {
+        let configuration = ChipConfiguration { waveform: self.source.clone(), slice_samples: FIFO_SAMPLES / 2 };
+        for register in configuration.compile().unwrap_or_default() {
+            let is_main = register.address == address::MAIN;
+            let value = if is_main { register.value & !main_bits::ALL } else { register.value };
+            self.registers.set(register.address, value);
+        }
     }
 
     /// The reset pin, the software reset, and power that comes back.
@@ -306,6 +317,7 @@ mod tests {
     #[test]
     fn an_answer_is_the_status_and_what_the_register_held_before() {
         let mut chip = chip(Pace::AsFastAsRead);
+        chip.reset();
         let write = SpiWord::write(address::SFCTL, 0x10_2BFF);
         assert_eq!(chip.transfer(write), Ok(0xF071_0000));
         assert_eq!(chip.transfer(write), Ok(0xF010_2BFF));

@@ -1,10 +1,12 @@
 //! An ESP32 that prints the frames of its chip ([`crate::protocol::ascii`]).
+//!
+//! Such boards reset when their port is opened, by the circuit that lets them be flashed; so does this one.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use radome_dsp::{FrameSource, Waveform};
+use radome_dsp::{FrameSource, WaveformRequest};
 
 use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
@@ -17,11 +19,14 @@ use crate::protocol::strata::SliceLayout;
 const BANNER: &[u8] = b"I (312) main: radar started\r\n";
 /// Frames that the board's memory holds.
 const BUFFER_FRAMES: usize = 2;
+/// Frames after which the board says again what it measures.
+const FRAMES_BETWEEN_WAVEFORMS: u64 = 16;
 
 /// Firmware that measures and prints from the moment it has power. It takes no requests.
 pub(super) struct Esp32 {
     chip: Chip,
     /// What it was built for.
+    request: WaveformRequest,
     registers: RegisterList,
     slice: SliceLayout,
     codes_per_frame: usize,
@@ -40,13 +45,15 @@ pub(super) struct Esp32 {
 
 impl Esp32 {
     pub fn new(source: Box<dyn FrameSource>, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
-        let waveform: Waveform = source.waveform().clone();
+        let waveform = source.waveform().clone();
         let codes_per_frame = waveform.shape().codes();
         let slice = SliceLayout::for_frame(codes_per_frame);
+        let request = waveform.request.clone();
         let configuration = ChipConfiguration { waveform, slice_samples: slice.samples };
         let registers = configuration.compile().map_err(std::io::Error::other)?;
         Ok(Esp32 {
             chip: Chip::new(source, options.pace, &options.faults)?,
+            request,
             registers,
             slice,
             codes_per_frame,
@@ -130,7 +137,10 @@ impl Firmware for Esp32 {
         if !self.is_up {
             self.is_up = true;
             self.start();
-            wire.send(|out| out.extend_from_slice(BANNER));
+            wire.send(|out| {
+                out.extend_from_slice(BANNER);
+                ascii::encode_waveform(&self.request, out);
+            });
             return true;
         }
         self.drain();
@@ -158,6 +168,9 @@ impl Firmware for Esp32 {
         }
         if let Some((number, codes)) = self.frames.pop_front() {
             wire.send_data(packet, |out| ascii::encode(number, &codes, out));
+            if number % FRAMES_BETWEEN_WAVEFORMS == FRAMES_BETWEEN_WAVEFORMS - 1 {
+                wire.send(|out| ascii::encode_waveform(&self.request, out));
+            }
             self.shared.slices.fetch_add(1, Ordering::Relaxed);
         }
         true
@@ -168,6 +181,10 @@ impl Firmware for Esp32 {
         if self.is_up && !self.stalled {
             self.drain();
         }
+    }
+
+    fn restarts_when_opened(&self) -> bool {
+        true
     }
 
     fn power_up(&mut self) {

@@ -14,8 +14,8 @@ use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 pub(super) struct Port {
     master: OwnedFd,
-    /// Kept open, so that a client that closes the port does not hang up the line.
-    _slave: OwnedFd,
+    /// Kept open where a client that closes the port is not to hang up the line.
+    slave: Option<OwnedFd>,
     pub path: PathBuf,
 }
 
@@ -30,7 +30,20 @@ impl Port {
         settings.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &settings)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
-        Ok(Port { master, _slave: slave, path })
+        Ok(Port { master, slave: Some(slave), path })
+    }
+
+    /// From now on [`Port::has_client`] tells whether a client has the port open.
+    pub fn watch_clients(&mut self) {
+        self.slave = None;
+    }
+
+    /// Whether a client has the port open.
+    pub fn has_client(&self) -> io::Result<bool> {
+        let mut state = [PollFd::new(&self.master, PollFlags::IN)];
+        poll(&mut state, Some(&Timespec { tv_sec: 0, tv_nsec: 0 }))?;
+        let [state] = state;
+        Ok(self.slave.is_some() || !state.revents().contains(PollFlags::HUP))
     }
 
     /// Makes a symbolic link to the terminal, in the place of a former one.

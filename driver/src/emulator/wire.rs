@@ -19,6 +19,10 @@ pub(super) trait Firmware {
     fn advance(&mut self);
     /// The board was without power: everything is as at first, but the world.
     fn power_up(&mut self);
+    /// Whether it starts anew each time that a client opens the port, and sends nothing while none has.
+    fn restarts_when_opened(&self) -> bool {
+        false
+    }
 }
 
 /// The line to the host.
@@ -32,6 +36,7 @@ pub(super) struct Wire {
     written: usize,
     /// To be unplugged for so long.
     unplugged: Option<Duration>,
+    has_client: bool,
     /// The host takes nothing until then.
     host_reads_from: Option<Instant>,
     pub shared: Arc<Shared>,
@@ -58,6 +63,7 @@ impl Wire {
             out: Vec::new(),
             written: 0,
             unplugged: None,
+            has_client: false,
             host_reads_from: None,
             shared,
         }
@@ -116,9 +122,24 @@ impl Wire {
     /// requests are answered.
     pub fn serve(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut buffer = [0; 4096];
+        let watches_clients = firmware.restarts_when_opened();
+        if watches_clients {
+            self.port.watch_clients();
+        }
         while !self.shared.stop.load(Ordering::Acquire) {
             if let Some(duration) = self.unplugged.take() {
                 self.unplug(duration, firmware)?;
+            }
+            if watches_clients {
+                let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
+                if !self.has_client {
+                    thread::sleep(Duration::from_millis(1));
+                    firmware.advance();
+                    continue;
+                }
+                if !had_client {
+                    self.restart(firmware);
+                }
             }
             if let Some(moment) = self.host_reads_from {
                 if Instant::now() < moment {
@@ -147,7 +168,10 @@ impl Wire {
 
     /// The terminal goes, and another comes in its place.
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
-        let is_back = Port::open()?;
+        let mut is_back = Port::open()?;
+        if firmware.restarts_when_opened() {
+            is_back.watch_clients();
+        }
         drop(std::mem::replace(&mut self.port, is_back));
         if let Some(link) = &self.link {
             std::fs::remove_file(link)?;
@@ -157,14 +181,19 @@ impl Wire {
             thread::sleep(Duration::from_millis(5));
             firmware.advance();
         }
-        firmware.power_up();
-        self.out.clear();
-        self.written = 0;
-        self.held.clear();
+        self.has_client = false;
+        self.restart(firmware);
         match &self.link {
             Some(link) => self.port.link(link),
             None => Ok(()),
         }
+    }
+
+    fn restart(&mut self, firmware: &mut dyn Firmware) {
+        firmware.power_up();
+        self.out.clear();
+        self.written = 0;
+        self.held.clear();
     }
 
     /// Where the host finds the board.

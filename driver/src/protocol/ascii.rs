@@ -1,14 +1,19 @@
 //! Lines of ESP32 firmware (nichonaugle/esp32-bgt60tr13c-driver): `Frame N: [a, b, ...]`, one radar frame a line, codes in
 //! decimal in FIFO order. No checksum: a digit that is changed into another is not noticed; a code beyond 12 bits, a line cut
 //! short and a wrong number of codes are. Other lines are the firmware's log.
+//!
+//! Firmware may say what it measures, at its start and now and then: `Waveform: {...}`, a
+//! [`WaveformRequest`] in JSON. The vendor of that driver knows no such line; a client that never hears it must be told.
 
+use radome_dsp::{MAX_CODE, WaveformRequest};
 use thiserror::Error;
-
-use radome_dsp::MAX_CODE;
 
 /// Longest code in decimal, a comma and a space.
 const BYTES_PER_CODE: usize = 6;
 const PREFIX: &[u8] = b"Frame ";
+const WAVEFORM_PREFIX: &[u8] = b"Waveform: ";
+/// Room for lines that are no frames.
+const LONGEST_TALK: usize = 1024;
 
 /// What a line says.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -77,6 +82,20 @@ pub fn encode(number: u64, codes: &[u16], line: &mut Vec<u8>) {
     line.extend_from_slice(b"]\n");
 }
 
+/// Appends the line that says what the frames are; a request is always representable in JSON.
+pub fn encode_waveform(request: &WaveformRequest, line: &mut Vec<u8>) {
+    if let Ok(json) = serde_json::to_vec(request) {
+        line.extend_from_slice(WAVEFORM_PREFIX);
+        line.extend_from_slice(&json);
+        line.push(b'\n');
+    }
+}
+
+/// What a whole line, without its end, says of the waveform.
+pub fn decode_waveform(line: &[u8]) -> Option<Result<WaveformRequest, serde_json::Error>> {
+    Some(serde_json::from_slice(line.strip_prefix(WAVEFORM_PREFIX)?))
+}
+
 /// Lines out of bytes as they come.
 #[derive(Debug)]
 pub struct LineParser {
@@ -96,7 +115,7 @@ pub struct LineParser {
 impl LineParser {
     /// For frames of so many codes.
     pub fn new(codes_per_frame: usize) -> Self {
-        let limit = codes_per_frame * BYTES_PER_CODE + 64;
+        let limit = (codes_per_frame * BYTES_PER_CODE + 64).max(LONGEST_TALK);
         LineParser {
             codes_per_frame,
             limit,
@@ -253,6 +272,19 @@ mod tests {
         }
     }
 
+    #[test]
+    fn a_waveform_is_told_and_understood_and_talk_to_a_parser_of_frames() {
+        let request = WaveformRequest::paper();
+        let mut bytes = Vec::new();
+        encode_waveform(&request, &mut bytes);
+        encode(0, &[1, 2], &mut bytes);
+        let line = bytes.split(|b| *b == b'\n').next().expect("a line");
+        assert_eq!(decode_waveform(line).expect("says so").expect("JSON"), request);
+        assert!(decode_waveform(b"Waveform: {}").expect("says so").is_err());
+        assert!(decode_waveform(b"Frame 1: [1]").is_none());
+        assert_eq!(frames(2, &bytes, 7), [Ok((0, vec![1, 2]))]);
+    }
+
     mod hard_cases {
         use super::*;
 
@@ -277,13 +309,13 @@ mod tests {
         /// Found by fuzzing: a line that came at once was read, however long; in pieces it was given up.
         #[test]
         fn a_line_is_too_long_whatever_pieces_it_comes_in() {
-            let line = |zeros: usize| [b"Frame 1: [1, ", &[b'0'; 90][..zeros], b"2]\nFrame 9: [1, 2]\n"].concat();
-            for piece in [1, 60, 76, 77, 200] {
-                // 76 bytes and 77.
-                assert_eq!(frames(2, &line(61), piece), [Ok((1, vec![1, 2])), Ok((9, vec![1, 2]))]);
+            let line = |zeros: usize| [b"Frame 1: [1, ", &[b'0'; 1100][..zeros], b"2]\nFrame 9: [1, 2]\n"].concat();
+            for piece in [1, 60, 1024, 1025, 4000] {
+                // 1024 bytes and 1025.
+                assert_eq!(frames(2, &line(1009), piece), [Ok((1, vec![1, 2])), Ok((9, vec![1, 2]))]);
                 assert_eq!(
-                    frames(2, &line(62), piece),
-                    [Err(LineError::TooLong { limit: 76 }), Ok((9, vec![1, 2]))],
+                    frames(2, &line(1010), piece),
+                    [Err(LineError::TooLong { limit: 1024 }), Ok((9, vec![1, 2]))],
                     "pieces of {piece}"
                 );
             }
@@ -291,8 +323,8 @@ mod tests {
 
         #[test]
         fn a_line_without_end_is_skipped_once() {
-            let bytes = [&[b'7'; 500][..], b"\nFrame 9: [1, 2]\n"].concat();
-            assert_eq!(frames(2, &bytes, 50), [Err(LineError::TooLong { limit: 76 }), Ok((9, vec![1, 2]))]);
+            let bytes = [&[b'7'; 3000][..], b"\nFrame 9: [1, 2]\n"].concat();
+            assert_eq!(frames(2, &bytes, 50), [Err(LineError::TooLong { limit: 1024 }), Ok((9, vec![1, 2]))]);
         }
     }
 }

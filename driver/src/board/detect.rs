@@ -1,0 +1,66 @@
+//! Which kind of board a serial port leads to. Boards do not say so in a common way: the port is listened to, then asked in
+//! one protocol after the other.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use radome_dsp::Waveform;
+
+use super::{Board, BoardError, LineStream, link};
+
+const BAUD_RATE: u32 = 921_600;
+/// How long a board that talks by itself may take to begin.
+const LISTEN: Duration = Duration::from_millis(300);
+/// Bytes that settle whether they are text.
+const ENOUGH: usize = 256;
+
+/// What a port leads to.
+pub enum Detected {
+    /// A Radar Baseboard MCU7, and what its chip was programmed with before.
+    Mcu7(Box<Board>, Option<Waveform>),
+    /// A board that prints its frames.
+    Lines(Box<LineStream>),
+}
+
+impl Detected {
+    /// Opens a port and finds out. A board that prints measures one waveform: the one given, or else what it says.
+    ///
+    /// # Errors
+    /// The port cannot be opened, nothing on it answers, or what answers is no board that this program can drive. Nothing
+    /// that is sent does harm to a board of another protocol.
+    pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
+        let mut port = link::open_port(path, BAUD_RATE)?;
+        let mut heard = Vec::new();
+        let began = Instant::now();
+        while began.elapsed() < LISTEN && heard.len() < ENOUGH {
+            link::read_more(path, &mut port, &mut heard)?;
+        }
+        if is_text(&heard) {
+            return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
+        }
+        drop(port);
+        let (board, left) = Board::open_as_left(path)?;
+        Ok(Detected::Mcu7(Box::new(board), left))
+    }
+}
+
+/// Whether a board prints. Packets of samples hold bytes that no text has.
+fn is_text(bytes: &[u8]) -> bool {
+    let is_printable = |b: &u8| matches!(b, b' '..=b'~' | b'\t' | b'\r' | b'\n');
+    bytes.len() >= 8 && bytes.iter().filter(|b| is_printable(b)).count() * 100 >= bytes.len() * 95
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn packets_are_no_text_and_lines_are_even_after_a_boot_loader() {
+        let ramp: Vec<u8> = (0..=255).collect();
+        assert!(!is_text(&ramp));
+        assert!(!is_text(b""));
+        assert!(is_text(b"I (312) main: radar started\r\nFrame 0: [1, 2, 3"));
+        let boot = [&b"\xfe\x80ets Jun  8 2016 00:22:57\r\n"[..], &[b'x'; 100]].concat();
+        assert!(is_text(&boot));
+    }
+}

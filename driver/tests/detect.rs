@@ -1,0 +1,79 @@
+//! What a serial port leads to is found out by listening and asking.
+
+mod common;
+
+use common::{Pattern, waveform};
+use radome_driver::{BoardError, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+
+fn board(waveform: &Waveform, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), link: None };
+    EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 20)), options).expect("spawns")
+}
+
+#[test]
+fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
+    let w = waveform(&[1, 3], 16, 32, 0.05);
+    for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
+        let board = board(&w, kind, &[]);
+        let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
+            panic!("another kind of board");
+        };
+        let left = left.expect("programmed");
+        left.check_compatible(&w).expect("the same");
+        assert_eq!(left.request.rx_antennas, w.request.rx_antennas);
+    }
+}
+
+#[test]
+fn a_board_that_prints_is_heard_from_its_first_frame_on() {
+    let w = waveform(&[1, 2, 3], 16, 32, 0.05);
+    let board = board(&w, Kind::Esp32, &[]);
+    let Detected::Lines(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+        panic!("another kind of board");
+    };
+    assert_eq!(stream.waveform(), &w);
+    let reference = Pattern::new(w.clone(), 20);
+    let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
+    for sequence in 0..20 {
+        assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        reference.fill(sequence, &mut expected);
+        assert_eq!((frame.sequence, &frame.codes), (sequence, &expected.codes));
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// Opening the port resets such a board: who opens it again hears it from its start.
+    #[test]
+    fn a_board_that_prints_can_be_opened_again() {
+        let w = waveform(&[1], 16, 32, 0.05);
+        let board = board(&w, Kind::Esp32, &[]);
+        drop(Detected::open(board.path(), None).expect("speaks"));
+        std::thread::sleep(std::time::Duration::from_millis(50));
+        let Detected::Lines(mut stream) = Detected::open(board.path(), Some(&w)).expect("speaks") else {
+            panic!("another kind of board");
+        };
+        assert_eq!(stream.next_frame(&mut Frame::zeroed(w.shape())).expect("frame"), SourceEvent::Frame);
+    }
+
+    #[test]
+    fn a_port_that_keeps_silent_is_told_so_in_the_end() {
+        let w = waveform(&[1], 16, 32, 0.05);
+        let board = board(&w, Kind::Esp32, &[Fault::Stall(0)]);
+        // It says its banner and waveform and nothing more: lines, but no frame.
+        let Detected::Lines(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+            panic!("another kind of board");
+        };
+        let error = stream.next_frame(&mut Frame::zeroed(w.shape())).expect_err("silent");
+        assert!(error.to_string().contains("stalled"), "{error}");
+    }
+
+    #[test]
+    fn a_foreign_chip_is_named_whoever_asks() {
+        let board = board(&waveform(&[1], 16, 32, 0.05), Kind::Mcu7V4, &[Fault::ForeignChip(0x504)]);
+        let error = Detected::open(board.path(), None).err().expect("refused");
+        assert!(matches!(error, BoardError::OtherChip { chip: "BGT60ATR24C", .. }), "{error}");
+    }
+}
