@@ -13,6 +13,7 @@ pub mod actor;
 pub mod chirp;
 pub mod echo;
 pub mod field;
+pub mod geometry;
 pub mod random;
 pub mod receiver;
 mod render;

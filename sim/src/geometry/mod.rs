@@ -1,0 +1,5 @@
+//! Surfaces as triangle meshes.
+
+mod mesh;
+
+pub use mesh::Mesh;
