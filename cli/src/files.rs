@@ -42,6 +42,33 @@ pub fn write_atomically(
     })
 }
 
+/// Length of the header of a growing array, bytes: any number of rows fits, so that it can be filled in last.
+const ARRAY_HEADER_BYTES: usize = 128;
+
+/// Header of an array of f32 in the NPY format, version 1.0.
+fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
+    let row: String = row_shape.iter().map(|n| format!(" {n},")).collect();
+    let text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows},{row}), }}");
+    let length = ARRAY_HEADER_BYTES - 10;
+    let mut header = b"\x93NUMPY\x01\x00".to_vec();
+    header.extend((length as u16).to_le_bytes());
+    header.extend(format!("{text:<width$}\n", width = length - 1).into_bytes());
+    header
+}
+
+/// Writes an `.npy` of f32 whose first axis is as long as `write`, which writes the values, says in the end.
+pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
+    file: &mut W,
+    row_shape: &[u64],
+    write: impl FnOnce(&mut W) -> anyhow::Result<u64>,
+) -> anyhow::Result<()> {
+    let cannot = "cannot write the array";
+    file.write_all(&array_header(0, row_shape)).context(cannot)?;
+    let rows = write(file)?;
+    file.seek(std::io::SeekFrom::Start(0)).context(cannot)?;
+    file.write_all(&array_header(rows, row_shape)).context(cannot)
+}
+
 /// Fails early if the folder of an output file is missing.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -49,4 +76,24 @@ pub fn check_parent(path: &Path) -> anyhow::Result<()> {
         bail!("folder {} does not exist\n\nhint: mkdir -p {0}", parent.display());
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_growing_array_reads_back_as_what_was_written() {
+        let mut file = std::io::Cursor::new(Vec::new());
+        write_growing_array(&mut file, &[2, 3], |file| {
+            (0..12u8).try_for_each(|i| std::io::Write::write_all(file, &f32::from(i).to_le_bytes()))?;
+            Ok(2)
+        })
+        .expect("writes");
+        let array = npyz::NpyFile::new(file.get_ref().as_slice()).expect("an array");
+        assert_eq!(array.shape(), [2, 2, 3]);
+        assert_eq!(array.into_vec::<f32>().expect("f32"), (0..12u8).map(f32::from).collect::<Vec<_>>());
+        // The longest header that there can be still fits.
+        assert_eq!(array_header(u64::MAX, &[u64::MAX; 2]).len(), ARRAY_HEADER_BYTES);
+    }
 }

@@ -1,9 +1,9 @@
+use std::io::Write;
 use std::path::PathBuf;
 
 use anyhow::Context;
-use npyz::WriterBuilder;
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
-use radome_dsp::{Frame, MapStatus, RdmProcessor, RdmSpec, SourceEvent};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent};
 use serde_json::json;
 
 use crate::source::{self, SourceOptions};
@@ -91,43 +91,56 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let mut processor = RdmProcessor::new(&spec, &waveform)?;
     let mut map = processor.empty_map();
     let mut frame = Frame::zeroed(waveform.shape());
-    let mut values: Vec<f32> = Vec::new();
     let (mut maps, mut saturated, mut non_finite, mut pictured) = (0u64, 0u64, 0u64, false);
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
-    while !output::interrupted() {
-        match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => processor.reset(),
-            SourceEvent::Frame => {
-                bar.inc(1);
-                if processor.process(&frame, &mut map)? != MapStatus::Ready {
-                    continue;
-                }
-                maps += 1;
-                saturated += u64::from(map.flags.saturated_samples);
-                non_finite += u64::from(map.flags.non_finite_cells);
-                if arguments.output.is_some() {
-                    values.extend_from_slice(&map.db);
-                }
-                if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
-                    plot::map(path, &map, 0)?;
-                    pictured = true;
+    // The array grows as maps come: a night of them fits no memory.
+    let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
+        while !output::interrupted() {
+            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => processor.reset(),
+                SourceEvent::Frame => {
+                    bar.inc(1);
+                    if processor.process(&frame, &mut map)? != MapStatus::Ready {
+                        continue;
+                    }
+                    maps += 1;
+                    saturated += u64::from(map.flags.saturated_samples);
+                    non_finite += u64::from(map.flags.non_finite_cells);
+                    write(&map)?;
+                    if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
+                        plot::map(path, &map, 0)?;
+                        pictured = true;
+                    }
                 }
             }
+        }
+        anyhow::Ok(maps)
+    };
+    match &arguments.output {
+        None => {
+            each_map(&mut |_| Ok(()))?;
+        }
+        Some(path) => {
+            let empty = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
+            files::write_atomically(path, |file| {
+                files::write_growing_array(file, &empty, |file| {
+                    each_map(&mut |map| {
+                        map.db
+                            .iter()
+                            .try_for_each(|value| file.write_all(&value.to_le_bytes()))
+                            .context("cannot write the array")
+                    })
+                })
+            })?;
         }
     }
     bar.finish_and_clear();
     if let (Some(path), false, true) = (&arguments.png, pictured, maps > 0) {
         plot::map(path, &map, 0)?;
     }
-    let shape = [maps, map.shape.rx as u64, map.shape.doppler as u64, map.shape.range as u64];
-    if let Some(path) = &arguments.output {
-        files::write_atomically(path, |file| {
-            let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
-            writer.extend(values.iter().copied())?;
-            writer.finish().context("cannot write the array")
-        })?;
-    }
+    let [rx, doppler, range] = map_shape(&map);
+    let shape = [maps, rx, doppler, range];
     if arguments.json {
         return output::json_line(&json!({
             "maps": maps,
@@ -145,4 +158,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         map.velocity_step_m_per_s,
         if saturated > 0 { format!(", {saturated} samples at the ends of the ADC") } else { String::new() }
     ))
+}
+
+fn map_shape(map: &Rdm) -> [u64; 3] {
+    [map.shape.rx as u64, map.shape.doppler as u64, map.shape.range as u64]
 }
