@@ -43,7 +43,7 @@ pub fn write_atomically(
 }
 
 /// Length of the header of a growing array, bytes: any number of rows fits, so that it can be filled in last.
-const ARRAY_HEADER_BYTES: usize = 128;
+const ARRAY_HEADER_BYTES: usize = 192;
 
 /// Header of an array of f32 in the NPY format, version 1.0.
 fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
@@ -94,6 +94,6 @@ mod tests {
         assert_eq!(array.shape(), [2, 2, 3]);
         assert_eq!(array.into_vec::<f32>().expect("f32"), (0..12u8).map(f32::from).collect::<Vec<_>>());
         // The longest header that there can be still fits.
-        assert_eq!(array_header(u64::MAX, &[u64::MAX; 2]).len(), ARRAY_HEADER_BYTES);
+        assert_eq!(array_header(u64::MAX, &[u64::MAX; 3]).len(), ARRAY_HEADER_BYTES);
     }
 }
