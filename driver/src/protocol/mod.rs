@@ -2,6 +2,7 @@
 
 pub mod ascii;
 pub mod crc;
+pub mod deepcraft;
 pub mod fifo;
 pub mod packed12;
 pub mod strata;

@@ -1,0 +1,323 @@
+//! Messages that carry frames: found in the bytes of a stream, and believed only when what follows confirms them.
+
+use prost::Message;
+
+use super::delimited::{Cursor, Stop, encode_varint, varint_length};
+use super::message::{Answer, ErrorResponse, Response};
+
+/// Longest message of a board: the firmware's ring of 64 Ki samples, and what is around it.
+pub const MAX_RESPONSE: usize = 2 * 65_536 + 1024;
+/// Tag of the data in a response: field 4, length-delimited.
+const DATA: u64 = 4 << 3 | LENGTH_DELIMITED;
+/// Tag of an error in a response.
+const ERROR: u64 = 3 << 3 | LENGTH_DELIMITED;
+/// Wire types.
+const VARINT: u64 = 0;
+const FIXED_64: u64 = 1;
+const LENGTH_DELIMITED: u64 = 2;
+const FIXED_32: u64 = 5;
+/// Fewest and most bytes of a chunk beside its payload: tags and numbers, and after the payload the time stamps.
+const LEAST_AROUND: usize = 6;
+const MOST_AROUND: usize = 48;
+const MOST_PER_FRAME: usize = 32;
+/// Longest error that is taken for one, and shortest: shorter ones could be mistaken for samples.
+const ERROR_LENGTH: std::ops::RangeInclusive<u64> = 16..=1024;
+/// Frame numbers further apart than this are not of the same stream.
+const MOST_MISSING: u32 = 1 << 20;
+/// Largest code of the ADC.
+const MAX_CODE: u16 = radome_dsp::MAX_CODE;
+
+/// What is the same in all chunks of a stream.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ChunkLayout {
+    /// Device.
+    pub device: i32,
+    /// Stream of the device.
+    pub stream: i32,
+    /// Codes in a frame.
+    pub frame_codes: usize,
+}
+
+/// A chunk, by what stands before its payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ChunkHeader {
+    /// Number of its first frame, modulo 2^32.
+    pub frame_number: u32,
+    /// Its frames.
+    pub frame_count: usize,
+    /// Where its payload begins, counted from its length.
+    pub payload_start: usize,
+    /// Where its payload ends.
+    pub payload_end: usize,
+    /// Where it ends.
+    pub end: usize,
+}
+
+impl ChunkHeader {
+    /// Number of the frame after it.
+    fn next_number(&self) -> u32 {
+        self.frame_number.wrapping_add(self.frame_count as u32)
+    }
+}
+
+/// What bytes begin with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beginning {
+    /// A chunk of the stream, up to its payload at least.
+    Chunk(ChunkHeader),
+    /// Too few bytes to say.
+    Incomplete,
+    /// No chunk of the stream.
+    No,
+}
+
+impl ChunkLayout {
+    fn frame_bytes(&self) -> usize {
+        2 * self.frame_codes
+    }
+
+    /// Whether a message of this length can be a chunk of whole frames.
+    fn can_be(&self, length: usize) -> bool {
+        let frames = length.saturating_sub(LEAST_AROUND).checked_div(self.frame_bytes()).unwrap_or(0);
+        let around = length.saturating_sub(frames * self.frame_bytes());
+        frames > 0 && length <= MAX_RESPONSE && around <= MOST_AROUND + MOST_PER_FRAME * frames
+    }
+
+    /// What these bytes, from the length of a message on, begin with.
+    pub fn beginning(&self, bytes: &[u8]) -> Beginning {
+        match self.header(bytes) {
+            Ok(header) => Beginning::Chunk(header),
+            Err(Stop::Short) => Beginning::Incomplete,
+            Err(Stop::Bad) => Beginning::No,
+        }
+    }
+
+    fn header(&self, bytes: &[u8]) -> Result<ChunkHeader, Stop> {
+        let must = |holds: bool| if holds { Ok(()) } else { Err(Stop::Bad) };
+        let mut cursor = Cursor { bytes, at: 0 };
+        let length = cursor.varint()?;
+        must(length <= MAX_RESPONSE as u64 && self.can_be(length as usize))?;
+        let end = cursor.at + length as usize;
+        must(cursor.varint()? == DATA)?;
+        // The chunk is all there is in the response.
+        let inner = cursor.varint()?;
+        must(inner == (end - cursor.at) as u64)?;
+        let [mut device, mut stream, mut count, mut number] = [0; 4];
+        loop {
+            let tag = cursor.varint()?;
+            match (tag >> 3, tag & 7) {
+                (1, VARINT) => device = cursor.varint()?,
+                (2, VARINT) => stream = cursor.varint()?,
+                (3, VARINT) => count = cursor.varint()?,
+                (4, VARINT) => number = cursor.varint()?,
+                (5, LENGTH_DELIMITED) => break,
+                (0..=6, _) => return Err(Stop::Bad),
+                (_, VARINT) => drop(cursor.varint()?),
+                (_, FIXED_64) => cursor.at += 8,
+                (_, FIXED_32) => cursor.at += 4,
+                (_, LENGTH_DELIMITED) => cursor.at += cursor.varint()?.min(MAX_RESPONSE as u64) as usize,
+                _ => return Err(Stop::Bad),
+            }
+            must(cursor.at < end)?;
+        }
+        let payload = cursor.varint()?;
+        // Negative numbers are written as if they had 64 bits.
+        must((device as i32, stream as i32) == (self.device, self.stream))?;
+        must((1..=MAX_RESPONSE as u64).contains(&count) && payload == count * self.frame_bytes() as u64)?;
+        let (payload_start, frame_count) = (cursor.at, count as usize);
+        let payload_end = payload_start + payload as usize;
+        must(payload_start <= MOST_AROUND && payload_end <= end)?;
+        Ok(ChunkHeader { frame_number: number as u32, frame_count, payload_start, payload_end, end })
+    }
+
+    /// Appends a chunk as the firmware writes it: fields that are zero are left out. Codes are in FIFO order.
+    pub fn encode(&self, frame_number: u32, codes: &[u16], out: &mut Vec<u8>) {
+        let frame_count = codes.len() / self.frame_codes.max(1);
+        let mut fields = Vec::with_capacity(MOST_AROUND);
+        let numbers = [self.device, self.stream, frame_count as i32, frame_number as i32];
+        for (field, number) in (1..).zip(numbers).filter(|(_, number)| *number != 0) {
+            encode_varint(field << 3 | VARINT, &mut fields);
+            encode_varint(i64::from(number) as u64, &mut fields);
+        }
+        encode_varint(5 << 3 | LENGTH_DELIMITED, &mut fields);
+        encode_varint(2 * codes.len() as u64, &mut fields);
+        let inner = (fields.len() + 2 * codes.len()) as u64;
+        encode_varint(1 + varint_length(inner) as u64 + inner, out);
+        encode_varint(DATA, out);
+        encode_varint(inner, out);
+        out.extend(fields);
+        out.extend(codes.iter().flat_map(|code| code.to_le_bytes()));
+    }
+}
+
+/// What a board sends while it measures.
+#[derive(Debug, PartialEq)]
+pub enum ChunkEvent<'a> {
+    /// Frames, one behind the other, each in FIFO order: 12-bit codes, little-endian.
+    Frames {
+        /// Number of the first one, modulo 2^32.
+        frame_number: u32,
+        /// How many there are.
+        frame_count: usize,
+        /// Their codes.
+        codes: &'a [[u8; 2]],
+    },
+    /// A chunk whose number agrees neither with what was before nor with what comes after: it is passed over.
+    Misnumbered,
+    /// The device complains.
+    Error(ErrorResponse),
+    /// Where messages begin is not known any more. Nothing is found until [`ChunkParser::restart`].
+    Damaged,
+}
+
+/// Whether an error begins here: its length, if it is whole.
+fn error_response(bytes: &[u8]) -> Result<(usize, ErrorResponse), Stop> {
+    let mut cursor = Cursor { bytes, at: 0 };
+    let length = cursor.varint()?;
+    if !ERROR_LENGTH.contains(&length) {
+        return Err(Stop::Bad);
+    }
+    let (start, end) = (cursor.at, cursor.at + length as usize);
+    if cursor.varint()? != ERROR || cursor.varint()? != (end - cursor.at) as u64 {
+        return Err(Stop::Bad);
+    }
+    let message = bytes.get(start..end).ok_or(Stop::Short)?;
+    match Response::decode(message) {
+        Ok(Response { answer: Some(Answer::Error(error)) }) if error.code < 0 => Ok((end, error)),
+        _ => Err(Stop::Bad),
+    }
+}
+
+/// Finds the chunks of one stream in what the host received.
+///
+/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error) begins right behind it, or
+/// when the line is silent there ([`Self::on_silence`]). A chunk that was cut short has swallowed the head of its
+/// successor, so that none begins behind it; and what it swallowed are no codes, if it was more than two bytes: any
+/// four bytes of a head, taken as two codes, have one beyond 4095. Two bytes may pass for a code: if the last bytes of
+/// a chunk could be the first ones of another, silence does not confirm it.
+#[derive(Debug)]
+pub struct ChunkParser {
+    layout: ChunkLayout,
+    buffer: Vec<u8>,
+    /// Bytes of `buffer` that have been handed out.
+    used: usize,
+    /// Number of the next frame.
+    next_number: u32,
+    silent: bool,
+    damaged: bool,
+}
+
+impl ChunkParser {
+    /// An empty parser for a stream whose next frame has this number.
+    pub fn new(layout: ChunkLayout, next_number: u32) -> Self {
+        ChunkParser { layout, buffer: Vec::new(), used: 0, next_number, silent: false, damaged: false }
+    }
+
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.silent &= bytes.is_empty();
+        self.buffer.drain(..self.used);
+        self.used = 0;
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Forgets everything: the stream begins anew with a frame of this number.
+    pub fn restart(&mut self, next_number: u32) {
+        self.buffer.clear();
+        (self.used, self.next_number, self.silent, self.damaged) = (0, next_number, false, false);
+    }
+
+    /// To be called when nothing has come for as long as takes nothing to come between two packets of a message.
+    pub fn on_silence(&mut self) {
+        self.silent = true;
+    }
+
+    /// To be called when nothing has come for so long that the rest of a message will not come.
+    pub fn on_long_silence(&mut self) {
+        if self.is_waiting() && !self.ends_whole() {
+            self.damaged = true;
+        }
+    }
+
+    /// Whether something that is not confirmed or not whole waits for what follows.
+    pub fn is_waiting(&self) -> bool {
+        self.used < self.buffer.len()
+    }
+
+    fn rest(&self) -> &[u8] {
+        self.buffer.get(self.used..).unwrap_or(&[])
+    }
+
+    /// Whether the bytes end where a chunk does.
+    fn ends_whole(&self) -> bool {
+        matches!(self.layout.beginning(self.rest()), Beginning::Chunk(header) if header.end == self.rest().len())
+    }
+
+    /// The next event; `None` until more bytes come, or silence.
+    pub fn next_event(&mut self) -> Option<ChunkEvent<'_>> {
+        if self.damaged {
+            return Some(ChunkEvent::Damaged);
+        }
+        let header = match self.layout.beginning(self.rest()) {
+            Beginning::Chunk(header) => header,
+            Beginning::Incomplete => return None,
+            Beginning::No => {
+                return match error_response(self.rest()) {
+                    Ok((length, error)) => {
+                        self.used += length;
+                        Some(ChunkEvent::Error(error))
+                    }
+                    Err(Stop::Short) => None,
+                    Err(Stop::Bad) => self.damage(),
+                };
+            }
+        };
+        let message = self.rest().get(..header.end)?;
+        let after = self.rest().get(header.end..).unwrap_or(&[]);
+        let is_next = header.frame_number == self.next_number;
+        let is_confirmed = match self.layout.beginning(after) {
+            _ if after.is_empty() => match self.silent && is_next && !self.may_have_swallowed(&header, message) {
+                true => true,
+                false => return None,
+            },
+            Beginning::Incomplete => return None,
+            // A jump of the number is believed if the successor goes on from there.
+            Beginning::Chunk(next) => is_next || next.frame_number == header.next_number(),
+            Beginning::No => match error_response(after) {
+                Ok(_) => is_next,
+                Err(Stop::Short) => return None,
+                Err(Stop::Bad) => return self.damage(),
+            },
+        };
+        let start = self.used;
+        self.used += header.end;
+        let ahead = header.frame_number.wrapping_sub(self.next_number);
+        if !is_confirmed || (MOST_MISSING..0u32.wrapping_sub(MOST_MISSING)).contains(&ahead) {
+            return Some(ChunkEvent::Misnumbered);
+        }
+        // What came again, or late, is for the caller to pass over.
+        if ahead < MOST_MISSING {
+            self.next_number = header.next_number();
+        }
+        let payload = self.buffer.get(start + header.payload_start..start + header.payload_end).unwrap_or(&[]);
+        let (codes, _) = payload.as_chunks::<2>();
+        if codes.iter().any(|code| u16::from_le_bytes(*code) > MAX_CODE) {
+            self.damaged = true;
+            return Some(ChunkEvent::Damaged);
+        }
+        Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
+    }
+
+    /// Whether the last bytes of a chunk could be the first ones of another: then nobody can say without its successor
+    /// that it is whole.
+    fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
+        let could_begin = |bytes: &[u8]| self.layout.beginning(bytes) != Beginning::No;
+        header.payload_end != header.end
+            || (1..=MOST_AROUND).filter_map(|length| message.get(message.len().checked_sub(length)?..)).any(could_begin)
+    }
+
+    fn damage(&mut self) -> Option<ChunkEvent<'_>> {
+        self.damaged = true;
+        Some(ChunkEvent::Damaged)
+    }
+}
