@@ -1,6 +1,8 @@
-//! Boards on their serial ports: a Radar Baseboard MCU7 ([`Board`]), and one that only prints ([`LineStream`]).
+//! Boards on their serial ports: a Radar Baseboard MCU7 ([`Board`]), a PSoC 6 kit with DEEPCRAFT firmware
+//! ([`DeepcraftBoard`]), and one that only prints ([`LineStream`]).
 
 mod assembler;
+mod deepcraft;
 mod detect;
 mod lines;
 mod link;
@@ -20,6 +22,7 @@ use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
     Protocol, SpiWord, Status,
 };
+pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
 pub use detect::Detected;
 pub use lines::LineStream;
 use link::Link;
@@ -88,7 +91,7 @@ pub enum BoardError {
         source: std::io::Error,
     },
     /// Nothing came back.
-    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata firmware?", path = path.display())]
+    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?", path = path.display())]
     NoAnswer {
         /// Port.
         path: PathBuf,
@@ -189,6 +192,14 @@ pub enum BoardError {
     WaveformUntold {
         /// Port.
         path: PathBuf,
+    },
+    /// What only DEEPCRAFT boards do.
+    #[error("{path}: {source}", path = path.display())]
+    Deepcraft {
+        /// Port.
+        path: PathBuf,
+        /// What it is.
+        source: DeepcraftError,
     },
     /// The acquisition has ended.
     #[error("the acquisition has been stopped")]

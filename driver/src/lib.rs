@@ -14,7 +14,10 @@ pub mod recording;
 pub mod replay;
 mod timing;
 
-pub use board::{Board, BoardError, BoardIdentity, BoardStream, Detected, LineStream, Reconnect};
+pub use board::{
+    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, LineStream,
+    Reconnect,
+};
 pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};
 pub use recording::RecordingError;

@@ -1,6 +1,9 @@
-//! When to try again with a board that has gone or fallen silent.
+//! When to try again with a board that has gone or fallen silent, and what was lost.
 
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
+
+use radome_dsp::{Gap, GapReason};
 
 use super::BoardError;
 
@@ -33,6 +36,46 @@ impl Reconnect {
         let longest = self.longest_wait.max(self.first_wait);
         std::iter::successors(Some(self.first_wait), move |wait| Some(wait.saturating_mul(2).min(longest)))
     }
+
+    /// Tries again and again until the board is back; gives the error that led here if it does not come. The last frame
+    /// came at `last_frame`.
+    pub(super) fn until_back(
+        self,
+        last_frame: Instant,
+        error: BoardError,
+        mut reopen: impl FnMut() -> Result<(), BoardError>,
+    ) -> Result<(), BoardError> {
+        tracing::warn!(%error, "the board is opened again");
+        for wait in self.waits() {
+            let left = self.give_up_after.saturating_sub(last_frame.elapsed());
+            if left.is_zero() {
+                break;
+            }
+            thread::sleep(wait.min(left));
+            match reopen() {
+                Err(error) if error.is_passing() => tracing::debug!(%error, "the board is not back yet"),
+                result => return result,
+            }
+        }
+        Err(error)
+    }
+}
+
+/// Frames lost, by reason.
+#[derive(Debug, Default)]
+pub(super) struct Losses(Vec<(GapReason, u64)>);
+
+impl Losses {
+    pub fn count(&mut self, gap: &Gap) {
+        match self.0.iter_mut().find(|(reason, _)| *reason == gap.reason) {
+            Some((_, frames)) => *frames += gap.frames,
+            None => self.0.push((gap.reason, gap.frames)),
+        }
+    }
+
+    pub fn frames(&self, reason: GapReason) -> u64 {
+        self.0.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
+    }
 }
 
 impl BoardError {
@@ -50,6 +93,7 @@ impl BoardError {
             | BoardError::ChipSilent { .. }
             | BoardError::Acquisition { .. }
             | BoardError::Stalled { .. } => true,
+            BoardError::Deepcraft { source, .. } => source.is_passing(),
             BoardError::Protocol { .. }
             | BoardError::OtherChip { .. }
             | BoardError::OtherBoard { .. }

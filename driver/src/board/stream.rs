@@ -1,14 +1,14 @@
 //! Frames as a board sends them.
 
 use std::path::PathBuf;
-use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
-use super::{Board, BoardError, Reconnect};
+use super::reconnect::{Losses, Reconnect};
+use super::{Board, BoardError};
 use crate::chip::{ChipConfiguration, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
 
@@ -30,8 +30,7 @@ pub struct BoardStream {
     reconnect: Option<Reconnect>,
     /// When the last frame was handed out, or the stream began.
     last_frame: Instant,
-    /// Frames lost, by reason.
-    lost: Vec<(GapReason, u64)>,
+    losses: Losses,
 }
 
 impl BoardStream {
@@ -53,7 +52,7 @@ impl BoardStream {
             uuid: board.identity().uuid.clone(),
             reconnect: None,
             last_frame: Instant::now(),
-            lost: Vec::with_capacity(8),
+            losses: Losses::default(),
             board: Some(board),
             waveform: realised,
             registers,
@@ -91,49 +90,26 @@ impl BoardStream {
 
     /// Frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.lost.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
-    }
-
-    fn count(&mut self, gap: &Gap) {
-        match self.lost.iter_mut().find(|(reason, _)| *reason == gap.reason) {
-            Some((_, frames)) => *frames += gap.frames,
-            None => self.lost.push((gap.reason, gap.frames)),
-        }
+        self.losses.frames(reason)
     }
 
     /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        tracing::warn!(%error, "the board is opened again");
         // The old port must be closed before the new one can be had.
         self.board = None;
         self.restart = None;
-        for wait in policy.waits() {
-            let left = policy.give_up_after.saturating_sub(self.last_frame.elapsed());
-            if left.is_zero() {
-                break;
+        policy.until_back(self.last_frame, error, || {
+            self.board = None;
+            let board = Board::open(&self.path)?;
+            if board.identity().uuid != self.uuid {
+                let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
+                return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
             }
-            thread::sleep(wait.min(left));
-            let attempt = Board::open(&self.path).and_then(|board| {
-                if board.identity().uuid != self.uuid {
-                    let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
-                    return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-                }
-                self.board = Some(board);
-                self.program()
-            });
-            match attempt {
-                Ok(()) => {
-                    self.assembler.reconnected();
-                    return Ok(());
-                }
-                Err(error) if error.is_passing() => {
-                    tracing::debug!(%error, "the board is not back yet");
-                    self.board = None;
-                }
-                Err(error) => return Err(error),
-            }
-        }
-        Err(error)
+            self.board = Some(board);
+            self.program()?;
+            self.assembler.reconnected();
+            Ok(())
+        })
     }
 
     /// The next frame or gap, or an error after the deadline.
@@ -159,7 +135,7 @@ impl BoardStream {
                         frame.host_time_ns = now.as_nanos() as u64;
                         self.last_frame = Instant::now();
                     }
-                    SourceEvent::Gap(gap) => self.count(gap),
+                    SourceEvent::Gap(gap) => self.losses.count(gap),
                     SourceEvent::End => {}
                 }
                 return Ok(Some(event));

@@ -6,6 +6,7 @@
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
 
 mod chip;
+mod deepcraft;
 mod esp32;
 mod faults;
 mod mcu7;
@@ -24,7 +25,9 @@ use std::time::Duration;
 use radome_dsp::{FrameSource, Waveform};
 use thiserror::Error;
 
+use crate::chip::ChipError;
 use crate::protocol::strata::Protocol;
+use deepcraft::Deepcraft;
 use esp32::Esp32;
 pub use faults::{Fault, FaultError};
 use mcu7::Mcu7;
@@ -49,6 +52,8 @@ pub enum Kind {
     Mcu7V4,
     /// Radar Baseboard MCU7 with protocol 3.
     Mcu7V3,
+    /// PSoC 6 kit with DEEPCRAFT firmware, set to the waveform of the source.
+    Deepcraft,
     /// ESP32 that prints its frames.
     Esp32,
 }
@@ -90,6 +95,9 @@ pub enum EmulatorError {
     /// No thread.
     #[error("emulator: cannot start a thread")]
     Thread(#[source] std::io::Error),
+    /// The chip cannot be set to the waveform of the source.
+    #[error(transparent)]
+    Chip(#[from] ChipError),
     /// The speed makes no sense.
     #[error("emulator: speed is {speed}, it must be a positive number")]
     Speed {
@@ -133,12 +141,14 @@ fn firmware(
     source: Box<dyn FrameSource>,
     options: &EmulatorOptions,
     shared: &Arc<Shared>,
-) -> std::io::Result<Box<dyn Firmware + Send>> {
+) -> Result<Box<dyn Firmware + Send>, EmulatorError> {
     let shared = shared.clone();
+    let mcu7 = |source, protocol, shared| Mcu7::new(source, protocol, options, shared).map_err(EmulatorError::Thread);
     Ok(match options.kind {
-        Kind::Mcu7V4 => Box::new(Mcu7::new(source, Protocol::V4, options, shared)?),
-        Kind::Mcu7V3 => Box::new(Mcu7::new(source, Protocol::V3, options, shared)?),
-        Kind::Esp32 => Box::new(Esp32::new(source, options, shared)?),
+        Kind::Mcu7V4 => Box::new(mcu7(source, Protocol::V4, shared)?),
+        Kind::Mcu7V3 => Box::new(mcu7(source, Protocol::V3, shared)?),
+        Kind::Deepcraft => Box::new(Deepcraft::new(source, options, shared)?),
+        Kind::Esp32 => Box::new(Esp32::new(source, options, shared).map_err(EmulatorError::Thread)?),
     })
 }
 
@@ -156,7 +166,7 @@ impl EmulatedBoard {
             port.link(link).map_err(|source| EmulatorError::Link { path: link.clone(), source })?;
         }
         let shared = Arc::new(Shared::default());
-        let mut firmware = firmware(source, &options, &shared).map_err(EmulatorError::Thread)?;
+        let mut firmware = firmware(source, &options, &shared)?;
         let link = options.link.clone();
         let mut wire = Wire::new(port, options.link, options.faults, shared.clone());
         let path = wire.path().to_owned();

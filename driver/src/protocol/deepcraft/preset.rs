@@ -22,8 +22,7 @@ pub enum Preset {
 
 impl Preset {
     /// All of them, in the firmware's order.
-    pub const ALL: [Preset; 4] =
-        [Preset::Default, Preset::Gesture, Preset::MacroPresence, Preset::MicroPresence];
+    pub const ALL: [Preset; 4] = [Preset::Default, Preset::Gesture, Preset::MacroPresence, Preset::MicroPresence];
 
     /// Name of its item.
     pub fn name(self) -> &'static str {

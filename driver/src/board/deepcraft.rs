@@ -1,0 +1,202 @@
+//! A PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]).
+
+mod error;
+mod link;
+mod order;
+mod stream;
+
+use std::path::Path;
+use std::time::Duration;
+
+use radome_dsp::Waveform;
+
+use super::{BoardError, BoardIdentity, CHIP_ID_BGT60TR13C, chip_name};
+use crate::chip::RegisterList;
+use crate::protocol::deepcraft::{
+    Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,
+    Preset, RING_CODES, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,
+    stated_frequency_hz,
+};
+pub use error::DeepcraftError;
+use link::Link;
+pub use stream::DeepcraftStream;
+
+/// Identifiers of the firmware's USB device; the protocol does not tell them.
+const USB_ID: (u16, u16) = (0x058B, 0x027D);
+/// Name of the device that is a radar.
+const RADAR: &str = "Radar";
+
+/// A board that has been identified and does not measure.
+pub struct DeepcraftBoard {
+    link: Link,
+    identity: BoardIdentity,
+    /// Number of the radar among the board's devices.
+    device: i32,
+    /// Items of its use cases, and what is set.
+    items: Vec<String>,
+    configured: Option<Waveform>,
+    watchdog: Option<Duration>,
+}
+
+/// A waveform, and what sets the radar to it.
+struct Setting {
+    waveform: Waveform,
+    registers: RegisterList,
+    options: Vec<OptionValue>,
+}
+
+/// The radar's stream, as set.
+struct Stream {
+    index: i32,
+    next_number: u32,
+}
+
+impl DeepcraftBoard {
+    /// Opens a port and asks what is there. A board that speaks another protocol is not disturbed, and is given up after
+    /// about a second.
+    ///
+    /// # Errors
+    /// The port cannot be had; nobody answers; the firmware speaks another version; the board has no radar.
+    pub fn open(path: &Path) -> Result<Self, BoardError> {
+        let mut link = Link::open(path)?;
+        let answer = link.capabilities()?;
+        let board = answer.board.unwrap_or_default();
+        let version = board.protocol_version.clone().unwrap_or_default();
+        if version.major != PROTOCOL_VERSION[0] {
+            return Err(link.wrong(DeepcraftError::Protocol { major: version.major, minor: version.minor }));
+        }
+        let is_radar = |d: &&Device| d.device_type == device_type::SENSOR && d.name.eq_ignore_ascii_case(RADAR);
+        let Some(radar) = board.devices.iter().find(is_radar) else {
+            let names: Vec<&str> = board.devices.iter().map(|d| d.name.as_str()).collect();
+            return Err(link.wrong(DeepcraftError::NoRadar { devices: names.join(", ") }));
+        };
+        let items = match option(radar, USE_CASE) {
+            Some(OptionKind::OneOf(use_case)) => use_case.items.clone(),
+            _ => return Err(link.wrong(DeepcraftError::NoOption { what: "use cases" })),
+        };
+        let watchdog = u64::try_from(board.watchdog_timeout).ok().filter(|ms| *ms > 0).map(Duration::from_millis);
+        Ok(DeepcraftBoard {
+            identity: identity(&board, radar),
+            device: radar.device_id,
+            configured: configured(radar),
+            items,
+            watchdog,
+            link,
+        })
+    }
+
+    /// Who the board says it is.
+    pub fn identity(&self) -> &BoardIdentity {
+        &self.identity
+    }
+
+    /// Port that it is on.
+    pub fn path(&self) -> &Path {
+        &self.link.path
+    }
+
+    /// Waveform that the radar is set to: one built into the firmware, or one that it was given. `None` if what it was given
+    /// is none.
+    pub fn configured_waveform(&self) -> Option<Waveform> {
+        self.configured.clone()
+    }
+
+    /// Sets the radar and starts measuring: with a waveform of the firmware's own if it is one exactly, else with the
+    /// chip's registers; the stream's waveform then has the chirp interval that they realise.
+    pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
+        let codes = waveform.shape().codes();
+        if codes > RING_CODES || !codes.is_multiple_of(2) {
+            return Err(self.link.wrong(DeepcraftError::Frame { codes }));
+        }
+        let setting = self.setting(waveform)?;
+        DeepcraftStream::start(self, setting)
+    }
+
+    fn setting(&self, waveform: &Waveform) -> Result<Setting, BoardError> {
+        let item = |name: &str| {
+            let index = self.items.iter().position(|item| item == name);
+            index.map(|index| OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(index as i32)) })
+        };
+        if let Some(preset) = Preset::of(waveform).and_then(|preset| item(preset.name())) {
+            let (waveform, registers) = (waveform.clone(), RegisterList::new());
+            return Ok(Setting { waveform, registers, options: vec![preset] });
+        }
+        let custom = Custom::compile(waveform)?;
+        let blob = OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(custom.encode())) };
+        let use_case = item(CUSTOM).ok_or_else(|| {
+            self.link.wrong(DeepcraftError::NoOption { what: "use case for a waveform of one's own" })
+        })?;
+        Ok(Setting { waveform: custom.waveform, registers: custom.registers, options: vec![blob, use_case] })
+    }
+
+    /// Sets the radar, which is stopped for it, and checks what it makes of it.
+    fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
+        let device = self.device;
+        let answer = self
+            .link
+            .configure(|tag| Command::Configure(ConfigureRequest { device, options: setting.options.clone(), tag }))?;
+        if answer.status == device_status::ERROR {
+            return Err(self.link.wrong(DeepcraftError::Device { message: answer.status_message }));
+        }
+        check(&answer.streams, &setting.waveform).map_err(|e| self.link.wrong(e))
+    }
+}
+
+fn option(device: &Device, option_id: i32) -> Option<&OptionKind> {
+    device.options.iter().find(|o| o.option_id == option_id)?.kind.as_ref()
+}
+
+fn identity(board: &Board, radar: &Device) -> BoardIdentity {
+    let dotted = |version: &Option<Version>| {
+        let version = version.clone().unwrap_or_default();
+        format!("{}.{}.{}", version.major, version.minor, version.build)
+    };
+    let uuid = board.serial.as_ref().map_or(&[][..], |serial| &serial.uuid);
+    BoardIdentity {
+        name: board.name.clone(),
+        vendor_id: USB_ID.0,
+        product_id: USB_ID.1,
+        firmware_version: dotted(&board.firmware_version),
+        extended_version: radar.description.clone(),
+        protocol_version: dotted(&board.protocol_version),
+        uuid: (0..16).map(|i| format!("{:02x}", uuid.get(i).unwrap_or(&0))).collect(),
+        // The kits that this firmware is for have this one; the protocol does not tell.
+        chip: chip_name(CHIP_ID_BGT60TR13C).to_owned(),
+        chip_id: CHIP_ID_BGT60TR13C,
+    }
+}
+
+fn configured(radar: &Device) -> Option<Waveform> {
+    let Some(OptionKind::OneOf(use_case)) = option(radar, USE_CASE) else { return None };
+    let item = use_case.items.get(usize::try_from(use_case.current_index).ok()?)?;
+    if let Some(preset) = Preset::from_name(item) {
+        return preset.waveform().ok();
+    }
+    let Some(OptionKind::Blob(blob)) = option(radar, CUSTOM_DATA) else { return None };
+    let custom = Custom::decode(&blob.current_value);
+    custom.inspect_err(|error| tracing::warn!(%error, "the radar's custom data")).ok().map(|custom| custom.waveform)
+}
+
+/// Finds the radar's stream and holds it against the waveform.
+fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, DeepcraftError> {
+    let differ = |what, expected: String, got: String| Err(DeepcraftError::Stream { what, expected, got });
+    let Some((index, stream)) = (0..).zip(streams).find(|(_, s)| s.direction == direction::OUTPUT) else {
+        return differ("frames for the host:", "one stream".into(), "none".into());
+    };
+    if stream.data_type != data_type::S16 {
+        return differ("data type", data_type::S16.to_string(), stream.data_type.to_string());
+    }
+    let shape = waveform.shape();
+    let expected = [("Antenna", shape.rx), ("Chirp", shape.chirps), ("Sample", shape.samples)];
+    let got: Vec<(&str, usize)> =
+        stream.shape.iter().map(|d| (d.name.as_str(), usize::try_from(d.size).unwrap_or(0))).collect();
+    if got != expected {
+        return differ("shape", format!("{expected:?}"), format!("{got:?}"));
+    }
+    // A rounded number may fall to either side.
+    let expected = stated_frequency_hz(waveform);
+    if (stream.frequency - expected).abs() > 1.0 {
+        return differ("frequency", format!("{expected} Hz"), format!("{} Hz", stream.frequency));
+    }
+    Ok(Stream { index, next_number: stream.current_frame as u32 })
+}

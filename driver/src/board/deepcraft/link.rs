@@ -1,0 +1,206 @@
+//! Requests and answers over a serial port.
+
+use std::io::{ErrorKind, Read, Write};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use prost::Message;
+use serialport::{SerialPort, TTYPort};
+
+use super::{BoardError, DeepcraftError};
+use crate::protocol::deepcraft::{
+    ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
+    MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
+};
+
+/// Of no meaning on a CDC port.
+const BAUD_RATE: u32 = 921_600;
+/// Bytes taken from the port at once.
+const BUFFER: usize = 65_536;
+/// Longest that a board takes to answer, by the number of the attempt to reach it.
+const FIRST_ANSWER: Duration = Duration::from_millis(300);
+const ANSWER: Duration = Duration::from_secs(1);
+/// Attempts to reach a board.
+const ATTEMPTS: u32 = 3;
+/// A board that has been stopped says nothing after so long.
+const DRAINED: Duration = Duration::from_millis(30);
+/// Longest that a board is drained.
+const DRAIN_LIMIT: Duration = Duration::from_millis(500);
+/// Empty requests that make up for the rest of one that the board may wait for. Somebody who takes the port for a modem
+/// (`AT`) has announced 65 bytes to the board.
+const UNBLOCK: [u8; 128] = [0; 128];
+/// Tags begin here: with a tag of four bytes a request for the capabilities has ten, and whatever firmware has a header of
+/// eight refuses it at once instead of waiting for more.
+const FIRST_TAG: i32 = 1 << 24;
+
+/// [`Command::WatchdogReset`], written out: a running stream sends it without allocating.
+const WATCHDOG_RESET: [u8; 3] = [2, 5 << 3 | 2, 0];
+
+pub(super) struct Link {
+    pub path: PathBuf,
+    port: TTYPort,
+    buffer: Vec<u8>,
+    tag: i32,
+}
+
+impl Link {
+    pub fn open(path: &Path) -> Result<Self, BoardError> {
+        let port = super::super::link::open_port(path, BAUD_RATE)?;
+        Ok(Link { path: path.into(), port, buffer: vec![0; BUFFER], tag: FIRST_TAG })
+    }
+
+    fn lost(&self, source: std::io::Error) -> BoardError {
+        BoardError::Disconnected { path: self.path.clone(), source }
+    }
+
+    pub fn wrong(&self, source: DeepcraftError) -> BoardError {
+        BoardError::Deepcraft { path: self.path.clone(), source }
+    }
+
+    /// Waits for bytes, at most so long; none if none came.
+    pub fn receive(&mut self, timeout: Duration) -> Result<&[u8], BoardError> {
+        self.port.set_timeout(timeout.max(Duration::from_millis(1))).map_err(|e| self.lost(e.into()))?;
+        match self.port.read(&mut self.buffer) {
+            Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
+            Ok(count) => Ok(self.buffer.get(..count).unwrap_or(&[])),
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
+                Ok(&[])
+            }
+            Err(e) => Err(self.lost(e)),
+        }
+    }
+
+    fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
+        self.port.set_timeout(ANSWER).map_err(|e| self.lost(e.into()))?;
+        self.port.write_all(bytes).map_err(|e| match e.kind() {
+            ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
+            _ => self.lost(e),
+        })
+    }
+
+    /// Sends a request that has no answer.
+    pub fn send(&mut self, command: Command) -> Result<(), BoardError> {
+        let name = name(&command);
+        let mut bytes = Vec::new();
+        Request::from(command).encode_to(&mut bytes);
+        self.write(&bytes, name)
+    }
+
+    /// Tells the board that the host is alive.
+    pub fn reset_watchdog(&mut self) -> Result<(), BoardError> {
+        self.write(&WATCHDOG_RESET, "watchdog reset")
+    }
+
+    /// Stops all devices and passes over what they have sent.
+    pub fn stop(&mut self) -> Result<(), BoardError> {
+        self.send(Command::Stop(StopRequest { device: ALL_DEVICES }))?;
+        self.drain()
+    }
+
+    fn drain(&mut self) -> Result<(), BoardError> {
+        let end = Instant::now() + DRAIN_LIMIT;
+        while Instant::now() < end && !self.receive(DRAINED)?.is_empty() {}
+        Ok(())
+    }
+
+    /// Asks the board what it has; whatever is on the line when it is opened is passed over.
+    pub fn capabilities(&mut self) -> Result<CapabilitiesResponse, BoardError> {
+        for attempt in 0..ATTEMPTS {
+            if attempt > 0 {
+                self.write(&UNBLOCK, "capabilities")?;
+                self.drain()?;
+            }
+            let tag = self.next_tag();
+            let mut bytes = Vec::new();
+            Request::from(Command::Stop(StopRequest { device: ALL_DEVICES })).encode_to(&mut bytes);
+            Request::from(Command::Capabilities(CapabilitiesRequest { device: ALL_DEVICES, tag }))
+                .encode_to(&mut bytes);
+            self.write(&bytes, "capabilities")?;
+            let found = self.wait(FIRST_ANSWER, |answer| match answer {
+                Answer::Capabilities(response) if response.tag == tag => Some(Ok(response)),
+                _ => None,
+            })?;
+            if let Some(response) = found {
+                return response;
+            }
+        }
+        Err(BoardError::NoAnswer { path: self.path.clone(), command: "capabilities" })
+    }
+
+    /// Stops the board and sets options. The answer is the first thing that counts: nothing of a former stream can follow
+    /// it.
+    pub fn configure(&mut self, command: impl Fn(i32) -> Command) -> Result<ConfigureResponse, BoardError> {
+        for _ in 0..ATTEMPTS {
+            self.stop()?;
+            let tag = self.next_tag();
+            self.send(command(tag))?;
+            let refused = |code, message| DeepcraftError::Refused { command: "configuration", code, message };
+            let found = self.wait(ANSWER, |answer| match answer {
+                Answer::Configuration(response) if response.tag == tag => Some(Ok(response)),
+                Answer::Error(error) => Some(Err(refused(ErrorCode::from_code(error.code), error.message))),
+                _ => None,
+            })?;
+            match found {
+                Some(Ok(response)) => return Ok(response),
+                Some(Err(refused)) => return Err(self.wrong(refused)),
+                // The rest of a message stood before the answer, or the board was not silent yet.
+                None => {}
+            }
+        }
+        Err(BoardError::NoAnswer { path: self.path.clone(), command: "configuration" })
+    }
+
+    fn next_tag(&mut self) -> i32 {
+        self.tag += 1;
+        self.tag
+    }
+
+    /// Waits for an answer that is accepted. `None` if it does not come, or if what comes is no message.
+    fn wait<T>(
+        &mut self,
+        timeout: Duration,
+        mut accept: impl FnMut(Answer) -> Option<T>,
+    ) -> Result<Option<T>, BoardError> {
+        let end = Instant::now() + timeout;
+        let mut parser = MessageParser::new(MAX_RESPONSE);
+        loop {
+            while let Some(message) = parser.next_message() {
+                let Ok(Ok(response)) = message.map(Response::decode) else { return Ok(None) };
+                if let Some(accepted) = response.answer.and_then(&mut accept) {
+                    return Ok(Some(accepted));
+                }
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return Ok(None);
+            }
+            parser.push(self.receive(left.min(Duration::from_millis(50)))?);
+        }
+    }
+}
+
+/// What a command is for, in words.
+fn name(command: &Command) -> &'static str {
+    match command {
+        Command::Capabilities(_) => "capabilities",
+        Command::Configure(_) => "configuration",
+        Command::Start(_) => "start",
+        Command::Stop(_) => "stop",
+        Command::WatchdogReset(_) => "watchdog reset",
+        Command::Data(_) => "data",
+        Command::Reset(_) => "reset",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::deepcraft::Empty;
+
+    #[test]
+    fn the_watchdog_reset_is_what_it_stands_for() {
+        let mut bytes = Vec::new();
+        Request::from(Command::WatchdogReset(Empty {})).encode_to(&mut bytes);
+        assert_eq!(bytes, WATCHDOG_RESET);
+    }
+}

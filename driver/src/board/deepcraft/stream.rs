@@ -1,0 +1,254 @@
+//! Frames as a DEEPCRAFT board sends them.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+
+use super::order::Order;
+use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
+use crate::board::reconnect::{Losses, Reconnect};
+use crate::chip::RegisterList;
+use crate::protocol::deepcraft::{
+    ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
+};
+
+/// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
+const SILENCE: Duration = Duration::from_millis(5);
+/// After so long without a byte the rest of a message will not come. What comes later still is told from it by its form.
+const LONG_SILENCE: Duration = Duration::from_millis(500);
+
+/// A running acquisition. It ends with [`DeepcraftStream::stop`] or when dropped.
+///
+/// A board with a watchdog stops by itself unless it hears from the host. It is told that the host is alive whenever the
+/// stream is polled and a third of the watchdog's time has passed; who does not poll for longer than that time finds the
+/// stream started anew, and what was not measured meanwhile as a gap.
+pub struct DeepcraftStream {
+    board: Option<DeepcraftBoard>,
+    setting: Setting,
+    parser: ChunkParser,
+    order: Order,
+    /// Longest silence between two chunks.
+    deadline: Duration,
+    watchdog: Option<Duration>,
+    watchdog_reset: Instant,
+    restart: Option<GapReason>,
+    path: PathBuf,
+    uuid: String,
+    reconnect: Option<Reconnect>,
+    last_byte: Instant,
+    /// When the last chunk came, or the stream began.
+    last_chunk: Instant,
+    losses: Losses,
+}
+
+impl DeepcraftStream {
+    pub(super) fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
+        let shape = setting.waveform.shape();
+        let stream = board.set(&setting)?;
+        let layout = ChunkLayout { device: board.device, stream: stream.index, frame_codes: shape.codes() };
+        let parser = ChunkParser::new(layout, stream.next_number);
+        // Small frames come together, when they fill what the firmware reads at once.
+        let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
+        let now = Instant::now();
+        let mut stream = DeepcraftStream {
+            order: Order::new(&setting.waveform, stream.next_number),
+            parser,
+            deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
+            setting,
+            watchdog: board.watchdog,
+            watchdog_reset: now,
+            restart: None,
+            path: board.link.path.clone(),
+            uuid: board.identity.uuid.clone(),
+            reconnect: None,
+            last_byte: now,
+            last_chunk: now,
+            losses: Losses::default(),
+            board: Some(board),
+        };
+        stream.begin()?;
+        Ok(stream)
+    }
+
+    fn board(&mut self) -> Result<&mut DeepcraftBoard, BoardError> {
+        self.board.as_mut().ok_or(BoardError::Stopped)
+    }
+
+    fn begin(&mut self) -> Result<(), BoardError> {
+        let board = self.board()?;
+        let device = board.device;
+        board.link.reset_watchdog()?;
+        board.link.send(Command::Start(StartRequest { device }))?;
+        (self.last_byte, self.watchdog_reset) = (Instant::now(), Instant::now());
+        Ok(())
+    }
+
+    fn begin_anew(&mut self) -> Result<(), BoardError> {
+        let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
+        let stream = board.set(&self.setting)?;
+        self.parser.restart(stream.next_number);
+        self.begin()
+    }
+
+    /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
+    /// then waits for it, and what was lost meanwhile is a gap counted by the host's clock.
+    pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
+        self.reconnect = Some(policy);
+        self
+    }
+
+    /// Frames lost so far for this reason.
+    pub fn lost_frames(&self, reason: GapReason) -> u64 {
+        self.losses.frames(reason)
+    }
+
+    /// Registers that the board was given; none where it has them built in.
+    pub fn registers(&self) -> &RegisterList {
+        &self.setting.registers
+    }
+
+    /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
+    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
+        // The old port must be closed before the new one can be had.
+        self.board = None;
+        self.restart = None;
+        policy.until_back(self.last_chunk, error, || {
+            self.board = None;
+            let board = DeepcraftBoard::open(&self.path)?;
+            if board.identity.uuid != self.uuid {
+                let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
+                return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
+            }
+            self.board = Some(board);
+            self.begin_anew()?;
+            self.order.restart(GapReason::Disconnected);
+            Ok(())
+        })
+    }
+
+    /// The next frame or gap, or `None` if it is not there within `timeout`.
+    pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
+        let end = Instant::now() + timeout;
+        let mut tried = false;
+        loop {
+            self.keep_alive()?;
+            if let Some(event) = self.order.pop(frame) {
+                match &event {
+                    SourceEvent::Gap(gap) => self.losses.count(gap),
+                    _ => {
+                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                        frame.host_time_ns = now.as_nanos() as u64;
+                    }
+                }
+                return Ok(Some(event));
+            }
+            if let Some(reason) = self.restart.take() {
+                tracing::warn!(reason = reason.name(), "the board is started anew");
+                self.order.restart(reason);
+                self.begin_anew()?;
+            }
+            match self.parser.next_event() {
+                Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
+                    self.order.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
+                    self.last_chunk = Instant::now();
+                    continue;
+                }
+                Some(ChunkEvent::Misnumbered) => {
+                    self.order.damaged();
+                    continue;
+                }
+                Some(ChunkEvent::Damaged) => {
+                    self.restart = Some(GapReason::Crc);
+                    continue;
+                }
+                Some(ChunkEvent::Error(error)) => {
+                    let (code, message) = (ErrorCode::from_code(error.code), error.message);
+                    let source = DeepcraftError::Refused { command: "start", code, message };
+                    return Err(BoardError::Deepcraft { path: self.path.clone(), source });
+                }
+                None => {}
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() && tried {
+                return Ok(None);
+            }
+            tried = true;
+            self.receive(left)?;
+        }
+    }
+
+    /// Waits for bytes, at most so long, and notes silence.
+    fn receive(&mut self, timeout: Duration) -> Result<(), BoardError> {
+        let longest = if self.parser.is_waiting() { SILENCE } else { Duration::from_millis(50) };
+        let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
+        let bytes = board.link.receive(timeout.min(longest))?;
+        if !bytes.is_empty() {
+            self.last_byte = Instant::now();
+            self.parser.push(bytes);
+            return Ok(());
+        }
+        if self.last_byte.elapsed() >= SILENCE {
+            self.parser.on_silence();
+        }
+        if self.last_byte.elapsed() >= LONG_SILENCE {
+            self.parser.on_long_silence();
+        }
+        Ok(())
+    }
+
+    fn keep_alive(&mut self) -> Result<(), BoardError> {
+        let (Some(timeout), Some(board)) = (self.watchdog, &mut self.board) else { return Ok(()) };
+        let elapsed = self.watchdog_reset.elapsed();
+        if elapsed >= timeout {
+            self.restart = Some(GapReason::Disconnected);
+            self.watchdog_reset = Instant::now();
+        } else if elapsed >= timeout / 3 {
+            board.link.reset_watchdog()?;
+            self.watchdog_reset = Instant::now();
+        }
+        Ok(())
+    }
+
+    /// The next frame or gap, or an error after the deadline.
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
+    /// Stops the acquisition and gives the board back.
+    pub fn stop(mut self) -> Result<DeepcraftBoard, BoardError> {
+        let mut board = self.board.take().ok_or(BoardError::Stopped)?;
+        board.link.stop()?;
+        Ok(board)
+    }
+}
+
+impl Drop for DeepcraftStream {
+    fn drop(&mut self) {
+        if let Some(mut board) = self.board.take()
+            && let Err(error) = board.link.stop()
+        {
+            tracing::debug!(%error, "the board could not be stopped");
+        }
+    }
+}
+
+impl FrameSource for DeepcraftStream {
+    fn waveform(&self) -> &Waveform {
+        &self.setting.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        loop {
+            let error = match self.wait(frame) {
+                Ok(event) => return Ok(event),
+                Err(error) => error,
+            };
+            match self.reconnect {
+                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
+                _ => return Err(error.into()),
+            }
+        }
+    }
+}

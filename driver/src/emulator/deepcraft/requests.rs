@@ -1,0 +1,304 @@
+//! What the firmware answers: requests in, bytes out, and the state that the requests change.
+
+use std::time::Instant;
+
+use prost::Message;
+use radome_dsp::Waveform;
+
+use super::{DEVICE, WATCHDOG_TIMEOUT_MS, watchdog};
+use crate::emulator::{EmulatorError, Fault};
+use crate::protocol::deepcraft::{
+    Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureResponse, Custom, Device,
+    DeviceOption, Dimension, ErrorCode, ErrorResponse, ITEMS, MAX_REQUEST, MessageParser, OptionBlob, OptionKind,
+    OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response, StreamConfig, USE_CASE, Value, Version,
+    data_type, device_status, device_type, direction, stated_frequency_hz,
+};
+
+pub(super) struct Requests {
+    source: Waveform,
+    parser: MessageParser,
+    /// Name of the device that ought to be the radar.
+    name: String,
+    protocol_major: u32,
+    /// Options at power-up, and now: use case and custom data.
+    power_up: (i32, Vec<u8>),
+    use_case: i32,
+    blob: Vec<u8>,
+    waveform: Waveform,
+    /// While the radar is active: when the watchdog stops it.
+    pub active_until: Option<Instant>,
+    /// Counts starts: the sender begins afresh when it changes.
+    pub starts: u64,
+    pub current_frame: u32,
+    pub dropped: i32,
+    /// Why the radar cannot be used as it is set.
+    pub refusal: Option<String>,
+}
+
+impl Requests {
+    pub fn new(source: &Waveform, faults: &[Fault]) -> Result<Self, EmulatorError> {
+        let (mut name, mut protocol_major) = ("Radar".to_owned(), PROTOCOL_VERSION[0]);
+        for fault in faults {
+            match *fault {
+                Fault::ForeignChip(id) => name = format!("Foreign device {id:#08x}"),
+                Fault::WrongVersion(major) => protocol_major = u32::from(major),
+                _ => {}
+            }
+        }
+        let power_up = match Preset::of(source) {
+            Some(preset) => (preset as i32, Vec::new()),
+            None => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
+        };
+        Ok(Requests {
+            source: source.clone(),
+            parser: MessageParser::new(MAX_REQUEST),
+            name,
+            protocol_major,
+            use_case: power_up.0,
+            blob: power_up.1.clone(),
+            power_up,
+            waveform: source.clone(),
+            active_until: None,
+            starts: 0,
+            current_frame: 0,
+            dropped: 0,
+            refusal: None,
+        })
+    }
+
+    /// The board was without power: everything is as at first, but for the count of starts.
+    pub fn power_up(&mut self) {
+        self.parser.clear();
+        (self.use_case, self.blob) = self.power_up.clone();
+        self.waveform = self.source.clone();
+        self.refusal = None;
+        self.stop();
+        self.dropped = 0;
+    }
+
+    pub fn stop(&mut self) {
+        self.active_until = None;
+        self.current_frame = 0;
+    }
+
+    /// What the chip measures: its waveform, and its receivers by their indices among those of the source.
+    pub fn measured(&self) -> (Waveform, Vec<usize>) {
+        let antennas = self.source.request.rx_antennas.antennas();
+        let wanted = self.waveform.request.rx_antennas.antennas();
+        let channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
+        (self.waveform.clone(), channels)
+    }
+
+    /// A request that is announced and does not come keeps the firmware waiting, as the real one.
+    pub fn receive(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
+        self.parser.push(bytes);
+        loop {
+            let request = match self.parser.next_message() {
+                None => return,
+                Some(Ok(message)) => Request::decode(message).ok(),
+                Some(Err(_)) => {
+                    self.parser.clear();
+                    None
+                }
+            };
+            let answer = match request {
+                None => Some(Err(ErrorCode::Decode)),
+                Some(Request { command: None }) => Some(Err(ErrorCode::RequestType)),
+                Some(Request { command: Some(command) }) => self.run(command).transpose(),
+            };
+            match answer {
+                None => {}
+                Some(Ok(answer)) => Response::from(answer).encode_to(out),
+                Some(Err(code)) => {
+                    let error = ErrorResponse { message: format!("{}.", code.name()), code: code.code() };
+                    Response::from(Answer::Error(error)).encode_to(out);
+                }
+            }
+        }
+    }
+
+    fn run(&mut self, command: Command) -> Result<Option<Answer>, ErrorCode> {
+        match command {
+            Command::Capabilities(request) => {
+                if request.device > DEVICE {
+                    return Err(ErrorCode::NoSuchDevice);
+                }
+                let board = Some(self.board());
+                Ok(Some(Answer::Capabilities(CapabilitiesResponse { board, tag: request.tag })))
+            }
+            Command::Configure(request) => {
+                is_ours(request.device)?;
+                for option in &request.options {
+                    self.set(option)?;
+                }
+                self.configure();
+                let (status, status_message) = self.status();
+                Ok(Some(Answer::Configuration(ConfigureResponse {
+                    device: DEVICE,
+                    options: vec![
+                        OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(self.use_case)) },
+                        OptionValue { option_id: CUSTOM_DATA, value: Some(Value::Blob(self.blob.clone())) },
+                    ],
+                    streams: vec![self.stream()],
+                    status,
+                    status_message,
+                    tag: request.tag,
+                })))
+            }
+            Command::Start(request) => {
+                is_ours(request.device)?;
+                match (self.active_until, &self.refusal) {
+                    (Some(_), _) => return Err(ErrorCode::AlreadyActive),
+                    (None, Some(_)) => return Err(ErrorCode::Unspecified),
+                    (None, None) => {}
+                }
+                self.active_until = Some(watchdog());
+                self.starts += 1;
+                Ok(None)
+            }
+            Command::Stop(request) => {
+                if request.device > DEVICE {
+                    return Err(ErrorCode::NoSuchDevice);
+                }
+                self.stop();
+                Ok(None)
+            }
+            Command::WatchdogReset(_) => {
+                self.active_until = self.active_until.map(|_| watchdog());
+                Ok(None)
+            }
+            // The radar takes no data.
+            Command::Data(chunk) => {
+                is_ours(chunk.device)?;
+                Err(ErrorCode::WrongDirection)
+            }
+            Command::Reset(_) => {
+                self.power_up();
+                Ok(None)
+            }
+        }
+    }
+
+    fn set(&mut self, option: &OptionValue) -> Result<(), ErrorCode> {
+        match (option.option_id, &option.value) {
+            (USE_CASE, Some(Value::OneOf(index))) => {
+                if !(0..ITEMS.len() as i32).contains(index) {
+                    return Err(ErrorCode::OutOfRange);
+                }
+                self.use_case = *index;
+                Ok(())
+            }
+            (CUSTOM_DATA, Some(Value::Blob(blob))) => {
+                self.blob.clone_from(blob);
+                Ok(())
+            }
+            (USE_CASE | CUSTOM_DATA, _) => Err(ErrorCode::OptionType),
+            _ => Err(ErrorCode::NoSuchOption),
+        }
+    }
+
+    /// The chip would measure whatever it is told; the source has frames of one waveform only. Another is refused, loudly.
+    fn configure(&mut self) {
+        (self.current_frame, self.dropped) = (0, 0);
+        let wanted = match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
+            Some(preset) => preset.waveform().map_err(|e| e.to_string()),
+            None => Custom::decode(&self.blob).map(|custom| custom.waveform).map_err(|e| e.to_string()),
+        };
+        let checked = wanted.and_then(|wanted| match self.source.check_compatible(&wanted) {
+            Ok(()) => Ok(wanted),
+            Err(mismatch) => Err(mismatch.to_string()),
+        });
+        self.refusal = match checked {
+            Ok(waveform) => {
+                self.waveform = waveform;
+                None
+            }
+            Err(reason) => {
+                tracing::warn!(reason, "the emulated board cannot be set so");
+                Some(reason)
+            }
+        };
+    }
+
+    fn status(&self) -> (i32, String) {
+        match (&self.refusal, self.active_until) {
+            (Some(reason), _) => (device_status::ERROR, reason.clone()),
+            (None, Some(_)) => (device_status::ACTIVE, "Device is streaming".to_owned()),
+            (None, None) => (device_status::READY, String::new()),
+        }
+    }
+
+    fn stream(&self) -> StreamConfig {
+        let shape = self.waveform.shape();
+        let dimension =
+            |name: &str, size: usize| Dimension { name: name.into(), size: size as i32, labels: Vec::new() };
+        StreamConfig {
+            name: "Radar".into(),
+            direction: direction::OUTPUT,
+            data_type: data_type::S16,
+            shape: vec![
+                dimension("Antenna", shape.rx),
+                dimension("Chirp", shape.chirps),
+                dimension("Sample", shape.samples),
+            ],
+            frequency: stated_frequency_hz(&self.waveform),
+            max_frame_count: 1,
+            unit: "???".into(),
+            current_frame: self.current_frame as i32,
+            frames_dropped: self.dropped,
+            ..StreamConfig::default()
+        }
+    }
+
+    fn board(&self) -> Board {
+        let version = |[major, minor, build, revision]: [u32; 4]| Some(Version { major, minor, build, revision });
+        let [_, minor, build, revision] = PROTOCOL_VERSION;
+        let (status, status_message) = self.status();
+        let options = [
+            (
+                USE_CASE,
+                "Use case",
+                "Presets",
+                OptionKind::OneOf(OptionOneOf {
+                    default_index: 0,
+                    current_index: self.use_case,
+                    items: ITEMS.map(str::to_owned).to_vec(),
+                }),
+            ),
+            (
+                CUSTOM_DATA,
+                "Custom data",
+                "Binary Custom data",
+                OptionKind::Blob(OptionBlob { current_value: self.blob.clone(), default_value: Vec::new() }),
+            ),
+        ];
+        Board {
+            serial: Some(BoardSerial { uuid: (0..16).collect() }),
+            name: "CY8CKIT-062S2-AI".into(),
+            firmware_version: version([1, 2, 0, 0]),
+            protocol_version: version([self.protocol_major, minor, build, revision]),
+            watchdog_timeout: WATCHDOG_TIMEOUT_MS,
+            devices: vec![Device {
+                device_id: DEVICE,
+                name: self.name.clone(),
+                description: "Radar device (bgt60trxx)".into(),
+                device_type: device_type::SENSOR,
+                options: options
+                    .map(|(option_id, name, description, kind)| DeviceOption {
+                        option_id,
+                        name: name.into(),
+                        description: description.into(),
+                        kind: Some(kind),
+                    })
+                    .to_vec(),
+                streams: vec![self.stream()],
+                status,
+                status_message,
+            }],
+        }
+    }
+}
+
+fn is_ours(device: i32) -> Result<(), ErrorCode> {
+    if device == DEVICE { Ok(()) } else { Err(ErrorCode::NoSuchDevice) }
+}
