@@ -5,6 +5,7 @@
 //! | a path | a recording: MCAP file, Infineon folder or the vendor's text |
 //! | `SCENE.toml` | the simulator |
 //! | `serial:/dev/ttyACM0` | the board on that port, whatever it speaks |
+//! | `deepcraft:/dev/ttyACM0` | a PSoC 6 kit with DEEPCRAFT firmware, without asking in other protocols first |
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
@@ -14,7 +15,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::discover::Belief;
 use radome_driver::{
-    BoardIdentity, Candidate, Detected, EmulatedSource, EmulatorOptions, Pace, RealTime, Reconnect, candidates,
+    BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace, RealTime, Reconnect,
+    candidates,
 };
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -61,6 +63,9 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     }
     if let Some(port) = spec.strip_prefix("serial:") {
         return board(Path::new(port), options);
+    }
+    if let Some(port) = spec.strip_prefix("deepcraft:") {
+        return deepcraft_board(DeepcraftBoard::open(Path::new(port))?, options);
     }
     if spec == "auto" {
         return board(&the_one_board()?, options);
@@ -112,6 +117,19 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })
         }
     }
+}
+
+fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Result<Source> {
+    let Some(waveform) = options.waveform.clone().or_else(|| board.configured_waveform()) else {
+        bail!(
+            "the board is set to no waveform that this program understands\n\nhint: name one with --waveform FILE.toml"
+        );
+    };
+    let identity = board.identity().clone();
+    let description = format!("{} on {}", identity.name, board.path().display());
+    let stream = board.start(&waveform)?.with_reconnect(Reconnect::default());
+    let registers = stream.registers().clone();
+    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
 }
 
 /// The only board that discovery finds.

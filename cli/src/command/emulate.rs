@@ -16,6 +16,8 @@ enum Protocol {
     /// Radar Baseboard MCU7, protocol 3
     #[value(name = "mcu7-3")]
     Mcu7V3,
+    /// PSoC 6 kit with DEEPCRAFT streaming firmware
+    Deepcraft,
     /// ESP32 firmware that prints frames as lines
     Esp32,
 }
@@ -55,6 +57,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let kind = match arguments.protocol {
         Protocol::Mcu7V4 => Kind::Mcu7V4,
         Protocol::Mcu7V3 => Kind::Mcu7V3,
+        Protocol::Deepcraft => Kind::Deepcraft,
         Protocol::Esp32 => Kind::Esp32,
     };
     let options = EmulatorOptions { pace, kind, faults: arguments.faults.clone(), link: arguments.link.clone() };

@@ -20,6 +20,8 @@ const FIXED_32: u64 = 5;
 const LEAST_AROUND: usize = 6;
 const MOST_AROUND: usize = 48;
 const MOST_PER_FRAME: usize = 32;
+/// So much the numbers of a chunk may be longer or shorter than those of another.
+const MOST_LONGER: usize = 6;
 /// Longest error that is taken for one, and shortest: shorter ones could be mistaken for samples.
 const ERROR_LENGTH: std::ops::RangeInclusive<u64> = 16..=1024;
 /// Frame numbers further apart than this are not of the same stream.
@@ -193,8 +195,8 @@ fn error_response(bytes: &[u8]) -> Result<(usize, ErrorResponse), Stop> {
 /// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error) begins right behind it, or
 /// when the line is silent there ([`Self::on_silence`]). A chunk that was cut short has swallowed the head of its
 /// successor, so that none begins behind it; and what it swallowed are no codes, if it was more than two bytes: any
-/// four bytes of a head, taken as two codes, have one beyond 4095. Two bytes may pass for a code: if the last bytes of
-/// a chunk could be the first ones of another, silence does not confirm it.
+/// four bytes of a head, taken as two codes, have one beyond 4095. Two bytes may pass for a code: if the last code of a
+/// chunk could be the length of another, silence does not confirm it.
 #[derive(Debug)]
 pub struct ChunkParser {
     layout: ChunkLayout,
@@ -308,12 +310,16 @@ impl ChunkParser {
         Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
     }
 
-    /// Whether the last bytes of a chunk could be the first ones of another: then nobody can say without its successor
-    /// that it is whole.
+    /// Whether the last code of a chunk could be the length of its successor, in two bytes: then nobody can say without the
+    /// successor that the chunk is whole. What comes after the codes, if anything does, could be anything.
     fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
-        let could_begin = |bytes: &[u8]| self.layout.beginning(bytes) != Beginning::No;
-        header.payload_end != header.end
-            || (1..=MOST_AROUND).filter_map(|length| message.get(message.len().checked_sub(length)?..)).any(could_begin)
+        let Some(&[low, high]) = message.last_chunk() else { return false };
+        let length = usize::from(low & 0x7F) | usize::from(high) << 7;
+        let around = header.end - (header.payload_end - header.payload_start) - varint_length(length as u64);
+        // The successor may hold more frames or fewer, and its numbers may be longer or shorter.
+        let is_near = |frames: usize| (frames * self.layout.frame_bytes() + around).abs_diff(length) <= MOST_LONGER;
+        let frames = length / self.layout.frame_bytes().max(1);
+        header.payload_end != header.end || low & 0x80 != 0 && (frames.saturating_sub(1)..=frames + 1).any(is_near)
     }
 
     fn damage(&mut self) -> Option<ChunkEvent<'_>> {
