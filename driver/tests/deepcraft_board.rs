@@ -148,13 +148,29 @@ fn a_doubled_message_costs_nothing() {
 #[test]
 fn messages_in_the_wrong_order_cost_one() {
     let gaps = gaps_with(&large(), &[Fault::ReorderPacket(3)], 10);
-    assert_eq!(gaps, [Gap { first_sequence: 4, frames: 1, reason: GapReason::Crc }]);
+    assert_eq!(gaps, [Gap { first_sequence: 4, frames: 1, reason: GapReason::PacketLost }]);
 }
 
 #[test]
 fn a_counter_that_jumps_is_a_gap_of_that_length() {
     let gaps = gaps_with(&large(), &[Fault::SkipCounter { packet: 3, by: 7 }], 10);
     assert_eq!(gaps, [Gap { first_sequence: 3, frames: 7, reason: GapReason::PacketLost }]);
+}
+
+/// The board says which of them it has dropped itself. It is asked when they are missed: faults are further apart than it can
+/// be ahead of the line.
+#[test]
+fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
+    let faults = [Fault::Overflow(20), Fault::DropPacket(60), Fault::Overflow(100), Fault::DropPacket(101)];
+    for (w, frames) in [(small(), 4), (large(), 1)] {
+        let board = board(&w, &faults);
+        let gaps = read(&mut start(&board, &w), 140 * frames);
+        use GapReason::{FifoOverflow, PacketLost};
+        let gap = |chunk, reason| Gap { first_sequence: chunk * frames as u64, frames: frames as u64, reason };
+        // Of two reasons in one gap the order is not known.
+        assert_eq!(gaps, [gap(20, FifoOverflow), gap(60, PacketLost), gap(100, FifoOverflow), gap(101, PacketLost)]);
+        assert_eq!(board.counts().overflows, 2);
+    }
 }
 
 #[test]
@@ -229,4 +245,197 @@ fn frames_of_a_slow_stream_come_as_they_are_measured() {
         }
     }
     assert_eq!(gaps, 1);
+}
+
+mod hard_cases {
+    use super::*;
+    use std::io::{Read, Write};
+
+    fn open_error(board: &EmulatedBoard) -> BoardError {
+        DeepcraftBoard::open(board.path()).err().expect("an error")
+    }
+
+    fn raw(board: &EmulatedBoard) -> Box<dyn serialport::SerialPort> {
+        let path = board.path().display().to_string();
+        serialport::new(path, 115_200).timeout(Duration::from_millis(200)).open().expect("opens")
+    }
+
+    #[test]
+    fn every_fault_at_once_is_survived() {
+        let folder = tempfile::tempdir().expect("folder");
+        let w = large();
+        let faults = [
+            Fault::DropPacket(2),
+            Fault::FlipBit { packet: 25, bit: 12 },
+            Fault::TruncatePacket { packet: 50, bytes: 700 },
+            Fault::Overflow(75),
+            Fault::DoublePacket(100),
+            Fault::ReorderPacket(125),
+            Fault::SkipCounter { packet: 150, by: 3 },
+            Fault::Unplug { packet: 175, duration: Duration::from_millis(50) },
+            Fault::TruncatePacket { packet: 200, bytes: 24_575 },
+            Fault::SlowHost { packet: 210, duration: Duration::from_millis(50) },
+            Fault::DropPacket(225),
+        ];
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
+        let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+        let mut stream = start(&board, &w).with_reconnect(POLICY);
+        let gaps = read(&mut stream, 230);
+        use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
+        let reasons: Vec<GapReason> = gaps.iter().map(|g| g.reason).collect();
+        assert_eq!(
+            reasons,
+            [PacketLost, Crc, Crc, FifoOverflow, PacketLost, PacketLost, Disconnected, Crc, PacketLost]
+        );
+    }
+
+    #[test]
+    fn another_device_and_another_version_are_named() {
+        let w = small();
+        let error = open_error(&board(&w, &[Fault::ForeignChip(0x606)])).to_string();
+        assert!(error.contains("none of the board's devices is a radar") && error.contains("0x000606"), "{error}");
+        let error = open_error(&board(&w, &[Fault::WrongVersion(3)]));
+        assert!(!error.is_passing() && error.to_string().contains("version 3.3"), "{error}");
+    }
+
+    #[test]
+    fn a_waveform_that_the_source_does_not_have_is_refused_with_both() {
+        let w = small();
+        let board = board(&w, &[]);
+        let wanted = waveform(&[1, 2, 3], 16, 64, 0.1);
+        let error = DeepcraftBoard::open(board.path()).expect("opens").start(&wanted).err().expect("refused");
+        assert!(matches!(&error, BoardError::Deepcraft { source: DeepcraftError::Device { .. }, .. }), "{error}");
+        assert!(error.to_string().contains("16 chirps") && error.to_string().contains("8 chirps"), "{error}");
+        assert!(board.refusal().is_some_and(|reason| reason.contains("map size")));
+        // It may be asked again.
+        assert!(read(&mut start(&board, &w), 10).is_empty());
+        assert_eq!(board.refusal(), None);
+    }
+
+    #[test]
+    fn fewer_receivers_than_the_source_has_are_sent_as_asked_for() {
+        let source = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let wanted = waveform(&[3], 8, 64, 0.1);
+        let board = board(&source, &[]);
+        let mut stream = start(&board, &wanted);
+        let (mut frame, mut whole) = (Frame::zeroed(wanted.shape()), Frame::zeroed(source.shape()));
+        for sequence in 0..30 {
+            assert_eq!(stream.next_frame(&mut frame).expect("stream"), SourceEvent::Frame);
+            Pattern::new(source.clone(), 0).fill(sequence, &mut whole);
+            assert_eq!(frame.codes, whole.codes[2 * 8 * 64..]);
+        }
+    }
+
+    #[test]
+    fn frames_that_the_firmware_cannot_hold_are_refused() {
+        for w in [waveform(&[1, 2, 3], 128, 256, 0.1), waveform(&[1, 2, 3], 3, 33, 0.1)] {
+            let board = board(&w, &[]);
+            let client = DeepcraftBoard::open(board.path()).expect("opens");
+            let error = client.start(&w).err().expect("too large, or odd").to_string();
+            assert!(error.contains(&format!("a frame has {} codes", w.shape().codes())), "{error}");
+        }
+    }
+
+    /// A board that was left measuring, and one that waits for the rest of what somebody else has asked: a modem manager's
+    /// `AT` announces 65 bytes.
+    #[test]
+    fn a_board_in_any_state_is_opened() {
+        let w = small();
+        let board = board(&w, &[]);
+        let mut port = raw(&board);
+        port.write_all(b"AT+GCAP\r").expect("writes");
+        drop(port);
+        DeepcraftBoard::open(board.path()).expect("opens after a modem manager");
+        let mut port = raw(&board);
+        port.write_all(&[2, 0x1A, 0]).expect("starts");
+        let mut some = [0; 100];
+        port.read_exact(&mut some).expect("measures");
+        drop(port);
+        assert!(read(&mut start(&board, &w), 20).is_empty(), "opens while it measures");
+        // Again, after a stream that was dropped.
+        assert!(read(&mut start(&board, &w), 20).is_empty());
+        let stream = start(&board, &w);
+        let client = stream.stop().expect("stops");
+        assert!(read(&mut client.start(&w).expect("starts again"), 20).is_empty());
+    }
+
+    #[test]
+    fn a_board_that_speaks_something_else_is_given_up_and_not_disturbed() {
+        let w = small();
+        for kind in [Kind::Mcu7V4, Kind::Mcu7V3, Kind::Esp32] {
+            let options = EmulatorOptions { kind, ..options(&[]) };
+            let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+            let error = open_error(&board);
+            assert!(matches!(error, BoardError::NoAnswer { command: "capabilities", .. }), "{kind:?}: {error}");
+            match kind {
+                Kind::Esp32 => {
+                    let mut stream = radome_driver::LineStream::open(board.path(), &w).expect("opens");
+                    let mut frame = Frame::zeroed(w.shape());
+                    while stream.next_frame(&mut frame).expect("lines") != SourceEvent::Frame {}
+                }
+                _ => drop(radome_driver::Board::open(board.path()).expect("opens").start(&w).expect("starts")),
+            }
+        }
+    }
+
+    /// Who says nothing for longer than the watchdog waits finds the board stopped.
+    #[test]
+    fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
+        let w = small();
+        let source = Pattern::new(w.clone(), u64::MAX);
+        let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&[]) };
+        let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+        let mut port = raw(&board);
+        port.set_timeout(Duration::from_secs(5)).expect("set");
+        port.write_all(&[2, 0x1A, 0]).expect("starts");
+        let began = std::time::Instant::now();
+        let mut some = vec![0; 4096];
+        // A frame comes every 0.1 s, four at a time, until nothing comes for five seconds.
+        let mut last = began;
+        while let Ok(count) = port.read(&mut some) {
+            assert!(count > 0);
+            last = std::time::Instant::now();
+        }
+        assert!(last - began < began.elapsed(), "it measured, and then stopped");
+        drop(port);
+
+        // A client that is polled keeps it alive for longer than that.
+        let mut stream = start(&board, &w);
+        let gaps = read_for(&mut stream, Duration::from_secs(5));
+        assert_eq!(gaps, []);
+        // One that is not finds a gap.
+        std::thread::sleep(Duration::from_millis(4000));
+        let gaps = read_for(&mut stream, Duration::from_secs(2));
+        assert!(matches!(gaps[..], [Gap { reason: GapReason::Disconnected, .. }]), "{gaps:?}");
+    }
+
+    /// Reads frames for so long; gives the gaps.
+    fn read_for(stream: &mut DeepcraftStream, duration: Duration) -> Vec<Gap> {
+        let mut frame = Frame::zeroed(stream.waveform().shape());
+        let end = std::time::Instant::now() + duration;
+        let mut gaps = Vec::new();
+        while std::time::Instant::now() < end {
+            if let SourceEvent::Gap(gap) = stream.next_frame(&mut frame).expect("stream") {
+                gaps.push(gap);
+            }
+        }
+        gaps
+    }
+
+    #[test]
+    fn without_leave_to_reconnect_the_error_comes_at_once() {
+        let folder = tempfile::tempdir().expect("folder");
+        let w = large();
+        let fault = Fault::Unplug { packet: 10, duration: Duration::from_millis(20) };
+        let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
+        let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("spawns");
+        let mut stream = start(&board, &w);
+        let mut frame = Frame::zeroed(w.shape());
+        let error = loop {
+            if let Err(error) = stream.next_frame(&mut frame) {
+                break error.to_string();
+            }
+        };
+        assert!(error.contains("connection broke"), "{error}");
+    }
 }

@@ -150,7 +150,8 @@ impl Link {
         Err(BoardError::NoAnswer { path: self.path.clone(), command: "configuration" })
     }
 
-    fn next_tag(&mut self) -> i32 {
+    /// A tag that no request has had.
+    pub fn next_tag(&mut self) -> i32 {
         self.tag += 1;
         self.tag
     }

@@ -1,5 +1,6 @@
 //! From chunks to frames and gaps in order. Pure: chunks and the host's clock in, frames and gaps out.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
@@ -15,7 +16,10 @@ pub(super) struct Order {
     /// The stream has begun anew: how many frames were lost only the host's clock knows.
     restarted: Option<GapReason>,
     damaged: bool,
-    gap: Option<Gap>,
+    /// Gaps that come before the frames that wait.
+    gaps: VecDeque<Gap>,
+    /// Frames that the device has dropped since it was set, as far as gaps have been put down to that.
+    dropped: u64,
     /// Codes of the frames that wait, each in FIFO order, and how many of them have gone.
     codes: Vec<u16>,
     gone: usize,
@@ -30,7 +34,8 @@ impl Order {
             next_number,
             restarted: None,
             damaged: false,
-            gap: None,
+            gaps: VecDeque::new(),
+            dropped: 0,
             codes: Vec::new(),
             gone: 0,
         }
@@ -45,6 +50,7 @@ impl Order {
     pub fn restart(&mut self, reason: GapReason) {
         self.restarted = Some(reason);
         self.damaged = false;
+        self.dropped = 0;
     }
 
     /// Takes a chunk when all before it has been popped. `elapsed` is the host's time since the chunk before.
@@ -69,7 +75,7 @@ impl Order {
         };
         self.damaged = false;
         if let Some((frames, reason)) = missing {
-            self.gap = Some(Gap { first_sequence: self.next_sequence, frames, reason });
+            self.gaps.push_back(Gap { first_sequence: self.next_sequence, frames, reason });
             self.next_sequence += frames;
         }
         self.next_number = frame_number.wrapping_add(frame_count as u32);
@@ -78,9 +84,30 @@ impl Order {
         self.gone = 0;
     }
 
+    /// Whether the numbers of the frames that wait have jumped, and nothing else says why.
+    pub fn wants_to_know(&self) -> bool {
+        self.gaps.back().is_some_and(|gap| gap.reason == GapReason::PacketLost)
+    }
+
+    /// The device says how many frames it has dropped since it was set: they were not lost on the line.
+    pub fn explain(&mut self, dropped: u64) {
+        let by_device = dropped.saturating_sub(self.dropped);
+        let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
+            return;
+        };
+        let frames = by_device.min(gap.frames);
+        // Those beyond it are missing later on the line.
+        self.dropped += frames;
+        let rest = Gap { first_sequence: gap.first_sequence + frames, frames: gap.frames - frames, ..*gap };
+        *gap = Gap { frames, reason: GapReason::FifoOverflow, ..*gap };
+        if rest.frames > 0 {
+            self.gaps.push_back(rest);
+        }
+    }
+
     /// The next frame or gap. The frame's memory is used again.
     pub fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
-        if let Some(gap) = self.gap.take() {
+        if let Some(gap) = self.gaps.pop_front() {
             return Some(SourceEvent::Gap(gap));
         }
         let shape = self.waveform.shape();

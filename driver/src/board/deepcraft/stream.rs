@@ -10,7 +10,7 @@ use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
 use crate::board::reconnect::{Losses, Reconnect};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
-    ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
+    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
 };
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
@@ -18,14 +18,21 @@ const SILENCE: Duration = Duration::from_millis(5);
 /// After so long without a byte the rest of a message will not come. What comes later still is told from it by its form.
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
+/// Longest wait for a board to say how many frames it has dropped.
+const EXPLANATION: Duration = Duration::from_millis(300);
+
 /// A running acquisition. It ends with [`DeepcraftStream::stop`] or when dropped.
 ///
 /// A board with a watchdog stops by itself unless it hears from the host. It is told that the host is alive whenever the
 /// stream is polled and a third of the watchdog's time has passed; who does not poll for longer than that time finds the
 /// stream started anew, and what was not measured meanwhile as a gap.
+///
+/// When frame numbers jump, the board is asked how many frames it has dropped itself, so that the gap has its reason.
 pub struct DeepcraftStream {
     board: Option<DeepcraftBoard>,
     setting: Setting,
+    /// Place of the stream among those of the radar.
+    stream_index: usize,
     parser: ChunkParser,
     order: Order,
     /// Longest silence between two chunks.
@@ -33,6 +40,8 @@ pub struct DeepcraftStream {
     watchdog: Option<Duration>,
     watchdog_reset: Instant,
     restart: Option<GapReason>,
+    /// The board has been asked why frame numbers jumped, and may answer until then.
+    asked_until: Option<Instant>,
     path: PathBuf,
     uuid: String,
     reconnect: Option<Reconnect>,
@@ -53,12 +62,14 @@ impl DeepcraftStream {
         let now = Instant::now();
         let mut stream = DeepcraftStream {
             order: Order::new(&setting.waveform, stream.next_number),
+            stream_index: usize::try_from(stream.index).unwrap_or(0),
             parser,
             deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
             setting,
             watchdog: board.watchdog,
             watchdog_reset: now,
             restart: None,
+            asked_until: None,
             path: board.link.path.clone(),
             uuid: board.identity.uuid.clone(),
             reconnect: None,
@@ -88,6 +99,7 @@ impl DeepcraftStream {
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let stream = board.set(&self.setting)?;
         self.parser.restart(stream.next_number);
+        self.asked_until = None;
         self.begin()
     }
 
@@ -133,7 +145,8 @@ impl DeepcraftStream {
         let mut tried = false;
         loop {
             self.keep_alive()?;
-            if let Some(event) = self.order.pop(frame) {
+            self.hear_explanation();
+            if let Some(event) = self.pop(frame) {
                 match &event {
                     SourceEvent::Gap(gap) => self.losses.count(gap),
                     _ => {
@@ -148,10 +161,15 @@ impl DeepcraftStream {
                 self.order.restart(reason);
                 self.begin_anew()?;
             }
-            match self.parser.next_event() {
+            // What has come is handed out before more is taken.
+            let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
+            match event {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
                     self.order.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
                     self.last_chunk = Instant::now();
+                    if self.order.wants_to_know() {
+                        self.ask()?;
+                    }
                     continue;
                 }
                 Some(ChunkEvent::Misnumbered) => {
@@ -175,6 +193,35 @@ impl DeepcraftStream {
             }
             tried = true;
             self.receive(left)?;
+        }
+    }
+
+    fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
+        if self.asked_until.is_some() { None } else { self.order.pop(frame) }
+    }
+
+    /// Asks how many frames the device has dropped.
+    fn ask(&mut self) -> Result<(), BoardError> {
+        let board = self.board()?;
+        let (device, tag) = (board.device, board.link.next_tag());
+        board.link.send(Command::Capabilities(CapabilitiesRequest { device, tag }))?;
+        self.parser.expect(tag);
+        self.asked_until = Some(Instant::now() + EXPLANATION);
+        Ok(())
+    }
+
+    /// Takes the answer to that, or gives up waiting for it.
+    fn hear_explanation(&mut self) {
+        let Some(until) = self.asked_until else { return };
+        if let Some(answer) = self.parser.expected() {
+            let devices = answer.board.map_or(Vec::new(), |board| board.devices);
+            let device = self.board.as_ref().map(|board| board.device);
+            let radar = devices.iter().find(|d| Some(d.device_id) == device);
+            let stream = radar.and_then(|d| d.streams.get(self.stream_index));
+            self.order.explain(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
+            self.asked_until = None;
+        } else if Instant::now() >= until {
+            self.asked_until = None;
         }
     }
 

@@ -3,13 +3,14 @@
 use prost::Message;
 
 use super::delimited::{Cursor, Stop, encode_varint, varint_length};
-use super::message::{Answer, ErrorResponse, Response};
+use super::message::{Answer, CapabilitiesResponse, ErrorResponse, Response};
 
 /// Longest message of a board: the firmware's ring of 64 Ki samples, and what is around it.
 pub const MAX_RESPONSE: usize = 2 * 65_536 + 1024;
 /// Tag of the data in a response: field 4, length-delimited.
 const DATA: u64 = 4 << 3 | LENGTH_DELIMITED;
-/// Tag of an error in a response.
+/// Tags of capabilities and of an error in a response.
+const CAPABILITIES: u64 = 1 << 3 | LENGTH_DELIMITED;
 const ERROR: u64 = 3 << 3 | LENGTH_DELIMITED;
 /// Wire types.
 const VARINT: u64 = 0;
@@ -22,8 +23,8 @@ const MOST_AROUND: usize = 48;
 const MOST_PER_FRAME: usize = 32;
 /// So much the numbers of a chunk may be longer or shorter than those of another.
 const MOST_LONGER: usize = 6;
-/// Longest error that is taken for one, and shortest: shorter ones could be mistaken for samples.
-const ERROR_LENGTH: std::ops::RangeInclusive<u64> = 16..=1024;
+/// Longest answer and error between chunks, and shortest: shorter ones could be mistaken for samples.
+const OTHER_LENGTH: std::ops::RangeInclusive<u64> = 16..=16_384;
 /// Frame numbers further apart than this are not of the same stream.
 const MOST_MISSING: u32 = 1 << 20;
 /// Largest code of the ADC.
@@ -172,27 +173,37 @@ pub enum ChunkEvent<'a> {
     Damaged,
 }
 
-/// Whether an error begins here: its length, if it is whole.
-fn error_response(bytes: &[u8]) -> Result<(usize, ErrorResponse), Stop> {
+/// What a board may say between chunks.
+enum Other {
+    Error(ErrorResponse),
+    /// The answer to what the host has asked meanwhile.
+    Expected(CapabilitiesResponse),
+}
+
+/// Whether an error, or the answer with this tag, begins here: it and its length, if it is whole.
+fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop> {
     let mut cursor = Cursor { bytes, at: 0 };
     let length = cursor.varint()?;
-    if !ERROR_LENGTH.contains(&length) {
+    if !OTHER_LENGTH.contains(&length) {
         return Err(Stop::Bad);
     }
     let (start, end) = (cursor.at, cursor.at + length as usize);
-    if cursor.varint()? != ERROR || cursor.varint()? != (end - cursor.at) as u64 {
+    let tag = cursor.varint()?;
+    let can_be = tag == ERROR || tag == CAPABILITIES && expected_tag.is_some();
+    if !can_be || cursor.varint()? != (end - cursor.at) as u64 {
         return Err(Stop::Bad);
     }
     let message = bytes.get(start..end).ok_or(Stop::Short)?;
-    match Response::decode(message) {
-        Ok(Response { answer: Some(Answer::Error(error)) }) if error.code < 0 => Ok((end, error)),
+    match Response::decode(message).ok().and_then(|response| response.answer) {
+        Some(Answer::Error(error)) if error.code < 0 => Ok((end, Other::Error(error))),
+        Some(Answer::Capabilities(answer)) if Some(answer.tag) == expected_tag => Ok((end, Other::Expected(answer))),
         _ => Err(Stop::Bad),
     }
 }
 
 /// Finds the chunks of one stream in what the host received.
 ///
-/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error) begins right behind it, or
+/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error, or an answer) begins right behind it, or
 /// when the line is silent there ([`Self::on_silence`]). A chunk that was cut short has swallowed the head of its
 /// successor, so that none begins behind it; and what it swallowed are no codes, if it was more than two bytes: any
 /// four bytes of a head, taken as two codes, have one beyond 4095. Two bytes may pass for a code: if the last code of a
@@ -207,12 +218,22 @@ pub struct ChunkParser {
     next_number: u32,
     silent: bool,
     damaged: bool,
+    /// Tag of an answer that may come between chunks.
+    expected_tag: Option<i32>,
 }
 
 impl ChunkParser {
     /// An empty parser for a stream whose next frame has this number.
     pub fn new(layout: ChunkLayout, next_number: u32) -> Self {
-        ChunkParser { layout, buffer: Vec::new(), used: 0, next_number, silent: false, damaged: false }
+        ChunkParser {
+            layout,
+            buffer: Vec::new(),
+            used: 0,
+            next_number,
+            silent: false,
+            damaged: false,
+            expected_tag: None,
+        }
     }
 
     /// Takes received bytes.
@@ -227,6 +248,30 @@ impl ChunkParser {
     pub fn restart(&mut self, next_number: u32) {
         self.buffer.clear();
         (self.used, self.next_number, self.silent, self.damaged) = (0, next_number, false, false);
+        self.expected_tag = None;
+    }
+
+    /// To be called when the host has asked for capabilities with this tag: the answer may come between any two chunks.
+    pub fn expect(&mut self, tag: i32) {
+        self.expected_tag = Some(tag);
+    }
+
+    /// The answer that is [expected](Self::expect), wherever it stands among the chunks that wait; it is taken out.
+    pub fn expected(&mut self) -> Option<CapabilitiesResponse> {
+        let mut at = self.used;
+        loop {
+            let bytes = self.buffer.get(at..)?;
+            at += match (self.layout.beginning(bytes), other(bytes, self.expected_tag)) {
+                (Beginning::Chunk(header), _) => header.end,
+                (Beginning::No, Ok((length, Other::Error(_)))) => length,
+                (Beginning::No, Ok((length, Other::Expected(answer)))) => {
+                    self.buffer.drain(at..at + length);
+                    self.expected_tag = None;
+                    return Some(answer);
+                }
+                _ => return None,
+            };
+        }
     }
 
     /// To be called when nothing has come for as long as takes nothing to come between two packets of a message.
@@ -260,18 +305,21 @@ impl ChunkParser {
         if self.damaged {
             return Some(ChunkEvent::Damaged);
         }
-        let header = match self.layout.beginning(self.rest()) {
-            Beginning::Chunk(header) => header,
-            Beginning::Incomplete => return None,
-            Beginning::No => {
-                return match error_response(self.rest()) {
-                    Ok((length, error)) => {
-                        self.used += length;
-                        Some(ChunkEvent::Error(error))
-                    }
-                    Err(Stop::Short) => None,
-                    Err(Stop::Bad) => self.damage(),
-                };
+        let header = loop {
+            match self.layout.beginning(self.rest()) {
+                Beginning::Chunk(header) => break header,
+                Beginning::Incomplete => return None,
+                Beginning::No => {}
+            }
+            match other(self.rest(), self.expected_tag) {
+                Ok((length, Other::Error(error))) => {
+                    self.used += length;
+                    return Some(ChunkEvent::Error(error));
+                }
+                // Nobody waits for it any more.
+                Ok((length, Other::Expected(_))) => self.used += length,
+                Err(Stop::Short) => return None,
+                Err(Stop::Bad) => return self.damage(),
             }
         };
         let message = self.rest().get(..header.end)?;
@@ -285,7 +333,7 @@ impl ChunkParser {
             Beginning::Incomplete => return None,
             // A jump of the number is believed if the successor goes on from there.
             Beginning::Chunk(next) => is_next || next.frame_number == header.next_number(),
-            Beginning::No => match error_response(after) {
+            Beginning::No => match other(after, self.expected_tag) {
                 Ok(_) => is_next,
                 Err(Stop::Short) => return None,
                 Err(Stop::Bad) => return self.damage(),
