@@ -2,10 +2,14 @@
 
 mod common;
 
+use std::io::{Read, Write};
 use std::time::Duration;
 
 use common::{Pattern, waveform};
-use radome_driver::protocol::deepcraft::Preset;
+use prost::Message;
+use radome_driver::protocol::deepcraft::{
+    Answer, CapabilitiesRequest, Command, MAX_RESPONSE, MessageParser, Preset, Request, Response, device_status,
+};
 use radome_driver::{
     BoardError, DeepcraftBoard, DeepcraftError, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace,
     Reconnect,
@@ -109,6 +113,54 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
         assert!(stream.registers().is_empty(), "the firmware has its own");
         assert!(read(&mut stream, 60).is_empty());
     }
+}
+
+/// Request and answer written by hand from the rules of protobuf and the hardware notes, section 3.1: client, emulated board
+/// and codec cannot agree on a common error.
+#[test]
+fn the_emulated_board_answers_as_written_by_hand() {
+    let board = board(&Preset::Gesture.waveform().expect("valid"), &[]);
+    let path = board.path().display().to_string();
+    let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
+    // Capabilities of all devices (-1, zig-zag) with tag 2^24 + 1.
+    port.write_all(&[9, 0x0A, 7, 0x08, 1, 0x10, 0x81, 0x80, 0x80, 0x08]).expect("asks");
+    let expected: [&[u8]; 31] = [
+        &[0xA4, 0x02, 0x0A, 0xA1, 0x02, 0x0A, 0x99, 0x02], // 292 bytes; capabilities; board
+        &[0x0A, 18, 0x0A, 16, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15],
+        &[0x12, 16],
+        b"CY8CKIT-062S2-AI",
+        &[0x1A, 4, 0x08, 1, 0x10, 2],                            // firmware 1.2
+        &[0x22, 9, 0x08, 2, 0x10, 3, 0x18, 0xC2, 0xB6, 0xD3, 9], // protocol 2.3.20241218
+        &[0x28, 0xB8, 0x17],                                     // watchdog 3000 ms
+        &[0x32, 0xDC, 0x01, 0x12, 5],                            // a device of 220 bytes
+        b"Radar",
+        &[0x1A, 24],
+        b"Radar device (bgt60trxx)",
+        &[0x20, 1],                      // a sensor
+        &[0x2A, 0x53, 0x08, 1, 0x12, 8], // option 1
+        b"Use case",
+        &[0x1A, 7],
+        b"Presets",
+        &[0x3A, 60, 0x10, 1], // one of these, the second now
+        b"\x1A\x07Default\x1A\x07Gesture\x1A\x0EMacro Presence\x1A\x0EMicro Presence\x1A\x06Custom",
+        &[0x2A, 37, 0x08, 2, 0x12, 11], // option 2
+        b"Custom data",
+        &[0x1A, 18],
+        b"Binary Custom data",
+        &[0x42, 0],           // an empty blob
+        &[0x32, 59, 0x0A, 5], // a stream
+        b"Radar",
+        &[0x10, 2, 0x18, 4], // output, S16
+        b"\x22\x0B\x0A\x07Antenna\x10\x03\x22\x09\x0A\x05Chirp\x10\x20\x22\x0A\x0A\x06Sample\x10\x40",
+        &[0x2D, 0x00, 0x00, 0x04, 0x42], // 33.0 Hz
+        &[0x30, 1, 0x3A, 3],
+        b"???",
+        &[0x10, 0x81, 0x80, 0x80, 0x08], // the tag
+    ];
+    let expected = expected.concat();
+    let mut got = vec![0; expected.len()];
+    port.read_exact(&mut got).expect("answers");
+    assert_eq!(got, expected);
 }
 
 /// What the emulated firmware reads at once completes four of these frames.
@@ -249,7 +301,6 @@ fn frames_of_a_slow_stream_come_as_they_are_measured() {
 
 mod hard_cases {
     use super::*;
-    use std::io::{Read, Write};
 
     fn open_error(board: &EmulatedBoard) -> BoardError {
         DeepcraftBoard::open(board.path()).err().expect("an error")
@@ -386,26 +437,38 @@ mod hard_cases {
         let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&[]) };
         let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
         let mut port = raw(&board);
-        port.set_timeout(Duration::from_secs(5)).expect("set");
         port.write_all(&[2, 0x1A, 0]).expect("starts");
-        let began = std::time::Instant::now();
+        // Its status between its chunks: active, and at some time ready again.
+        let mut parser = MessageParser::new(MAX_RESPONSE);
         let mut some = vec![0; 4096];
-        // A frame comes every 0.1 s, four at a time, until nothing comes for five seconds.
-        let mut last = began;
-        while let Ok(count) = port.read(&mut some) {
-            assert!(count > 0);
-            last = std::time::Instant::now();
+        let (mut chunks, mut states) = (0, Vec::new());
+        while states.last() != Some(&device_status::READY) {
+            let mut ask = Vec::new();
+            Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut ask);
+            port.write_all(&ask).expect("asks");
+            let count = port.read(&mut some).unwrap_or(0);
+            parser.push(&some[..count]);
+            while let Some(message) = parser.next_message() {
+                match Response::decode(message.expect("a length")).expect("a message").answer {
+                    Some(Answer::Data(_)) => chunks += 1,
+                    Some(Answer::Capabilities(answer)) => {
+                        states.push(answer.board.expect("a board").devices[0].status);
+                    }
+                    other => panic!("{other:?}"),
+                }
+            }
+            std::thread::sleep(Duration::from_millis(50));
         }
-        assert!(last - began < began.elapsed(), "it measured, and then stopped");
+        assert!(chunks > 0 && states.first() == Some(&device_status::ACTIVE), "{chunks} chunks, {states:?}");
         drop(port);
 
         // A client that is polled keeps it alive for longer than that.
         let mut stream = start(&board, &w);
-        let gaps = read_for(&mut stream, Duration::from_secs(5));
+        let gaps = read_for(&mut stream, Duration::from_secs(4));
         assert_eq!(gaps, []);
         // One that is not finds a gap.
-        std::thread::sleep(Duration::from_millis(4000));
-        let gaps = read_for(&mut stream, Duration::from_secs(2));
+        std::thread::sleep(Duration::from_millis(3100));
+        let gaps = read_for(&mut stream, Duration::from_secs(1));
         assert!(matches!(gaps[..], [Gap { reason: GapReason::Disconnected, .. }]), "{gaps:?}");
     }
 

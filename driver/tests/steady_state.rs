@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use common::{Pattern, waveform};
-use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{Board, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Kind, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 struct Counting;
@@ -62,6 +62,28 @@ fn the_client_allocates_nothing_per_frame() {
         read(300);
         let before = ALLOCATIONS.get();
         assert!(before > 0, "the allocator counts");
+        read(200);
+        assert_eq!(ALLOCATIONS.get() - before, 0, "{}", waveform.shape());
+    }
+}
+
+#[test]
+fn the_deepcraft_client_allocates_nothing_per_frame() {
+    // Four frames a chunk; a frame in nine reads; 48 frames a chunk.
+    for (antennas, chirps, samples) in [(&[1u8, 2, 3][..], 8, 64), (&[1, 2, 3], 64, 256), (&[3], 1, 128)] {
+        let waveform = waveform(antennas, chirps, samples, 0.1);
+        let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Deepcraft, ..EmulatorOptions::default() };
+        let source = Pattern::new(waveform.clone(), u64::MAX);
+        let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+        let mut stream = DeepcraftBoard::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut frame = Frame::zeroed(waveform.shape());
+        let mut read = |frames: u64| {
+            for _ in 0..frames {
+                assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+            }
+        };
+        read(300);
+        let before = ALLOCATIONS.get();
         read(200);
         assert_eq!(ALLOCATIONS.get() - before, 0, "{}", waveform.shape());
     }

@@ -77,6 +77,22 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     });
 }
 
+/// A PSoC 6 kit says what it is set to: nobody has to name a waveform.
+#[test]
+fn a_deepcraft_board_is_recorded_with_the_waveform_that_it_is_set_to() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(40, &fed);
+    let (mut board, port) = emulate(&fed, &["--protocol", "deepcraft"]);
+    let recorded = folder.path().join("recorded.mcap");
+    let summary = json_lines(
+        radome().args(["record", &format!("deepcraft:{port}"), "--frames", "20", "--json", "-o"]).arg(&recorded),
+    );
+    let _ = board.kill();
+    let _ = board.wait();
+    assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&20.into(), &0.into()));
+}
+
 mod hard_cases {
     use super::*;
 

@@ -24,8 +24,10 @@ const ANSWER: Duration = Duration::from_secs(1);
 const ATTEMPTS: u32 = 3;
 /// A board that has been stopped says nothing after so long.
 const DRAINED: Duration = Duration::from_millis(30);
-/// Longest that a board is drained.
+/// Longest that a board is drained: what the longest chunk takes, and what the host has not read yet. One that goes on and on
+/// is no board of this kind.
 const DRAIN_LIMIT: Duration = Duration::from_millis(500);
+const FIRST_DRAIN_LIMIT: Duration = Duration::from_millis(150);
 /// Empty requests that make up for the rest of one that the board may wait for. Somebody who takes the port for a modem
 /// (`AT`) has announced 65 bytes to the board.
 const UNBLOCK: [u8; 128] = [0; 128];
@@ -94,11 +96,11 @@ impl Link {
     /// Stops all devices and passes over what they have sent.
     pub fn stop(&mut self) -> Result<(), BoardError> {
         self.send(Command::Stop(StopRequest { device: ALL_DEVICES }))?;
-        self.drain()
+        self.drain(DRAIN_LIMIT)
     }
 
-    fn drain(&mut self) -> Result<(), BoardError> {
-        let end = Instant::now() + DRAIN_LIMIT;
+    fn drain(&mut self, limit: Duration) -> Result<(), BoardError> {
+        let end = Instant::now() + limit;
         while Instant::now() < end && !self.receive(DRAINED)?.is_empty() {}
         Ok(())
     }
@@ -108,7 +110,7 @@ impl Link {
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
                 self.write(&UNBLOCK, "capabilities")?;
-                self.drain()?;
+                self.drain(FIRST_DRAIN_LIMIT)?;
             }
             let tag = self.next_tag();
             let mut bytes = Vec::new();
