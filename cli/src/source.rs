@@ -112,6 +112,7 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
             let registers = stream.registers().clone();
             Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
         }
+        Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {
             let description = format!("ESP32 on {}", port.display());
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })

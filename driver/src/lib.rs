@@ -15,8 +15,8 @@ pub mod replay;
 mod timing;
 
 pub use board::{
-    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, LineStream,
-    Reconnect,
+    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
+    LineStream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};

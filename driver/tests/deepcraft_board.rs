@@ -420,7 +420,7 @@ mod hard_cases {
             assert!(matches!(error, BoardError::NoAnswer { command: "capabilities", .. }), "{kind:?}: {error}");
             match kind {
                 Kind::Esp32 => {
-                    let mut stream = radome_driver::LineStream::open(board.path(), &w).expect("opens");
+                    let mut stream = radome_driver::LineStream::open(board.path(), Some(&w)).expect("opens");
                     let mut frame = Frame::zeroed(w.shape());
                     while stream.next_frame(&mut frame).expect("lines") != SourceEvent::Frame {}
                 }

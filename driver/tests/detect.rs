@@ -26,6 +26,20 @@ fn an_mcu7_of_either_protocol_tells_what_its_chip_was_left_with() {
 }
 
 #[test]
+fn a_psoc_kit_tells_what_it_is_set_to() {
+    let w = waveform(&[1, 3], 16, 32, 0.05);
+    let board = board(&w, Kind::Deepcraft, &[]);
+    let Detected::Deepcraft(client) = Detected::open(board.path(), None).expect("answers") else {
+        panic!("another kind of board");
+    };
+    let left = client.configured_waveform().expect("a waveform");
+    left.check_compatible(&w).expect("the same");
+    assert_eq!(left.request.rx_antennas, w.request.rx_antennas);
+    let mut stream = client.start(&left).expect("starts");
+    assert_eq!(stream.next_frame(&mut Frame::zeroed(w.shape())).expect("frame"), SourceEvent::Frame);
+}
+
+#[test]
 fn a_board_that_prints_is_heard_from_its_first_frame_on() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let board = board(&w, Kind::Esp32, &[]);

@@ -71,7 +71,7 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     // They take their real time, side by side.
     std::thread::scope(|scope| {
         let check = &check;
-        for protocol in ["mcu7-4", "mcu7-3", "esp32"] {
+        for protocol in ["mcu7-4", "mcu7-3", "deepcraft", "esp32"] {
             scope.spawn(move || check(protocol));
         }
     });

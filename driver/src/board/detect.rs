@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Board, BoardError, LineStream, link};
+use super::{Board, BoardError, DeepcraftBoard, LineStream, link};
 
 const BAUD_RATE: u32 = 921_600;
 /// How long a board that talks by itself may take to begin.
@@ -18,6 +18,8 @@ const ENOUGH: usize = 256;
 pub enum Detected {
     /// A Radar Baseboard MCU7, and what its chip was programmed with before.
     Mcu7(Box<Board>, Option<Waveform>),
+    /// A PSoC 6 kit with DEEPCRAFT firmware; it says what it is set to.
+    Deepcraft(Box<DeepcraftBoard>),
     /// A board that prints its frames.
     Lines(Box<LineStream>),
 }
@@ -39,8 +41,17 @@ impl Detected {
             return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
         }
         drop(port);
-        let (board, left) = Board::open_as_left(path)?;
-        Ok(Detected::Mcu7(Box::new(board), left))
+        // The request of the one that is asked first keeps the other waiting for the rest of a longer one; that board's
+        // client knows how to get over it.
+        match Board::open_as_left(path) {
+            Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
+            Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
+                Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),
+                Err(BoardError::NoAnswer { .. }) => Err(silent),
+                Err(error) => Err(error),
+            },
+            Err(error) => Err(error),
+        }
     }
 }
 

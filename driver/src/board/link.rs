@@ -1,9 +1,11 @@
 //! Requests and packets over a serial port.
 
 use std::io::{ErrorKind, Read, Write};
+use std::os::fd::{AsRawFd, BorrowedFd};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serialport::{SerialPort, TTYPort};
 
 use super::BoardError;
@@ -48,6 +50,19 @@ pub(super) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort, BoardErr
     })
 }
 
+/// Reads what comes, waiting for it at most so long. A read of the port by itself waits as well, but makes an error each time
+/// that nothing comes, which allocates.
+pub(super) fn read_within(port: &mut TTYPort, timeout: Duration, buffer: &mut [u8]) -> std::io::Result<usize> {
+    // SAFETY: the port is borrowed, and so its descriptor open, for as long as this one lives.
+    let descriptor = unsafe { BorrowedFd::borrow_raw(port.as_raw_fd()) };
+    let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
+    match poll(&mut [PollFd::new(&descriptor, PollFlags::IN)], Some(&timeout)) {
+        Ok(0) | Err(rustix::io::Errno::INTR) => Err(ErrorKind::TimedOut.into()),
+        Ok(_) => port.read(buffer),
+        Err(e) => Err(e.into()),
+    }
+}
+
 /// Appends what comes within some milliseconds.
 pub(super) fn read_more(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<(), BoardError> {
     let mut buffer = [0; 4096];
@@ -82,8 +97,7 @@ impl Link {
 
     /// Waits for bytes, at most so long; whether any came.
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
-        self.port.set_timeout(timeout.max(Duration::from_millis(1))).map_err(|e| self.lost(e.into()))?;
-        match self.port.read(&mut self.buffer) {
+        match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
             Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
             Ok(count) => {
                 self.last_byte = Instant::now();

@@ -9,9 +9,11 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::FrameSource;
 
+use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
-use super::world::{Slice, World};
+use super::world::Slice;
 use super::{EmulatorError, EmulatorOptions, Shared};
+use crate::chip::{address, field};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
 use requests::Requests;
 
@@ -23,25 +25,25 @@ const STREAM: i32 = 0;
 
 /// The firmware, and the frames that it has read from the chip.
 ///
-/// It reads 6144 codes at a time and sends the frames that these complete as one chunk. Where the source has a gap, and at its
-/// end, it sends what it has.
+/// It reads 6144 codes at a time and sends the frames that these complete as one chunk; while the host takes none the chip's
+/// FIFO goes on filling. Where the source has a gap, and at its end, it sends what it has. What the real firmware does
+/// when the FIFO has overflowed is not known, for it does not look; this one counts the frames as dropped and starts the
+/// chip again.
 pub(super) struct Deepcraft {
-    world: World,
     requests: Requests,
+    /// Starts of the radar when `codes` was begun.
     starts: u64,
     stalled: bool,
     /// Number of the first frame in `codes`.
     number: u32,
-    /// Frames that wait to be sent, in FIFO order.
+    /// Number that the first frame since the chip's start would have, had none been skipped since.
+    first_number: u32,
+    /// Codes that have been read and not sent, FIFO order.
     codes: Vec<u16>,
     frame_codes: usize,
-    /// Codes that the chip has sampled since chunks were last even with reads, and frames sent since.
-    sampled: usize,
+    /// Codes read since chunks were last even with reads, and frames sent since.
+    read: usize,
     sent: usize,
-    /// Time of the last frame before the FIFO overflowed, microseconds.
-    overflowed: Option<Option<u64>>,
-    last_frame_us: Option<u64>,
-    interval_us: f64,
     shared: Arc<Shared>,
 }
 
@@ -52,41 +54,43 @@ impl Deepcraft {
         shared: Arc<Shared>,
     ) -> Result<Self, EmulatorError> {
         let waveform = source.waveform().clone();
+        let chip = Chip::new(source, options.pace, &options.faults).map_err(EmulatorError::Thread)?;
         Ok(Deepcraft {
-            requests: Requests::new(&waveform, &options.faults)?,
-            world: World::new(source, options.pace).map_err(EmulatorError::Thread)?,
+            requests: Requests::new(chip, &waveform, &options.faults)?,
             starts: 0,
             stalled: false,
             number: 0,
+            first_number: 0,
             codes: Vec::new(),
-            frame_codes: waveform.shape().codes(),
-            sampled: 0,
+            frame_codes: waveform.shape().codes().max(1),
+            read: 0,
             sent: 0,
-            overflowed: None,
-            last_frame_us: None,
-            interval_us: waveform.frame_interval_s() * 1e6,
             shared,
         })
     }
 
     fn begin_anew(&mut self) {
-        let (waveform, channels) = self.requests.measured();
-        self.frame_codes = waveform.shape().codes();
-        self.world.restart(&waveform, channels, None);
+        self.frame_codes = self.requests.chip.frames().map_or(1, |w| w.shape().codes().max(1));
         self.codes.clear();
-        (self.number, self.sampled, self.sent) = (0, 0, 0);
-        (self.stalled, self.overflowed, self.last_frame_us) = (false, None, None);
+        (self.number, self.first_number, self.read, self.sent, self.stalled) = (0, 0, 0, 0, false);
     }
 
     /// Frames that reads of the FIFO have completed and that have not been sent.
     fn complete(&self) -> usize {
-        let read = self.sampled / FIFO_LEVEL_CODES * FIFO_LEVEL_CODES;
-        (read / self.frame_codes.max(1)).saturating_sub(self.sent)
+        let read = self.read / FIFO_LEVEL_CODES * FIFO_LEVEL_CODES;
+        (read / self.frame_codes).saturating_sub(self.sent)
     }
 
+    /// Frames that will not be sent.
+    fn drop_frames(&mut self, frames: u32) {
+        self.number = self.number.wrapping_add(frames);
+        self.requests.dropped = self.requests.dropped.wrapping_add(frames as i32);
+    }
+
+    /// The source lacks frames, or a fault pretends that others had been sent.
     fn skip(&mut self, frames: u32) {
         self.number = self.number.wrapping_add(frames);
-        self.requests.dropped += frames as i32;
+        self.first_number = self.first_number.wrapping_add(frames);
     }
 
     /// Sends so many of the frames that wait, as one chunk.
@@ -96,19 +100,19 @@ impl Deepcraft {
         }
         let (number, before) = wire.next_number();
         let codes = frames * self.frame_codes;
+        self.sent += frames;
         for before in before {
             match before {
                 Before::Overflow => {
                     self.shared.overflows.fetch_add(1, Ordering::Relaxed);
                     self.codes.drain(..codes);
-                    self.sent += frames;
-                    return self.skip(frames as u32);
+                    return self.drop_frames(frames as u32);
                 }
                 Before::Stall => {
                     self.stalled = true;
                     return;
                 }
-                Before::Skip(by) => self.number = self.number.wrapping_add(u32::from(by)),
+                Before::Skip(by) => self.skip(u32::from(by)),
             }
         }
         let layout = ChunkLayout { device: DEVICE, stream: STREAM, frame_codes: self.frame_codes };
@@ -116,23 +120,29 @@ impl Deepcraft {
         self.codes.drain(..codes);
         self.number = self.number.wrapping_add(frames as u32);
         self.requests.current_frame = self.number;
-        self.sent += frames;
         self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Sends all frames that wait.
+    /// Sends all whole frames that wait.
     fn flush(&mut self, wire: &mut Wire) {
-        self.send(self.codes.len() / self.frame_codes.max(1), wire);
-        (self.sampled, self.sent) = (0, 0);
+        self.send(self.codes.len() / self.frame_codes, wire);
+        (self.read, self.sent) = (0, 0);
     }
 
-    /// A frame that comes after an overflow: the clock tells how many are missing.
-    fn count_overflown(&mut self, time_us: u64) {
-        if let Some(Some(last_us)) = self.overflowed.take() {
-            let intervals = (time_us.saturating_sub(last_us) as f64 / self.interval_us).round();
-            self.skip((intervals as u32).saturating_sub(1));
+    /// Starts the chip again after its FIFO has overflowed. How many frames are lost the chip's frame counter tells.
+    fn overflow(&mut self, wire: &mut Wire) {
+        self.shared.overflows.fetch_add(1, Ordering::Relaxed);
+        self.flush(wire);
+        self.codes.clear();
+        let status = self.requests.chip.read(address::STAT1);
+        let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
+        let measured = field::STAT1::FRAME_CNT.of(status) + u32::from(is_cut);
+        // The counter has twelve bits.
+        self.drop_frames(measured.wrapping_sub(self.number.wrapping_sub(self.first_number)) % 4096);
+        self.first_number = self.number;
+        if let Err(reason) = self.requests.start_chip() {
+            tracing::error!(reason, "the emulated board does not start again");
         }
-        self.last_frame_us = Some(time_us);
     }
 }
 
@@ -157,26 +167,22 @@ impl Firmware for Deepcraft {
         if self.stalled {
             return false;
         }
-        match self.world.slice(self.frame_codes as u64) {
-            Slice::Ready { time_us } => {
-                self.count_overflown(time_us);
-                self.codes.extend_from_slice(self.world.codes(self.frame_codes));
-                self.world.take(self.frame_codes);
-                self.sampled += self.frame_codes;
+        if self.requests.chip.fifo_failed() {
+            self.overflow(wire);
+            return true;
+        }
+        // Reads end where frames do, so that a gap of the source comes between two reads.
+        let codes = (self.frame_codes - self.codes.len() % self.frame_codes).min(FIFO_LEVEL_CODES);
+        match self.requests.chip.poll(codes as u64) {
+            Slice::Ready { .. } => {
+                self.requests.chip.read_fifo(codes, &mut self.codes);
+                self.read += codes;
                 self.send(self.complete(), wire);
                 true
             }
             Slice::Missing { frames } => {
                 self.flush(wire);
-                self.number = self.number.wrapping_add(frames as u32);
-                true
-            }
-            Slice::Overflow => {
-                self.shared.overflows.fetch_add(1, Ordering::Relaxed);
-                self.flush(wire);
-                let (waveform, channels) = self.requests.measured();
-                self.world.restart(&waveform, channels, None);
-                self.overflowed = Some(self.last_frame_us);
+                self.skip(frames as u32);
                 true
             }
             Slice::Wait => false,
@@ -189,7 +195,8 @@ impl Firmware for Deepcraft {
     }
 
     fn advance(&mut self) {
-        self.world.advance();
+        self.requests.chip.world().advance();
+        self.requests.chip.look_for_overflow();
     }
 
     fn power_up(&mut self) {

@@ -1,6 +1,6 @@
 //! Requests and answers over a serial port.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -8,6 +8,7 @@ use prost::Message;
 use serialport::{SerialPort, TTYPort};
 
 use super::{BoardError, DeepcraftError};
+use crate::board::link::{open_port, read_within};
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
@@ -47,7 +48,7 @@ pub(super) struct Link {
 
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let port = super::super::link::open_port(path, BAUD_RATE)?;
+        let port = open_port(path, BAUD_RATE)?;
         Ok(Link { path: path.into(), port, buffer: vec![0; BUFFER], tag: FIRST_TAG })
     }
 
@@ -61,8 +62,7 @@ impl Link {
 
     /// Waits for bytes, at most so long; none if none came.
     pub fn receive(&mut self, timeout: Duration) -> Result<&[u8], BoardError> {
-        self.port.set_timeout(timeout.max(Duration::from_millis(1))).map_err(|e| self.lost(e.into()))?;
-        match self.port.read(&mut self.buffer) {
+        match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
             Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
             Ok(count) => Ok(self.buffer.get(..count).unwrap_or(&[])),
             Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {

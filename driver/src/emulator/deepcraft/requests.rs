@@ -6,12 +6,14 @@ use prost::Message;
 use radome_dsp::Waveform;
 
 use super::{DEVICE, WATCHDOG_TIMEOUT_MS, watchdog};
+use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
+use crate::emulator::chip::Chip;
 use crate::emulator::{EmulatorError, Fault};
 use crate::protocol::deepcraft::{
     Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureResponse, Custom, Device,
-    DeviceOption, Dimension, ErrorCode, ErrorResponse, ITEMS, MAX_REQUEST, MessageParser, OptionBlob, OptionKind,
-    OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response, StreamConfig, USE_CASE, Value, Version,
-    data_type, device_status, device_type, direction, stated_frequency_hz,
+    DeviceOption, Dimension, ErrorCode, ErrorResponse, FIFO_LEVEL_CODES, ITEMS, MAX_REQUEST, MessageParser, OptionBlob,
+    OptionKind, OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response, StreamConfig, USE_CASE, Value,
+    Version, data_type, device_status, device_type, direction, stated_frequency_hz,
 };
 
 pub(super) struct Requests {
@@ -25,6 +27,9 @@ pub(super) struct Requests {
     use_case: i32,
     blob: Vec<u8>,
     waveform: Waveform,
+    /// What sets the chip to it.
+    registers: RegisterList,
+    pub chip: Chip,
     /// While the radar is active: when the watchdog stops it.
     pub active_until: Option<Instant>,
     /// Counts starts: the sender begins afresh when it changes.
@@ -36,7 +41,7 @@ pub(super) struct Requests {
 }
 
 impl Requests {
-    pub fn new(source: &Waveform, faults: &[Fault]) -> Result<Self, EmulatorError> {
+    pub fn new(chip: Chip, source: &Waveform, faults: &[Fault]) -> Result<Self, EmulatorError> {
         let (mut name, mut protocol_major) = ("Radar".to_owned(), PROTOCOL_VERSION[0]);
         for fault in faults {
             match *fault {
@@ -49,7 +54,8 @@ impl Requests {
             Some(preset) => (preset as i32, Vec::new()),
             None => (ITEMS.len() as i32 - 1, Custom::compile(source)?.encode()),
         };
-        Ok(Requests {
+        let mut requests = Requests {
+            chip,
             source: source.clone(),
             parser: MessageParser::new(MAX_REQUEST),
             name,
@@ -58,35 +64,48 @@ impl Requests {
             blob: power_up.1.clone(),
             power_up,
             waveform: source.clone(),
+            registers: RegisterList::new(),
             active_until: None,
             starts: 0,
             current_frame: 0,
             dropped: 0,
             refusal: None,
-        })
+        };
+        requests.configure();
+        Ok(requests)
     }
 
     /// The board was without power: everything is as at first, but for the count of starts.
     pub fn power_up(&mut self) {
         self.parser.clear();
         (self.use_case, self.blob) = self.power_up.clone();
-        self.waveform = self.source.clone();
-        self.refusal = None;
         self.stop();
-        self.dropped = 0;
+        self.configure();
+        self.chip.reset();
     }
 
     pub fn stop(&mut self) {
         self.active_until = None;
         self.current_frame = 0;
+        // Ending frames cannot fail.
+        let _ = self.chip.write(address::MAIN, main_bits::FSM_RESET);
     }
 
-    /// What the chip measures: its waveform, and its receivers by their indices among those of the source.
-    pub fn measured(&self) -> (Waveform, Vec<usize>) {
-        let antennas = self.source.request.rx_antennas.antennas();
-        let wanted = self.waveform.request.rx_antennas.antennas();
-        let channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
-        (self.waveform.clone(), channels)
+    /// Resets the chip, gives it its registers, with the level that the firmware reads at, and starts frames.
+    ///
+    /// # Errors
+    /// The emulator cannot start these frames, and why.
+    pub fn start_chip(&mut self) -> Result<(), String> {
+        self.chip.write(address::MAIN, main_bits::SW_RESET)?;
+        for register in &self.registers {
+            self.chip.write(register.address, register.value)?;
+        }
+        let fifo = self.chip.read(address::SFCTL);
+        let level = (FIFO_LEVEL_CODES / 2 - 1) as u32;
+        self.chip.write(address::SFCTL, field::SFCTL::FIFO_CREF.put(fifo, level))?;
+        let main = self.chip.read(address::MAIN);
+        self.chip.write(address::MAIN, main | main_bits::FIFO_RESET)?;
+        self.chip.write(address::MAIN, main | main_bits::FRAME_START)
     }
 
     /// A request that is announced and does not come keeps the firmware waiting, as the real one.
@@ -152,6 +171,11 @@ impl Requests {
                     (None, Some(_)) => return Err(ErrorCode::Unspecified),
                     (None, None) => {}
                 }
+                if let Err(reason) = self.start_chip() {
+                    tracing::warn!(reason, "the emulated board does not start");
+                    self.refusal = Some(reason);
+                    return Err(ErrorCode::Unspecified);
+                }
                 self.active_until = Some(watchdog());
                 self.starts += 1;
                 Ok(None)
@@ -197,20 +221,34 @@ impl Requests {
         }
     }
 
+    /// Waveform and registers that the options stand for.
+    fn wanted(&self) -> Result<(Waveform, RegisterList), String> {
+        match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
+            Some(preset) => {
+                let waveform = preset.waveform().map_err(|e| e.to_string())?;
+                let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: FIFO_LEVEL_CODES };
+                let mut registers = configuration.compile().map_err(|e| e.to_string())?;
+                let main = registers.iter_mut().filter(|r| r.address == address::MAIN);
+                main.for_each(|r| r.value &= !main_bits::ALL);
+                Ok((waveform, registers))
+            }
+            None => {
+                let Custom { waveform, registers } = Custom::decode(&self.blob).map_err(|e| e.to_string())?;
+                Ok((waveform, registers))
+            }
+        }
+    }
+
     /// The chip would measure whatever it is told; the source has frames of one waveform only. Another is refused, loudly.
     fn configure(&mut self) {
         (self.current_frame, self.dropped) = (0, 0);
-        let wanted = match usize::try_from(self.use_case).ok().and_then(|index| Preset::ALL.get(index)) {
-            Some(preset) => preset.waveform().map_err(|e| e.to_string()),
-            None => Custom::decode(&self.blob).map(|custom| custom.waveform).map_err(|e| e.to_string()),
-        };
-        let checked = wanted.and_then(|wanted| match self.source.check_compatible(&wanted) {
-            Ok(()) => Ok(wanted),
-            Err(mismatch) => Err(mismatch.to_string()),
+        let checked = self.wanted().and_then(|(waveform, registers)| {
+            self.source.check_compatible(&waveform).map_err(|mismatch| mismatch.to_string())?;
+            Ok((waveform, registers))
         });
         self.refusal = match checked {
-            Ok(waveform) => {
-                self.waveform = waveform;
+            Ok(wanted) => {
+                (self.waveform, self.registers) = wanted;
                 None
             }
             Err(reason) => {
