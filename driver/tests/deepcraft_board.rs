@@ -267,36 +267,33 @@ fn a_board_that_stalls_is_started_anew() {
     assert!(gaps[0].frames >= 12, "{gaps:?}");
 }
 
-/// At the pace of the source every chunk is followed by silence, which confirms it.
+/// At the pace of the source every chunk is followed by silence, which confirms it: the last one has no successor.
 #[test]
 fn frames_of_a_slow_stream_come_as_they_are_measured() {
-    let w = waveform(&[1, 2, 3], 32, 128, 0.05);
-    let source = Pattern::new(w.clone(), 12);
-    let options =
-        EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&[Fault::TruncatePacket { packet: 5, bytes: 999 }]) };
+    const FRAMES: u64 = 24;
+    let w = small();
+    let source = Pattern::new(w.clone(), FRAMES);
+    let faults = [Fault::TruncatePacket { packet: 2, bytes: 999 }];
+    let options = EmulatorOptions { pace: Pace::RealTime(1.0), ..options(&faults) };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
     let mut stream = start(&board, &w);
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
-    let (mut last, mut gaps) = (None, 0);
-    // The last frame has no successor.
-    while last != Some(11) {
+    let pattern = Pattern::new(w.clone(), 0);
+    let (mut next_of_source, mut damaged) = (0, 0);
+    while next_of_source < FRAMES {
         match stream.next_frame(&mut frame).expect("no error") {
             SourceEvent::Frame => {
-                let pattern = Pattern::new(w.clone(), 0);
-                last = (0..12).find(|sequence| {
+                let found = (next_of_source..FRAMES).find(|sequence| {
                     pattern.fill(*sequence, &mut expected);
                     expected.codes == frame.codes
                 });
-                assert!(last.is_some(), "a frame of the source");
+                next_of_source = found.expect("a frame of the source") + 1;
             }
-            SourceEvent::Gap(gap) => {
-                assert_eq!((gap.first_sequence, gap.reason), (5, GapReason::Crc));
-                gaps += 1;
-            }
+            SourceEvent::Gap(gap) => damaged += u32::from(gap.reason == GapReason::Crc),
             SourceEvent::End => panic!("a board does not end"),
         }
     }
-    assert_eq!(gaps, 1);
+    assert_eq!(damaged, 1);
 }
 
 mod hard_cases {

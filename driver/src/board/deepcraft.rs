@@ -193,10 +193,61 @@ fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, Deepcr
     if got != expected {
         return differ("shape", format!("{expected:?}"), format!("{got:?}"));
     }
-    // A rounded number may fall to either side.
-    let expected = stated_frequency_hz(waveform);
-    if (stream.frequency - expected).abs() > 1.0 {
+    // It is rounded to a whole number; what lies in the middle may fall to either side.
+    let rate_hz = 1.0 / waveform.frame_interval_s();
+    if (f64::from(stream.frequency) - rate_hz).abs() > 0.5 + 1e-3 * rate_hz {
+        let expected = stated_frequency_hz(waveform);
         return differ("frequency", format!("{expected} Hz"), format!("{} Hz", stream.frequency));
     }
     Ok(Stream { index, next_number: stream.current_frame as u32 })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::protocol::deepcraft::Dimension;
+
+    fn stream(waveform: &Waveform) -> StreamConfig {
+        let shape = waveform.shape();
+        let axes = [("Antenna", shape.rx), ("Chirp", shape.chirps), ("Sample", shape.samples)];
+        let axis = |(name, size): (&str, usize)| Dimension { name: name.into(), size: size as i32, labels: Vec::new() };
+        StreamConfig {
+            direction: direction::OUTPUT,
+            data_type: data_type::S16,
+            shape: axes.map(axis).to_vec(),
+            frequency: stated_frequency_hz(waveform),
+            current_frame: 7,
+            ..StreamConfig::default()
+        }
+    }
+
+    #[test]
+    fn the_stream_of_a_preset_is_found_behind_others() {
+        for preset in Preset::ALL {
+            let waveform = preset.waveform().expect("valid");
+            let input = StreamConfig { direction: 1, ..StreamConfig::default() };
+            let found = check(&[input, stream(&waveform)], &waveform).expect("agrees");
+            assert_eq!((found.index, found.next_number), (1, 7));
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn a_stream_that_is_not_what_was_asked_for_is_refused_with_both() {
+            let waveform = Preset::Gesture.waveform().expect("valid");
+            let good = stream(&waveform);
+            let refused = |stream: StreamConfig| check(&[stream], &waveform).err().expect("refused").to_string();
+            let said = refused(StreamConfig { data_type: 3, ..good.clone() });
+            assert!(said.contains("data type 3, 4 was asked for"), "{said}");
+            let said = refused(StreamConfig { frequency: 35.0, ..good.clone() });
+            assert!(said.contains("frequency 35 Hz, 33 Hz"), "{said}");
+            let shape = good.shape.iter().rev().cloned().collect();
+            let said = refused(StreamConfig { shape, ..good.clone() });
+            assert!(said.contains("shape") && said.contains("(\"Sample\", 64), (\"Chirp\", 32)"), "{said}");
+            let said = refused(StreamConfig { direction: 1, ..good });
+            assert!(said.contains("none"), "{said}");
+        }
+    }
 }

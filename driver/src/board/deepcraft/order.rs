@@ -125,3 +125,100 @@ impl Order {
         Some(SourceEvent::Frame)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radome_dsp::{RxMask, WaveformRequest};
+
+    fn order() -> (Order, Frame) {
+        let request = WaveformRequest {
+            samples_per_chirp: 8,
+            chirps_per_frame: 2,
+            rx_antennas: RxMask::from_antennas(&[1, 3]).expect("valid"),
+            ..WaveformRequest::paper()
+        };
+        let waveform = Waveform::realise(request).expect("valid");
+        let frame = Frame::zeroed(waveform.shape());
+        (Order::new(&waveform, 5), frame)
+    }
+
+    /// Codes of so many frames, in FIFO order: the codes of the first receiver are even, those of the second odd.
+    fn codes(frames: usize) -> Vec<[u8; 2]> {
+        (0..frames * 32).map(|i| (i as u16).to_le_bytes()).collect()
+    }
+
+    fn gap(first_sequence: u64, frames: u64, reason: GapReason) -> Option<SourceEvent> {
+        Some(SourceEvent::Gap(Gap { first_sequence, frames, reason }))
+    }
+
+    const NOW: Duration = Duration::ZERO;
+
+    #[test]
+    fn a_chunk_of_frames_comes_out_one_by_one_receiver_by_receiver() {
+        let (mut order, mut frame) = order();
+        order.take(5, 3, &codes(3), NOW);
+        for sequence in 0..3 {
+            assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+            assert_eq!((frame.sequence, frame.time_ns), (sequence, sequence * 100_000_000));
+            let (first, second) = frame.codes.split_at(16);
+            let start = sequence as u16 * 32;
+            assert!(first.iter().zip((start..).step_by(2)).all(|(code, i)| *code == i));
+            assert!(second.iter().zip((start + 1..).step_by(2)).all(|(code, i)| *code == i));
+        }
+        assert_eq!(order.pop(&mut frame), None);
+    }
+
+    #[test]
+    fn numbers_that_jump_are_a_gap_whose_reason_the_board_knows() {
+        let (mut order, mut frame) = order();
+        order.take(7, 1, &codes(1), NOW);
+        assert!(order.wants_to_know());
+        order.explain(0);
+        assert_eq!(order.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        assert_eq!(frame.sequence, 2);
+        order.take(13, 1, &codes(1), NOW);
+        // Five are missing; of the six that the board has dropped by now some are missing only later.
+        order.explain(6);
+        assert_eq!(order.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        order.take(17, 1, &codes(1), NOW);
+        order.explain(6);
+        assert_eq!(order.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
+        assert_eq!(order.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
+        assert!(!order.wants_to_know());
+    }
+
+    #[test]
+    fn frames_that_come_again_or_late_are_passed_over() {
+        let (mut order, mut frame) = order();
+        order.take(5, 2, &codes(2), NOW);
+        assert!(order.pop(&mut frame).is_some() && order.pop(&mut frame).is_some());
+        order.take(5, 2, &codes(2), NOW);
+        order.take(6, 1, &codes(1), NOW);
+        assert_eq!(order.pop(&mut frame), None);
+        order.take(7, 1, &codes(1), NOW);
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+    }
+
+    /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the new
+    /// one holds two.
+    #[test]
+    fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
+        let (mut order, mut frame) = order();
+        order.take(5, 1, &codes(1), NOW);
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        order.restart(GapReason::Crc);
+        order.take(0, 2, &codes(2), Duration::from_millis(1210));
+        assert!(!order.wants_to_know());
+        assert_eq!(order.pop(&mut frame), gap(1, 10, GapReason::Crc));
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        assert_eq!(frame.sequence, 11);
+        // What led to the restart is missing at least.
+        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        order.restart(GapReason::Disconnected);
+        order.take(0, 2, &codes(2), NOW);
+        assert_eq!(order.pop(&mut frame), gap(13, 1, GapReason::Disconnected));
+    }
+}
