@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
 
+use crate::protocol::deepcraft::FIFO_LEVEL_CODES;
 use crate::protocol::fifo;
 
 pub(super) struct Order {
@@ -36,7 +37,8 @@ impl Order {
             damaged: false,
             gaps: VecDeque::new(),
             dropped: 0,
-            codes: Vec::new(),
+            // As many frames as reads of the firmware complete at once.
+            codes: Vec::with_capacity(FIFO_LEVEL_CODES + waveform.shape().codes()),
             gone: 0,
         }
     }

@@ -223,11 +223,12 @@ pub struct ChunkParser {
 }
 
 impl ChunkParser {
-    /// An empty parser for a stream whose next frame has this number.
+    /// An empty parser for a stream whose next frame has this number. It allocates nothing more as long as at most 64 KiB at a
+    /// time are pushed, and taken out as far as they are confirmed.
     pub fn new(layout: ChunkLayout, next_number: u32) -> Self {
         ChunkParser {
             layout,
-            buffer: Vec::new(),
+            buffer: Vec::with_capacity(MAX_RESPONSE + 65_536),
             used: 0,
             next_number,
             silent: false,
