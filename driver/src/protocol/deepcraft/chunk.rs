@@ -3,7 +3,7 @@
 use prost::Message;
 
 use super::delimited::{Cursor, Stop, encode_varint, varint_length};
-use super::message::{Answer, CapabilitiesResponse, ErrorResponse, Response};
+use super::response::{Answer, CapabilitiesResponse, ErrorResponse, Response};
 
 /// Longest message of a board: the firmware's ring of 64 Ki samples, and what is around it.
 pub const MAX_RESPONSE: usize = 2 * 65_536 + 1024;

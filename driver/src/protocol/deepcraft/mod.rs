@@ -14,19 +14,23 @@
 //! samples, cost frames but never falsify one. A flipped bit in a sample is found only if it makes a code beyond 4095; else
 //! nobody can know. USB checks and repeats its packets, so that nothing of this is to be expected on its line.
 
+mod capabilities;
 mod chunk;
 mod custom;
 mod delimited;
 mod error;
-mod message;
 mod preset;
+mod request;
+mod response;
 
+pub use capabilities::*;
 pub use chunk::{Beginning, ChunkEvent, ChunkHeader, ChunkLayout, ChunkParser, MAX_RESPONSE};
 pub use custom::{Custom, CustomError, FIFO_LEVEL_CODES};
 pub use delimited::{MessageParser, TooLong};
 pub use error::ErrorCode;
-pub use message::*;
 pub use preset::{CUSTOM, ITEMS, Preset, stated_frequency_hz};
+pub use request::*;
+pub use response::*;
 
 /// Version of the protocol that is spoken here: major, minor, build, revision.
 pub const PROTOCOL_VERSION: [u32; 4] = [2, 3, 20_241_218, 0];

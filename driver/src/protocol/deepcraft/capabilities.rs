@@ -1,0 +1,216 @@
+//! What a board has: devices, their options and streams, as protobuf defines them.
+
+use prost::{Message, Oneof};
+
+/// A version.
+#[derive(Clone, PartialEq, Message)]
+pub struct Version {
+    /// Major.
+    #[prost(uint32, tag = "1")]
+    pub major: u32,
+    /// Minor.
+    #[prost(uint32, tag = "2")]
+    pub minor: u32,
+    /// Build.
+    #[prost(uint32, tag = "3")]
+    pub build: u32,
+    /// Revision.
+    #[prost(uint32, tag = "4")]
+    pub revision: u32,
+}
+
+/// Identity of a board.
+#[derive(Clone, PartialEq, Message)]
+pub struct BoardSerial {
+    /// 16 bytes.
+    #[prost(bytes = "vec", tag = "1")]
+    pub uuid: Vec<u8>,
+}
+
+/// A board.
+#[derive(Clone, PartialEq, Message)]
+pub struct Board {
+    /// Which one of its kind.
+    #[prost(message, optional, tag = "1")]
+    pub serial: Option<BoardSerial>,
+    /// Its name.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// Of the firmware.
+    #[prost(message, optional, tag = "3")]
+    pub firmware_version: Option<Version>,
+    /// Of the protocol.
+    #[prost(message, optional, tag = "4")]
+    pub protocol_version: Option<Version>,
+    /// The board stops after so many milliseconds without [`Command::WatchdogReset`]; 0 is never.
+    #[prost(int32, tag = "5")]
+    pub watchdog_timeout: i32,
+    /// Its devices.
+    #[prost(message, repeated, tag = "6")]
+    pub devices: Vec<Device>,
+}
+
+/// Types of [`Device`].
+pub mod device_type {
+    /// Measures.
+    pub const SENSOR: i32 = 1;
+}
+
+/// Status of a [`Device`].
+pub mod device_status {
+    /// Can be started.
+    pub const READY: i32 = 0;
+    /// Sends frames.
+    pub const ACTIVE: i32 = 1;
+    /// Cannot be used; its message says why.
+    pub const ERROR: i32 = 3;
+}
+
+/// A device of a board.
+#[derive(Clone, PartialEq, Message)]
+pub struct Device {
+    /// Its number.
+    #[prost(int32, tag = "1")]
+    pub device_id: i32,
+    /// Its name.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// What it is.
+    #[prost(string, tag = "3")]
+    pub description: String,
+    /// See [`device_type`].
+    #[prost(int32, tag = "4")]
+    pub device_type: i32,
+    /// What can be set.
+    #[prost(message, repeated, tag = "5")]
+    pub options: Vec<DeviceOption>,
+    /// What it sends and takes.
+    #[prost(message, repeated, tag = "6")]
+    pub streams: Vec<StreamConfig>,
+    /// See [`device_status`].
+    #[prost(int32, tag = "7")]
+    pub status: i32,
+    /// What it says of its status.
+    #[prost(string, tag = "8")]
+    pub status_message: String,
+}
+
+/// What can be set.
+#[derive(Clone, PartialEq, Message)]
+pub struct DeviceOption {
+    /// Its number.
+    #[prost(int32, tag = "1")]
+    pub option_id: i32,
+    /// Its name.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// What it does.
+    #[prost(string, tag = "3")]
+    pub description: String,
+    /// Its kind and value. Kinds that a radar does not have are skipped.
+    #[prost(oneof = "OptionKind", tags = "7, 8")]
+    pub kind: Option<OptionKind>,
+}
+
+/// Kinds of option.
+#[derive(Clone, PartialEq, Oneof)]
+pub enum OptionKind {
+    /// One of several items.
+    #[prost(message, tag = "7")]
+    OneOf(OptionOneOf),
+    /// Bytes.
+    #[prost(message, tag = "8")]
+    Blob(OptionBlob),
+}
+
+/// One of several items.
+#[derive(Clone, PartialEq, Message)]
+pub struct OptionOneOf {
+    /// Index at power-up.
+    #[prost(int32, tag = "1")]
+    pub default_index: i32,
+    /// Index now.
+    #[prost(int32, tag = "2")]
+    pub current_index: i32,
+    /// Names.
+    #[prost(string, repeated, tag = "3")]
+    pub items: Vec<String>,
+}
+
+/// Bytes.
+#[derive(Clone, PartialEq, Message)]
+pub struct OptionBlob {
+    /// Value now.
+    #[prost(bytes = "vec", tag = "1")]
+    pub current_value: Vec<u8>,
+    /// Value at power-up.
+    #[prost(bytes = "vec", tag = "2")]
+    pub default_value: Vec<u8>,
+}
+
+/// Directions of a [`StreamConfig`].
+pub mod direction {
+    /// From the board to the host.
+    pub const OUTPUT: i32 = 2;
+}
+
+/// Types of a stream's elements.
+pub mod data_type {
+    /// Signed, 16 bits.
+    pub const S16: i32 = 4;
+}
+
+/// What a device sends or takes.
+#[derive(Clone, PartialEq, Message)]
+pub struct StreamConfig {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// See [`direction`].
+    #[prost(int32, tag = "2")]
+    pub direction: i32,
+    /// See [`data_type`].
+    #[prost(int32, tag = "3")]
+    pub data_type: i32,
+    /// Axes of a frame. Not their order: see the [module](super).
+    #[prost(message, repeated, tag = "4")]
+    pub shape: Vec<Dimension>,
+    /// Frames in a second, rounded to a whole number.
+    #[prost(float, tag = "5")]
+    pub frequency: f32,
+    /// Most frames in a chunk. The radar says 1 and sends more.
+    #[prost(int32, tag = "6")]
+    pub max_frame_count: i32,
+    /// Unit.
+    #[prost(string, tag = "7")]
+    pub unit: String,
+    /// Number of the next frame.
+    #[prost(int32, tag = "8")]
+    pub current_frame: i32,
+    /// Frames that the device has dropped.
+    #[prost(int32, tag = "9")]
+    pub frames_dropped: i32,
+    /// Scale of quantised types.
+    #[prost(float, tag = "10")]
+    pub scale: f32,
+    /// Offset of quantised types.
+    #[prost(sint64, tag = "11")]
+    pub offset: i64,
+    /// Shift of fixed-point types.
+    #[prost(int32, tag = "12")]
+    pub shift: i32,
+}
+
+/// An axis.
+#[derive(Clone, PartialEq, Message)]
+pub struct Dimension {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub name: String,
+    /// Its length.
+    #[prost(int32, tag = "2")]
+    pub size: i32,
+    /// Names along it.
+    #[prost(string, repeated, tag = "3")]
+    pub labels: Vec<String>,
+}

@@ -1,0 +1,138 @@
+//! What a host asks, as protobuf defines it. Fields that are absent are zero.
+
+use prost::{Message, Oneof};
+
+use super::delimited;
+use super::response::DataChunk;
+
+/// Device number that stands for all of them where a request allows it.
+pub const ALL_DEVICES: i32 = -1;
+
+/// What the host asks.
+#[derive(Clone, PartialEq, Message)]
+pub struct Request {
+    /// The request proper.
+    #[prost(oneof = "Command", tags = "1, 2, 3, 4, 5, 6, 7")]
+    pub command: Option<Command>,
+}
+
+/// Kinds of request. Start, stop and the resets have no answer unless something is wrong with them.
+#[derive(Clone, PartialEq, Oneof)]
+pub enum Command {
+    /// Who are you?
+    #[prost(message, tag = "1")]
+    Capabilities(CapabilitiesRequest),
+    /// Sets options of a device that is not active.
+    #[prost(message, tag = "2")]
+    Configure(ConfigureRequest),
+    /// Starts a device.
+    #[prost(message, tag = "3")]
+    Start(StartRequest),
+    /// Stops a device.
+    #[prost(message, tag = "4")]
+    Stop(StopRequest),
+    /// The host is alive.
+    #[prost(message, tag = "5")]
+    WatchdogReset(Empty),
+    /// Data for a device that takes some.
+    #[prost(message, tag = "6")]
+    Data(DataChunk),
+    /// Resets the board.
+    #[prost(message, tag = "7")]
+    Reset(Empty),
+}
+
+/// Asks what a board has.
+#[derive(Clone, PartialEq, Message)]
+pub struct CapabilitiesRequest {
+    /// Device, or [`ALL_DEVICES`].
+    #[prost(sint32, tag = "1")]
+    pub device: i32,
+    /// Comes back in the answer.
+    #[prost(int32, tag = "2")]
+    pub tag: i32,
+}
+
+/// Sets options of a device.
+#[derive(Clone, PartialEq, Message)]
+pub struct ConfigureRequest {
+    /// Device.
+    #[prost(int32, tag = "1")]
+    pub device: i32,
+    /// Options to set; others stay as they are.
+    #[prost(message, repeated, tag = "2")]
+    pub options: Vec<OptionValue>,
+    /// Comes back in the answer.
+    #[prost(int32, tag = "3")]
+    pub tag: i32,
+}
+
+/// Starts a device.
+#[derive(Clone, PartialEq, Message)]
+pub struct StartRequest {
+    /// Device.
+    #[prost(int32, tag = "1")]
+    pub device: i32,
+}
+
+/// Stops a device.
+#[derive(Clone, PartialEq, Message)]
+pub struct StopRequest {
+    /// Device, or [`ALL_DEVICES`].
+    #[prost(sint32, tag = "1")]
+    pub device: i32,
+}
+
+/// A message without fields.
+#[derive(Clone, PartialEq, Message)]
+pub struct Empty {}
+
+/// An option's value.
+#[derive(Clone, PartialEq, Message)]
+pub struct OptionValue {
+    /// Option.
+    #[prost(int32, tag = "1")]
+    pub option_id: i32,
+    /// Its value.
+    #[prost(oneof = "Value", tags = "2, 3, 4, 5, 6, 7, 8")]
+    pub value: Option<Value>,
+}
+
+/// Values by type.
+#[derive(Clone, PartialEq, Oneof)]
+pub enum Value {
+    /// A number.
+    #[prost(int32, tag = "2")]
+    Int(i32),
+    /// A number.
+    #[prost(float, tag = "3")]
+    Float(f32),
+    /// On or off.
+    #[prost(bool, tag = "4")]
+    Bool(bool),
+    /// Index into the items of the option.
+    #[prost(int32, tag = "5")]
+    OneOf(i32),
+    /// Bytes.
+    #[prost(bytes, tag = "6")]
+    Blob(Vec<u8>),
+    /// Text.
+    #[prost(string, tag = "7")]
+    Text(String),
+    /// A secret.
+    #[prost(string, tag = "8")]
+    Password(String),
+}
+
+impl From<Command> for Request {
+    fn from(command: Command) -> Self {
+        Request { command: Some(command) }
+    }
+}
+
+impl Request {
+    /// Appends the request as it stands on the line.
+    pub fn encode_to(&self, out: &mut Vec<u8>) {
+        delimited::encode(self, out);
+    }
+}

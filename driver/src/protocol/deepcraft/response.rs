@@ -1,0 +1,141 @@
+//! What a board says, as protobuf defines it. Fields that a newer firmware adds are skipped; those that are absent are zero.
+
+use prost::{Message, Oneof};
+
+use super::capabilities::{Board, StreamConfig};
+use super::delimited;
+use super::request::OptionValue;
+
+/// What a board says.
+#[derive(Clone, PartialEq, Message)]
+pub struct Response {
+    /// The answer proper.
+    #[prost(oneof = "Answer", tags = "1, 2, 3, 4, 5")]
+    pub answer: Option<Answer>,
+}
+
+/// Kinds of answer; data and errors also come unasked.
+#[derive(Clone, PartialEq, Oneof)]
+pub enum Answer {
+    /// What the board has.
+    #[prost(message, tag = "1")]
+    Capabilities(CapabilitiesResponse),
+    /// How the device is set now.
+    #[prost(message, tag = "2")]
+    Configuration(ConfigureResponse),
+    /// Something is wrong with a request.
+    #[prost(message, tag = "3")]
+    Error(ErrorResponse),
+    /// Frames.
+    #[prost(message, tag = "4")]
+    Data(DataChunk),
+    /// A device wants data.
+    #[prost(message, tag = "5")]
+    DataInquire(DataInquire),
+}
+
+/// What a board has.
+#[derive(Clone, PartialEq, Message)]
+pub struct CapabilitiesResponse {
+    /// The board.
+    #[prost(message, optional, tag = "1")]
+    pub board: Option<Board>,
+    /// Tag of the request.
+    #[prost(int32, tag = "2")]
+    pub tag: i32,
+}
+
+/// How a device is set.
+#[derive(Clone, PartialEq, Message)]
+pub struct ConfigureResponse {
+    /// Device.
+    #[prost(int32, tag = "1")]
+    pub device: i32,
+    /// All of its options.
+    #[prost(message, repeated, tag = "2")]
+    pub options: Vec<OptionValue>,
+    /// Its streams.
+    #[prost(message, repeated, tag = "3")]
+    pub streams: Vec<StreamConfig>,
+    /// One of [`super::device_status`].
+    #[prost(int32, tag = "4")]
+    pub status: i32,
+    /// What it says of its status.
+    #[prost(string, tag = "5")]
+    pub status_message: String,
+    /// Tag of the request.
+    #[prost(int32, tag = "6")]
+    pub tag: i32,
+}
+
+/// Something is wrong with a request.
+#[derive(Clone, PartialEq, Message)]
+pub struct ErrorResponse {
+    /// In words.
+    #[prost(string, tag = "1")]
+    pub message: String,
+    /// See [`super::ErrorCode`].
+    #[prost(int32, tag = "2")]
+    pub code: i32,
+}
+
+/// Frames of a stream. [`super::ChunkParser`] reads them without this type.
+#[derive(Clone, PartialEq, Message)]
+pub struct DataChunk {
+    /// Device.
+    #[prost(int32, tag = "1")]
+    pub device: i32,
+    /// Stream of the device.
+    #[prost(int32, tag = "2")]
+    pub stream: i32,
+    /// Frames in the payload.
+    #[prost(int32, tag = "3")]
+    pub frame_count: i32,
+    /// Number of the first one; it counts frames, those that the device dropped included.
+    #[prost(int32, tag = "4")]
+    pub frame_number: i32,
+    /// The frames' elements.
+    #[prost(bytes = "vec", tag = "5")]
+    pub payload: Vec<u8>,
+    /// Times of the frames where the stream has no frequency.
+    #[prost(message, repeated, tag = "6")]
+    pub timestamps: Vec<Timestamp>,
+}
+
+/// Time of a frame.
+#[derive(Clone, PartialEq, Message)]
+pub struct Timestamp {
+    /// Time.
+    #[prost(int64, tag = "1")]
+    pub timestamp: i64,
+    /// Duration, 0 where it is not told.
+    #[prost(int32, tag = "2")]
+    pub duration: i32,
+}
+
+/// A device wants data.
+#[derive(Clone, PartialEq, Message)]
+pub struct DataInquire {
+    /// Device.
+    #[prost(int32, tag = "1")]
+    pub device: i32,
+    /// Stream of the device.
+    #[prost(int32, tag = "2")]
+    pub stream: i32,
+    /// Frames wanted.
+    #[prost(int32, tag = "3")]
+    pub frame_count: i32,
+}
+
+impl From<Answer> for Response {
+    fn from(answer: Answer) -> Self {
+        Response { answer: Some(answer) }
+    }
+}
+
+impl Response {
+    /// Appends the response as it stands on the line.
+    pub fn encode_to(&self, out: &mut Vec<u8>) {
+        delimited::encode(self, out);
+    }
+}
