@@ -115,6 +115,7 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {
             let description = format!("ESP32 on {}", port.display());
+            let stream = Box::new(stream.with_reconnect(Reconnect::default()));
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })
         }
     }

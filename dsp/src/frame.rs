@@ -153,7 +153,8 @@ pub enum GapReason {
     Crc,
     /// A consumer's queue was full.
     QueueFull,
-    /// The board was unplugged, stalled or restarted.
+    /// The board was unplugged, stalled or restarted. Where its own clock or count has not run on, the host's clock says how
+    /// many frames were lost: one more or less may be the truth, and so the numbers of the frames that follow.
     Disconnected,
     /// The recording itself lacks them.
     Recorded,

@@ -3,6 +3,9 @@
 //! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. Since the slice
 //! and so the size of every packet is fixed, a packet's counter says exactly which bytes of the stream it carries. Lost
 //! packets therefore cost the frames that they belong to and no others: the next whole frame is known.
+//!
+//! A counter can be wrong without a byte being lost, or right although the firmware has left slices out. After each jump the
+//! slices' time stamps must therefore agree with their places, until a whole frame has been seen: else alignment is lost.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -29,6 +32,9 @@ enum Ready {
     Gap(Gap),
 }
 
+/// So many packets in a row from the past are no duplicates: the counter has been set back.
+const MOST_DUPLICATES: u32 = 8;
+
 pub(super) struct Assembler {
     slice: SliceLayout,
     shape: FrameShape,
@@ -46,6 +52,8 @@ pub(super) struct Assembler {
     /// Sequence number of this stream's frame 0; unknown after a restart until the board's clock tells.
     base: Option<u64>,
     next_sequence: u64,
+    /// Frames given up since the last whole one. Not told before the next one: only then it is sure where that stands.
+    gap: Option<Gap>,
     /// Board time of sequence number 0, microseconds.
     origin_us: Option<f64>,
     last_time_us: f64,
@@ -53,6 +61,11 @@ pub(super) struct Assembler {
     host_elapsed_us: Option<f64>,
     /// Slices and the board's clock when they were complete, oldest first.
     stamps: VecDeque<(u64, u64)>,
+    last_stamp: Option<(u64, u64)>,
+    /// After a jump of the counter: slices before this one must come when their place says.
+    check_until: u64,
+    /// Packets from the past in a row.
+    duplicates: u32,
     damaged: bool,
     restart_reason: GapReason,
     ready: VecDeque<Ready>,
@@ -78,10 +91,14 @@ impl Assembler {
             next_frame: 0,
             base: Some(0),
             next_sequence: 0,
+            gap: None,
             origin_us: None,
             last_time_us: 0.0,
             host_elapsed_us: None,
             stamps: VecDeque::with_capacity(shape.codes() / slice.samples.max(1) + 4),
+            last_stamp: None,
+            check_until: 0,
+            duplicates: 0,
             damaged: false,
             restart_reason: GapReason::Disconnected,
             ready: VecDeque::with_capacity(at_once + 2),
@@ -100,15 +117,18 @@ impl Assembler {
         (self.next_packet, self.received, self.buffer_start, self.next_frame) = (0, 0, 0, 0);
         self.buffer.clear();
         self.stamps.clear();
+        (self.last_stamp, self.check_until, self.duplicates) = (None, 0, 0);
         self.damaged = false;
+        // The gap of the restart begins where this one would have.
+        self.gap = None;
         self.base = None;
         self.restart_reason = reason;
     }
 
-    /// The board is another one, or has lost its clock: how many frames were lost the host's clock must tell.
+    /// The board may have been without power: how many frames were lost the host's clock must tell, unless the board's has
+    /// run on.
     pub fn reconnected(&mut self) {
         self.restart(GapReason::Disconnected);
-        self.origin_us = None;
         self.host_elapsed_us = Some(0.0);
     }
 
@@ -128,6 +148,33 @@ impl Assembler {
         ((frame + 1) * self.shape.codes() as u64).div_ceil(2) * 3
     }
 
+    /// The slice in which the last code of a frame comes.
+    fn end_slice(&self, frame: u64) -> u64 {
+        ((frame + 1) * self.shape.codes() as u64 - 1) / self.slice.samples.max(1) as u64
+    }
+
+    /// Time of a slice's last code by its place, microseconds.
+    fn nominal_us(&self, slice: u64) -> f64 {
+        self.timing.in_stream_s((slice + 1) * self.slice.samples as u64 - 1) * 1e6
+    }
+
+    /// Whether a slice has come as long after the one before it as their places say, to half the time between slices: the
+    /// two clocks differ by far less.
+    fn is_on_time(&self, slice: u64, time_us: u64) -> bool {
+        let Some((before, before_us)) = self.last_stamp else { return true };
+        let nominal_us = self.nominal_us(slice) - self.nominal_us(before);
+        let to_previous_us = self.nominal_us(slice) - self.nominal_us(slice.saturating_sub(1).max(before));
+        let to_next_us = self.nominal_us(slice + 1) - self.nominal_us(slice);
+        let measured_us = time_us as f64 - before_us as f64;
+        // Over a long gap the frame interval counts, which the registers hold to a thousandth at least.
+        let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
+        let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
+        if !agrees {
+            tracing::debug!(slice, measured_us, nominal_us, "a slice came at another time than its place says");
+        }
+        agrees
+    }
+
     pub fn packet(&mut self, packet: &Packet<'_>) -> Outcome {
         if let Some(error) = packet.error() {
             return Outcome::Stopped(error);
@@ -135,8 +182,10 @@ impl Assembler {
         let ahead = packet.counter.wrapping_sub(self.next_packet as u16);
         if ahead >= 0x8000 {
             tracing::debug!(counter = packet.counter, "a packet came twice");
-            return Outcome::Taken;
+            self.duplicates += 1;
+            return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Taken };
         }
+        self.duplicates = 0;
         let number = self.next_packet + u64::from(ahead);
         let packets = self.slice.packets() as u64;
         let (slice, index) = (number / packets, (number % packets) as usize);
@@ -154,6 +203,8 @@ impl Assembler {
         let position = slice * bytes as u64 + offset as u64;
         if position != self.received {
             self.lose_until(position);
+            // The slice that ends the next whole frame is the last to be checked.
+            self.check_until = self.end_slice(self.next_frame) + 1;
         }
         self.damaged = false;
         let data = packet.payload.get(..bytes - offset).unwrap_or(packet.payload);
@@ -163,6 +214,10 @@ impl Assembler {
         self.received = position + data.len() as u64;
         if last {
             if let (_, Some(time_us)) = packet.split_timestamp() {
+                if slice < self.check_until && !self.is_on_time(slice, time_us) {
+                    return Outcome::Misaligned;
+                }
+                self.last_stamp = Some((slice, time_us));
                 self.stamps.push_back((slice, time_us));
             }
             self.complete();
@@ -183,8 +238,8 @@ impl Assembler {
         {
             let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
             let first_sequence = base + self.next_frame;
-            self.ready.push_back(Ready::Gap(Gap { first_sequence, frames: next - self.next_frame, reason }));
-            self.next_sequence = base + next;
+            let gap = self.gap.get_or_insert(Gap { first_sequence, frames: 0, reason });
+            gap.frames = base + next - gap.first_sequence;
         }
         self.next_frame = next.max(self.next_frame);
         self.buffer.clear();
@@ -206,6 +261,9 @@ impl Assembler {
 
             let start_us = self.start_us(frame);
             let sequence = self.sequence(frame, start_us);
+            if let Some(gap) = self.gap.take() {
+                self.ready.push_back(Ready::Gap(gap));
+            }
             let origin_us = *self.origin_us.get_or_insert(start_us - sequence as f64 * self.frame_interval_us);
             let time_ns = ((start_us - origin_us).max(0.0) * 1e3).round() as u64;
             self.ready.push_back(Ready::Frame { sequence, time_ns, codes });
@@ -243,8 +301,13 @@ impl Assembler {
             return base + frame;
         }
         let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
-        let by_clock = match self.host_elapsed_us.take() {
-            Some(elapsed_us) => Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us)),
+        // A clock that agrees with the host's to a frame has run on; otherwise the board was without power.
+        let has_run_on = |host_us: f64| (start_us - self.last_time_us - host_us).abs() < self.frame_interval_us;
+        let by_clock = match self.host_elapsed_us.take().filter(|elapsed_us| !has_run_on(*elapsed_us)) {
+            Some(elapsed_us) => {
+                self.origin_us = None;
+                Some(self.next_sequence.saturating_sub(1) + intervals(elapsed_us))
+            }
             None => self.origin_us.map(|origin| intervals(start_us - origin)),
         };
         // The frame that was cut short is lost at least.

@@ -1,14 +1,16 @@
 //! A board with an ESP32 that prints its frames as lines ([`crate::protocol::ascii`]). It takes no requests: it measures what
 //! it was built for, and the user has to name that waveform unless the firmware says it.
 
+use std::collections::VecDeque;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
+use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 use serialport::TTYPort;
 
-use super::{BoardError, link};
+use super::{BoardError, Reconnect, count_lost, link};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
 
@@ -20,15 +22,23 @@ const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
 const MOST_HEARD: usize = 1 << 22;
 
 /// Frames of such a board, from the next whole line on.
+///
+/// Lines have no check sum: a digit of a code that becomes another digit is not noticed. A line that is lost, doubled, cut,
+/// out of order or wrongly numbered is: a number that does not follow its predecessor is believed when the next line bears it
+/// out.
 pub struct LineStream {
     path: PathBuf,
-    port: TTYPort,
+    /// `None` while the board is away.
+    port: Option<TTYPort>,
     parser: LineParser,
     buffer: Vec<u8>,
     order: Order,
     /// Longest silence, by the frame interval and by how long a line takes.
     deadline: Duration,
     waveform: Waveform,
+    reconnect: Option<Reconnect>,
+    /// Frames lost, by reason.
+    lost: Vec<(GapReason, u64)>,
 }
 
 /// From the firmware's numbers to frames and gaps in order.
@@ -36,13 +46,23 @@ struct Order {
     waveform: Waveform,
     /// Frames handed out or given up.
     next_sequence: u64,
-    /// The firmware's number of sequence number 0, modulo 2^64.
-    base: Option<u64>,
+    /// Number that the next line should have; unknown before the first line.
+    next_number: Option<u64>,
+    /// A line whose number was not the next one.
+    unconfirmed: Option<(u64, Vec<u16>)>,
     /// Whether a damaged line came since the last good one.
     damaged: bool,
-    /// A frame that waits behind its gap: FIFO order.
-    waiting: Option<Vec<u16>>,
+    /// The port was opened anew: the firmware may have, too.
+    reopened: bool,
+    ready: VecDeque<Ready>,
+    spare: Vec<Vec<u16>>,
     last_frame: Instant,
+}
+
+enum Ready {
+    Gap(Gap),
+    /// Codes in FIFO order.
+    Frame(Vec<u16>),
 }
 
 impl LineStream {
@@ -72,38 +92,57 @@ impl LineStream {
         parser.push(&heard);
         Ok(LineStream {
             path: path.into(),
-            port,
+            port: Some(port),
             parser,
             buffer: vec![0; BUFFER],
             order: Order::new(&waveform),
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
+            reconnect: None,
+            lost: Vec::with_capacity(8),
         })
     }
 
+    /// Lets the stream come back by itself after the board was unplugged or fell silent. What was lost meanwhile is a gap
+    /// counted by the host's clock.
+    pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
+        self.reconnect = Some(policy);
+        self
+    }
+
+    /// Frames lost so far for this reason.
+    pub fn lost_frames(&self, reason: GapReason) -> u64 {
+        self.lost.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
+    }
+
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
-        if self.order.deliver_waiting(frame) {
-            return Ok(SourceEvent::Frame);
-        }
         // Bytes alone are no sign of life: lines of another waveform would be waited on for good.
         let began = Instant::now();
         let mut unfit = None;
         loop {
-            while let Some(line) = self.parser.next_line() {
-                match line {
-                    Ok(Line::Frame { number, codes }) => return Ok(self.order.take(number, codes, frame)),
-                    Ok(Line::Log(text)) => {
-                        tracing::debug!("{}: {}", self.path.display(), String::from_utf8_lossy(text));
-                    }
-                    Err(error) => {
-                        tracing::warn!("{}: {error}", self.path.display());
-                        self.order.damaged = true;
-                        unfit = Some(error);
-                    }
+            if let Some(event) = self.order.pop(frame) {
+                return Ok(event);
+            }
+            match self.parser.next_line() {
+                Some(Ok(Line::Frame { number, codes })) => {
+                    self.order.take(number, codes);
+                    continue;
                 }
+                Some(Ok(Line::Log(text))) => {
+                    tracing::debug!("{}: {}", self.path.display(), String::from_utf8_lossy(text));
+                    continue;
+                }
+                Some(Err(error)) => {
+                    tracing::warn!("{}: {error}", self.path.display());
+                    self.order.damaged = true;
+                    unfit = Some(error);
+                    continue;
+                }
+                None => {}
             }
             let lost = |source| BoardError::Disconnected { path: self.path.clone(), source };
-            match self.port.read(&mut self.buffer) {
+            let port = self.port.as_mut().ok_or_else(|| lost(ErrorKind::NotConnected.into()))?;
+            match port.read(&mut self.buffer) {
                 Ok(0) => return Err(lost(ErrorKind::UnexpectedEof.into())),
                 Ok(count) => {
                     self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
@@ -119,6 +158,31 @@ impl LineStream {
                 });
             }
         }
+    }
+
+    /// Opens the port again until that works; gives the error that led here if it does not.
+    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
+        tracing::warn!(%error, "the board is opened again");
+        // The old port must be closed before the new one can be had.
+        self.port = None;
+        for wait in policy.waits() {
+            let left = policy.give_up_after.saturating_sub(self.order.last_frame.elapsed());
+            if left.is_zero() {
+                break;
+            }
+            thread::sleep(wait.min(left));
+            match link::open_port(&self.path, BAUD_RATE) {
+                Ok(port) => {
+                    self.port = Some(port);
+                    self.parser = LineParser::new(self.waveform.shape().codes());
+                    self.order.reopened();
+                    return Ok(());
+                }
+                Err(error) if error.is_passing() => tracing::debug!(%error, "the board is not back yet"),
+                Err(error) => return Err(error),
+            }
+        }
+        Err(error)
     }
 }
 
@@ -149,43 +213,116 @@ impl Order {
         Order {
             waveform: waveform.clone(),
             next_sequence: 0,
-            base: None,
+            next_number: None,
+            unconfirmed: None,
             damaged: false,
-            waiting: None,
+            reopened: false,
+            ready: VecDeque::with_capacity(4),
+            spare: Vec::with_capacity(4),
             last_frame: Instant::now(),
         }
     }
 
-    /// A whole frame by the firmware's number: itself, or the gap before it.
-    fn take(&mut self, number: u64, codes: &[u16], frame: &mut Frame) -> SourceEvent {
-        let base = *self.base.get_or_insert(number);
-        let mut sequence = number.wrapping_sub(base);
-        let mut reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
-        if sequence < self.next_sequence || sequence - self.next_sequence > u64::from(u32::MAX) {
-            // The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was
-            // away.
-            let intervals = self.last_frame.elapsed().as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
-            sequence = self.next_sequence + (intervals.round() as u64).saturating_sub(1);
-            self.base = Some(number.wrapping_sub(sequence));
-            reason = GapReason::Disconnected;
-        }
-        self.damaged = false;
-        self.last_frame = Instant::now();
-        let missing = sequence - self.next_sequence;
-        if missing == 0 {
-            self.deliver(codes, frame);
-            return SourceEvent::Frame;
-        }
-        let gap = Gap { first_sequence: self.next_sequence, frames: missing, reason };
-        self.next_sequence = sequence;
-        self.waiting = Some(codes.to_vec());
-        SourceEvent::Gap(gap)
+    /// What came before the port was opened again says nothing of what comes now.
+    fn reopened(&mut self) {
+        self.unconfirmed = None;
+        self.reopened = true;
     }
 
-    fn deliver_waiting(&mut self, frame: &mut Frame) -> bool {
-        let Some(codes) = self.waiting.take() else { return false };
-        self.deliver(&codes, frame);
-        true
+    /// A line by the firmware's number.
+    fn take(&mut self, number: u64, codes: &[u16]) {
+        if self.reopened {
+            self.reopened = false;
+            self.begin_anew(number);
+        }
+        let next = *self.next_number.get_or_insert(number);
+        let follows = |number: u64, other: u64| number == other.wrapping_add(1);
+        if number == next {
+            self.accept(codes);
+            // A line that has overtaken this one.
+            match self.unconfirmed.take() {
+                Some((later, codes)) if follows(later, number) => self.accept(&codes),
+                _ => {}
+            }
+        } else if follows(next, number) {
+            tracing::debug!(number, "a line came twice");
+        } else {
+            match self.unconfirmed.take() {
+                // Two lines with one number: one of them is wrong, and nobody knows which.
+                Some((before, other)) if before == number => {
+                    if other == codes {
+                        self.unconfirmed = Some((before, other));
+                    } else {
+                        self.damaged = true;
+                    }
+                }
+                // Either both lie ahead, with perhaps more lost between them, or the firmware counts from its beginning.
+                Some((before, other))
+                    if follows(number, before) || (is_ahead(before, next) && is_ahead(number, before)) =>
+                {
+                    if is_ahead(before, next) {
+                        self.lose(before.wrapping_sub(next));
+                    } else {
+                        self.begin_anew(before);
+                    }
+                    self.next_number = Some(before);
+                    self.accept(&other);
+                    self.take(number, codes);
+                }
+                before => {
+                    self.damaged |= before.is_some();
+                    self.unconfirmed = Some((number, self.copy(codes)));
+                }
+            }
+        }
+    }
+
+    fn copy(&mut self, codes: &[u16]) -> Vec<u16> {
+        let mut copy = self.spare.pop().unwrap_or_default();
+        copy.clear();
+        copy.extend_from_slice(codes);
+        copy
+    }
+
+    fn accept(&mut self, codes: &[u16]) {
+        self.next_number = self.next_number.map(|number| number.wrapping_add(1));
+        let codes = self.copy(codes);
+        self.ready.push_back(Ready::Frame(codes));
+        self.damaged = false;
+        self.last_frame = Instant::now();
+    }
+
+    fn lose(&mut self, frames: u64) {
+        let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
+        self.ready.push_back(Ready::Gap(Gap { first_sequence: 0, frames, reason }));
+    }
+
+    /// The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was away.
+    /// One whose number agrees with that clock has run on.
+    fn begin_anew(&mut self, number: u64) {
+        let Some(next) = self.next_number.replace(number) else { return };
+        let intervals = self.last_frame.elapsed().as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
+        let by_host = (intervals.round() as u64).saturating_sub(1);
+        let frames = Some(number.wrapping_sub(next)).filter(|ahead| ahead.abs_diff(by_host) <= 1).unwrap_or(by_host);
+        // The line that was cut short is lost at least.
+        let gap = Gap { first_sequence: 0, frames: frames.max(1), reason: GapReason::Disconnected };
+        self.ready.push_back(Ready::Gap(gap));
+    }
+
+    /// The next frame or gap.
+    fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
+        match self.ready.pop_front()? {
+            Ready::Gap(gap) => {
+                let first_sequence = self.next_sequence;
+                self.next_sequence += gap.frames;
+                Some(SourceEvent::Gap(Gap { first_sequence, ..gap }))
+            }
+            Ready::Frame(codes) => {
+                self.deliver(&codes, frame);
+                self.spare.push(codes);
+                Some(SourceEvent::Frame)
+            }
+        }
     }
 
     fn deliver(&mut self, codes: &[u16], frame: &mut Frame) {
@@ -209,8 +346,26 @@ impl FrameSource for LineStream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        Ok(self.wait(frame)?)
+        loop {
+            let error = match self.wait(frame) {
+                Ok(SourceEvent::Gap(gap)) => {
+                    count_lost(&mut self.lost, &gap);
+                    return Ok(SourceEvent::Gap(gap));
+                }
+                Ok(event) => return Ok(event),
+                Err(error) => error,
+            };
+            match self.reconnect {
+                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
+                _ => return Err(error.into()),
+            }
+        }
     }
+}
+
+/// Whether a number comes after another, by no more than boards lose.
+fn is_ahead(number: u64, of: u64) -> bool {
+    (1..=u64::from(u32::MAX)).contains(&number.wrapping_sub(of))
 }
 
 #[cfg(test)]
@@ -218,36 +373,99 @@ mod tests {
     use super::*;
     use radome_dsp::WaveformRequest;
 
-    fn order() -> (Order, Frame) {
+    fn order() -> Order {
         let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
-        let waveform = Waveform::realise(request).expect("valid");
-        (Order::new(&waveform), Frame::zeroed(waveform.shape()))
+        Order::new(&Waveform::realise(request).expect("valid"))
     }
+
+    /// Numbers of lines as they come; each line's codes are all as its number, or as told. Gives the numbers that the frames'
+    /// codes tell, and the gaps.
+    fn ordered(order: &mut Order, lines: &[(u64, u16)]) -> Vec<Result<u16, (u64, GapReason)>> {
+        let mut frame = Frame::zeroed(order.waveform.shape());
+        let (mut found, mut next) = (Vec::new(), order.next_sequence);
+        for (number, code) in lines {
+            order.take(*number, &vec![*code; frame.shape.codes()]);
+            while let Some(event) = order.pop(&mut frame) {
+                match event {
+                    SourceEvent::Frame => {
+                        assert_eq!(frame.sequence, next);
+                        next += 1;
+                        found.push(Ok(frame.codes[0]));
+                    }
+                    SourceEvent::Gap(gap) => {
+                        assert_eq!(gap.first_sequence, next);
+                        next += gap.frames;
+                        found.push(Err((gap.frames, gap.reason)));
+                    }
+                    SourceEvent::End => panic!("no end"),
+                }
+            }
+        }
+        found
+    }
+
+    fn lines(numbers: &[u16]) -> Vec<(u64, u16)> {
+        numbers.iter().map(|n| (u64::from(*n), *n)).collect()
+    }
+
+    const LOST: GapReason = GapReason::PacketLost;
 
     #[test]
     fn a_jump_of_the_number_is_a_gap_before_its_frame() {
-        let (mut order, mut frame) = order();
-        let codes = vec![5; frame.codes.len()];
-        assert_eq!(order.take(100, &codes, &mut frame), SourceEvent::Frame);
-        let gap = Gap { first_sequence: 1, frames: 2, reason: GapReason::PacketLost };
-        assert_eq!(order.take(103, &codes, &mut frame), SourceEvent::Gap(gap));
-        assert!(order.deliver_waiting(&mut frame) && frame.sequence == 3);
+        let found = ordered(&mut order(), &lines(&[100, 101, 104, 105, 108, 110, 111]));
+        let expected = [Ok(100), Ok(101), Err((2, LOST)), Ok(104), Ok(105), Err((2, LOST)), Ok(108), Err((1, LOST))];
+        assert_eq!(found, [&expected[..], &[Ok(110), Ok(111)]].concat());
+        let mut order = order();
+        ordered(&mut order, &lines(&[7]));
         order.damaged = true;
-        let gap = Gap { first_sequence: 4, frames: 1, reason: GapReason::Crc };
-        assert_eq!(order.take(105, &codes, &mut frame), SourceEvent::Gap(gap));
+        assert_eq!(ordered(&mut order, &lines(&[9, 10])), [Err((1, GapReason::Crc)), Ok(9), Ok(10)]);
     }
 
     #[test]
     fn a_firmware_that_starts_anew_goes_on_where_the_stream_was() {
-        let (mut order, mut frame) = order();
-        let codes = vec![5; frame.codes.len()];
-        for number in 10..20 {
-            assert_eq!(order.take(number, &codes, &mut frame), SourceEvent::Frame);
+        let mut order = order();
+        ordered(&mut order, &lines(&[10, 11, 12, 13]));
+        let found = ordered(&mut order, &lines(&[0, 1, 2]));
+        assert!(matches!(found[0], Err((1.., GapReason::Disconnected))), "{found:?}");
+        assert_eq!(found[1..], [Ok(0), Ok(1), Ok(2)]);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn a_line_that_comes_twice_is_taken_once() {
+            let found = ordered(&mut order(), &lines(&[1, 2, 2, 3, 3, 4]));
+            assert_eq!(found, [Ok(1), Ok(2), Ok(3), Ok(4)]);
+            // The doubled one is the first behind a gap.
+            assert_eq!(ordered(&mut order(), &lines(&[1, 3, 3, 4])), [Ok(1), Err((1, LOST)), Ok(3), Ok(4)]);
         }
-        match order.take(0, &codes, &mut frame) {
-            SourceEvent::Frame => assert_eq!(frame.sequence, 10),
-            SourceEvent::Gap(gap) => assert_eq!((gap.first_sequence, gap.reason), (10, GapReason::Disconnected)),
-            SourceEvent::End => panic!("no end"),
+
+        #[test]
+        fn a_line_that_was_overtaken_takes_its_place() {
+            assert_eq!(ordered(&mut order(), &lines(&[1, 3, 2, 4])), [Ok(1), Ok(2), Ok(3), Ok(4)]);
+        }
+
+        /// 12 as 92, as 8, as 13 and as 11, each a flipped bit or two: the line is lost and no other, and no frame has another's
+        /// number.
+        #[test]
+        fn a_wrong_number_costs_its_line() {
+            let lost = |frames| Err((frames, GapReason::Crc));
+            for wrong in [92, 8] {
+                let found = ordered(&mut order(), &[(10, 10), (11, 11), (wrong, 12), (13, 13), (14, 14), (15, 15)]);
+                assert_eq!(found, [Ok(10), Ok(11), lost(1), Ok(13), Ok(14), Ok(15)], "12 as {wrong}");
+            }
+            let found = ordered(&mut order(), &[(10, 10), (11, 11), (11, 12), (13, 13), (14, 14)]);
+            assert_eq!(found, [Ok(10), Ok(11), Err((1, LOST)), Ok(13), Ok(14)]);
+            // Two lines of one number: neither is believed.
+            let found = ordered(&mut order(), &[(10, 10), (11, 11), (13, 12), (13, 13), (14, 14), (15, 15)]);
+            assert_eq!(found, [Ok(10), Ok(11), lost(2), Ok(14), Ok(15)]);
+        }
+
+        #[test]
+        fn every_second_line_lost_is_no_standstill() {
+            let found = ordered(&mut order(), &lines(&[1, 3, 5, 7, 9]));
+            assert_eq!(found, [Ok(1), Err((1, LOST)), Ok(3), Err((1, LOST)), Ok(5), Err((1, LOST)), Ok(7)]);
         }
     }
 }

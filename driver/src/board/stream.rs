@@ -82,7 +82,8 @@ impl BoardStream {
     }
 
     /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
-    /// then waits for it, and what was lost meanwhile is a gap counted by the host's clock.
+    /// then waits for it, and what was lost meanwhile is a gap: counted by the board's clock where that has run on, otherwise by the
+    /// host's, which knows it to a frame or so.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.reconnect = Some(policy);
         self
