@@ -42,6 +42,12 @@ impl SampleTiming {
         frame as f64 * self.frame_interval_s + self.in_frame_s(code % self.codes_per_frame)
     }
 
+    /// How many codes have been sampled this long after the start of the first frame, at the nominal frame interval.
+    pub fn sampled_in_stream(&self, elapsed_s: f64) -> u64 {
+        let frame = (elapsed_s / self.frame_interval_s).floor().max(0.0);
+        frame as u64 * self.codes_per_frame + self.sampled_after(elapsed_s - frame * self.frame_interval_s)
+    }
+
     /// How many codes of a frame have been sampled this long after its start.
     pub fn sampled_after(&self, elapsed_s: f64) -> u64 {
         let since_first = elapsed_s - TX_ON_S - ADC_START_DELAY_S;

@@ -121,8 +121,10 @@ impl Assembler {
         self.damaged = false;
         // The gap of the restart begins where this one would have.
         self.gap = None;
-        self.base = None;
-        self.restart_reason = reason;
+        // Of several restarts without a frame between them the first is what the gap is for.
+        if self.base.take().is_some() {
+            self.restart_reason = reason;
+        }
     }
 
     /// The board may have been without power: how many frames were lost the host's clock must tell, unless the board's has

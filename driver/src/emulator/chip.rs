@@ -209,7 +209,7 @@ impl Chip {
 
     /// A burst read of the FIFO, appended.
     pub fn read_fifo(&mut self, codes: usize, out: &mut Vec<u16>) {
-        let there = codes.min(self.world.in_fifo() as usize);
+        let there = codes.min(self.world.in_fifo() as usize).min(self.world.at_hand());
         out.extend_from_slice(self.world.codes(there));
         self.world.take(there);
         let missing = codes - there;

@@ -228,13 +228,18 @@ impl World {
         (FIFO_SAMPLES as f64 * self.speed()) as u64
     }
 
-    /// Codes sampled since the frames started. A world that waits has sampled what is there.
+    /// Codes sampled since the frames started, those not yet taken from the source too. A world that waits has sampled what is
+    /// there.
     pub fn sampled(&self) -> u64 {
         let Some(now) = self.now_ns() else { return self.put };
         let sampled = |(first, time_ns): &(u64, u64)| {
             first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9)
         };
-        self.frames.iter().map(sampled).max().unwrap_or(self.taken)
+        let of_last = |(first, time_ns): &(u64, u64)| {
+            first + self.timing.sampled_in_stream(now.saturating_sub(*time_ns) as f64 * 1e-9)
+        };
+        let last = self.frames.back().filter(|_| !self.ended).map(of_last);
+        self.frames.iter().map(sampled).chain(last).max().unwrap_or(self.taken)
     }
 
     /// Codes sampled and not taken out.
@@ -245,6 +250,11 @@ impl World {
     /// Codes taken out since the frames started.
     pub fn taken(&self) -> u64 {
         self.taken
+    }
+
+    /// Codes taken from the source and not taken out.
+    pub fn at_hand(&self) -> usize {
+        self.codes.len() - self.sent
     }
 
     /// Codes of the slice that is ready.
