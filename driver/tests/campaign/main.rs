@@ -1,0 +1,59 @@
+//! A campaign of faults against every kind of board: thousands of packets lost, doubled, cut, changed and out of order, boards
+//! that stall, vanish and overflow, hosts that sleep.
+//!
+//! What holds for each frame that arrives: its samples are those of one frame of the source, later than the one before; on
+//! links without a check sum a changed digit of a sample is the one exception. What holds for the numbers: frames and gaps
+//! follow each other without hole or overlap, and a number less the source's own never changes, except where the board was
+//! away and the host's clock alone could count. And the stream goes on, each time.
+//!
+//! The long one: `tests/long faults`, with `RADOME_FAULTS` and `RADOME_SEED`.
+
+mod draw;
+mod play;
+mod report;
+
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::thread;
+
+use report::Report;
+
+fn campaign(seed: u64, faults: u64, at_once: usize) -> Report {
+    let jobs = draw::jobs(seed, faults);
+    let (next, report) = (AtomicUsize::new(0), Mutex::new(Report::default()));
+    thread::scope(|scope| {
+        for _ in 0..at_once {
+            scope.spawn(|| {
+                while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                    let outcome = play::play(job);
+                    report.lock().expect("no panic").add(job, outcome);
+                }
+            });
+        }
+    });
+    report.into_inner().expect("no panic")
+}
+
+#[test]
+fn no_fault_of_a_small_draw_costs_more_than_it_must() {
+    let report = campaign(1, 300, 12);
+    assert!(report.injected() >= 300);
+    assert!(report.failures().is_empty(), "{}\n{:#?}", report.table(), report.failures());
+}
+
+fn setting(name: &str, default: u64) -> u64 {
+    std::env::var(name).map_or(default, |text| text.parse().expect("a whole number"))
+}
+
+#[test]
+#[ignore = "takes minutes: tests/long faults"]
+#[allow(clippy::print_stdout)]
+fn the_campaign() {
+    let (seed, faults) = (setting("RADOME_SEED", 1), setting("RADOME_FAULTS", 12_000));
+    let report = campaign(seed, faults, 16);
+    println!("{}", report.table());
+    if let Some(path) = std::env::var_os("RADOME_REPORT") {
+        std::fs::write(&path, format!("{:#}\n", report.json(seed))).expect("writes");
+    }
+    assert!(report.failures().is_empty(), "{:#?}", report.failures());
+}

@@ -1,0 +1,300 @@
+//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be checked.
+
+use std::time::Duration;
+
+use radome_driver::{
+    Board, BoardError, BoardStream, EmulatedBoard, EmulatorOptions, Fault, LineStream, Pace, Reconnect,
+};
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+
+use crate::draw::{Job, Kind, Protocol, Random};
+
+/// Patient enough for any machine.
+const POLICY: Reconnect = Reconnect {
+    first_wait: Duration::from_millis(10),
+    longest_wait: Duration::from_millis(50),
+    give_up_after: Duration::from_secs(60),
+};
+
+/// Frames without end. The first two codes are the number, the others look like noise.
+struct Source {
+    seed: u64,
+    waveform: Waveform,
+    next: u64,
+}
+
+fn fill(seed: u64, sequence: u64, codes: &mut [u16]) {
+    let mut random = Random(seed ^ sequence.wrapping_mul(0x2545_F491_4F6C_DD1D));
+    for five in codes.chunks_mut(5) {
+        let bits = random.next();
+        five.iter_mut().enumerate().for_each(|(i, code)| *code = (bits >> (12 * i) & 0xFFF) as u16);
+    }
+    if let [low, high, ..] = codes {
+        (*low, *high) = ((sequence & 0xFFF) as u16, (sequence >> 12 & 0xFFF) as u16);
+    }
+}
+
+impl FrameSource for Source {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        frame.shape = self.waveform.shape();
+        frame.codes.resize(frame.shape.codes(), 0);
+        fill(self.seed, self.next, &mut frame.codes);
+        frame.sequence = self.next;
+        frame.time_ns = (self.next as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        self.next += 1;
+        Ok(SourceEvent::Frame)
+    }
+}
+
+/// What came of a job.
+#[derive(Debug, Clone, Default)]
+pub struct Outcome {
+    pub injected: u64,
+    pub delivered: u64,
+    pub lost: u64,
+    /// Samples that are not the source's.
+    pub wrong: u64,
+    /// Of those, the ones that no client could notice.
+    pub undetectable: u64,
+    /// Faults after which nothing came any more.
+    pub not_resumed: u64,
+    /// What should not be.
+    pub failures: Vec<String>,
+}
+
+enum Client {
+    Board(Box<BoardStream>),
+    Lines(Box<LineStream>),
+}
+
+impl Client {
+    fn open(job: &Job, board: &EmulatedBoard) -> Result<Self, BoardError> {
+        Ok(match job.protocol {
+            Protocol::Esp32 => {
+                let stream = LineStream::open(board.path(), &job.waveform)?;
+                let can_come_back = job.kind != Kind::Stall;
+                Client::Lines(Box::new(if can_come_back { stream.with_reconnect(POLICY) } else { stream }))
+            }
+            _ => Client::Board(Box::new(Board::open(board.path())?.start(&job.waveform)?.with_reconnect(POLICY))),
+        })
+    }
+
+    fn lost_frames(&self, reason: GapReason) -> u64 {
+        match self {
+            Client::Board(stream) => stream.lost_frames(reason),
+            Client::Lines(stream) => stream.lost_frames(reason),
+        }
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        match self {
+            Client::Board(stream) => stream.next_frame(frame),
+            Client::Lines(stream) => stream.next_frame(frame),
+        }
+    }
+}
+
+pub fn play(job: &Job) -> Outcome {
+    let folder = tempfile::tempdir().expect("folder");
+    let source = Source { seed: job.seed, waveform: job.waveform.clone(), next: 0 };
+    let options = EmulatorOptions {
+        pace: if job.kind == Kind::SlowHost { Pace::RealTime(1.0) } else { Pace::AsFastAsRead },
+        kind: job.protocol.board(),
+        faults: job.faults.clone(),
+        // The number of a terminal that has gone is soon that of another board.
+        link: Some(folder.path().join("board")),
+    };
+    let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
+    let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
+    match (job.kind, Client::open(job, &board)) {
+        (Kind::Version, Err(BoardError::Protocol { .. })) => {}
+        // All ones and all zeros are what a chip reads that is not there.
+        (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
+            if job.protocol != Protocol::Esp32 => {}
+        (Kind::Version | Kind::Chip, Ok(_)) if job.protocol != Protocol::Esp32 => {
+            outcome.failures.push("a board that is not ours was driven".into());
+        }
+        (_, Ok(client)) => {
+            Check::new(job, client, &mut outcome).run();
+            // Every fault has had its turn.
+            let last = job.faults.iter().map(|fault| packet(fault)).max().unwrap_or(0);
+            if outcome.not_resumed == 0 && board.counts().packets <= last {
+                outcome.failures.push(format!("only {} packets were sent", board.counts().packets));
+            }
+        }
+        (_, Err(error)) => outcome.failures.push(format!("the board was not opened: {error}")),
+    }
+    outcome
+}
+
+fn packet(fault: &Fault) -> u64 {
+    match *fault {
+        Fault::DropPacket(packet)
+        | Fault::DoublePacket(packet)
+        | Fault::ReorderPacket(packet)
+        | Fault::Overflow(packet)
+        | Fault::Stall(packet)
+        | Fault::FlipBit { packet, .. }
+        | Fault::TruncatePacket { packet, .. }
+        | Fault::SkipCounter { packet, .. }
+        | Fault::Unplug { packet, .. }
+        | Fault::SlowHost { packet, .. } => packet,
+        Fault::ForeignChip(_) | Fault::WrongVersion(_) => 0,
+    }
+}
+
+/// What a client hands out, frame by frame.
+struct Check<'a> {
+    job: &'a Job,
+    client: Client,
+    outcome: &'a mut Outcome,
+    /// Number that the next frame or gap must have.
+    next_sequence: u64,
+    /// The source's number that the next frame has at least.
+    next_of_source: u64,
+    /// Number less the source's own, once known. Changes where only the host's clock could count.
+    offset: Option<i128>,
+    /// Numbers that faults have the firmware leave out, not met yet.
+    skips: u64,
+    lost: Vec<(GapReason, u64)>,
+    expected: Vec<u16>,
+}
+
+impl<'a> Check<'a> {
+    fn new(job: &'a Job, client: Client, outcome: &'a mut Outcome) -> Self {
+        // A printing board numbers its frames itself; packets' counters do not.
+        let skips = job.faults.iter().map(|fault| match fault {
+            Fault::SkipCounter { by, .. } if job.protocol == Protocol::Esp32 => u64::from(*by),
+            _ => 0,
+        });
+        Check {
+            job,
+            client,
+            outcome,
+            next_sequence: 0,
+            next_of_source: 0,
+            offset: None,
+            skips: skips.sum(),
+            lost: Vec::new(),
+            expected: vec![0; job.waveform.shape().codes()],
+        }
+    }
+
+    fn fail(&mut self, what: String) {
+        // The first few say it all.
+        if self.outcome.failures.len() < 3 {
+            self.outcome.failures.push(what);
+        }
+    }
+
+    fn run(&mut self) {
+        let mut frame = Frame::zeroed(self.job.waveform.shape());
+        while self.next_of_source < self.job.frames {
+            match self.client.next_frame(&mut frame) {
+                Ok(SourceEvent::Frame) => self.frame(&frame),
+                Ok(SourceEvent::Gap(gap)) => {
+                    if gap.first_sequence != self.next_sequence {
+                        self.fail(format!("{gap:?} where {} should follow", self.next_sequence));
+                    }
+                    // Nobody can count what was lost before the first frame.
+                    if gap.frames == 0 && self.offset.is_some() {
+                        self.fail(format!("{gap:?} is empty"));
+                    }
+                    if gap.reason == GapReason::Disconnected {
+                        if !self.job.kind.interrupts() && !self.may_be_renumbered() {
+                            self.fail(format!("{gap:?}, but the board was never away"));
+                        }
+                        self.offset = None;
+                    }
+                    self.next_sequence = gap.first_sequence + gap.frames;
+                    self.outcome.lost += gap.frames;
+                    match self.lost.iter_mut().find(|(reason, _)| *reason == gap.reason) {
+                        Some((_, frames)) => *frames += gap.frames,
+                        None => self.lost.push((gap.reason, gap.frames)),
+                    }
+                }
+                Ok(SourceEvent::End) => return self.fail("a board does not end".into()),
+                Err(error) => {
+                    self.outcome.not_resumed += 1;
+                    // A board that takes no requests cannot be started anew.
+                    let cannot = self.job.protocol == Protocol::Esp32 && self.job.kind == Kind::Stall;
+                    if !(cannot && error.to_string().contains("stalled")) {
+                        self.fail(format!("after {} frames: {error}", self.outcome.delivered));
+                    }
+                    return;
+                }
+            }
+        }
+        for (reason, frames) in self.lost.clone() {
+            let counted = self.client.lost_frames(reason);
+            if counted != frames {
+                self.fail(format!("{counted} frames are counted as lost for {reason:?}, the gaps hold {frames}"));
+            }
+        }
+    }
+
+    /// A flipped digit of a line's number may look as if the firmware had started anew.
+    fn may_be_renumbered(&self) -> bool {
+        self.job.protocol == Protocol::Esp32 && matches!(self.job.kind, Kind::Flip | Kind::Skip)
+    }
+
+    fn frame(&mut self, frame: &Frame) {
+        self.outcome.delivered += 1;
+        if frame.sequence != self.next_sequence {
+            self.fail(format!("frame {} where {} should follow", frame.sequence, self.next_sequence));
+        }
+        self.next_sequence = frame.sequence + 1;
+        let (of_source, wrong) = self.identify(frame);
+        if wrong > 0 {
+            self.outcome.wrong += wrong;
+            // One digit of one code.
+            let may_be = !self.job.protocol.has_checksum() && matches!(self.job.kind, Kind::Flip | Kind::Mixed);
+            if may_be && wrong == 1 {
+                self.outcome.undetectable += 1;
+            } else {
+                self.fail(format!("{wrong} samples of frame {} (the source's {of_source}) are wrong", frame.sequence));
+            }
+        }
+        if of_source < self.next_of_source {
+            self.fail(format!("the source's frame {of_source} after {}", self.next_of_source - 1));
+        }
+        self.next_of_source = of_source + 1;
+
+        let offset = i128::from(frame.sequence) - i128::from(of_source);
+        let before = *self.offset.get_or_insert(offset);
+        let skipped = offset - before;
+        if skipped != 0 {
+            // What the firmware has left out, and nothing else.
+            if skipped > 0 && skipped <= i128::from(self.skips) {
+                self.skips -= skipped as u64;
+            } else {
+                self.fail(format!("frame {} is the source's {of_source}: {skipped} counted too many", frame.sequence));
+            }
+            self.offset = Some(offset);
+        }
+    }
+
+    /// The source's number of a frame, and how many of its samples are not the source's.
+    fn identify(&mut self, frame: &Frame) -> (u64, u64) {
+        let mut wrong = |sequence: u64| {
+            fill(self.job.seed, sequence, &mut self.expected);
+            self.expected.iter().zip(&frame.codes).filter(|(a, b)| a != b).count() as u64
+        };
+        let told = match frame.codes.as_slice() {
+            [low, high, ..] => u64::from(*low) | u64::from(*high) << 12,
+            _ => 0,
+        };
+        match wrong(told) {
+            0 => (told, 0),
+            // The number itself may be what is wrong.
+            so_many => {
+                let near = (self.next_of_source..self.next_of_source + 200).map(|n| (n, wrong(n)));
+                near.chain([(told, so_many)]).min_by_key(|(_, wrong)| *wrong).unwrap_or((told, so_many))
+            }
+        }
+    }
+}

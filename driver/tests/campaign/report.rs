@@ -1,0 +1,79 @@
+//! What came of all faults: a table, and the same as JSON.
+
+use std::collections::BTreeMap;
+
+use serde_json::json;
+
+use crate::draw::{Job, Kind, Protocol};
+use crate::play::Outcome;
+
+#[derive(Debug, Default)]
+pub struct Report {
+    rows: BTreeMap<(Protocol, Kind), Outcome>,
+}
+
+impl Report {
+    pub fn add(&mut self, job: &Job, outcome: Outcome) {
+        let row = self.rows.entry((job.protocol, job.kind)).or_default();
+        row.injected += outcome.injected;
+        row.delivered += outcome.delivered;
+        row.lost += outcome.lost;
+        row.wrong += outcome.wrong;
+        row.undetectable += outcome.undetectable;
+        row.not_resumed += outcome.not_resumed;
+        let name =
+            format!("{} {} (seed {:#x}, {})", job.protocol.name(), job.kind.name(), job.seed, job.waveform.shape());
+        row.failures.extend(outcome.failures.into_iter().map(|what| format!("{name}: {what}")));
+    }
+
+    pub fn injected(&self) -> u64 {
+        self.rows.values().map(|row| row.injected).sum()
+    }
+
+    pub fn failures(&self) -> Vec<&str> {
+        self.rows.values().flat_map(|row| &row.failures).map(String::as_str).collect()
+    }
+
+    /// Faults after which nothing came, of boards that could have been started anew.
+    pub fn table(&self) -> String {
+        let mut text = format!(
+            "{:<8} {:<14} {:>8} {:>10} {:>9} {:>7} {:>13} {:>12}\n",
+            "protocol", "fault", "injected", "delivered", "lost", "wrong", "undetectable", "not resumed"
+        );
+        let mut line = |protocol: &str, kind: &str, row: &Outcome| {
+            text += &format!(
+                "{protocol:<8} {kind:<14} {:>8} {:>10} {:>9} {:>7} {:>13} {:>12}\n",
+                row.injected, row.delivered, row.lost, row.wrong, row.undetectable, row.not_resumed
+            );
+        };
+        let mut all = Outcome::default();
+        for ((protocol, kind), row) in &self.rows {
+            line(protocol.name(), kind.name(), row);
+            all.injected += row.injected;
+            all.delivered += row.delivered;
+            all.lost += row.lost;
+            all.wrong += row.wrong;
+            all.undetectable += row.undetectable;
+            all.not_resumed += row.not_resumed;
+        }
+        line("all", "", &all);
+        text
+    }
+
+    pub fn json(&self, seed: u64) -> serde_json::Value {
+        let row = |((protocol, kind), row): (&(Protocol, Kind), &Outcome)| {
+            json!({
+                "protocol": protocol.name(),
+                "fault": kind.name(),
+                "injected": row.injected,
+                "frames_delivered": row.delivered,
+                "frames_lost": row.lost,
+                "wrong_samples_delivered": row.wrong,
+                "undetectable_by_design": row.undetectable,
+                "not_resumed": row.not_resumed,
+                "failures": row.failures,
+            })
+        };
+        json!({ "seed": seed, "faults": self.injected(), "rows": self.rows.iter().map(row).collect::<Vec<_>>() })
+    }
+}
