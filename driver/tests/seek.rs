@@ -180,4 +180,31 @@ mod hard_cases {
             assert_eq!(frame.sequence, sequence);
         }
     }
+
+    /// Found by fuzzing: an index that names wrong places led to frames before and behind the one that was asked for.
+    #[test]
+    fn an_index_that_is_wrong_about_a_chunk_is_seen_through() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, true, |_| false);
+        let bytes = std::fs::read(&path).expect("reads");
+        let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+        let mut chunks: Vec<_> = summary.chunk_indexes.iter().map(|c| (c.chunk_start_offset, c.chunk_length)).collect();
+        chunks.sort_unstable();
+        for (start, length) in &chunks[1..] {
+            // The record behind the chunk: no chunk, and no damage either.
+            let wrong = (start + length).to_le_bytes();
+            let at = bytes.windows(8).rposition(|w| w == start.to_le_bytes()).expect("in the index");
+            let mut bytes = bytes.clone();
+            bytes[at..at + 8].copy_from_slice(&wrong);
+            std::fs::write(&path, bytes).expect("writes");
+            let mut source = Recording::open(&path).expect("opens");
+            let mut frame = Frame::zeroed(source.waveform().shape());
+            for sequence in 0..90 {
+                source.seek_frame(sequence).expect("seeks");
+                source.next_frame(&mut frame).expect("reads");
+                assert_eq!(frame.sequence, sequence);
+            }
+        }
+    }
 }

@@ -24,8 +24,32 @@ pub struct McapReader {
     pending: VecDeque<(Topic, Vec<u8>)>,
     chunk_offset: u64,
     ended: bool,
-    /// Gaps that end before this frame are of no concern to who has asked for the frame.
-    passed_over: Option<u64>,
+    /// What was asked for, until it is found.
+    wanted: Option<Place>,
+}
+
+/// A place to go to.
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    Frame(u64),
+    Time { ns: u64 },
+}
+
+impl Place {
+    fn is_reached(self, position: Position) -> bool {
+        match self {
+            Place::Frame(sequence) => position.sequence >= sequence,
+            Place::Time { ns } => position.time_ns >= ns,
+        }
+    }
+
+    /// Gaps that end before a frame are of no concern to who has asked for that frame.
+    fn is_behind(self, gap: &Gap) -> bool {
+        match self {
+            Place::Frame(sequence) => gap.frames > 0 && gap.first_sequence.saturating_add(gap.frames) <= sequence,
+            Place::Time { .. } => false,
+        }
+    }
 }
 
 impl McapReader {
@@ -45,7 +69,7 @@ impl McapReader {
             pending: VecDeque::new(),
             chunk_offset: 0,
             ended: false,
-            passed_over: None,
+            wanted: None,
         })
     }
 
@@ -84,21 +108,18 @@ impl McapReader {
     /// Goes to the first frame with this sequence number or a later one: see
     /// [`Recording::seek_frame`](crate::recording::Recording::seek_frame).
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
-        self.seek(|position| position.sequence >= sequence)?;
-        self.passed_over = Some(sequence);
-        Ok(())
+        self.seek(Place::Frame(sequence))
     }
 
     /// Goes to the first frame at or after this time, s: see
     /// [`Recording::seek_time_s`](crate::recording::Recording::seek_time_s).
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
-        let time_ns = time_ns(time_s);
-        self.seek(|position| position.time_ns >= time_ns)
+        self.seek(Place::Time { ns: time_ns(time_s) })
     }
 
     /// Goes behind the last frame that has not `reached` the place: by bisection over the chunks, of which one for each
     /// step is read.
-    fn seek(&mut self, reached: impl Fn(Position) -> bool) -> Result<(), RecordingError> {
+    fn seek(&mut self, place: Place) -> Result<(), RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
         // First chunk that starts at the place or behind it; the place is in the chunk before.
@@ -108,7 +129,7 @@ impl McapReader {
             }
             (middle..count)
                 .find_map(|chunk| match self.first_position(chunk) {
-                    Ok(position) => position.map(&reached),
+                    Ok(position) => position.map(|position| place.is_reached(position)),
                     Err(error) => {
                         failure = Some(error);
                         Some(true)
@@ -119,14 +140,22 @@ impl McapReader {
         if let Some(error) = failure {
             return Err(error);
         }
-        let start = usize::try_from(after.saturating_sub(1)).ok().and_then(|chunk| self.index.chunks.get(chunk));
+        // From a chunk that is known to be where the index says; those behind it are found by going on.
+        let mut start = 8;
+        for chunk in (0..after).rev() {
+            if self.first_position(chunk)?.is_some() {
+                let known = usize::try_from(chunk).ok().and_then(|chunk| self.index.chunks.get(chunk));
+                start = known.map_or(8, |chunk| chunk.offset);
+                break;
+            }
+        }
         self.pending.clear();
         self.ended = false;
-        self.records.go_to(start.map_or(8, |chunk| chunk.offset))?;
-        self.passed_over = None;
+        self.records.go_to(start)?;
+        self.wanted = Some(place);
         self.fill_pending()?;
         let is_earlier = |(topic, data): &(Topic, Vec<u8>)| {
-            *topic == Topic::Frame && frame_position(data).is_some_and(|position| !reached(position))
+            *topic == Topic::Frame && frame_position(data).is_some_and(|position| !place.is_reached(position))
         };
         // Behind the last earlier frame of this chunk, if it has one; gaps at its end belong to the place.
         if let Some(last) = self.pending.iter().rposition(is_earlier) {
@@ -185,14 +214,18 @@ impl McapReader {
                 Topic::Gap => {
                     let gap: Gap = serde_json::from_slice(&data)
                         .map_err(|e| self.records.corrupt(self.chunk_offset, format!("a gap is malformed: {e}")))?;
-                    let end = gap.first_sequence.saturating_add(gap.frames);
-                    if gap.frames > 0 && self.passed_over.is_some_and(|wanted| end <= wanted) {
+                    if self.wanted.is_some_and(|place| place.is_behind(&gap)) {
                         continue;
                     }
                     return Ok(SourceEvent::Gap(gap));
                 }
                 Topic::Frame => {
-                    self.passed_over = None;
+                    // An index that lacks a chunk has led to a place before the one that was asked for.
+                    let is_earlier = |place: Place| frame_position(&data).is_some_and(|at| !place.is_reached(at));
+                    if self.wanted.is_some_and(is_earlier) {
+                        continue;
+                    }
+                    self.wanted = None;
                     decode_frame(&data, self.header.waveform.shape(), frame)
                         .map_err(|reason| self.records.corrupt(self.chunk_offset, reason))?;
                     return Ok(SourceEvent::Frame);
