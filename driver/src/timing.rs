@@ -48,6 +48,11 @@ impl SampleTiming {
         frame as u64 * self.codes_per_frame + self.sampled_after(elapsed_s - frame * self.frame_interval_s)
     }
 
+    /// How many chirps of a frame have been sampled as a whole this long after its start.
+    pub fn chirps_after(&self, elapsed_s: f64) -> u64 {
+        self.sampled_after(elapsed_s) / self.codes_per_chirp
+    }
+
     /// How many codes of a frame have been sampled this long after its start.
     pub fn sampled_after(&self, elapsed_s: f64) -> u64 {
         let since_first = elapsed_s - TX_ON_S - ADC_START_DELAY_S;

@@ -49,7 +49,7 @@ pub(super) struct Assembler {
     buffer_start: u64,
     /// Next frame of this stream to complete.
     next_frame: u64,
-    /// Sequence number of this stream's frame 0; unknown after a restart until the board's clock tells.
+    /// Sequence number of this stream's frame 0, modulo 2^64; unknown after a restart until the board's clock tells.
     base: Option<u64>,
     next_sequence: u64,
     /// Frames given up since the last whole one. Not told before the next one: only then it is sure where that stands.
@@ -131,6 +131,7 @@ impl Assembler {
     /// run on.
     pub fn reconnected(&mut self) {
         self.restart(GapReason::Disconnected);
+        self.restart_reason = GapReason::Disconnected;
         self.host_elapsed_us = Some(0.0);
     }
 
@@ -204,6 +205,10 @@ impl Assembler {
         let offset = (index * MAX_PACKET_PAYLOAD).min(bytes);
         let position = slice * bytes as u64 + offset as u64;
         if position != self.received {
+            // Nothing to compare with: where frames begin in these slices only the count from the start says.
+            if self.last_stamp.is_none() && !self.slice.samples.is_multiple_of(self.shape.codes().max(1)) {
+                return Outcome::Misaligned;
+            }
             self.lose_until(position);
             // The slice that ends the next whole frame is the last to be checked.
             self.check_until = self.end_slice(self.next_frame) + 1;
@@ -239,9 +244,9 @@ impl Assembler {
             && next > self.next_frame
         {
             let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
-            let first_sequence = base + self.next_frame;
+            let first_sequence = base.wrapping_add(self.next_frame);
             let gap = self.gap.get_or_insert(Gap { first_sequence, frames: 0, reason });
-            gap.frames = base + next - gap.first_sequence;
+            gap.frames = base.wrapping_add(next).wrapping_sub(gap.first_sequence);
         }
         self.next_frame = next.max(self.next_frame);
         self.buffer.clear();
@@ -300,7 +305,7 @@ impl Assembler {
     /// Sequence number of a frame of this stream; after a restart by the board's clock, and the gap is noted.
     fn sequence(&mut self, frame: u64, start_us: f64) -> u64 {
         if let Some(base) = self.base {
-            return base + frame;
+            return base.wrapping_add(frame);
         }
         let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
         // A clock that agrees with the host's to a frame has run on; otherwise the board was without power.
@@ -320,7 +325,8 @@ impl Assembler {
             reason: self.restart_reason,
         };
         self.ready.push_back(Ready::Gap(gap));
-        self.base = Some(sequence.saturating_sub(frame));
+        // Below zero where the counter has jumped by more frames than were ever sent.
+        self.base = Some(sequence.wrapping_sub(frame));
         sequence
     }
 

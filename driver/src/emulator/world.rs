@@ -44,6 +44,8 @@ pub(super) struct World {
     /// Place of RX1 among the channels, and the next word of the test pattern, if the chip sends that.
     test_pattern: Option<(usize, u16)>,
     pace: Pace,
+    /// A frame whose time has not come.
+    upcoming: Option<Frame>,
     /// Codes of frames not yet sent, FIFO order; those before `sent` have been.
     codes: Vec<u16>,
     sent: usize,
@@ -58,8 +60,8 @@ pub(super) struct World {
     ended: bool,
     /// Wall-clock time at which the source's time was this many nanoseconds.
     clock: Option<(Instant, u64)>,
-    /// Frames that belong to the past when the chip starts again are passed over.
-    skip_past: bool,
+    /// When the chip started again, ns: frames before that are passed over.
+    started_ns: Option<u64>,
 }
 
 impl World {
@@ -79,6 +81,7 @@ impl World {
             codes_per_frame: waveform.shape().codes() as u64,
             test_pattern: None,
             pace,
+            upcoming: None,
             codes: Vec::new(),
             sent: 0,
             taken: 0,
@@ -88,7 +91,7 @@ impl World {
             has_begun: false,
             ended: false,
             clock: None,
-            skip_past: false,
+            started_ns: None,
         })
     }
 
@@ -103,7 +106,7 @@ impl World {
         self.sent = 0;
         self.frames.clear();
         (self.taken, self.put, self.missing) = (0, 0, 0);
-        self.skip_past = self.clock.is_some();
+        self.started_ns = self.now_ns();
         self.has_begun = true;
     }
 
@@ -150,30 +153,22 @@ impl World {
         if self.ended || self.missing > 0 {
             return;
         }
-        let frame = match self.incoming.try_recv() {
-            Ok(Message::Frame(frame)) => frame,
-            Ok(Message::Gap { frames }) => {
-                self.missing = frames;
-                return;
-            }
-            Ok(Message::End) | Err(TryRecvError::Disconnected) => {
-                self.ended = true;
-                return;
-            }
-            Err(TryRecvError::Empty) => return,
+        let frame = match self.upcoming.take().map_or_else(|| self.receive(), Some) {
+            Some(frame) => frame,
+            None => return,
         };
-        let now = self.now_ns();
-        if let (true, Some(now)) = (self.skip_past, now)
-            && frame.time_ns < now
-        {
+        if self.now_ns().is_some_and(|now| frame.time_ns > now) {
+            self.upcoming = Some(frame);
+            return;
+        }
+        // One that has a chirp is counted as measured; it ended with the start.
+        let had_begun =
+            |started: u64| self.timing.chirps_after(started.saturating_sub(frame.time_ns) as f64 * 1e-9) > 0;
+        if self.started_ns.is_some_and(had_begun) {
             let _ = self.spare.try_send(frame);
             return;
         }
-        self.skip_past = false;
-        // A source that is late makes the world late; it does not make the host slow.
-        if now.is_none_or(|now| now > frame.time_ns) && matches!(self.pace, Pace::RealTime(_)) {
-            self.clock = Some((Instant::now(), frame.time_ns));
-        }
+        self.started_ns = None;
         self.frames.push_back((self.put, frame.time_ns));
         let start = self.codes.len();
         fifo::interleave(&frame.codes, self.shape, &self.channels, &mut self.codes);
@@ -185,6 +180,28 @@ impl World {
         }
         self.put += self.codes_per_frame;
         let _ = self.spare.try_send(frame);
+    }
+
+    /// The source's next frame, if it is there.
+    fn receive(&mut self) -> Option<Frame> {
+        let frame = match self.incoming.try_recv() {
+            Ok(Message::Frame(frame)) => frame,
+            Ok(Message::Gap { frames }) => {
+                self.missing = frames;
+                return None;
+            }
+            Ok(Message::End) | Err(TryRecvError::Disconnected) => {
+                self.ended = true;
+                return None;
+            }
+            Err(TryRecvError::Empty) => return None,
+        };
+        // A source that is late makes the world late; it does not make the host slow.
+        let is_late = self.now_ns().is_none_or(|now| now > frame.time_ns) && self.started_ns.is_none();
+        if is_late && matches!(self.pace, Pace::RealTime(_)) {
+            self.clock = Some((Instant::now(), frame.time_ns));
+        }
+        Some(frame)
     }
 
     /// Board time at which this code has been sampled, ns.
