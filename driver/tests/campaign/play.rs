@@ -75,7 +75,7 @@ impl Client {
     fn open(job: &Job, board: &EmulatedBoard) -> Result<Self, BoardError> {
         Ok(match job.protocol {
             Protocol::Esp32 => {
-                let stream = LineStream::open(board.path(), &job.waveform)?;
+                let stream = LineStream::open(board.path(), Some(&job.waveform))?;
                 let can_come_back = job.kind != Kind::Stall;
                 Client::Lines(Box::new(if can_come_back { stream.with_reconnect(POLICY) } else { stream }))
             }
