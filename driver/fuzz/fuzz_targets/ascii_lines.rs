@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use radome_driver::protocol::ascii::{Line, LineError, LineParser, encode};
+use radome_driver::protocol::ascii::{Line, LineError, LineParser, decode_waveform, encode, encode_waveform};
 use radome_driver_fuzz::{pieces, within};
 
 #[derive(Debug, PartialEq)]
@@ -41,6 +41,15 @@ fuzz_target!(|input: &[u8]| {
             let mut line = Vec::new();
             encode(number, &codes, &mut line);
             assert_eq!(parse(codes.len(), line.chunks(7)), [Found::Frame(number, codes)]);
+        }
+    }
+    for line in input.split(|b| *b == b'\n') {
+        if let Some(Ok(request)) = decode_waveform(line) {
+            let mut again = Vec::new();
+            encode_waveform(&request, &mut again);
+            let decoded = decode_waveform(again.strip_suffix(b"\n").expect("a line")).expect("says so");
+            assert_eq!(decoded.expect("what was written is read"), request);
+            let _ = radome_dsp::Waveform::realise(request);
         }
     }
     // Nothing is kept of what has been read.

@@ -153,8 +153,9 @@ impl LineStream {
             if began.elapsed() > self.deadline {
                 let path = self.path.clone();
                 return Err(match unfit {
-                    Some(source) => BoardError::Line { path, source },
-                    None => BoardError::Stalled { path, waited: self.deadline },
+                    // Once a frame has come the waveform is right, and a damaged line only the last before a silence.
+                    Some(source) if self.order.next_number.is_none() => BoardError::Line { path, source },
+                    _ => BoardError::Stalled { path, waited: self.deadline },
                 });
             }
         }
@@ -297,13 +298,15 @@ impl Order {
         self.ready.push_back(Ready::Gap(Gap { first_sequence: 0, frames, reason }));
     }
 
-    /// The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was away.
-    /// One whose number agrees with that clock has run on.
+    /// The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was away. One
+    /// that has run on knows itself: its number is ahead, by no more than that clock allows and further than it could have
+    /// counted from its beginning.
     fn begin_anew(&mut self, number: u64) {
         let Some(next) = self.next_number.replace(number) else { return };
         let intervals = self.last_frame.elapsed().as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
         let by_host = (intervals.round() as u64).saturating_sub(1);
-        let frames = Some(number.wrapping_sub(next)).filter(|ahead| ahead.abs_diff(by_host) <= 1).unwrap_or(by_host);
+        let has_run_on = |ahead: &u64| ahead.abs_diff(by_host) <= 1 || (*ahead <= by_host && number > by_host);
+        let frames = Some(number.wrapping_sub(next)).filter(has_run_on).unwrap_or(by_host);
         // The line that was cut short is lost at least.
         let gap = Gap { first_sequence: 0, frames: frames.max(1), reason: GapReason::Disconnected };
         self.ready.push_back(Ready::Gap(gap));

@@ -96,6 +96,11 @@ impl Wire {
         encode(&mut self.out);
     }
 
+    /// The board starts anew: nothing from before is sent any more.
+    pub fn forget_held(&mut self) {
+        self.held.clear();
+    }
+
     /// Sends the data message of this number, or what its faults leave of it.
     pub fn send_data(&mut self, number: u64, encode: impl FnOnce(&mut Vec<u8>)) {
         let start = self.out.len();

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
 use super::vendor_config::read_waveform;
-use super::{RecordingError, first_index, time_ns};
+use super::{RecordingError, first_index, read_text, time_ns};
 
 pub use writer::InfineonWriter;
 
@@ -191,7 +191,7 @@ fn radar_folder(path: &Path) -> Result<PathBuf, RecordingError> {
 }
 
 fn check_version(path: &Path) -> Result<(), RecordingError> {
-    let text = std::fs::read_to_string(path).map_err(RecordingError::io(path, "cannot be read"))?;
+    let text = read_text(path)?;
     let text = text.trim();
     let numbers: Option<Vec<u32>> = text.split('.').map(|n| n.parse().ok()).collect();
     match numbers.as_deref() {
@@ -257,10 +257,10 @@ impl NpyHeader {
 
 /// One time in seconds a line, as nanoseconds.
 fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<u64>>, RecordingError> {
-    let text = match std::fs::read_to_string(path) {
+    let text = match read_text(path) {
         Ok(text) => text,
-        Err(e) if e.kind() == std::io::ErrorKind::NotFound => return Ok(None),
-        Err(e) => return Err(RecordingError::io(path, "cannot be read")(e)),
+        Err(RecordingError::Missing { .. }) => return Ok(None),
+        Err(error) => return Err(error),
     };
     let mut stamps = Vec::new();
     let mut offset = 0;

@@ -189,6 +189,16 @@ pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
     })
 }
 
+/// A small text file.
+fn read_text(path: &Path) -> Result<String, RecordingError> {
+    let bytes = std::fs::read(path).map_err(RecordingError::io(path, "cannot be read"))?;
+    String::from_utf8(bytes).map_err(|e| RecordingError::Corrupt {
+        path: path.to_owned(),
+        offset: e.utf8_error().valid_up_to() as u64,
+        reason: "not text in UTF-8".into(),
+    })
+}
+
 /// A time in nanoseconds; zero for what is none.
 fn time_ns(time_s: f64) -> u64 {
     (time_s * 1e9).round() as u64

@@ -7,7 +7,7 @@ use radome_dsp::{RxMask, Waveform, WaveformRequest};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::RecordingError;
+use super::{RecordingError, read_text};
 
 /// Fields of a configuration under their new and old names.
 struct Fields<'a> {
@@ -65,7 +65,7 @@ impl Fields<'_> {
 }
 
 pub(super) fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
-    let text = std::fs::read_to_string(path).map_err(RecordingError::io(path, "cannot be read"))?;
+    let text = read_text(path)?;
     let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
         path: path.into(),
         offset: text.split_inclusive('\n').take(e.line().saturating_sub(1)).map(str::len).sum::<usize>() as u64

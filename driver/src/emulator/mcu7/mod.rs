@@ -148,6 +148,9 @@ impl Mcu7 {
     /// Sends the next packet of the first slice in the buffer.
     fn send_packet(&mut self, slice: SliceLayout, wire: &mut Wire) {
         let (number, before) = wire.next_number();
+        if self.counter == 0 {
+            wire.forget_held();
+        }
         for before in before {
             match before {
                 Before::Overflow => {

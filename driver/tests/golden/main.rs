@@ -1,0 +1,360 @@
+//! Golden files of every format that the crate writes, in `fixtures/formats`: today's reader finds in them what was written,
+//! today's writer makes the same bytes, and copies that are cut, damaged or newer are told from good ones.
+
+#[path = "../common/mod.rs"]
+mod common;
+mod make;
+mod wire;
+
+use std::path::{Path, PathBuf};
+
+use make::{GAP, HOST_NS, code, frames, header, labels, waveform};
+use radome_driver::McapReader;
+use radome_driver::recording::Recording;
+use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
+use radome_driver::recording::mcap::repair;
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
+
+fn golden(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/formats").join(name)
+}
+
+fn golden_bytes(name: &str) -> Vec<u8> {
+    std::fs::read(golden(name)).expect("a golden file")
+}
+
+/// All files below a folder, by their names from there.
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut folders = vec![folder.to_owned()];
+    while let Some(next) = folders.pop() {
+        for entry in std::fs::read_dir(&next).expect("lists").map(|e| e.expect("an entry").path()) {
+            if entry.is_dir() {
+                folders.push(entry);
+            } else {
+                found.push(entry.strip_prefix(folder).expect("below").to_owned());
+            }
+        }
+    }
+    found.sort();
+    found
+}
+
+/// Frames that can be read, where the gap stood if there was one, and the error that ended it.
+fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Option<usize>, Option<String>) {
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut all, mut gap) = (Vec::new(), None);
+    loop {
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => all.push(frame.clone()),
+            Ok(SourceEvent::Gap(found)) => gap = (found == GAP).then_some(all.len()),
+            Ok(SourceEvent::End) => return (all, gap, None),
+            Err(error) => return (all, gap, Some(error.to_string())),
+        }
+    }
+}
+
+/// `cargo test -p radome-driver --test golden -- --ignored remake`, after a format has changed on purpose.
+#[test]
+#[ignore = "overwrites the golden files"]
+fn remake() {
+    let folder = golden("");
+    // A folder is written only where there is none.
+    let _ = std::fs::remove_dir_all(folder.join("infineon"));
+    make::make(&folder);
+}
+
+#[test]
+fn todays_writers_make_the_same_bytes() {
+    let folder = tempfile::tempdir().expect("folder");
+    make::make(folder.path());
+    let made = files(folder.path());
+    let kept: Vec<_> = files(&golden("")).into_iter().filter(|name| name != Path::new("README.md")).collect();
+    assert_eq!(made, kept);
+    for name in made {
+        let (new, old) = (std::fs::read(folder.path().join(&name)), std::fs::read(golden("").join(&name)));
+        assert!(new.expect("reads") == old.expect("reads"), "{} has changed", name.display());
+    }
+}
+
+#[test]
+fn the_native_recording_holds_what_it_held() {
+    let mut reader = McapReader::open(&golden("recording.mcap")).expect("opens").strict(true);
+    assert!(reader.is_complete());
+    assert_eq!(reader.frame_count(), Some(8));
+    assert_eq!(reader.header(), &header());
+    let request = reader.waveform().request.clone();
+    assert_eq!((request.chirps_per_frame, request.samples_per_chirp), (2, 8));
+    assert_eq!((request.rx_antennas.antennas(), request.frame_interval_s), (vec![1, 3], 0.4));
+    let board = reader.header().board.clone().expect("a board");
+    assert_eq!((board.firmware_version.as_str(), board.chip_id), ("2.9.0", 0x303));
+    assert_eq!(reader.header().registers.last().map(|r| r.address), Some(0));
+    let found = reader.labels().expect("labels");
+    assert_eq!(found, labels());
+    assert_eq!((found[1].start_s, found[1].end_s, found[1].confidence), (1.6, 3.6, Some(0.75)));
+    assert_eq!(found[1].made_ns, Some(1_767_683_780_000_000_001));
+
+    let (all, gap, error) = read(&mut reader);
+    assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
+    assert_eq!(all.iter().map(|f| f.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 7, 8, 9]);
+    assert_eq!(all[3].codes[24], 3 * 37 + 1000 + 100);
+    assert_eq!((all[5].time_ns, all[5].host_time_ns), (2_800_000_000, 1_767_683_777_800_000_000));
+    assert_eq!(all[4].truth, Some(Truth { occupancy: Occupancy::Two, transition: true }));
+    let temperatures: Vec<_> = all.iter().map(|f| f.temperature_millicelsius.unwrap_or(0)).collect();
+    assert_eq!(temperatures, [0, 0, 31_500, 31_500, 31_500, 31_750, 31_750, 31_750]);
+}
+
+/// What the vendor's formats hold of a frame: samples and, the folder, times and temperature; frames are counted anew.
+fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
+    frame.sequence = index as u64;
+    frame.truth = None;
+    if !keeps_times {
+        frame.time_ns = index as u64 * 400_000_000;
+        frame.host_time_ns = 0;
+        frame.temperature_millicelsius = None;
+    }
+    frame
+}
+
+#[test]
+fn the_vendors_formats_hold_what_they_held() {
+    for (name, keeps_times) in [("infineon", true), ("sdk.txt", false)] {
+        let mut reader = Recording::open(&golden(name)).expect("opens");
+        assert_eq!(reader.waveform(), &waveform());
+        let (all, gap, error) = read(&mut reader);
+        let expected: Vec<_> = frames().into_iter().enumerate().map(|(i, f)| without(f, i, keeps_times)).collect();
+        assert_eq!((all.as_slice(), gap, error), (expected.as_slice(), None, None), "{name}");
+        // The sixth is number 7, RX3's second chirp, its last sample.
+        assert_eq!(all[5].codes[31], 7 * 37 + 1000 + 100 + 7);
+        assert_eq!(code(7, 1, 1, 7), 1366);
+        if keeps_times {
+            assert_eq!(all[5].host_time_ns, HOST_NS + 2_800_000_000);
+        }
+    }
+}
+
+#[test]
+fn label_files_hold_what_they_held() {
+    let text = String::from_utf8(golden_bytes("labels-audacity.txt")).expect("text");
+    assert_eq!(text, "0.000000\t1.600000\tone\n1.600000\t3.600000\ttwo, or \"more\"\n");
+    let spans = from_audacity(&text).expect("reads");
+    assert_eq!((spans[1].start_s, spans[1].end_s, spans[1].label.as_str()), (1.6, 3.6, "two, or \"more\""));
+    let text = String::from_utf8(golden_bytes("labels-deepcraft.label")).expect("text");
+    assert_eq!(
+        text.lines().nth(2),
+        Some("1.600000,2.000000,\"two, or \"\"more\"\"\",0.75,one of them behind the desk")
+    );
+    let spans = from_deepcraft(&text).expect("reads");
+    assert_eq!((spans[1].end_s, spans[1].confidence), (3.6, Some(0.75)));
+    assert_eq!((spans[0].note.as_deref(), spans[1].note.as_deref()), (None, Some("one of them behind the desk")));
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// A copy of the golden recordings, to be damaged: in memory where the system has such, for each is written to the disk.
+    fn copy() -> tempfile::TempDir {
+        let memory = Path::new("/dev/shm");
+        let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
+        let folder = tempfile::tempdir_in(parent).expect("folder");
+        for name in files(&golden("")) {
+            let target = folder.path().join(&name);
+            std::fs::create_dir_all(target.parent().expect("a folder")).expect("creates");
+            std::fs::copy(golden("").join(&name), target).expect("copies");
+        }
+        folder
+    }
+
+    /// Recordings with the files that hold them.
+    const RECORDINGS: [(&str, &[&str]); 3] = [
+        ("recording.mcap", &["recording.mcap"]),
+        (
+            "infineon",
+            &[
+                "infineon/RadarIfxAvian_00/radar.npy",
+                "infineon/RadarIfxAvian_00/config.json",
+                "infineon/RadarIfxAvian_00/radar_timestamp.csv",
+                "infineon/RadarIfxAvian_00/temperature.npy",
+                "infineon/RadarIfxAvian_00/temperature_timestamp.csv",
+                "infineon/RadarIfxAvian_00/format.version",
+            ],
+        ),
+        ("sdk.txt", &["sdk.txt", "sdk.txt_config.json"]),
+    ];
+
+    /// What a reader says of a recording: its frames, and the error if there is one. An error names a file of the recording
+    /// and a place in it: a byte, a field, or the two files that disagree.
+    fn said(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
+        let path = folder.join(recording);
+        let (frames, error) = match Recording::open(&path) {
+            Ok(mut source) => {
+                let (frames, _, error) = read(&mut source);
+                (frames, error)
+            }
+            Err(error) => (Vec::new(), Some(error.to_string())),
+        };
+        if let Some(text) = &error {
+            assert!(text.contains(&path.display().to_string()), "{text}");
+            let places = ["byte ", "field `", "config.json says", "impossible", "format version", "not a recording"];
+            assert!(places.iter().any(|place| text.contains(place)), "{text}");
+        }
+        (frames, error)
+    }
+
+    fn as_held(recording: &str) -> Vec<Frame> {
+        read(&mut Recording::open(&golden(recording)).expect("opens")).0
+    }
+
+    #[test]
+    fn a_recording_cut_anywhere_gives_its_beginning_and_says_so() {
+        let folder = copy();
+        for (recording, files) in RECORDINGS {
+            let whole = as_held(recording);
+            for file in files {
+                let bytes = golden_bytes(file);
+                for cut in 0..bytes.len() {
+                    std::fs::write(folder.path().join(file), &bytes[..cut]).expect("writes");
+                    let (frames, error) = said(folder.path(), recording);
+                    assert!(whole.starts_with(&frames), "{file} cut at {cut}");
+                    // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole frames, nothing
+                    // says. An MCAP file says that it was never finished.
+                    let is_complete = match recording {
+                        "recording.mcap" => McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete()),
+                        _ if file.ends_with(".csv") && !bytes[cut..bytes.len() - 1].contains(&b'\n') => false,
+                        _ if *file == "sdk.txt" && cut % (bytes.len() / whole.len()) == 0 => false,
+                        _ => error.is_none() && !bytes[cut..].trim_ascii().is_empty(),
+                    };
+                    assert!(!is_complete, "{file} cut at {cut} passes for whole");
+                }
+                std::fs::write(folder.path().join(file), &bytes).expect("writes");
+            }
+        }
+    }
+
+    #[test]
+    fn a_native_recording_cut_anywhere_is_repaired_to_its_last_whole_chunk() {
+        let folder = copy();
+        let (broken, fixed) = (folder.path().join("recording.mcap"), folder.path().join("fixed.mcap"));
+        let bytes = golden_bytes("recording.mcap");
+        let mut most = 0;
+        for cut in 0..bytes.len() {
+            std::fs::write(&broken, &bytes[..cut]).expect("writes");
+            let readable = Recording::open(&broken).map(|mut source| read(&mut source).0);
+            match repair(&broken, &fixed) {
+                Ok(report) => {
+                    let (frames, _, error) = read(&mut McapReader::open(&fixed).expect("opens").strict(true));
+                    assert_eq!((frames.len() as u64, error), (report.frames, None));
+                    assert!(readable.is_ok_and(|readable| readable == frames) || frames.is_empty());
+                    most = most.max(frames.len());
+                }
+                Err(error) => {
+                    assert!(error.to_string().contains("recording.mcap") && readable.is_err(), "{error}");
+                }
+            }
+        }
+        assert_eq!(most, 8);
+    }
+
+    /// Which bits: the same in each run.
+    fn sample(count: u64, bits: usize) -> impl Iterator<Item = usize> {
+        (0..count).map(move |n| {
+            let mixed = (n + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+            ((mixed ^ mixed >> 29).wrapping_mul(0xBF58_476D_1CE4_E5B9) >> 20) as usize % bits
+        })
+    }
+
+    /// The native file has check sums: no flipped bit gives another sample. The vendor's have none.
+    #[test]
+    fn a_flipped_bit_is_an_error_or_does_no_harm() {
+        let folder = copy();
+        for (recording, files) in RECORDINGS {
+            let whole = as_held(recording);
+            for file in files {
+                let bytes = golden_bytes(file);
+                for bit in sample(1500, 8 * bytes.len()) {
+                    let mut bytes = bytes.clone();
+                    bytes[bit / 8] ^= 1 << (bit % 8);
+                    std::fs::write(folder.path().join(file), bytes).expect("writes");
+                    let (frames, _) = said(folder.path(), recording);
+                    if recording == "recording.mcap" {
+                        assert!(whole.starts_with(&frames), "bit {bit}");
+                    } else {
+                        let codes =
+                            |frames: &[Frame]| -> Vec<u16> { frames.iter().flat_map(|f| f.codes.clone()).collect() };
+                        let (found, held) = (codes(&frames), codes(&whole));
+                        let wrong = found.iter().zip(&held).filter(|(a, b)| a != b).count();
+                        assert!(
+                            wrong <= 1 || frames.len() != whole.len() || file.ends_with(".json"),
+                            "{file} bit {bit}"
+                        );
+                    }
+                }
+                std::fs::write(folder.path().join(file), &bytes).expect("writes");
+            }
+        }
+    }
+
+    #[test]
+    fn a_damaged_chunk_costs_its_own_frames() {
+        let folder = copy();
+        let bytes = golden_bytes("recording.mcap");
+        let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+        let (broken, fixed) = (folder.path().join("recording.mcap"), folder.path().join("fixed.mcap"));
+        let whole = as_held("recording.mcap");
+        let mut saved = Vec::new();
+        for chunk in &summary.chunk_indexes {
+            let mut bytes = bytes.clone();
+            bytes[(chunk.chunk_start_offset + chunk.chunk_length - 3) as usize] ^= 0x20;
+            std::fs::write(&broken, bytes).expect("writes");
+            let report = repair(&broken, &fixed).expect("repairs");
+            assert_eq!((report.damage.len(), report.damage[0].offset), (1, chunk.chunk_start_offset));
+            let (frames, ..) = read(&mut McapReader::open(&fixed).expect("opens"));
+            assert!(frames.iter().all(|frame| whole.contains(frame)));
+            saved.push(frames.len());
+        }
+        saved.sort_unstable();
+        // A chunk of channels, and one for each second: 3, 3 and 2 frames, the last with the labels.
+        assert_eq!(saved, [5, 5, 6, 8]);
+    }
+
+    #[test]
+    fn a_newer_copy_is_refused_with_both_versions() {
+        let folder = copy();
+        let mut bytes = golden_bytes("recording.mcap");
+        let key = b"format_version\x01\0\0\0";
+        let at = bytes.windows(key.len()).position(|w| w == key).expect("the version") + key.len();
+        assert_eq!(bytes[at], b'1');
+        bytes[at] = b'2';
+        std::fs::write(folder.path().join("recording.mcap"), bytes).expect("writes");
+        std::fs::write(folder.path().join("infineon/RadarIfxAvian_00/format.version"), "1.1.0\n").expect("writes");
+        for (recording, version, known) in [("recording.mcap", "version 2,", "to 1;"), ("infineon", "1.1.0", "1.0.0")] {
+            let (_, error) = said(folder.path(), recording);
+            let error = error.expect("refused");
+            assert!(error.contains(version) && error.contains(known), "{error}");
+        }
+        assert!(repair(&folder.path().join("recording.mcap"), &folder.path().join("fixed.mcap")).is_err());
+        assert!(!folder.path().join("fixed.mcap").exists());
+    }
+
+    /// Label files are small: every cut and every bit.
+    #[test]
+    fn damaged_label_files_are_refused_with_the_line_or_read() {
+        for name in ["labels-audacity.txt", "labels-deepcraft.label"] {
+            let bytes = golden_bytes(name);
+            let cuts = (0..bytes.len()).map(|cut| bytes[..cut].to_vec());
+            let flips = (0..8 * bytes.len()).map(|bit| {
+                let mut bytes = bytes.clone();
+                bytes[bit / 8] ^= 1 << (bit % 8);
+                bytes
+            });
+            for damaged in cuts.chain(flips) {
+                let Ok(text) = String::from_utf8(damaged) else { continue };
+                let result = if name.ends_with(".label") { from_deepcraft(&text) } else { from_audacity(&text) };
+                match result {
+                    Ok(spans) => assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s >= s.start_s)),
+                    Err(error) => assert!((1..=3).contains(&error.line), "{error}"),
+                }
+            }
+        }
+    }
+}
