@@ -20,7 +20,7 @@ pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
         // Two times, the length without compression and the CRC; then the compression.
         op::CHUNK => rest.skip(28)?.strings(1),
         // Times, place and length of the chunk, a map of places, the length of the message index.
-        op::CHUNK_INDEX => rest.skip(32)?.strings(1)?.skip(8)?.strings(1),
+        op::CHUNK_INDEX => rest.skip(32)?.places()?.skip(8)?.strings(1),
         op::METADATA => rest.strings(1)?.string_map(),
         op::METADATA_INDEX => rest.skip(16)?.strings(1),
         op::ATTACHMENT => rest.skip(16)?.strings(2),
@@ -45,6 +45,12 @@ impl Rest<'_> {
             self.skip(4)?.skip(usize::try_from(length).ok()?)?;
         }
         Some(self)
+    }
+
+    /// A length in bytes, and as many pairs of a channel and a place as are begun within it.
+    fn places(&mut self) -> Option<&mut Self> {
+        let length = usize::try_from(u32::from_le_bytes(*self.0.first_chunk()?)).ok()?;
+        self.skip(4)?.skip(length.checked_next_multiple_of(10)?)
     }
 
     /// A length in bytes, and pairs of strings as long as it is not used up.
@@ -82,6 +88,11 @@ mod tests {
                 bad[at + 3] = 0x40;
                 assert!(parse_record(op::METADATA, &bad).is_err(), "length at byte {at}");
             }
+            // A map whose length is no multiple of its entries': the string behind it begins later.
+            let mut index = [[0; 32].as_slice(), &1u32.to_le_bytes(), &[0; 18], &string("zstd"), &[0; 16]].concat();
+            assert!(parse_record(op::CHUNK_INDEX, &index).is_ok());
+            index[32 + 4 + 18 + 3] = 0x40;
+            assert!(parse_record(op::CHUNK_INDEX, &index).is_err());
             for cut in 0..good.len() {
                 assert!(parse_record(op::METADATA, &good[..cut]).is_err(), "cut at {cut}");
             }
