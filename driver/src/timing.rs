@@ -29,6 +29,11 @@ impl SampleTiming {
         }
     }
 
+    /// From the start of one frame to that of the next, s.
+    pub fn frame_interval_s(&self) -> f64 {
+        self.frame_interval_s
+    }
+
     /// Time of a code from the start of its own frame, s; `code` counts within the frame.
     pub fn in_frame_s(&self, code: u64) -> f64 {
         let (chirp, code) = (code / self.codes_per_chirp, code % self.codes_per_chirp);

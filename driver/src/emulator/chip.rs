@@ -73,7 +73,9 @@ impl Chip {
     pub fn reset(&mut self) {
         self.registers = RegisterFile::default();
         self.registers.set(address::CHIP_ID, self.chip_id);
-        self.frames = None;
+        if self.frames.take().is_some() {
+            self.world.stop();
+        }
         self.reset_fifo();
     }
 

@@ -62,6 +62,8 @@ pub(super) struct World {
     clock: Option<(Instant, u64)>,
     /// When the chip started again, ns: frames before that are passed over.
     started_ns: Option<u64>,
+    /// When it was last reset, ns.
+    stopped_ns: Option<u64>,
 }
 
 impl World {
@@ -92,6 +94,7 @@ impl World {
             ended: false,
             clock: None,
             started_ns: None,
+            stopped_ns: None,
         })
     }
 
@@ -106,8 +109,16 @@ impl World {
         self.sent = 0;
         self.frames.clear();
         (self.taken, self.put, self.missing) = (0, 0, 0);
-        self.started_ns = self.now_ns();
+        // Who resets and starts at once loses no frame in between.
+        let at_once = |now: u64, stopped: u64| (now - stopped) as f64 * 1e-9 < self.timing.frame_interval_s();
+        let stopped = self.stopped_ns.take();
+        self.started_ns = self.now_ns().map(|now| stopped.filter(|s| *s <= now && at_once(now, *s)).unwrap_or(now));
         self.has_begun = true;
+    }
+
+    /// The chip is reset.
+    pub fn stop(&mut self) {
+        self.stopped_ns = self.now_ns();
     }
 
     /// Source time by the wall clock, ns.

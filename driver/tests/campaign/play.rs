@@ -110,10 +110,17 @@ pub fn play(job: &Job) -> Outcome {
     };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
     let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
-    // On a busy machine even a board that is well may be late with an answer.
-    let mut attempts = std::iter::repeat_with(|| Client::open(job, &board)).take(10);
-    let is_late = |client: &Result<Client, BoardError>| matches!(client, Err(BoardError::NoAnswer { .. }));
-    let client = attempts.find(|client| !is_late(client)).unwrap_or_else(|| Client::open(job, &board));
+    // On a busy machine even a board that is well may be late with an answer, or gone before its answer is read.
+    let attempt = || {
+        std::thread::sleep(Duration::from_millis(5));
+        Client::open(job, &board)
+    };
+    let mut attempts = std::iter::repeat_with(attempt).take(100);
+    let is_late = |client: &Result<Client, BoardError>| {
+        use BoardError::{Disconnected, NoAnswer, Open};
+        matches!(client, Err(NoAnswer { .. } | Disconnected { .. } | Open { .. }))
+    };
+    let client = attempts.find(|client| !is_late(client)).unwrap_or_else(attempt);
     match (job.kind, client) {
         (Kind::Version, Err(BoardError::Protocol { .. })) => {}
         // All ones and all zeros are what a chip reads that is not there.
