@@ -380,6 +380,22 @@ mod hard_cases {
         assert_eq!(readable(&mut reader).0, 25);
     }
 
+    /// Found by fuzzing: a wrong length in the middle of a finished file was taken for its end.
+    #[test]
+    fn a_length_gone_wrong_is_no_end() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, true);
+        let mut bytes = std::fs::read(&path).expect("reads");
+        let summary = mcap::Summary::read(&bytes).expect("reads").expect("a summary");
+        let last = summary.chunk_indexes.iter().map(|chunk| chunk.chunk_start_offset).max().expect("chunks") as usize;
+        bytes[last + 7] = 0x40;
+        std::fs::write(&path, bytes).expect("writes");
+        let (count, error) = readable(&mut McapReader::open(&path).expect("opens"));
+        assert!(count < 25);
+        assert_contains(&error.expect("damaged").to_string(), &["a.mcap", &format!("at byte {last}"), "was finished"]);
+    }
+
     #[test]
     fn a_damaged_chunk_is_an_error_with_its_place() {
         let folder = tempfile::tempdir().expect("folder");

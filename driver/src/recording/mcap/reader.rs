@@ -196,6 +196,11 @@ impl McapReader {
                 Next::End => self.ended = true,
                 Next::CutShort => {
                     self.ended = true;
+                    // With its end in place it was not cut: a length is wrong.
+                    if self.index.complete {
+                        let reason = "a record reaches beyond the file, though the recording was finished";
+                        return Err(self.records.corrupt(end, reason.into()));
+                    }
                     if self.strict {
                         return Err(RecordingError::Unfinished { path: self.records.path.clone(), offset: end });
                     }
