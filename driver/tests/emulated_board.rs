@@ -209,6 +209,27 @@ mod hard_cases {
         }
     }
 
+    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only the
+    /// board's clock tells. No frame is cut from the wrong codes, none gets another's number.
+    #[test]
+    fn a_counter_that_jumps_by_whole_slices_is_seen_through() {
+        // 12 slices of 4 packets a frame; a slice a frame; slices that end anywhere in a frame.
+        for (antennas, chirps, samples, packet) in
+            [(&[1u8, 2, 3][..], 128, 256, 48 + 4), (&[1, 2, 3], 8, 64, 3), (&[1], 67, 67, 12)]
+        {
+            let waveform = waveform(antennas, chirps, samples, 0.1);
+            for by in [4, 12, 48, 480, 0x7FFC, 0x8000, 0xFFFF] {
+                let (sequences, gaps, _) = stream(&waveform, 40, &[Fault::SkipCounter { packet, by }]);
+                let lost: u64 = gaps.iter().map(|gap| gap.frames).sum();
+                // The last codes of the source may not fill a slice.
+                let last = sequences.last().copied().unwrap_or(0);
+                assert!(last >= 37, "{} by {by}: {gaps:?}", waveform.shape());
+                assert_eq!(sequences.len() as u64 + lost, last + 1, "{} by {by}: {gaps:?}", waveform.shape());
+                assert!(lost <= 25, "{} by {by}: {gaps:?}", waveform.shape());
+            }
+        }
+    }
+
     #[test]
     fn a_packet_cut_short_costs_its_frame_only() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);

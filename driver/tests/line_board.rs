@@ -2,8 +2,10 @@
 
 mod common;
 
+use std::time::Duration;
+
 use common::{Pattern, waveform};
-use radome_driver::{EmulatedBoard, EmulatorOptions, Kind, LineStream, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, LineStream, Pace, Reconnect};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
 fn board(source: Pattern) -> EmulatedBoard {
@@ -35,6 +37,41 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
     }
     assert_eq!(frames, (0..10).chain(13..30).collect::<Vec<_>>());
     assert_eq!(gaps, [Gap { first_sequence: 10, frames: 3, reason: GapReason::PacketLost }]);
+}
+
+/// A board that is unplugged is found again; what it counts from its beginning goes on where the stream was.
+#[test]
+fn a_printing_board_that_is_plugged_in_again_goes_on() {
+    let folder = tempfile::tempdir().expect("folder");
+    let w = waveform(&[1, 2, 3], 16, 32, 0.05);
+    let fault = Fault::Unplug { packet: 60, duration: Duration::from_millis(50) };
+    let options = EmulatorOptions {
+        pace: Pace::AsFastAsRead,
+        kind: Kind::Esp32,
+        faults: vec![fault],
+        link: Some(folder.path().join("board")),
+    };
+    let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("a pty");
+    let policy = Reconnect { longest_wait: Duration::from_millis(50), ..Reconnect::default() };
+    let mut stream = LineStream::open(board.path(), Some(&w)).expect("opens").with_reconnect(policy);
+    let mut frame = Frame::zeroed(w.shape());
+    let (mut next, mut lost) = (0, 0);
+    while next < 100 {
+        match stream.next_frame(&mut frame).expect("comes back") {
+            SourceEvent::Frame => {
+                assert_eq!(frame.sequence, next);
+                next += 1;
+            }
+            SourceEvent::Gap(gap) => {
+                assert_eq!((gap.first_sequence, gap.reason), (next, GapReason::Disconnected));
+                lost += gap.frames;
+                next += gap.frames;
+            }
+            SourceEvent::End => panic!("boards do not end"),
+        }
+    }
+    assert!(lost > 0);
+    assert_eq!(stream.lost_frames(GapReason::Disconnected), lost);
 }
 
 mod hard_cases {

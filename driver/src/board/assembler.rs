@@ -186,6 +186,8 @@ impl Assembler {
         if ahead >= 0x8000 {
             tracing::debug!(counter = packet.counter, "a packet came twice");
             self.duplicates += 1;
+            // Or the counter was set back, and this was another.
+            self.check_until = self.end_slice(self.next_frame) + 1;
             return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Taken };
         }
         self.duplicates = 0;

@@ -198,11 +198,12 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         // Part of a slice, slices, frames, and backwards.
         Kind::Skip => {
             let frame = messages.round().max(1.0) as u64;
-            let by = match random.below(5) {
+            let by = match random.below(6) {
                 0 => 1 + random.below(3),
                 1 => frame * (1 + random.below(4)),
                 2 => 1 + random.below(60),
                 3 => random.below(0x8000),
+                4 => 0xFFFF - random.below(60),
                 _ => random.below(0x1_0000),
             };
             Fault::SkipCounter { packet, by: by as u16 }
