@@ -12,7 +12,7 @@ mod stream;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use radome_dsp::{Gap, GapReason, Waveform};
+use radome_dsp::Waveform;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -204,14 +204,6 @@ pub enum BoardError {
     /// The acquisition has ended.
     #[error("the acquisition has been stopped")]
     Stopped,
-}
-
-/// Adds a gap to the frames lost by reason.
-fn count_lost(lost: &mut Vec<(GapReason, u64)>, gap: &Gap) {
-    match lost.iter_mut().find(|(reason, _)| *reason == gap.reason) {
-        Some((_, frames)) => *frames += gap.frames,
-        None => lost.push((gap.reason, gap.frames)),
-    }
 }
 
 /// Name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.

@@ -4,13 +4,13 @@
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read};
 use std::path::{Path, PathBuf};
-use std::thread;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 use serialport::TTYPort;
 
-use super::{BoardError, Reconnect, count_lost, link};
+use super::reconnect::{Losses, Reconnect};
+use super::{BoardError, link};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
 
@@ -37,8 +37,7 @@ pub struct LineStream {
     deadline: Duration,
     waveform: Waveform,
     reconnect: Option<Reconnect>,
-    /// Frames lost, by reason.
-    lost: Vec<(GapReason, u64)>,
+    losses: Losses,
 }
 
 /// From the firmware's numbers to frames and gaps in order.
@@ -99,7 +98,7 @@ impl LineStream {
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             reconnect: None,
-            lost: Vec::with_capacity(8),
+            losses: Losses::default(),
         })
     }
 
@@ -112,7 +111,7 @@ impl LineStream {
 
     /// Frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
-        self.lost.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
+        self.losses.frames(reason)
     }
 
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
@@ -163,27 +162,14 @@ impl LineStream {
 
     /// Opens the port again until that works; gives the error that led here if it does not.
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        tracing::warn!(%error, "the board is opened again");
         // The old port must be closed before the new one can be had.
         self.port = None;
-        for wait in policy.waits() {
-            let left = policy.give_up_after.saturating_sub(self.order.last_frame.elapsed());
-            if left.is_zero() {
-                break;
-            }
-            thread::sleep(wait.min(left));
-            match link::open_port(&self.path, BAUD_RATE) {
-                Ok(port) => {
-                    self.port = Some(port);
-                    self.parser = LineParser::new(self.waveform.shape().codes());
-                    self.order.reopened();
-                    return Ok(());
-                }
-                Err(error) if error.is_passing() => tracing::debug!(%error, "the board is not back yet"),
-                Err(error) => return Err(error),
-            }
-        }
-        Err(error)
+        policy.until_back(self.order.last_frame, error, || {
+            self.port = Some(link::open_port(&self.path, BAUD_RATE)?);
+            self.parser = LineParser::new(self.waveform.shape().codes());
+            self.order.reopened();
+            Ok(())
+        })
     }
 }
 
@@ -352,7 +338,7 @@ impl FrameSource for LineStream {
         loop {
             let error = match self.wait(frame) {
                 Ok(SourceEvent::Gap(gap)) => {
-                    count_lost(&mut self.lost, &gap);
+                    self.losses.count(&gap);
                     return Ok(SourceEvent::Gap(gap));
                 }
                 Ok(event) => return Ok(event),
