@@ -6,17 +6,17 @@
 //! | `SCENE.toml` | the simulator |
 //! | `serial:/dev/ttyACM0` | the board on that port, whatever it speaks |
 //! | `deepcraft:/dev/ttyACM0` | a PSoC 6 kit with DEEPCRAFT firmware, without asking in other protocols first |
+//! | `usb:`, `usb:1-4`, `usb:SERIAL` | a board with bulk firmware: the only one, by bus and address, by serial number |
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
-use radome_driver::discover::Belief;
 use radome_driver::{
-    BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace, RealTime, Reconnect,
-    candidates,
+    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace,
+    RealTime, Reconnect, candidates,
 };
 use radome_dsp::{FrameSource, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -62,18 +62,16 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
         return emulated(inner, options);
     }
     if let Some(port) = spec.strip_prefix("serial:") {
-        return board(Path::new(port), options);
+        return board(&Address::Serial(port.into()), options);
+    }
+    if let Some(device) = spec.strip_prefix("usb:") {
+        return board(&Address::Usb(device.parse()?), options);
     }
     if let Some(port) = spec.strip_prefix("deepcraft:") {
         return deepcraft_board(DeepcraftBoard::open(Path::new(port))?, options);
     }
     if spec == "auto" {
         return board(&the_one_board()?, options);
-    }
-    if spec.starts_with("usb:") {
-        bail!(
-            "usb: (bulk transfers) is not spoken yet\n\nhint: boards with the vendor's firmware answer on serial:/dev/ttyACM0"
-        );
     }
     let path = Path::new(spec);
     let mut source = if path.extension().is_some_and(|e| e == "toml") {
@@ -97,8 +95,15 @@ pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     Ok(source)
 }
 
-fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
-    match Detected::open(port, options.waveform.as_ref())? {
+fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
+    let detected = match address {
+        Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
+        Address::Usb(_) => {
+            let (board, left) = Board::open_as_left(address)?;
+            Detected::Mcu7(Box::new(board), left)
+        }
+    };
+    match detected {
         Detected::Mcu7(board, left) => {
             let Some(waveform) = options.waveform.as_ref().or(left.as_ref()) else {
                 bail!(
@@ -106,7 +111,7 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
                 );
             };
             let identity = board.identity().clone();
-            let description = format!("{} on {}", identity.name, port.display());
+            let description = format!("{} on {}", identity.name, address);
             // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
             let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
             let registers = stream.registers().clone();
@@ -114,7 +119,7 @@ fn board(port: &Path, options: &SourceOptions) -> anyhow::Result<Source> {
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {
-            let description = format!("ESP32 on {}", port.display());
+            let description = format!("ESP32 on {address}");
             let stream = Box::new(stream.with_reconnect(Reconnect::default()));
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })
         }
@@ -135,11 +140,10 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
 }
 
 /// The only board that discovery finds.
-fn the_one_board() -> anyhow::Result<PathBuf> {
-    let is_board = |c: &Candidate| matches!(c.belief, Belief::Mcu7Serial);
-    let mut ports: Vec<PathBuf> = candidates().into_iter().filter(is_board).map(|c| c.path).collect();
-    match (ports.pop(), ports.is_empty()) {
-        (Some(port), true) => Ok(port),
+fn the_one_board() -> anyhow::Result<Address> {
+    let mut boards: Vec<Address> = candidates().iter().filter_map(Candidate::address).collect();
+    match (boards.pop(), boards.is_empty()) {
+        (Some(board), true) => Ok(board),
         (Some(_), false) => {
             bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome devices lists them")
         }

@@ -1,6 +1,7 @@
-//! Boards on their serial ports: a Radar Baseboard MCU7 ([`Board`]), a PSoC 6 kit with DEEPCRAFT firmware
+//! Boards: a Radar Baseboard MCU7 ([`Board`]) on its serial port or its USB endpoints, a PSoC 6 kit with DEEPCRAFT firmware
 //! ([`DeepcraftBoard`]), and one that only prints ([`LineStream`]).
 
+mod address;
 mod assembler;
 mod deepcraft;
 mod detect;
@@ -16,12 +17,13 @@ use radome_dsp::Waveform;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError, REGISTERS, RegisterFile, address};
+use crate::chip::{ChipConfiguration, ChipError, REGISTERS, RegisterFile, address as register};
 use crate::protocol::ascii::LineError;
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
     Protocol, SpiWord, Status,
 };
+pub use address::Address;
 pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
 pub use detect::Detected;
 pub use lines::LineStream;
@@ -59,12 +61,30 @@ pub struct BoardIdentity {
 #[derive(Debug, Error)]
 pub enum BoardError {
     /// The port cannot be opened.
-    #[error("{path}: cannot open the serial port", path = path.display())]
+    #[error("{path}: cannot be opened", path = path.display())]
     Open {
         /// Port.
         path: PathBuf,
         /// Why.
         source: std::io::Error,
+    },
+    /// No such board is attached.
+    #[error(
+        "{path}: no such board with bulk firmware (058b:0252) is attached\n\nhint: radome devices says what is; boards with the \
+         vendor's shipped firmware answer on serial:/dev/ttyACM0",
+        path = path.display()
+    )]
+    Absent {
+        /// What was asked for.
+        path: PathBuf,
+    },
+    /// More than one board would do.
+    #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "), path = path.display())]
+    Ambiguous {
+        /// What was asked for.
+        path: PathBuf,
+        /// Those that are there.
+        found: Vec<String>,
     },
     /// Another program has it.
     #[error("{path}: another program has this port open; close it and try again", path = path.display())]
@@ -74,9 +94,9 @@ pub enum BoardError {
     },
     /// This user may not.
     #[error(
-        "{path}: permission denied\n\nhint: install the udev rule {rule}",
+        "{path}: permission denied\n\nhint: {remedy}",
         path = path.display(),
-        rule = crate::discover::UDEV_RULE
+        remedy = crate::discover::PERMISSION_REMEDY
     )]
     PermissionDenied {
         /// Port.
@@ -224,17 +244,22 @@ pub struct Board {
 }
 
 impl Board {
-    /// Opens a port and asks what is there, as the vendor's client does.
+    /// Opens a serial port and asks what is there, as the vendor's client does.
     pub fn open(path: &Path) -> Result<Board, BoardError> {
-        let mut link = Link::open(path)?;
+        Board::open_at(&Address::Serial(path.into()))
+    }
+
+    /// Like [`Board::open`], wherever the board is.
+    pub fn open_at(address: &Address) -> Result<Board, BoardError> {
+        let mut link = Link::open(address)?;
         let identity = identify(&mut link, None)?;
         Ok(Board { link, identity })
     }
 
-    /// Like [`Board::open`], and reads from the chip what it was programmed with before: nothing since it has power, or
+    /// Like [`Board::open_at`], and reads from the chip what it was programmed with before: nothing since it has power, or
     /// the waveform of the program that used it last.
-    pub fn open_as_left(path: &Path) -> Result<(Board, Option<Waveform>), BoardError> {
-        let mut link = Link::open(path)?;
+    pub fn open_as_left(address: &Address) -> Result<(Board, Option<Waveform>), BoardError> {
+        let mut link = Link::open(address)?;
         let mut registers = RegisterFile::default();
         let identity = identify(&mut link, Some(&mut registers))?;
         let waveform = ChipConfiguration::decode(&registers).ok().map(|configuration| configuration.waveform);
@@ -246,9 +271,14 @@ impl Board {
         &self.identity
     }
 
-    /// Port that it is on.
+    /// Port that it is on, or what names it on USB.
     pub fn path(&self) -> &Path {
         &self.link.path
+    }
+
+    /// Where it is to be looked for when it has been plugged in anew.
+    pub fn address(&self) -> &Address {
+        &self.link.address
     }
 
     /// Programs the chip and starts measuring. The stream's waveform has the chirp interval that the registers realise.
@@ -312,16 +342,16 @@ fn identify(link: &mut Link, registers: Option<&mut RegisterFile>) -> Result<Boa
         addresses.zip(values).for_each(|(address, value)| registers.set(address, value));
     }
     // A stale FIFO overflow makes the first access fail; the reset clears it.
-    link.request(&Command::WriteRegisters { address: address::SFCTL, values: vec![0x10_0000] })?;
+    link.request(&Command::WriteRegisters { address: register::SFCTL, values: vec![0x10_0000] })?;
     let uuid = match link.request(&Command::Uuid)? {
         (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
         _ => "0".repeat(32),
     };
     let extended = link.request(&Command::ExtendedVersion)?.1;
     link.demand(&Command::HardwareReset)?;
-    let words = vec![SpiWord::write(address::SFCTL, 0x10_0000)];
+    let words = vec![SpiWord::write(register::SFCTL, 0x10_0000)];
     link.demand(&Command::Execute { words, answer: false })?;
-    let words = vec![SpiWord::read(address::CHIP_ID)];
+    let words = vec![SpiWord::read(register::CHIP_ID)];
     let answer = link.demand(&Command::Execute { words, answer: true })?;
     let chip_id = answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF);
     match chip_id {

@@ -9,13 +9,15 @@ pub mod board;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
+pub mod probe;
 pub mod protocol;
 pub mod recording;
 pub mod replay;
 mod timing;
+pub mod usb;
 
 pub use board::{
-    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
+    Address, Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
     LineStream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
@@ -24,3 +26,4 @@ pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
 pub use recording::mcap::{LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};
 pub use replay::RealTime;
+pub use usb::UsbAddress;

@@ -7,7 +7,8 @@ use radome_driver::{BoardError, Detected, EmulatedBoard, EmulatorOptions, Fault,
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 fn board(waveform: &Waveform, kind: Kind, faults: &[Fault]) -> EmulatedBoard {
-    let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), link: None };
+    let options =
+        EmulatorOptions { pace: Pace::AsFastAsRead, kind, faults: faults.to_vec(), ..EmulatorOptions::default() };
     EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 20)), options).expect("spawns")
 }
 

@@ -56,12 +56,13 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     let source = folder.path().join("fed");
     json_lines(radome().arg("convert").arg(&fed).arg(&source).arg("--json"));
     let expected = codes(&source);
-    let check = |protocol: &str| {
-        let (board, port) = emulate(&source, &["--protocol", protocol]);
+    let check = |protocol: &str, scheme: &str| {
+        let link = folder.path().join(format!("{protocol}-board")).display().to_string();
+        let (board, port) = emulate(&source, &["--protocol", protocol, "--link", &link]);
         let recorded = folder.path().join(format!("{protocol}.mcap"));
         let copy = folder.path().join(protocol);
         // Nobody names the waveform: the board knows.
-        let output = record(board, &format!("serial:{port}"), FRAMES, &recorded);
+        let output = record(board, &format!("{scheme}:{port}"), FRAMES, &recorded);
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
         json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
         let got = codes(&copy);
@@ -71,8 +72,14 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
     // They take their real time, side by side.
     std::thread::scope(|scope| {
         let check = &check;
-        for protocol in ["mcu7-4", "mcu7-3", "deepcraft", "esp32"] {
-            scope.spawn(move || check(protocol));
+        for (protocol, scheme) in [
+            ("mcu7-4", "serial"),
+            ("mcu7-3", "serial"),
+            ("mcu7-bulk", "usb"),
+            ("deepcraft", "serial"),
+            ("esp32", "serial"),
+        ] {
+            scope.spawn(move || check(protocol, scheme));
         }
     });
 }

@@ -25,7 +25,7 @@ use clap::Subcommand;
 pub enum Command {
     /// The main job with nothing attached: an emulated board streams a simulated corridor, a trained network watches
     Demo(demo::Arguments),
-    /// Boards and debug probes on this machine, those without permission too
+    /// Boards and debug probes on this machine: who they say they are, or what to do about those that cannot be used
     Devices(devices::Arguments),
     /// Check a waveform: derived ranges, resolutions, data rate
     Config(config::Arguments),

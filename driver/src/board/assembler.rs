@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use radome_dsp::{Frame, FrameShape, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::protocol::strata::{DataError, MAX_PACKET_PAYLOAD, Packet, SliceLayout};
+use crate::protocol::strata::{DataError, Packet, SliceLayout};
 use crate::protocol::{fifo, packed12};
 use crate::timing::SampleTiming;
 
@@ -204,7 +204,7 @@ impl Assembler {
         self.next_packet = number + 1;
 
         let bytes = self.slice.data_bytes();
-        let offset = (index * MAX_PACKET_PAYLOAD).min(bytes);
+        let offset = self.slice.offset(index);
         let position = slice * bytes as u64 + offset as u64;
         if position != self.received {
             // Nothing to compare with: where frames begin in these slices only the count from the start says.

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Board, BoardError, DeepcraftBoard, LineStream, link};
+use super::{Address, Board, BoardError, DeepcraftBoard, LineStream, link};
 
 const BAUD_RATE: u32 = 921_600;
 /// How long a board that talks by itself may take to begin.
@@ -43,7 +43,7 @@ impl Detected {
         drop(port);
         // The request of the one that is asked first keeps the other waiting for the rest of a longer one; that board's
         // client knows how to get over it.
-        match Board::open_as_left(path) {
+        match Board::open_as_left(&Address::Serial(path.into())) {
             Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
             Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
                 Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),

@@ -84,6 +84,7 @@ impl BoardError {
     pub fn is_passing(&self) -> bool {
         match self {
             BoardError::Open { .. }
+            | BoardError::Absent { .. }
             | BoardError::Busy { .. }
             | BoardError::PermissionDenied { .. }
             | BoardError::Disconnected { .. }
@@ -97,6 +98,7 @@ impl BoardError {
             BoardError::Protocol { .. }
             | BoardError::OtherChip { .. }
             | BoardError::OtherBoard { .. }
+            | BoardError::Ambiguous { .. }
             | BoardError::Chip(_)
             | BoardError::Line { .. }
             | BoardError::WaveformUntold { .. }

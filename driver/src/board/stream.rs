@@ -8,7 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
 use super::reconnect::{Losses, Reconnect};
-use super::{Board, BoardError};
+use super::{Address, Board, BoardError};
 use crate::chip::{ChipConfiguration, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
 
@@ -26,6 +26,7 @@ pub struct BoardStream {
     deadline: Duration,
     restart: Option<GapReason>,
     path: PathBuf,
+    address: Address,
     uuid: String,
     reconnect: Option<Reconnect>,
     /// When the last frame was handed out, or the stream began.
@@ -35,7 +36,7 @@ pub struct BoardStream {
 
 impl BoardStream {
     pub(super) fn start(board: Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
-        let slice = SliceLayout::for_frame(waveform.shape().codes());
+        let slice = SliceLayout::for_frame_as(waveform.shape().codes(), board.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
         let mut registers = configuration.compile()?;
         if test_pattern {
@@ -49,6 +50,7 @@ impl BoardStream {
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
         let mut stream = BoardStream {
             path: board.path().to_owned(),
+            address: board.address().clone(),
             uuid: board.identity().uuid.clone(),
             reconnect: None,
             last_frame: Instant::now(),
@@ -101,7 +103,7 @@ impl BoardStream {
         self.restart = None;
         policy.until_back(self.last_frame, error, || {
             self.board = None;
-            let board = Board::open(&self.path)?;
+            let board = Board::open_at(&self.address)?;
             if board.identity().uuid != self.uuid {
                 let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
                 return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });

@@ -1,7 +1,7 @@
-//! A board on a pseudo-terminal, measuring whatever a [`FrameSource`] provides.
+//! A board on a pseudo-terminal, or behind sockets that stand for USB endpoints, measuring whatever a [`FrameSource`] provides.
 //!
 //! It answers what the firmware answers and sends what it sends, so that any client of the board can be pointed at
-//! [`EmulatedBoard::path`]. Differences: a waveform other than the source's is refused, and so is a slice that would
+//! [`EmulatedBoard::path`] ([`Board::open_at`](crate::Board::open_at) at [`EmulatedBoard::address`]). Differences: a waveform other than the source's is refused, and so is a slice that would
 //! trip a known firmware bug. Frames that the source itself lacks appear as packets lost. How much the board buffers
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
 
@@ -11,6 +11,7 @@ mod esp32;
 mod faults;
 mod mcu7;
 mod port;
+pub mod probe;
 mod source;
 mod wire;
 mod world;
@@ -25,13 +26,15 @@ use std::time::Duration;
 use radome_dsp::{FrameSource, Waveform};
 use thiserror::Error;
 
+use crate::board::Address;
 use crate::chip::ChipError;
-use crate::protocol::strata::Protocol;
+use crate::protocol::strata::{Framing, Protocol};
+use crate::usb::UsbAddress;
 use deepcraft::Deepcraft;
 use esp32::Esp32;
 pub use faults::{Fault, FaultError};
 use mcu7::Mcu7;
-use port::Port;
+use port::Place;
 pub use source::{EmulatedSource, EmulatedSourceError};
 use wire::{Firmware, Wire};
 
@@ -52,6 +55,8 @@ pub enum Kind {
     Mcu7V4,
     /// Radar Baseboard MCU7 with protocol 3.
     Mcu7V3,
+    /// Radar Baseboard MCU7 with protocol 4 over control and bulk transfers.
+    Mcu7Bulk,
     /// PSoC 6 kit with DEEPCRAFT firmware, set to the waveform of the source.
     Deepcraft,
     /// ESP32 that prints its frames.
@@ -68,29 +73,41 @@ pub struct EmulatorOptions {
     /// What goes wrong.
     pub faults: Vec<Fault>,
     /// Symbolic link to the pseudo-terminal, to be made anew each time the board is plugged in: the terminal itself has
-    /// another name then.
+    /// another name then. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is made.
     pub link: Option<PathBuf>,
+    /// Terminal to serve on instead of a pseudo-terminal: the board's end of a line that is there already, such as
+    /// `/dev/ttyGS0` of a USB gadget. When it is hung up the board has been unplugged.
+    pub terminal: Option<PathBuf>,
 }
 
 impl Default for EmulatorOptions {
     fn default() -> Self {
-        EmulatorOptions { pace: Pace::RealTime(1.0), kind: Kind::default(), faults: Vec::new(), link: None }
+        EmulatorOptions {
+            pace: Pace::RealTime(1.0),
+            kind: Kind::default(),
+            faults: Vec::new(),
+            link: None,
+            terminal: None,
+        }
     }
 }
 
 /// The emulated board cannot be set up.
 #[derive(Debug, Error)]
 pub enum EmulatorError {
-    /// No pseudo-terminal.
-    #[error("emulator: cannot open a pseudo-terminal")]
-    Pty(#[source] std::io::Error),
-    /// No symbolic link.
-    #[error("emulator: cannot make the link {path}", path = path.display())]
-    Link {
-        /// Where.
-        path: PathBuf,
+    /// No line to the host.
+    #[error("emulator: cannot make {what}")]
+    Line {
+        /// What the line was to be.
+        what: String,
         /// Why.
         source: std::io::Error,
+    },
+    /// A board with endpoints has no use for a terminal.
+    #[error("emulator: a board with bulk transfers cannot be on the terminal {path}", path = path.display())]
+    NoTerminal {
+        /// Where it was to be.
+        path: PathBuf,
     },
     /// No thread.
     #[error("emulator: cannot start a thread")]
@@ -131,6 +148,7 @@ struct Shared {
 /// A running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
 pub struct EmulatedBoard {
     path: PathBuf,
+    address: Address,
     link: Option<PathBuf>,
     waveform: Waveform,
     shared: Arc<Shared>,
@@ -143,17 +161,36 @@ fn firmware(
     shared: &Arc<Shared>,
 ) -> Result<Box<dyn Firmware + Send>, EmulatorError> {
     let shared = shared.clone();
-    let mcu7 = |source, protocol, shared| Mcu7::new(source, protocol, options, shared).map_err(EmulatorError::Thread);
+    let mcu7 = |source, protocol, framing, shared| {
+        Mcu7::new(source, protocol, framing, options, shared).map_err(EmulatorError::Thread)
+    };
     Ok(match options.kind {
-        Kind::Mcu7V4 => Box::new(mcu7(source, Protocol::V4, shared)?),
-        Kind::Mcu7V3 => Box::new(mcu7(source, Protocol::V3, shared)?),
+        Kind::Mcu7V4 => Box::new(mcu7(source, Protocol::V4, Framing::Serial, shared)?),
+        Kind::Mcu7V3 => Box::new(mcu7(source, Protocol::V3, Framing::Serial, shared)?),
+        Kind::Mcu7Bulk => Box::new(mcu7(source, Protocol::V4, Framing::Bulk, shared)?),
         Kind::Deepcraft => Box::new(Deepcraft::new(source, options, shared)?),
         Kind::Esp32 => Box::new(Esp32::new(source, options, shared).map_err(EmulatorError::Thread)?),
     })
 }
 
+/// A folder that nothing else of this process has.
+fn folder() -> PathBuf {
+    static NEXT: AtomicU64 = AtomicU64::new(0);
+    let next = NEXT.fetch_add(1, Ordering::Relaxed);
+    std::env::temp_dir().join(format!("radome-board-{}-{next}", std::process::id()))
+}
+
+fn place(options: &EmulatorOptions) -> Result<Place, EmulatorError> {
+    match (options.kind, &options.terminal) {
+        (Kind::Mcu7Bulk, Some(path)) => Err(EmulatorError::NoTerminal { path: path.clone() }),
+        (Kind::Mcu7Bulk, None) => Ok(Place::Endpoints(options.link.clone().unwrap_or_else(folder))),
+        (_, Some(path)) => Ok(Place::Terminal(path.clone())),
+        (_, None) => Ok(Place::Pseudoterminal { link: options.link.clone() }),
+    }
+}
+
 impl EmulatedBoard {
-    /// Opens a pseudo-terminal and serves it in a thread.
+    /// Opens the board's line to the host and serves it in a thread.
     pub fn spawn(source: Box<dyn FrameSource>, options: EmulatorOptions) -> Result<EmulatedBoard, EmulatorError> {
         if let Pace::RealTime(speed) = options.pace
             && !(speed > 0.0 && speed.is_finite())
@@ -161,15 +198,19 @@ impl EmulatedBoard {
             return Err(EmulatorError::Speed { speed });
         }
         let waveform = source.waveform().clone();
-        let port = Port::open().map_err(EmulatorError::Pty)?;
-        if let Some(link) = &options.link {
-            port.link(link).map_err(|source| EmulatorError::Link { path: link.clone(), source })?;
-        }
+        let place = place(&options)?;
         let shared = Arc::new(Shared::default());
         let mut firmware = firmware(source, &options, &shared)?;
-        let link = options.link.clone();
-        let mut wire = Wire::new(port, options.link, options.faults, shared.clone());
+        let what = place.description();
+        let (link, address) = match &place {
+            Place::Pseudoterminal { link } => (link.clone(), None),
+            Place::Terminal(_) => (None, None),
+            Place::Endpoints(folder) => (None, Some(Address::Usb(UsbAddress::Emulated(folder.clone())))),
+        };
+        let mut wire =
+            Wire::new(place, options.faults, shared.clone()).map_err(|source| EmulatorError::Line { what, source })?;
         let path = wire.path().to_owned();
+        let address = address.unwrap_or_else(|| Address::Serial(path.clone()));
         let thread = thread::Builder::new()
             .name("emulated board".into())
             .spawn(move || {
@@ -179,12 +220,17 @@ impl EmulatedBoard {
                 wire.shared.dead.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
-        Ok(EmulatedBoard { path, link, waveform, shared, thread: Some(thread) })
+        Ok(EmulatedBoard { path, address, link, waveform, shared, thread: Some(thread) })
     }
 
-    /// Device node to open as a serial port.
+    /// Device node to open as a serial port, or folder of the endpoints.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Where a client finds it.
+    pub fn address(&self) -> &Address {
+        &self.address
     }
 
     /// Waveform of the source: the one that the board accepts.

@@ -59,7 +59,7 @@ impl EmulatedSource {
         let waveform = source.waveform().clone();
         let (sender, truths) = unbounded();
         let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
-        let client = Board::open(board.path())?;
+        let client = Board::open_at(board.address())?;
         let identity = client.identity().clone();
         Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
     }

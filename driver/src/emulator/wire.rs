@@ -1,18 +1,23 @@
 //! What stands between a firmware and its host: the port, what waits to be sent, and what goes wrong there.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::port::Port;
+use super::port::{Place, Port, link};
 use super::{Fault, Shared};
+use crate::usb::Setup;
 
 /// A board's program: it answers, and has data to send.
 pub(super) trait Firmware {
     /// Takes bytes of the host; the answers are appended to `out`.
     fn receive(&mut self, bytes: &[u8], out: &mut Vec<u8>);
+    /// Takes a control transfer of the host; the data of an IN transfer, or `None` to stall.
+    fn control(&mut self, _setup: &Setup, _data: &[u8]) -> Option<Vec<u8>> {
+        None
+    }
     /// Sends the next data message, if one is due; whether there was anything to do.
     fn next_message(&mut self, wire: &mut Wire) -> bool;
     /// Lets the world go on while the host reads nothing.
@@ -28,7 +33,7 @@ pub(super) trait Firmware {
 /// The line to the host.
 pub(super) struct Wire {
     port: Port,
-    link: Option<PathBuf>,
+    place: Place,
     faults: Vec<Fault>,
     /// A message to be sent after its successor.
     held: Vec<u8>,
@@ -54,10 +59,11 @@ pub(super) enum Before {
 }
 
 impl Wire {
-    pub fn new(port: Port, link: Option<PathBuf>, faults: Vec<Fault>, shared: Arc<Shared>) -> Self {
-        Wire {
-            port,
-            link,
+    /// Plugs the board in.
+    pub fn new(place: Place, faults: Vec<Fault>, shared: Arc<Shared>) -> std::io::Result<Self> {
+        let wire = Wire {
+            port: place.open()?,
+            place,
             faults,
             held: Vec::new(),
             out: Vec::new(),
@@ -66,6 +72,15 @@ impl Wire {
             has_client: false,
             host_reads_from: None,
             shared,
+        };
+        wire.make_link()?;
+        Ok(wire)
+    }
+
+    fn make_link(&self) -> std::io::Result<()> {
+        match &self.place {
+            Place::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
+            _ => Ok(()),
         }
     }
 
@@ -124,7 +139,7 @@ impl Wire {
     }
 
     /// Serves the host until the emulator is stopped. Between the bytes of a message nothing else is sent; between messages
-    /// requests are answered.
+    /// requests are answered. Endpoints are apart: control transfers are answered whatever waits to be sent.
     pub fn serve(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut buffer = [0; 4096];
         let watches_clients = firmware.restarts_when_opened();
@@ -134,6 +149,9 @@ impl Wire {
         while !self.shared.stop.load(Ordering::Acquire) {
             if let Some(duration) = self.unplugged.take() {
                 self.unplug(duration, firmware)?;
+            }
+            if self.port.is_hung_up() {
+                self.unplug(Duration::ZERO, firmware)?;
             }
             if watches_clients {
                 let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
@@ -154,44 +172,74 @@ impl Wire {
                 }
                 self.host_reads_from = None;
             }
-            if self.written < self.out.len() {
+            let is_sending = self.written < self.out.len();
+            if is_sending {
                 self.port.wait(true, Duration::from_millis(20))?;
                 firmware.advance();
             } else {
                 self.out.clear();
                 self.written = 0;
-                let count = self.port.read(&mut buffer)?;
-                firmware.receive(buffer.get(..count).unwrap_or(&[]), &mut self.out);
-                if self.out.is_empty() && !firmware.next_message(self) {
-                    self.port.wait(false, Duration::from_millis(1))?;
+            }
+            let has_answered = match &mut self.port {
+                Port::Endpoints(endpoints) => {
+                    let count = endpoints.read(&mut buffer)?;
+                    match buffer.get(..count).and_then(|transfer| transfer.split_first_chunk()) {
+                        Some((setup, data)) => {
+                            endpoints.answer(firmware.control(setup, data).as_deref())?;
+                            true
+                        }
+                        None => false,
+                    }
                 }
+                Port::Terminal(terminal) if !is_sending => {
+                    let count = terminal.read(&mut buffer)?;
+                    firmware.receive(buffer.get(..count).unwrap_or(&[]), &mut self.out);
+                    !self.out.is_empty()
+                }
+                Port::Terminal(_) | Port::Gone => false,
+            };
+            if !is_sending && !has_answered && !firmware.next_message(self) {
+                self.port.wait(false, Duration::from_millis(1))?;
             }
             self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
         }
         Ok(())
     }
 
-    /// The terminal goes, and another comes in its place.
+    /// The board goes, and comes back later at the same place: a terminal under another name.
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
-        let mut is_back = Port::open()?;
-        if firmware.restarts_when_opened() {
-            is_back.watch_clients();
+        let mut is_back = None;
+        match &self.place {
+            Place::Pseudoterminal { link } => {
+                // Opened before the old one goes, so that it has another name.
+                is_back = Some(self.place.open()?);
+                if let Some(link) = link {
+                    std::fs::remove_file(link)?;
+                }
+            }
+            Place::Terminal(_) | Place::Endpoints(_) => {}
         }
-        drop(std::mem::replace(&mut self.port, is_back));
-        if let Some(link) = &self.link {
-            std::fs::remove_file(link)?;
-        }
+        self.port = Port::Gone;
         let end = Instant::now() + duration;
-        while Instant::now() < end && !self.shared.stop.load(Ordering::Acquire) {
+        let mut is_stopped = false;
+        while (Instant::now() < end || is_back.is_none()) && !is_stopped {
             thread::sleep(Duration::from_millis(5));
             firmware.advance();
+            is_stopped = self.shared.stop.load(Ordering::Acquire);
+            if Instant::now() >= end && is_back.is_none() {
+                // The terminal of a gadget may be away for a while.
+                is_back = self.place.open().ok();
+            }
+        }
+        if let Some(mut port) = is_back {
+            if firmware.restarts_when_opened() {
+                port.watch_clients();
+            }
+            self.port = port;
         }
         self.has_client = false;
         self.restart(firmware);
-        match &self.link {
-            Some(link) => self.port.link(link),
-            None => Ok(()),
-        }
+        if is_stopped { Ok(()) } else { self.make_link() }
     }
 
     fn restart(&mut self, firmware: &mut dyn Firmware) {
@@ -203,6 +251,9 @@ impl Wire {
 
     /// Where the host finds the board.
     pub fn path(&self) -> &Path {
-        self.link.as_deref().unwrap_or(&self.port.path)
+        match &self.place {
+            Place::Pseudoterminal { link: Some(link) } => link,
+            _ => self.port.path(),
+        }
     }
 }

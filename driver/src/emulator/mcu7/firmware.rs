@@ -4,21 +4,26 @@ use crate::chip::{address, main_bits};
 use crate::emulator::Fault;
 use crate::emulator::chip::Chip;
 use crate::protocol::strata::{
-    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, HostEvent, IMPLEMENTATION_AVIAN,
-    Protocol, Response, SliceLayout, SpiWord, Status,
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, Framing, HostEvent,
+    IMPLEMENTATION_AVIAN, Protocol, Request, Response, SliceLayout, SpiWord, Status,
 };
 
 /// Longest board info that version 3 gives in a fixed length.
 const MAX_FIXED_INFO: u16 = 256;
 
-fn board_info() -> Vec<u8> {
+fn board_info(framing: Framing) -> Vec<u8> {
+    let product_id = match framing {
+        Framing::Serial => 0x0251,
+        Framing::Bulk => 0x0252,
+    };
     let name = "Radar Baseboard MCU7 (MCU B)".to_owned();
-    BoardInfo { vendor_id: 0x058B, product_id: 0x0251, name }.encode()
+    BoardInfo { vendor_id: 0x058B, product_id, name }.encode()
 }
 
 pub(super) struct Requests {
     pub chip: Chip,
     protocol: Protocol,
+    framing: Framing,
     protocol_version: u16,
     slice: Option<SliceLayout>,
     data_started: bool,
@@ -29,7 +34,7 @@ pub(super) struct Requests {
 }
 
 impl Requests {
-    pub fn new(chip: Chip, protocol: Protocol, faults: &[Fault]) -> Self {
+    pub fn new(chip: Chip, protocol: Protocol, framing: Framing, faults: &[Fault]) -> Self {
         let wrong = faults.iter().find_map(|fault| match fault {
             Fault::WrongVersion(major) => Some(*major),
             _ => None,
@@ -37,6 +42,7 @@ impl Requests {
         Requests {
             chip,
             protocol,
+            framing,
             protocol_version: wrong.unwrap_or(protocol.major()),
             slice: None,
             data_started: false,
@@ -68,8 +74,7 @@ impl Requests {
                 Response { kind_code: *kind_code, status: *status, payload: &[] }.encode(out);
             }
             HostEvent::Request(request) => {
-                let answer = Command::from_request(request).and_then(|command| self.run(&command));
-                let (status, payload) = match answer {
+                let (status, payload) = match self.answer(request) {
                     Ok(payload) => (Status::Ok, payload),
                     Err(status) => (status, Vec::new()),
                 };
@@ -78,12 +83,17 @@ impl Requests {
         }
     }
 
+    /// The payload of the answer, or why there is none.
+    pub fn answer(&mut self, request: &Request) -> Result<Vec<u8>, Status> {
+        Command::from_request(request).and_then(|command| self.run(&command))
+    }
+
     fn run(&mut self, command: &Command) -> Result<Vec<u8>, Status> {
         let nothing = Ok(Vec::new());
         match command {
-            Command::BoardInfo => Ok(board_info()),
+            Command::BoardInfo => Ok(board_info(self.framing)),
             Command::BoardInfoFixed { length } => {
-                let mut info = board_info();
+                let mut info = board_info(self.framing);
                 info.resize(usize::from((*length).min(MAX_FIXED_INFO)), 0);
                 Ok(info)
             }
@@ -134,7 +144,7 @@ impl Requests {
                 if *format != DataFormat::Packed12 {
                     return Err(Status::InvalidParameter);
                 }
-                self.slice = Some(SliceLayout { samples: usize::from(*slice_samples) });
+                self.slice = Some(SliceLayout { samples: usize::from(*slice_samples), framing: self.framing });
                 nothing
             }
             Command::DataStatus => Ok(u32::from(self.data_started).to_le_bytes().to_vec()),

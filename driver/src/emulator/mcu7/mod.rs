@@ -1,5 +1,6 @@
 //! The Radar Baseboard MCU7: what its chip measures, sliced and sent as its firmware does.
 
+mod control;
 mod firmware;
 
 use std::collections::VecDeque;
@@ -13,7 +14,9 @@ use super::wire::{Before, Firmware, Wire};
 use super::world::Slice;
 use super::{EmulatorOptions, Shared};
 use crate::protocol::packed12;
-use crate::protocol::strata::{DataError, HostParser, MAX_PACKET_PAYLOAD, Packet, PacketFlags, Protocol, SliceLayout};
+use crate::protocol::strata::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
+use crate::usb::Setup;
+use control::ControlEndpoint;
 use firmware::Requests;
 
 /// Bytes of slices that the board's memory holds (192 KiB).
@@ -30,7 +33,9 @@ pub(super) struct Mcu7 {
     /// World time at which the board's clock began again after it was unplugged; `Some(None)` until the next slice.
     powered_up_us: Option<Option<u64>>,
     requests: Requests,
+    framing: Framing,
     parser: HostParser,
+    control: ControlEndpoint,
     buffer: VecDeque<Waiting>,
     buffered_bytes: usize,
     /// The next packet of the first slice in the buffer.
@@ -46,14 +51,17 @@ impl Mcu7 {
     pub fn new(
         source: Box<dyn FrameSource>,
         protocol: Protocol,
+        framing: Framing,
         options: &EmulatorOptions,
         shared: Arc<Shared>,
     ) -> std::io::Result<Self> {
         let chip = Chip::new(source, options.pace, &options.faults)?;
         Ok(Mcu7 {
             powered_up_us: None,
-            requests: Requests::new(chip, protocol, &options.faults),
+            requests: Requests::new(chip, protocol, framing, &options.faults),
+            framing,
             parser: HostParser::new(protocol),
+            control: ControlEndpoint::default(),
             buffer: VecDeque::new(),
             buffered_bytes: 0,
             next_packet: 0,
@@ -142,7 +150,13 @@ impl Mcu7 {
         self.requests.stop_by_itself();
         let flags = PacketFlags { first: true, last: true, timestamp: false, error: true };
         let payload = &DataError::FifoOverflow.code().to_le_bytes();
-        wire.send(|out| Packet { flags, channel: 0, counter: self.counter, payload }.encode(out));
+        let packet = Packet { flags, channel: 0, counter: self.counter, payload };
+        wire.send(|out| packet.encode_as(self.framing, out));
+    }
+
+    fn publish_refusal(&self) {
+        let mut refusal = self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner);
+        refusal.clone_from(&self.requests.refusal);
     }
 
     /// Sends the next packet of the first slice in the buffer.
@@ -166,11 +180,12 @@ impl Mcu7 {
         }
         let Some(Waiting::Slice(bytes)) = self.buffer.front() else { return };
         let index = self.next_packet;
-        let start = index * MAX_PACKET_PAYLOAD;
+        let start = index * self.framing.max_packet_payload();
         let last = index + 1 == slice.packets();
         let payload = bytes.get(start..start + slice.payload_length(index)).unwrap_or(&[]);
         let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
-        wire.send_data(number, |out| Packet { flags, channel: 0, counter: self.counter, payload }.encode(out));
+        let packet = Packet { flags, channel: 0, counter: self.counter, payload };
+        wire.send_data(number, |out| packet.encode_as(self.framing, out));
         self.counter = self.counter.wrapping_add(1);
         self.next_packet += 1;
         if last {
@@ -186,9 +201,14 @@ impl Firmware for Mcu7 {
         self.parser.push(bytes);
         while let Some(event) = self.parser.next_event() {
             self.requests.handle(&event, out);
-            let mut refusal = self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner);
-            refusal.clone_from(&self.requests.refusal);
+            self.publish_refusal();
         }
+    }
+
+    fn control(&mut self, setup: &Setup, data: &[u8]) -> Option<Vec<u8>> {
+        let answer = self.control.transfer(setup, data, &mut self.requests);
+        self.publish_refusal();
+        answer
     }
 
     fn next_message(&mut self, wire: &mut Wire) -> bool {
@@ -219,6 +239,7 @@ impl Firmware for Mcu7 {
     fn power_up(&mut self) {
         self.requests.power_up();
         self.parser = HostParser::new(self.parser.protocol());
+        self.control = ControlEndpoint::default();
         self.clear();
         self.powered_up_us = Some(None);
     }

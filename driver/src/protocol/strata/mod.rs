@@ -4,7 +4,10 @@
 //! The host sends a [`Request`], the board answers with a [`Response`]. While data runs, the board also sends
 //! [`Packet`]s on its own account; a response may come between two packets but never within one. A *slice* of the chip's
 //! FIFO is cut into packets; it is not a radar frame. All integers are little-endian but the CRC, which is big-endian.
+//! Firmware built for it says the same over USB's control and bulk transfers ([`bulk`]).
 
+pub mod bulk;
+mod framing;
 mod packet;
 mod parser;
 mod request;
@@ -12,6 +15,7 @@ mod response;
 mod slice;
 mod version;
 
+pub use framing::Framing;
 pub use packet::{DataError, MAX_PACKET_PAYLOAD, Packet, PacketFlags};
 pub use parser::{BoardEvent, BoardParser, HostEvent, HostParser};
 pub use request::{Command, DataFormat, DecodeError, REQUEST_HEADER_LENGTH, Request, RequestKind, SpiWord};

@@ -1,9 +1,10 @@
 //! Data packets: 6-byte header, payload, CRC.
 
+use super::Framing;
 use crate::protocol::crc::crc16;
 
-/// Longest payload of a data packet.
-pub const MAX_PACKET_PAYLOAD: usize = super::MAX_MESSAGE - 2 - Packet::HEADER_LENGTH;
+/// Longest payload of a data packet on the serial port.
+pub const MAX_PACKET_PAYLOAD: usize = Framing::Serial.max_packet_payload();
 
 /// Flags of a data packet, without the 0xD0 that marks it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -68,23 +69,30 @@ impl<'a> Packet<'a> {
     /// Bytes before the payload.
     pub const HEADER_LENGTH: usize = 6;
 
-    /// Appends the bytes on the wire. Payloads longer than [`MAX_PACKET_PAYLOAD`] are the caller's fault and are cut.
+    /// Appends the bytes on the serial port.
     pub fn encode(&self, out: &mut Vec<u8>) {
-        let payload = self.payload.get(..MAX_PACKET_PAYLOAD).unwrap_or(self.payload);
+        self.encode_as(Framing::Serial, out);
+    }
+
+    /// Appends the bytes on the wire. Payloads longer than the framing allows are the caller's fault and are cut.
+    pub fn encode_as(&self, framing: Framing, out: &mut Vec<u8>) {
+        let payload = self.payload.get(..framing.max_packet_payload()).unwrap_or(self.payload);
         let start = out.len();
         out.extend([self.flags.code(), self.channel]);
         out.extend(self.counter.to_le_bytes());
         out.extend((payload.len() as u16).to_le_bytes());
         out.extend(payload);
-        let crc = crc16(out.get(start..).unwrap_or(&[]));
-        out.extend(crc.to_be_bytes());
+        if framing == Framing::Serial {
+            let crc = crc16(out.get(start..).unwrap_or(&[]));
+            out.extend(crc.to_be_bytes());
+        }
     }
 
     /// Flags and payload length from a header, if it is one.
-    pub(super) fn header(header: &[u8; 6]) -> Option<(PacketFlags, usize)> {
+    pub(super) fn header(framing: Framing, header: &[u8; 6]) -> Option<(PacketFlags, usize)> {
         let length = usize::from(u16::from_le_bytes([header[4], header[5]]));
         let flags = PacketFlags::from_code(header[0])?;
-        (header[1] == 0 && length <= MAX_PACKET_PAYLOAD).then_some((flags, length))
+        (header[1] == 0 && length <= framing.max_packet_payload()).then_some((flags, length))
     }
 
     /// Payload without the timestamp, and the timestamp in microseconds of the board's clock.

@@ -1,6 +1,6 @@
 //! Messages out of a stream of bytes that may hold garbage.
 
-use super::{MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
+use super::{Framing, MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
 use crate::protocol::crc::crc16;
 
 /// What a board sent.
@@ -36,7 +36,7 @@ fn candidate(bytes: &[u8]) -> Candidate {
                 Candidate::Incomplete
             };
         };
-        match Packet::header(header) {
+        match Packet::header(Framing::Serial, header) {
             Some((_, length)) => Packet::HEADER_LENGTH + length + 2,
             None => return Candidate::No,
         }
@@ -152,7 +152,7 @@ impl BoardParser {
 fn decode(message: &[u8]) -> Option<BoardEvent<'_>> {
     let (body, _) = message.split_last_chunk::<2>()?;
     if let Some((header, payload)) = body.split_first_chunk()
-        && let Some((flags, _)) = Packet::header(header)
+        && let Some((flags, _)) = Packet::header(Framing::Serial, header)
     {
         let counter = u16::from_le_bytes([header[2], header[3]]);
         return Some(BoardEvent::Packet(Packet { flags, channel: header[1], counter, payload }));

@@ -104,12 +104,15 @@ impl Request {
         self.kind.code(self.protocol)
     }
 
-    /// The bytes on the wire.
+    /// The header, which has the form of a USB control transfer's setup packet.
+    pub fn header(&self) -> [u8; REQUEST_HEADER_LENGTH] {
+        let [[v0, v1], [i0, i1], [l0, l1]] = [self.value, self.index, self.length].map(u16::to_le_bytes);
+        [self.kind_code(), self.request, v0, v1, i0, i1, l0, l1]
+    }
+
+    /// The bytes on the serial port.
     pub fn encode(&self) -> Vec<u8> {
-        let mut bytes = vec![self.kind_code(), self.request];
-        for word in [self.value, self.index, self.length] {
-            bytes.extend(word.to_le_bytes());
-        }
+        let mut bytes = self.header().to_vec();
         bytes.extend(&self.payload);
         bytes.extend(crc16(&bytes).to_be_bytes());
         bytes
@@ -133,9 +136,19 @@ impl Request {
         if crc16(bytes) != 0 {
             return Err(DecodeError::Crc);
         }
-        let word = |i: usize| u16::from_le_bytes([header[i], header[i + 1]]);
-        let payload = rest.get(..payload).unwrap_or(&[]).to_vec();
-        Ok(Request { protocol, kind, request: header[1], value: word(2), index: word(4), length: word(6), payload })
+        Ok(Request::new(kind, protocol, header, rest.get(..payload).unwrap_or(&[])))
+    }
+
+    /// From its header, whose kind has been told, and its payload.
+    pub(super) fn new(
+        kind: RequestKind,
+        protocol: Protocol,
+        header: &[u8; REQUEST_HEADER_LENGTH],
+        payload: &[u8],
+    ) -> Self {
+        let &[_, request, v0, v1, i0, i1, l0, l1] = header;
+        let [value, index, length] = [[v0, v1], [i0, i1], [l0, l1]].map(u16::from_le_bytes);
+        Request { protocol, kind, request, value, index, length, payload: payload.to_vec() }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use radome_dsp::FIFO_SAMPLES;
 
-use super::MAX_PACKET_PAYLOAD;
+use super::{Framing, Packet};
 use crate::protocol::packed12::packed_length;
 
 /// Bytes of the board's clock at the end of a slice.
@@ -13,35 +13,46 @@ pub const TIMESTAMP_LENGTH: usize = 8;
 pub struct SliceLayout {
     /// Codes in a slice, even.
     pub samples: usize,
+    /// How its packets travel.
+    pub framing: Framing,
 }
 
 impl SliceLayout {
+    /// The slice to ask for on the serial port, as [`Self::for_frame_as`].
+    pub fn for_frame(codes: usize) -> Self {
+        SliceLayout::for_frame_as(codes, Framing::Serial)
+    }
+
     /// The slice to ask for so that frames of this many codes come with as little delay as the link allows:
     /// as few equal parts of a frame as fit half the FIFO. Slices that would trip the firmware (see [`Self::is_safe`])
     /// are passed over. Frames with an odd number of codes cannot be cut so and share slices with their neighbours.
-    pub fn for_frame(codes: usize) -> Self {
+    pub fn for_frame_as(codes: usize, framing: Framing) -> Self {
+        let slice = |samples| SliceLayout { samples, framing };
         let half = FIFO_SAMPLES / 2;
         let codes = codes.max(1);
         let exact = (codes.div_ceil(half)..=codes.div_ceil(half) * 16)
             .filter(|parts| codes.is_multiple_of(*parts))
-            .map(|parts| SliceLayout { samples: codes / parts })
+            .map(|parts| slice(codes / parts))
             .find(|slice| slice.is_safe());
-        let joined = (2..=half / codes).map(|frames| SliceLayout { samples: frames * codes });
-        let any = (1..=half / 2).rev().map(|pairs| SliceLayout { samples: 2 * pairs });
+        let joined = (2..=half / codes).map(|frames| slice(frames * codes));
+        let any = (1..=half / 2).rev().map(|pairs| slice(2 * pairs));
         exact
             .or_else(|| joined.into_iter().find(|slice| slice.is_safe()))
             .or_else(|| any.into_iter().find(|slice| slice.is_safe()))
-            .unwrap_or(SliceLayout { samples: 6144 })
+            .unwrap_or(slice(6144))
     }
 
     /// Whether the firmware can send it: an even count of at most half the FIFO, and not one whose last packet would
-    /// hold less than the timestamp, for which firmware 2.x computes a negative length and sends 64 KiB of garbage.
+    /// hold less than the timestamp, for which firmware 2.x computes a negative length and sends 64 KiB of garbage; in
+    /// bulk transfers also not one whose packet fills USB packets exactly, since nothing then ends the transfer.
     pub fn is_safe(self) -> bool {
-        let tail = (self.data_bytes() + TIMESTAMP_LENGTH) % MAX_PACKET_PAYLOAD;
+        let tail = (self.data_bytes() + TIMESTAMP_LENGTH) % self.framing.max_packet_payload();
+        let last = self.payload_length(self.packets().saturating_sub(1)) + Packet::HEADER_LENGTH;
         self.samples > 0
             && self.samples.is_multiple_of(2)
             && self.samples <= FIFO_SAMPLES / 2
             && !(1..TIMESTAMP_LENGTH).contains(&tail)
+            && !(self.framing == Framing::Bulk && last.is_multiple_of(Framing::USB_PACKET))
     }
 
     /// Packed bytes of the codes.
@@ -51,12 +62,18 @@ impl SliceLayout {
 
     /// Packets that the slice comes in.
     pub fn packets(self) -> usize {
-        (self.data_bytes() + TIMESTAMP_LENGTH).div_ceil(MAX_PACKET_PAYLOAD)
+        (self.data_bytes() + TIMESTAMP_LENGTH).div_ceil(self.framing.max_packet_payload())
+    }
+
+    /// Where the data of one of its packets begins, bytes from the start of the slice.
+    pub fn offset(self, packet: usize) -> usize {
+        (packet * self.framing.max_packet_payload()).min(self.data_bytes())
     }
 
     /// Payload length of one of its packets, timestamp included.
     pub fn payload_length(self, packet: usize) -> usize {
-        (self.data_bytes() + TIMESTAMP_LENGTH).saturating_sub(packet * MAX_PACKET_PAYLOAD).min(MAX_PACKET_PAYLOAD)
+        let longest = self.framing.max_packet_payload();
+        (self.data_bytes() + TIMESTAMP_LENGTH).saturating_sub(packet * longest).min(longest)
     }
 }
 
@@ -81,11 +98,24 @@ mod tests {
     #[test]
     fn every_choice_is_safe_for_the_firmware() {
         for codes in 1..20_000 {
-            let slice = SliceLayout::for_frame(codes);
-            assert!(slice.is_safe(), "{codes} -> {slice:?}");
+            for framing in [Framing::Serial, Framing::Bulk] {
+                let slice = SliceLayout::for_frame_as(codes, framing);
+                assert!(slice.is_safe(), "{codes} -> {slice:?}");
+            }
         }
         // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6, half of it 4087 + 7: three equal parts are taken.
-        assert!(!SliceLayout { samples: 5448 }.is_safe());
+        assert!(!SliceLayout { samples: 5448, framing: Framing::Serial }.is_safe());
         assert_eq!(SliceLayout::for_frame(5448).samples, 1816);
+    }
+    /// 338 samples are 507 bytes and 14 more of header and timestamp: none of that is a multiple of 512, 332 are 498 + 14 = 512.
+    #[test]
+    fn a_bulk_slice_is_one_packet_that_a_short_usb_packet_ends() {
+        assert!(!SliceLayout { samples: 332, framing: Framing::Bulk }.is_safe());
+        assert!(SliceLayout { samples: 332, framing: Framing::Serial }.is_safe());
+        for codes in [3 * 64 * 64, 3 * 128 * 256, 332] {
+            let slice = SliceLayout::for_frame_as(codes, Framing::Bulk);
+            assert_eq!(slice.packets(), 1);
+            assert_ne!((slice.payload_length(0) + 6) % 512, 0);
+        }
     }
 }

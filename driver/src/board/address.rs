@@ -1,0 +1,37 @@
+//! Where a board is.
+
+use std::fmt;
+use std::path::PathBuf;
+
+use crate::usb::UsbAddress;
+
+/// Where a board is, and so what carries its requests and packets.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Address {
+    /// On a serial port.
+    Serial(PathBuf),
+    /// A USB device with the firmware's bulk variant.
+    Usb(UsbAddress),
+}
+
+impl Address {
+    /// As it stands in messages.
+    pub(crate) fn name(&self) -> PathBuf {
+        match self {
+            Address::Serial(port) => port.clone(),
+            Address::Usb(usb) => PathBuf::from(usb.to_string()),
+        }
+    }
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.name().display())
+    }
+}
+
+impl From<UsbAddress> for Address {
+    fn from(usb: UsbAddress) -> Self {
+        Address::Usb(usb)
+    }
+}

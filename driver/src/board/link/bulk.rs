@@ -1,0 +1,120 @@
+//! Requests as control transfers, packets as bulk transfers ([`crate::protocol::strata::bulk`]).
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use super::super::BoardError;
+use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use crate::protocol::strata::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
+use crate::protocol::strata::{BoardEvent, Request, RequestKind, Status};
+use crate::usb::{self, Endpoints, OpenError, TransferError, UsbAddress};
+
+/// Ids of a board whose firmware was built for this.
+const USB_ID: (u16, u16) = (0x058B, 0x0252);
+/// After so long without a transfer a board that was stopped has no more to send.
+const DRAINED: Duration = Duration::from_millis(50);
+
+pub(super) struct Bulk {
+    endpoints: Box<dyn Endpoints>,
+    parser: BulkParser,
+    buffer: Vec<u8>,
+    last_byte: Instant,
+    /// The rest of a packet did not come.
+    cut: bool,
+}
+
+impl From<TransferError> for Failure {
+    fn from(error: TransferError) -> Self {
+        match error {
+            TransferError::Stall | TransferError::Timeout => Failure::NoAnswer,
+            TransferError::Lost(source) => Failure::Lost(source),
+        }
+    }
+}
+
+impl Bulk {
+    /// Opens the device. Also gives how to find it when it has been plugged in anew.
+    pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
+        let path = PathBuf::from(address.to_string());
+        let (endpoints, settled) = usb::open(USB_ID, address).map_err(|e| match e {
+            OpenError::Absent => BoardError::Absent { path },
+            OpenError::Ambiguous(found) => {
+                BoardError::Ambiguous { path, found: found.iter().map(UsbAddress::to_string).collect() }
+            }
+            OpenError::Busy => BoardError::Busy { path },
+            OpenError::PermissionDenied => BoardError::PermissionDenied { path },
+            OpenError::Other(source) => BoardError::Open { path, source },
+        })?;
+        let (parser, buffer) = (BulkParser::new(), vec![0; MAX_BULK]);
+        Ok((Bulk { endpoints, parser, buffer, last_byte: Instant::now(), cut: false }, settled))
+    }
+
+    pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
+        let count = match self.endpoints.read_bulk(&mut self.buffer, timeout) {
+            // The endpoint is halted: as good as gone.
+            Err(TransferError::Stall) => return Err(Failure::Lost(std::io::ErrorKind::BrokenPipe.into())),
+            result => result?,
+        };
+        if count > 0 {
+            self.last_byte = Instant::now();
+            self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
+        } else if self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE {
+            self.cut = self.parser.give_up() > 0;
+        }
+        Ok(count > 0 || self.cut)
+    }
+
+    pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
+        if std::mem::take(&mut self.cut) {
+            return Some(Incoming::Damaged);
+        }
+        match self.parser.next_event()? {
+            BoardEvent::Packet(packet) => Some(Incoming::Packet(packet)),
+            _ => Some(Incoming::Damaged),
+        }
+    }
+
+    pub fn request(&mut self, request: &Request) -> Result<(Status, Vec<u8>), Failure> {
+        let setup = request.header();
+        let mut payload = vec![0; MAX_CONTROL];
+        let answered = match request.kind {
+            RequestKind::Write => {
+                self.endpoints.control_out(&setup, &request.payload)?;
+                return Ok((self.last_error()?, Vec::new()));
+            }
+            RequestKind::Read => self.endpoints.control_in(&setup, &mut payload),
+            RequestKind::Transfer => {
+                self.endpoints.control_out(&setup, &request.payload)?;
+                self.endpoints.control_in(&answer_setup(request), &mut payload)
+            }
+        };
+        match answered {
+            Ok(count) => {
+                payload.truncate(count);
+                Ok((Status::Ok, payload))
+            }
+            // It cannot have gone well: the firmware has nothing to say against it then.
+            Err(TransferError::Stall) => match self.last_error()? {
+                Status::Ok => Ok((Status::Failed, Vec::new())),
+                status => Ok((status, Vec::new())),
+            },
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn last_error(&mut self) -> Result<Status, Failure> {
+        let mut answer = [0; LastError::LENGTH];
+        let count = self.endpoints.control_in(&LastError::request().header(), &mut answer)?;
+        let error = answer.get(..count).and_then(LastError::decode).ok_or(Failure::NoAnswer)?;
+        Ok(error.status)
+    }
+
+    /// Takes what a stopped board has left in its endpoint: it would be mistaken for what comes after the next start.
+    pub fn drain(&mut self) -> Result<(), Failure> {
+        let end = Instant::now() + ANSWER_TIMEOUT;
+        while Instant::now() < end && self.endpoints.read_bulk(&mut self.buffer, DRAINED)? > 0 {}
+        self.parser.give_up();
+        self.cut = false;
+        Ok(())
+    }
+}

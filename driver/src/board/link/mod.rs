@@ -1,0 +1,139 @@
+//! Requests and packets, whatever carries them.
+
+mod bulk;
+mod serial;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use super::{Address, BoardError};
+use crate::protocol::strata::{Command, Framing, Packet, Protocol, Request, Status};
+use bulk::Bulk;
+use serial::Serial;
+pub(super) use serial::{open_port, read_more, read_within};
+
+/// Longest that a board takes to answer.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
+/// After so long without a byte the rest of a message will not come.
+const SILENCE: Duration = Duration::from_millis(200);
+
+/// What came over the line.
+pub(super) enum Incoming<'a> {
+    Packet(Packet<'a>),
+    Damaged,
+}
+
+/// Why a carrier failed.
+enum Failure {
+    /// Nothing came back.
+    NoAnswer,
+    /// The board has gone.
+    Lost(std::io::Error),
+}
+
+enum Carrier {
+    Serial(Serial),
+    Bulk(Bulk),
+}
+
+/// A board's line.
+pub(super) struct Link {
+    /// Where the board is, for messages.
+    pub path: PathBuf,
+    /// Where it will be when it has been plugged in anew.
+    pub address: Address,
+    /// Version that requests are sent in.
+    pub protocol: Protocol,
+    carrier: Carrier,
+}
+
+impl Link {
+    pub fn open(address: &Address) -> Result<Self, BoardError> {
+        let path = address.name();
+        let (carrier, address) = match address {
+            Address::Serial(port) => (Carrier::Serial(Serial::open(port)?), address.clone()),
+            Address::Usb(usb) => {
+                let (bulk, settled) = Bulk::open(usb)?;
+                (Carrier::Bulk(bulk), Address::Usb(settled))
+            }
+        };
+        Ok(Link { path, address, protocol: Protocol::default(), carrier })
+    }
+
+    /// How data packets travel.
+    pub fn framing(&self) -> Framing {
+        match self.carrier {
+            Carrier::Serial(_) => Framing::Serial,
+            Carrier::Bulk(_) => Framing::Bulk,
+        }
+    }
+
+    fn error(&self, failure: Failure, command: &'static str) -> BoardError {
+        let path = self.path.clone();
+        match failure {
+            Failure::NoAnswer => BoardError::NoAnswer { path, command },
+            Failure::Lost(source) => BoardError::Disconnected { path, source },
+        }
+    }
+
+    /// Waits for data, at most so long; whether any came.
+    pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
+        let received = match &mut self.carrier {
+            Carrier::Serial(serial) => serial.receive(timeout),
+            Carrier::Bulk(bulk) => bulk.receive(timeout),
+        };
+        received.map_err(|failure| self.error(failure, "data"))
+    }
+
+    /// The next packet among the bytes received; answers that nobody waits for are passed over.
+    pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
+        match &mut self.carrier {
+            Carrier::Serial(serial) => serial.next_incoming(),
+            Carrier::Bulk(bulk) => bulk.next_incoming(),
+        }
+    }
+
+    /// Sends a request and waits for its answer. When this returns from stopping the data, no packet sent before is left.
+    pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
+        let request: Request = command.to_request(self.protocol);
+        let answered = match &mut self.carrier {
+            Carrier::Serial(serial) => serial.request(&request),
+            Carrier::Bulk(bulk) => bulk.request(&request).and_then(|answer| {
+                if *command == Command::StopData {
+                    bulk.drain()?;
+                }
+                Ok(answer)
+            }),
+        };
+        answered.map_err(|failure| self.error(failure, name(command)))
+    }
+
+    /// Sends a request that must succeed and gives the answer's payload.
+    pub fn demand(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
+        match self.request(command)? {
+            (Status::Ok, payload) => Ok(payload),
+            (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: name(command), status }),
+        }
+    }
+}
+
+/// What a command is for, in words.
+fn name(command: &Command) -> &'static str {
+    match command {
+        Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",
+        Command::FirmwareVersion => "firmware version",
+        Command::Uuid => "UUID",
+        Command::ExtendedVersion => "extended version",
+        Command::ComponentCount { .. } | Command::ComponentImplementation { .. } => "count of radar chips",
+        Command::DataIndex => "data index",
+        Command::WriteRegisters { .. } | Command::SetBits { .. } => "register write",
+        Command::ReadRegisters { .. } => "register read",
+        Command::HardwareReset => "hardware reset",
+        Command::InterruptLevel => "interrupt level",
+        Command::Execute { .. } => "SPI transfer",
+        Command::ConfigureData { .. } => "data configuration",
+        Command::DataStatus => "data status",
+        Command::StartData => "data start",
+        Command::StopData => "data stop",
+    }
+}

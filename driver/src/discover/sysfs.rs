@@ -1,0 +1,106 @@
+//! What the kernel says of the devices attached, as files.
+
+use std::path::{Path, PathBuf};
+
+use super::{Belief, Candidate, Roots, Transport, UsbIdentity, node_access};
+
+/// Names of serial ports that a board can be on.
+const SERIAL_PORTS: [&str; 2] = ["ttyACM", "ttyUSB"];
+/// What the product or interface of a CMSIS-DAP probe has in its name, by its specification.
+const CMSIS_DAP: &str = "CMSIS-DAP";
+/// bInterfaceClass of an interface that is spoken to by bulk transfers.
+const VENDOR_SPECIFIC: &str = "ff";
+
+/// A file's text; none if it is absent, empty or no text.
+fn text(path: &Path) -> Option<String> {
+    let text = std::fs::read_to_string(path).ok()?;
+    let text = text.trim();
+    (!text.is_empty()).then(|| text.to_owned())
+}
+
+/// Names in a folder, sorted.
+fn names(folder: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> = entries.filter_map(|e| e.file_name().into_string().ok()).collect();
+    names.sort();
+    names
+}
+
+/// The USB device with this folder.
+fn usb_identity(folder: &Path) -> Option<UsbIdentity> {
+    let attribute = |name: &str| text(&folder.join(name));
+    let id = |name| u16::from_str_radix(&attribute(name)?, 16).ok();
+    let number = |name| attribute(name)?.parse().ok();
+    Some(UsbIdentity {
+        vendor_id: id("idVendor")?,
+        product_id: id("idProduct")?,
+        manufacturer: attribute("manufacturer"),
+        product: attribute("product"),
+        serial_number: attribute("serial"),
+        bus: number("busnum").unwrap_or(0),
+        address: number("devnum").unwrap_or(0),
+        socket: folder.file_name()?.to_str()?.to_owned(),
+    })
+}
+
+/// A device of a class: its folder, and that of its USB device if it hangs on one.
+fn device_of(roots: &Roots, class: &str, name: &str) -> Option<(PathBuf, Option<UsbIdentity>)> {
+    let folder = roots.sys.join("class").join(class).join(name).join("device").canonicalize().ok()?;
+    let usb = folder.ancestors().find_map(usb_identity);
+    Some((folder, usb))
+}
+
+fn belief(usb: Option<&UsbIdentity>) -> Option<Belief> {
+    usb.and_then(|usb| Belief::by_usb_id(usb.vendor_id, usb.product_id))
+}
+
+fn candidate(path: PathBuf, transport: Transport, belief: Belief, usb: Option<UsbIdentity>) -> Candidate {
+    Candidate { access: node_access(&path), path, transport, belief, usb, debug_probe: None }
+}
+
+/// Serial ports on USB.
+pub(super) fn serial_ports(roots: &Roots) -> Vec<Candidate> {
+    let port = |name: String| {
+        let (_, usb) = device_of(roots, "tty", &name)?;
+        let belief = belief(usb.as_ref()).unwrap_or(Belief::SerialPort);
+        Some(candidate(roots.dev.join(name), Transport::Serial, belief, usb))
+    };
+    let is_port = |name: &String| SERIAL_PORTS.iter().any(|prefix| name.starts_with(prefix));
+    names(&roots.sys.join("class/tty")).into_iter().filter(is_port).filter_map(port).collect()
+}
+
+/// Debug probes that are HID devices.
+pub(super) fn hid_devices(roots: &Roots) -> Vec<Candidate> {
+    let device = |name: String| {
+        let (folder, usb) = device_of(roots, "hidraw", &name)?;
+        let usb = usb?;
+        let interface = folder.parent().and_then(|interface| text(&interface.join("interface")));
+        let is_probe = [&usb.product, &interface].into_iter().flatten().any(|name| name.contains(CMSIS_DAP));
+        let belief = belief(Some(&usb)).or(is_probe.then_some(Belief::DebugProbe))?;
+        Some(candidate(roots.dev.join(name), Transport::Hid, belief, Some(usb)))
+    };
+    names(&roots.sys.join("class/hidraw")).into_iter().filter_map(device).collect()
+}
+
+/// Whether a USB device has an interface for a debug probe's bulk transfers: vendor-specific, and named as one.
+fn has_bulk_probe(folder: &Path) -> bool {
+    let is_one = |name: String| {
+        let interface = folder.join(name);
+        text(&interface.join("bInterfaceClass")).is_some_and(|class| class == VENDOR_SPECIFIC)
+            && text(&interface.join("interface")).is_some_and(|name| name.contains(CMSIS_DAP))
+    };
+    names(folder).into_iter().filter(|name| name.contains(':')).any(is_one)
+}
+
+/// USB devices whose ids are known, and debug probes; with each whether it is a probe by bulk transfers.
+pub(super) fn usb_devices(roots: &Roots) -> Vec<(Candidate, bool)> {
+    let device = |name: String| {
+        let folder = roots.sys.join("bus/usb/devices").join(name);
+        let usb = usb_identity(&folder)?;
+        let path = roots.dev.join(format!("bus/usb/{:03}/{:03}", usb.bus, usb.address));
+        let is_probe = has_bulk_probe(&folder);
+        let belief = belief(Some(&usb)).or(is_probe.then_some(Belief::DebugProbe))?;
+        Some((candidate(path, Transport::Usb, belief, Some(usb)), is_probe))
+    };
+    names(&roots.sys.join("bus/usb/devices")).into_iter().filter_map(device).collect()
+}

@@ -1,0 +1,66 @@
+//! Requests as control transfers, and what the firmware remembers between them.
+
+use super::firmware::Requests;
+use crate::protocol::strata::bulk::{Control, LastError, is_in};
+use crate::protocol::strata::{RequestKind, Status};
+use crate::usb::Setup;
+
+/// The control endpoint of firmware with bulk transfers.
+pub(super) struct ControlEndpoint {
+    last: LastError,
+    /// Answer to the last *transfer*, until it is fetched.
+    answer: Vec<u8>,
+}
+
+impl Default for ControlEndpoint {
+    fn default() -> Self {
+        ControlEndpoint { last: LastError { kind_code: 0, status: Status::Ok }, answer: Vec::new() }
+    }
+}
+
+impl ControlEndpoint {
+    /// Serves a transfer; the data of an IN transfer, none of an OUT transfer, or `None` to stall. OUT transfers never stall:
+    /// their data have been acknowledged by the time the firmware sees them.
+    pub fn transfer(&mut self, setup: &Setup, data: &[u8], requests: &mut Requests) -> Option<Vec<u8>> {
+        let control = Control::decode(setup, data);
+        let request = match control {
+            Control::Request(request) => request,
+            Control::Answer { length } if self.last.kind_code == TRANSFER => {
+                let is_there = self.last.status == Status::Ok;
+                return is_there.then(|| cut(std::mem::take(&mut self.answer), length));
+            }
+            Control::Answer { .. } => {
+                self.last = LastError { kind_code: setup[0], status: Status::RequestNotAvailable };
+                return None;
+            }
+            Control::Unknown { kind_code } => {
+                self.last = LastError { kind_code, status: Status::RequestTypeInvalid };
+                return (!is_in(setup)).then(Vec::new);
+            }
+        };
+        if request == LastError::request() {
+            return Some(self.last.encode().to_vec());
+        }
+        let (status, payload) = match requests.answer(&request) {
+            Ok(payload) => (Status::Ok, payload),
+            Err(status) => (status, Vec::new()),
+        };
+        self.last = LastError { kind_code: request.kind_code(), status };
+        match request.kind {
+            RequestKind::Read => (status == Status::Ok).then(|| cut(payload, request.length)),
+            RequestKind::Write => Some(Vec::new()),
+            RequestKind::Transfer => {
+                self.answer = payload;
+                Some(Vec::new())
+            }
+        }
+    }
+}
+
+/// bmRequestType of a *transfer*.
+const TRANSFER: u8 = 0x43;
+
+fn cut(mut data: Vec<u8>, length: u16) -> Vec<u8> {
+    data.truncate(usize::from(length));
+    data
+}

@@ -1,0 +1,73 @@
+//! A debug probe: the commands of [`crate::protocol::cmsis_dap`], and a target of which it knows only that it was reset.
+
+use std::fs::OpenOptions;
+use std::io::{self, Read, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::protocol::cmsis_dap::{Answer, Command, HID_PACKET, INVALID, Info, NRESET};
+
+/// An emulated probe.
+#[derive(Debug, Clone, Default)]
+pub struct EmulatedProbe {
+    /// How often its target has been reset.
+    pub resets: Arc<AtomicU64>,
+    /// Whether it has a sequence of its own to reset the target.
+    pub has_sequence: bool,
+    /// Whether something else holds the reset line low.
+    pub is_line_stuck: bool,
+    pub(crate) is_reset_low: bool,
+}
+
+impl EmulatedProbe {
+    /// The answer to a packet.
+    pub fn answer(&mut self, packet: &[u8]) -> Vec<u8> {
+        let Some(command) = Command::decode(packet) else { return vec![INVALID] };
+        match command {
+            Command::Info(info) => Answer::Info(match info {
+                Info::Vendor => b"radome\0",
+                Info::Product => b"Emulated CMSIS-DAP\0",
+                Info::SerialNumber => b"EMULATED01\0",
+                Info::ProtocolVersion => b"2.1.1\0",
+                Info::FirmwareVersion => b"1.0.0\0",
+                Info::Capabilities => &[1],
+            })
+            .encode(),
+            Command::Connect => Answer::Port(1).encode(),
+            Command::Disconnect => Answer::Disconnected(true).encode(),
+            Command::ResetTarget => {
+                if self.has_sequence {
+                    self.resets.fetch_add(1, Ordering::Relaxed);
+                }
+                Answer::Reset { is_ok: true, is_implemented: self.has_sequence }.encode()
+            }
+            Command::Pins { output, select, .. } => {
+                if select & NRESET != 0 {
+                    let was_low = std::mem::replace(&mut self.is_reset_low, output & NRESET == 0);
+                    if was_low && !self.is_reset_low && !self.is_line_stuck {
+                        self.resets.fetch_add(1, Ordering::Relaxed);
+                    }
+                }
+                let is_low = self.is_reset_low || self.is_line_stuck;
+                Answer::Pins(if is_low { 0 } else { NRESET }).encode()
+            }
+        }
+    }
+
+    /// Serves a HID gadget's node, such as `/dev/hidg0`, until it fails. `ready` is called when it does.
+    ///
+    /// # Errors
+    /// The node cannot be opened, read or written.
+    pub fn serve_hid(&mut self, gadget: &Path, ready: impl FnOnce()) -> io::Result<()> {
+        let mut gadget = OpenOptions::new().read(true).write(true).open(gadget)?;
+        ready();
+        let mut report = [0; HID_PACKET];
+        loop {
+            let count = gadget.read(&mut report)?;
+            let mut answer = self.answer(report.get(..count).unwrap_or(&[]));
+            answer.resize(HID_PACKET, 0);
+            gadget.write_all(&answer)?;
+        }
+    }
+}

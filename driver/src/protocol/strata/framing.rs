@@ -1,0 +1,27 @@
+//! The two ways that packets travel.
+
+use super::{MAX_MESSAGE, Packet};
+
+/// How data packets travel, which decides how long they may be and what guards them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Framing {
+    /// One after another on the serial port, each with a CRC.
+    #[default]
+    Serial,
+    /// Each a bulk transfer of its own, without CRC.
+    Bulk,
+}
+
+impl Framing {
+    /// Bytes of a packet on the bulk endpoint of a high-speed device.
+    pub const USB_PACKET: usize = 512;
+
+    /// Longest payload of a data packet. In bulk transfers header and payload together are at most 31 USB packets, as
+    /// many as one microframe carries.
+    pub const fn max_packet_payload(self) -> usize {
+        match self {
+            Framing::Serial => MAX_MESSAGE - 2 - Packet::HEADER_LENGTH,
+            Framing::Bulk => 31 * Self::USB_PACKET - Packet::HEADER_LENGTH,
+        }
+    }
+}

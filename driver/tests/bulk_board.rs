@@ -1,0 +1,192 @@
+//! The bulk variant of the board, its endpoints emulated: the same frames, the same faults, the same recovery.
+
+mod common;
+
+use std::time::Duration;
+
+use common::{Pattern, waveform};
+use radome_driver::{
+    Address, Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Pace, Reconnect,
+    UsbAddress,
+};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
+
+fn options(faults: &[Fault]) -> EmulatorOptions {
+    let faults = faults.to_vec();
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind: Kind::Mcu7Bulk, faults, ..EmulatorOptions::default() }
+}
+
+/// Sequence numbers of frames whose codes are the source's, of others, and gaps, to the source's end.
+fn stream(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (Vec<u64>, Vec<u64>, Vec<Gap>) {
+    let pattern = Pattern::new(waveform.clone(), frames);
+    let mut source =
+        EmulatedSource::start(Box::new(Pattern::new(waveform.clone(), frames)), options(faults)).expect("starts");
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut expected = frame.clone();
+    let (mut good, mut bad, mut gaps) = (Vec::new(), Vec::new(), Vec::new());
+    loop {
+        match source.next_frame(&mut frame).expect("stream") {
+            SourceEvent::Frame => {
+                pattern.fill(frame.sequence, &mut expected);
+                let kind = if frame.codes == expected.codes { &mut good } else { &mut bad };
+                kind.push(frame.sequence);
+            }
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (good, bad, gaps),
+        }
+    }
+}
+
+#[test]
+fn frames_of_any_shape_arrive_bit_exact() {
+    for (antennas, chirps, samples, frames) in [
+        (&[1u8, 2, 3][..], 8, 64, 40),
+        (&[1, 2, 3], 128, 256, 12),
+        (&[1, 2, 3], 1, 8, 50),
+        (&[3], 3, 33, 60),
+        // 332 codes would be 512 bytes with header and clock: another slice is asked for.
+        (&[1], 4, 83, 30),
+    ] {
+        let waveform = waveform(antennas, chirps, samples, 0.1);
+        let expected = ((0..frames).collect(), vec![], vec![]);
+        assert_eq!(stream(&waveform, frames, &[]), expected, "{}", waveform.shape());
+    }
+}
+
+#[test]
+fn the_board_says_that_it_is_the_bulk_variant() {
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
+    let mut client = Board::open_at(board.address()).expect("opens");
+    let identity = client.identity().clone();
+    assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0252));
+    assert_eq!((identity.chip.as_str(), identity.extended_version.as_str()), ("BGT60TR13C", "emulated"));
+    assert_eq!(client.read_registers(&[2, 5]).expect("reads"), [0x303, 0x04_0014]);
+    // Stopped and started again, nothing of the first run comes in the second.
+    let mut frame = Frame::zeroed(waveform.shape());
+    for _ in 0..3 {
+        let mut stream = client.start(&waveform).expect("starts");
+        for sequence in 0..5 {
+            assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+            assert_eq!(frame.sequence, sequence);
+        }
+        client = stream.stop().expect("stops");
+    }
+    drop(client.start(&waveform).expect("starts"));
+    Board::open_at(board.address()).expect("opens again");
+}
+
+mod hard_cases {
+    use super::*;
+
+    const POLICY: Reconnect = Reconnect {
+        first_wait: Duration::from_millis(10),
+        longest_wait: Duration::from_millis(50),
+        give_up_after: Duration::from_secs(60),
+    };
+
+    #[test]
+    fn what_can_be_seen_without_a_checksum_costs_its_frame_and_no_other() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        use GapReason::{Crc, FifoOverflow, PacketLost};
+        for (fault, reason) in [
+            (Fault::DropPacket(4), Some(PacketLost)),
+            (Fault::DoublePacket(4), None),
+            (Fault::ReorderPacket(4), Some(PacketLost)),
+            (Fault::TruncatePacket { packet: 4, bytes: 700 }, Some(Crc)),
+            (Fault::TruncatePacket { packet: 4, bytes: 3 }, Some(Crc)),
+            (Fault::FlipBit { packet: 4, bit: 7 }, Some(Crc)),
+            (Fault::FlipBit { packet: 4, bit: 8 }, Some(Crc)),
+            (Fault::Overflow(4), Some(FifoOverflow)),
+        ] {
+            let (good, bad, gaps) = stream(&waveform, 20, &[fault]);
+            assert!(bad.is_empty(), "{fault:?}: {bad:?}");
+            assert_eq!(gaps.iter().map(|g| g.reason).collect::<Vec<_>>(), Vec::from_iter(reason), "{fault:?}");
+            let lost: u64 = gaps.iter().map(|g| g.frames).sum();
+            assert_eq!(good.len() as u64 + lost, 20, "{fault:?}: {gaps:?}");
+            assert!(lost <= 2, "{fault:?}: {gaps:?}");
+        }
+    }
+
+    /// USB checks what is on the cable; nothing checks what happens at its ends.
+    #[test]
+    fn what_cannot_be_seen_without_a_checksum_is_in_the_frame() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let (good, bad, gaps) = stream(&waveform, 10, &[Fault::FlipBit { packet: 4, bit: 999 }]);
+        assert_eq!((good.len(), bad, gaps), (9, vec![4], vec![]));
+    }
+
+    /// A length that is wrong by little is a packet of another length than the slice's: the board is started anew.
+    #[test]
+    fn a_wrong_length_is_seen() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        // Bits 32 and 33 of the header are the length's lowest.
+        for bit in [32, 33, 40] {
+            // More frames than the sockets hold: what waits there goes with the new start.
+            let (_, bad, gaps) = stream(&waveform, 1000, &[Fault::FlipBit { packet: 4, bit }]);
+            assert!(bad.is_empty() && !gaps.is_empty(), "bit {bit}: {bad:?}, {gaps:?}");
+        }
+    }
+
+    #[test]
+    fn a_board_that_is_plugged_in_again_or_stalls_goes_on() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let unplug = |packet| Fault::Unplug { packet, duration: Duration::from_millis(100) };
+        let faults = [unplug(20), Fault::Stall(40), unplug(60)];
+        let pattern = Pattern::new(waveform.clone(), u64::MAX);
+        let board =
+            EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), u64::MAX)), options(&faults)).expect("spawns");
+        let client = Board::open_at(board.address()).expect("opens");
+        let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
+        let mut frame = Frame::zeroed(waveform.shape());
+        let mut expected = frame.clone();
+        let (mut next, mut next_of_source, mut reasons) = (0, 0, Vec::new());
+        for _ in 0..120 {
+            match stream.next_frame(&mut frame).expect("stream") {
+                SourceEvent::Frame => {
+                    let found = (next_of_source..next_of_source + 1000).find(|sequence| {
+                        pattern.fill(*sequence, &mut expected);
+                        expected.codes == frame.codes
+                    });
+                    next_of_source = found.expect("a frame of the source") + 1;
+                    assert_eq!(frame.sequence, next);
+                    next += 1;
+                }
+                SourceEvent::Gap(gap) => {
+                    assert_eq!(gap.first_sequence, next);
+                    next += gap.frames;
+                    reasons.push(gap.reason);
+                }
+                SourceEvent::End => panic!("a board does not end"),
+            }
+        }
+        assert_eq!(reasons, [GapReason::Disconnected; 3]);
+    }
+
+    #[test]
+    fn a_board_that_is_not_there_is_said_to_be_absent() {
+        let nowhere = Address::Usb(UsbAddress::Emulated("/no/such/board".into()));
+        let Err(error) = Board::open_at(&nowhere) else { panic!("opened") };
+        assert!(matches!(error, BoardError::Absent { .. }) && error.to_string().contains("hint:"), "{error}");
+        // On a machine without USB too.
+        let Err(error) = Board::open_at(&Address::Usb(UsbAddress::Serial("no such serial number".into()))) else {
+            panic!("opened")
+        };
+        assert!(matches!(error, BoardError::Absent { .. }), "{error}");
+    }
+
+    #[test]
+    fn other_chips_and_versions_are_refused_by_name() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        for (fault, words) in [
+            (Fault::ForeignChip(0x0606), "BGT60UTR13D"),
+            (Fault::ForeignChip(0), "does not answer"),
+            (Fault::WrongVersion(5), "protocol 5.0"),
+        ] {
+            let board =
+                EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1)), options(&[fault])).expect("spawns");
+            let Err(error) = Board::open_at(board.address()) else { panic!("opened") };
+            assert!(error.to_string().contains(words), "{error}");
+        }
+    }
+}

@@ -1,0 +1,256 @@
+//! What is found in a made-up /sys and /dev.
+
+use std::fs;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+
+use radome_driver::discover::{Belief, Change, Identity, Roots, State, Transport, Watch, ask, candidates_in};
+use radome_driver::{Address, Candidate, EmulatedBoard, EmulatorOptions, Fault, Pace, UsbAddress};
+
+mod common;
+
+/// A machine's devices, as files in a folder.
+struct Machine {
+    folder: tempfile::TempDir,
+}
+
+impl Machine {
+    fn new() -> Self {
+        Machine { folder: tempfile::tempdir().expect("a folder") }
+    }
+
+    fn roots(&self) -> Roots {
+        Roots { sys: self.folder.path().join("sys"), dev: self.folder.path().join("dev") }
+    }
+
+    fn found(&self) -> Vec<Candidate> {
+        candidates_in(&self.roots())
+    }
+
+    fn write(path: &Path, text: &str) {
+        fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+        fs::write(path, text).expect("written");
+    }
+
+    /// Plugs in a USB device: `socket` as the kernel names it, ids, address, product and serial number.
+    fn plug(&self, socket: &str, id: (u16, u16), address: u8, product: &str, serial: &str) {
+        let Roots { sys, dev } = self.roots();
+        let device = sys.join("devices/usb1").join(socket);
+        for (name, text) in [
+            ("idVendor", format!("{:04x}\n", id.0)),
+            ("idProduct", format!("{:04x}\n", id.1)),
+            ("busnum", "1\n".into()),
+            ("devnum", format!("{address}\n")),
+            ("product", format!("{product}\n")),
+            ("serial", format!("{serial}\n")),
+        ] {
+            Self::write(&device.join(name), &text);
+        }
+        let list = sys.join("bus/usb/devices");
+        fs::create_dir_all(&list).expect("made");
+        let _ = fs::remove_file(list.join(socket));
+        symlink(&device, list.join(socket)).expect("linked");
+        Self::write(&dev.join(format!("bus/usb/001/{address:03}")), "");
+    }
+
+    /// Gives a plugged device a node of a class, below its first interface.
+    fn give(&self, socket: &str, class: &str, name: &str, below: &str) {
+        let Roots { sys, dev } = self.roots();
+        let device = sys.join("devices/usb1").join(socket).join(format!("{socket}:1.0")).join(below);
+        fs::create_dir_all(&device).expect("made");
+        fs::create_dir_all(sys.join("class").join(class).join(name)).expect("made");
+        symlink(&device, sys.join("class").join(class).join(name).join("device")).expect("linked");
+        Self::write(&dev.join(name), "");
+    }
+
+    fn unplug(&self, socket: &str, class: &str, name: &str) {
+        let Roots { sys, dev } = self.roots();
+        fs::remove_dir_all(sys.join("devices/usb1").join(socket)).expect("gone");
+        fs::remove_file(sys.join("bus/usb/devices").join(socket)).expect("gone");
+        fs::remove_dir_all(sys.join("class").join(class).join(name)).expect("gone");
+        fs::remove_file(dev.join(name)).expect("gone");
+    }
+}
+
+#[test]
+fn a_serial_board_is_one_candidate_with_its_usb_device() {
+    let machine = Machine::new();
+    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+    machine.give("1-1", "tty", "ttyACM0", "");
+    let found = machine.found();
+    let [board] = found.as_slice() else { panic!("{found:?}") };
+    let path = machine.roots().dev.join("ttyACM0");
+    assert_eq!((board.belief, board.transport, &board.path), (Belief::Mcu7Serial, Transport::Serial, &path));
+    let usb = board.usb.as_ref().expect("USB");
+    assert_eq!((usb.vendor_id, usb.product_id, usb.bus, usb.address), (0x058B, 0x0251, 1, 5));
+    assert_eq!(
+        (usb.product.as_deref(), usb.serial_number.as_deref(), usb.socket.as_str()),
+        (Some("IFX CDC"), Some("77"), "1-1")
+    );
+    assert_eq!(board.address(), Some(Address::Serial(path)));
+}
+
+#[test]
+fn a_bulk_board_is_found_by_its_usb_node() {
+    let machine = Machine::new();
+    machine.plug("1-1.2", (0x058B, 0x0252), 7, "", "");
+    let found = machine.found();
+    let [board] = found.as_slice() else { panic!("{found:?}") };
+    assert!(board.path.ends_with("dev/bus/usb/001/007"));
+    assert_eq!(board.address(), Some(Address::Usb(UsbAddress::Device { bus: 1, address: 7 })));
+    assert_eq!(board.usb.as_ref().expect("USB").serial_number, None);
+}
+
+/// A kit's probe is known by the USB device that both are, or by a serial number that both have.
+#[test]
+fn a_port_knows_the_debug_probe_of_its_kit() {
+    let machine = Machine::new();
+    machine.plug("1-2", (0x04B4, 0xF152), 3, "KitProg3 CMSIS-DAP HID", "K1");
+    machine.give("1-2", "hidraw", "hidraw0", "0003:04B4:F152.0001");
+    machine.give("1-2", "tty", "ttyACM3", "");
+    machine.plug("1-3", (0x058B, 0x027D), 4, "DEEPCRAFT Streaming Device", "K1");
+    machine.give("1-3", "tty", "ttyACM1", "");
+    machine.plug("1-4", (0x058B, 0x0251), 9, "IFX CDC", "other");
+    machine.give("1-4", "tty", "ttyACM2", "");
+    let found = machine.found();
+    let probe = machine.roots().dev.join("hidraw0");
+    let of = |name: &str| {
+        found.iter().find(|c| c.path.ends_with(name)).unwrap_or_else(|| panic!("{name}")).debug_probe.clone()
+    };
+    assert_eq!(
+        (of("ttyACM3"), of("ttyACM1"), of("ttyACM2"), of("hidraw0")),
+        (Some(probe.clone()), Some(probe), None, None)
+    );
+    assert_eq!(found.len(), 4);
+}
+
+/// Its bulk transfers are spoken to at the USB device, whatever else it has; HID goes first.
+#[test]
+fn a_probe_by_bulk_transfers_is_found_by_its_interface() {
+    let machine = Machine::new();
+    machine.plug("1-2", (0x04B4, 0xF155), 3, "KitProg3 CMSIS-DAP BULK", "K1");
+    machine.give("1-2", "tty", "ttyACM3", "");
+    let interface = |name: &str| machine.roots().sys.join("devices/usb1/1-2/1-2:1.1").join(name);
+    Machine::write(&interface("bInterfaceClass"), "ff\n");
+    Machine::write(&interface("interface"), "KitProg3 CMSIS-DAP v2\n");
+    let found = machine.found();
+    let node = machine.roots().dev.join("bus/usb/001/003");
+    assert_eq!(found.iter().map(|c| c.is_probe()).collect::<Vec<_>>(), [true, false]);
+    assert_eq!((&found[0].path, &found[1].debug_probe), (&node, &Some(node.clone())));
+    machine.give("1-2", "hidraw", "hidraw0", "0003:04B4:F155.0001");
+    let found = machine.found();
+    assert_eq!(found.iter().filter(|c| c.is_probe()).map(|c| c.transport).collect::<Vec<_>>(), [Transport::Hid]);
+}
+
+#[test]
+fn other_probes_are_known_by_their_name_and_other_hid_devices_are_passed_over() {
+    let machine = Machine::new();
+    machine.plug("1-1", (0x0D28, 0x0204), 3, "Arm DAPLink CMSIS-DAP", "1");
+    machine.give("1-1", "hidraw", "hidraw0", "0003:0D28:0204.0001");
+    machine.plug("1-2", (0x046D, 0xC31C), 4, "Keyboard", "2");
+    machine.give("1-2", "hidraw", "hidraw1", "0003:046D:C31C.0002");
+    // Only the interface's name says it.
+    machine.plug("1-3", (0x1366, 0x0101), 5, "Something", "3");
+    machine.give("1-3", "hidraw", "hidraw2", "0003:1366:0101.0003");
+    Machine::write(&machine.roots().sys.join("devices/usb1/1-3/1-3:1.0/interface"), "CMSIS-DAP v1\n");
+    let found: Vec<_> = machine.found().into_iter().map(|c| (c.path, c.belief)).collect();
+    let dev = machine.roots().dev;
+    assert_eq!(found, [(dev.join("hidraw0"), Belief::DebugProbe), (dev.join("hidraw2"), Belief::DebugProbe)]);
+}
+
+#[test]
+fn a_watch_tells_what_comes_and_goes() {
+    let machine = Machine::new();
+    let mut watch = Watch::new(machine.roots());
+    assert_eq!(watch.look(), []);
+    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+    machine.give("1-1", "tty", "ttyACM0", "");
+    let changes = watch.look();
+    assert!(matches!(changes.as_slice(), [Change::Added(c)] if c.path.ends_with("ttyACM0")), "{changes:?}");
+    assert_eq!(watch.look(), []);
+    // Plugged in anew between two looks: under the same name, yet not the same stay.
+    machine.plug("1-1", (0x058B, 0x0251), 6, "IFX CDC", "77");
+    assert!(matches!(watch.look().as_slice(), [Change::Removed(_), Change::Added(_)]));
+    machine.unplug("1-1", "tty", "ttyACM0");
+    assert!(matches!(watch.look().as_slice(), [Change::Removed(_)]));
+}
+
+/// The candidate of an emulated board's port.
+fn candidate_at(machine: &Machine, board: &EmulatedBoard) -> Candidate {
+    let mut found = machine.found();
+    let mut candidate = found.remove(0);
+    candidate.path = board.path().to_owned();
+    candidate
+}
+
+#[test]
+fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
+    let machine = Machine::new();
+    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+    machine.give("1-1", "tty", "ttyACM0", "");
+    let waveform = common::waveform(&[1, 2, 3], 8, 64, 0.1);
+    let state = |faults: &[Fault]| {
+        let options =
+            EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() };
+        let source = Box::new(common::Pattern::new(waveform.clone(), 10));
+        let board = EmulatedBoard::spawn(source, options).expect("spawns");
+        let candidate = candidate_at(&machine, &board);
+        let state = ask(&candidate, false);
+        // As long as somebody has it, it is busy.
+        let held = radome_driver::Board::open(board.path());
+        assert!(held.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
+        state
+    };
+    let State::Ready { identity: Identity::Board(identity) } = state(&[]) else { panic!("not ready") };
+    assert_eq!((identity.chip.as_str(), identity.firmware_version.as_str()), ("BGT60TR13C", "2.9.0"));
+    let State::OtherChip { chip } = state(&[Fault::ForeignChip(0x0606)]) else { panic!("not another chip") };
+    assert!(chip.contains("BGT60UTR13D"), "{chip}");
+    for id in [0, 0xFF_FFFF] {
+        let State::NotAnswering { why } = state(&[Fault::ForeignChip(id)]) else { panic!("answers") };
+        assert!(why.contains("radar chip does not"), "{why}");
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// Devices come and go while they are looked at: half of one is none.
+    #[test]
+    fn half_a_device_is_no_device_and_nonsense_is_none() {
+        let machine = Machine::new();
+        machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+        machine.give("1-1", "tty", "ttyACM0", "");
+        let device = machine.roots().sys.join("devices/usb1/1-1");
+        fs::write(device.join("idProduct"), "zz\n").expect("written");
+        fs::write(device.join("serial"), [0xFF, 0xFE]).expect("written");
+        let found = machine.found();
+        assert!(matches!(found.as_slice(), [c] if c.belief == Belief::SerialPort && c.usb.is_none()), "{found:?}");
+        fs::remove_file(machine.roots().sys.join("class/tty/ttyACM0/device")).expect("gone");
+        assert_eq!(machine.found(), []);
+    }
+
+    /// Without cdc_acm a board has no port; it is shown all the same.
+    #[test]
+    fn a_board_without_driver_is_shown() {
+        let machine = Machine::new();
+        machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+        let found = machine.found();
+        assert!(
+            matches!(found.as_slice(), [c] if c.transport == Transport::Usb && ask(c, true) == State::NoDriver),
+            "{found:?}"
+        );
+    }
+
+    /// Nothing is sent to a port of which nothing is known, unless that is wanted.
+    #[test]
+    fn unknown_ports_are_left_alone_unless_asked_for() {
+        let machine = Machine::new();
+        machine.plug("1-1", (0x2341, 0x0043), 5, "Arduino Uno", "1");
+        machine.give("1-1", "tty", "ttyACM0", "");
+        let found = machine.found();
+        let [port] = found.as_slice() else { panic!("{found:?}") };
+        assert_eq!((port.belief, port.address(), ask(port, false)), (Belief::SerialPort, None, State::NotAsked));
+        // It is a plain file here: it opens as no port.
+        assert!(matches!(ask(port, true), State::NotAnswering { .. }));
+    }
+}
