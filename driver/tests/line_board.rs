@@ -50,6 +50,7 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
         kind: Kind::Esp32,
         faults: vec![fault],
         link: Some(folder.path().join("board")),
+        ..EmulatorOptions::default()
     };
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("a pty");
     let policy = Reconnect { longest_wait: Duration::from_millis(50), ..Reconnect::default() };

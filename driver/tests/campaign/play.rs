@@ -107,6 +107,7 @@ pub fn play(job: &Job) -> Outcome {
         faults: job.faults.clone(),
         // The number of a terminal that has gone is soon that of another board.
         link: Some(folder.path().join("board")),
+        ..EmulatorOptions::default()
     };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
     let mut outcome = Outcome { injected: job.faults.len() as u64, ..Outcome::default() };
