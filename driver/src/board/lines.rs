@@ -47,6 +47,8 @@ struct Order {
     next_sequence: u64,
     /// Number that the next line should have; unknown before the first line.
     next_number: Option<u64>,
+    /// Of the codes taken last: by it a line that comes twice is known.
+    last_codes: u64,
     /// A line whose number was not the next one.
     unconfirmed: Option<(u64, Vec<u16>)>,
     /// Whether a damaged line came since the last good one.
@@ -139,6 +141,15 @@ impl LineStream {
                 }
                 None => {}
             }
+            // What has come was looked at first: whoever was kept from reading for so long has not lost the board.
+            if began.elapsed() > self.deadline {
+                let path = self.path.clone();
+                return Err(match unfit {
+                    // Once a frame has come the waveform is right, and a damaged line only the last before a silence.
+                    Some(source) if self.order.next_number.is_none() => BoardError::Line { path, source },
+                    _ => BoardError::Stalled { path, waited: self.deadline },
+                });
+            }
             let lost = |source| BoardError::Disconnected { path: self.path.clone(), source };
             let port = self.port.as_mut().ok_or_else(|| lost(ErrorKind::NotConnected.into()))?;
             match port.read(&mut self.buffer) {
@@ -148,14 +159,6 @@ impl LineStream {
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
                 Err(e) => return Err(lost(e)),
-            }
-            if began.elapsed() > self.deadline {
-                let path = self.path.clone();
-                return Err(match unfit {
-                    // Once a frame has come the waveform is right, and a damaged line only the last before a silence.
-                    Some(source) if self.order.next_number.is_none() => BoardError::Line { path, source },
-                    _ => BoardError::Stalled { path, waited: self.deadline },
-                });
             }
         }
     }
@@ -201,6 +204,7 @@ impl Order {
             waveform: waveform.clone(),
             next_sequence: 0,
             next_number: None,
+            last_codes: 0,
             unconfirmed: None,
             damaged: false,
             reopened: false,
@@ -225,13 +229,21 @@ impl Order {
         let next = *self.next_number.get_or_insert(number);
         let follows = |number: u64, other: u64| number == other.wrapping_add(1);
         if number == next {
-            self.accept(codes);
-            // A line that has overtaken this one.
             match self.unconfirmed.take() {
-                Some((later, codes)) if follows(later, number) => self.accept(&codes),
-                _ => {}
+                // The last number with other codes, and on from there: the firmware has begun anew right where it began.
+                Some((before, other)) if follows(next, before) => {
+                    self.begin_anew(before);
+                    self.accept(&other);
+                    self.accept(codes);
+                }
+                // A line that has overtaken this one.
+                Some((later, other)) if follows(later, number) => {
+                    self.accept(codes);
+                    self.accept(&other);
+                }
+                _ => self.accept(codes),
             }
-        } else if follows(next, number) {
+        } else if follows(next, number) && self.last_codes == digest(codes) {
             tracing::debug!(number, "a line came twice");
         } else {
             match self.unconfirmed.take() {
@@ -272,6 +284,7 @@ impl Order {
     }
 
     fn accept(&mut self, codes: &[u16]) {
+        self.last_codes = digest(codes);
         self.next_number = self.next_number.map(|number| number.wrapping_add(1));
         let codes = self.copy(codes);
         self.ready.push_back(Ready::Frame(codes));
@@ -350,6 +363,11 @@ impl FrameSource for LineStream {
             }
         }
     }
+}
+
+/// Tells codes from others, all but surely.
+fn digest(codes: &[u16]) -> u64 {
+    codes.iter().fold(0xCBF2_9CE4_8422_2325, |hash, code| (hash ^ u64::from(*code)).wrapping_mul(0x100_0000_01B3))
 }
 
 /// Whether a number comes after another, by no more than boards lose.
@@ -445,10 +463,22 @@ mod tests {
                 assert_eq!(found, [Ok(10), Ok(11), lost(1), Ok(13), Ok(14), Ok(15)], "12 as {wrong}");
             }
             let found = ordered(&mut order(), &[(10, 10), (11, 11), (11, 12), (13, 13), (14, 14)]);
-            assert_eq!(found, [Ok(10), Ok(11), Err((1, LOST)), Ok(13), Ok(14)]);
+            assert_eq!(found, [Ok(10), Ok(11), lost(1), Ok(13), Ok(14)]);
             // Two lines of one number: neither is believed.
             let found = ordered(&mut order(), &[(10, 10), (11, 11), (13, 12), (13, 13), (14, 14), (15, 15)]);
             assert_eq!(found, [Ok(10), Ok(11), lost(2), Ok(14), Ok(15)]);
+        }
+
+        /// After its first line, or its second, a firmware that begins anew repeats numbers that were the last ones.
+        #[test]
+        fn a_firmware_that_starts_anew_at_once_is_no_doubled_line() {
+            for first in [&[(0, 7)][..], &[(0, 7), (1, 8)]] {
+                let lines = [first, &[(0, 20), (1, 21), (2, 22)]].concat();
+                let found = ordered(&mut order(), &lines);
+                let (before, after) = found.split_at(first.len());
+                assert!(before.iter().all(Result::is_ok), "{found:?}");
+                assert_eq!(after, [Err((1, GapReason::Disconnected)), Ok(20), Ok(21), Ok(22)]);
+            }
         }
 
         #[test]

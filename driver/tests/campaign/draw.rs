@@ -228,7 +228,6 @@ fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     let mut random = Random(seed);
     let waveform = waveform(&mut random, kind);
     let messages = protocol.messages(&waveform);
-    let faults = if protocol == Protocol::Esp32 && kind == Kind::Stall { 1 } else { faults };
     // What a port has in it when its board is unplugged is lost: let some frames pass first.
     let apart = match kind {
         Kind::Unplug => (40.0 + 6.0 * messages) as u64,

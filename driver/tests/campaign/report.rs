@@ -34,7 +34,6 @@ impl Report {
         self.rows.values().flat_map(|row| &row.failures).map(String::as_str).collect()
     }
 
-    /// Faults after which nothing came, of boards that could have been started anew.
     pub fn table(&self) -> String {
         let mut text = format!(
             "{:<8} {:<14} {:>8} {:>10} {:>9} {:>7} {:>13} {:>12}\n",
