@@ -2,6 +2,7 @@
 
 use std::time::Duration;
 
+use radome_driver::protocol::deepcraft::FIFO_LEVEL_CODES;
 use radome_driver::protocol::strata::SliceLayout;
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
@@ -33,16 +34,18 @@ pub enum Protocol {
     Mcu7V4,
     Mcu7V3,
     Esp32,
+    Deepcraft,
 }
 
 impl Protocol {
-    pub const ALL: [Protocol; 3] = [Protocol::Mcu7V4, Protocol::Mcu7V3, Protocol::Esp32];
+    pub const ALL: [Protocol; 4] = [Protocol::Mcu7V4, Protocol::Mcu7V3, Protocol::Esp32, Protocol::Deepcraft];
 
     pub fn name(self) -> &'static str {
         match self {
             Protocol::Mcu7V4 => "mcu7-4",
             Protocol::Mcu7V3 => "mcu7-3",
             Protocol::Esp32 => "esp32",
+            Protocol::Deepcraft => "deepcraft",
         }
     }
 
@@ -51,12 +54,19 @@ impl Protocol {
             Protocol::Mcu7V4 => Board::Mcu7V4,
             Protocol::Mcu7V3 => Board::Mcu7V3,
             Protocol::Esp32 => Board::Esp32,
+            Protocol::Deepcraft => Board::Deepcraft,
         }
     }
 
     /// Whether its messages carry a check sum.
     pub fn has_checksum(self) -> bool {
-        self != Protocol::Esp32
+        matches!(self, Protocol::Mcu7V4 | Protocol::Mcu7V3)
+    }
+
+    /// Whether its firmware sends such frames, and does not join hundreds of them into one message.
+    fn takes(self, (antennas, chirps, samples): (&[u8], usize, usize)) -> bool {
+        let codes = antennas.len() * chirps * samples;
+        self != Protocol::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
     }
 
     /// Bytes that its messages have at least.
@@ -64,6 +74,7 @@ impl Protocol {
         let slice = SliceLayout::for_frame(waveform.shape().codes());
         match self {
             Protocol::Esp32 => 3 * waveform.shape().codes() as u64,
+            Protocol::Deepcraft => 2 * waveform.shape().codes() as u64,
             _ => slice.payload_length(slice.packets() - 1) as u64 + 8,
         }
     }
@@ -74,6 +85,8 @@ impl Protocol {
         let slice = SliceLayout::for_frame(codes);
         match self {
             Protocol::Esp32 => 1.0,
+            // Its chunks hold the frames that a read of the FIFO completes.
+            Protocol::Deepcraft => (codes as f64 / FIFO_LEVEL_CODES as f64).min(1.0),
             _ => slice.packets() as f64 * codes as f64 / slice.samples as f64,
         }
     }
@@ -164,11 +177,13 @@ const SHAPES: [(&[u8], usize, usize); 9] = [
     (&[1], 67, 67),
 ];
 
-fn waveform(random: &mut Random, kind: Kind) -> Waveform {
+fn waveform(random: &mut Random, protocol: Protocol, kind: Kind) -> Waveform {
     let (antennas, chirps, samples) = match kind {
         // So much data that the board's memory is full soon.
         Kind::SlowHost => (&[1u8, 2, 3][..], 64, 128),
-        _ => random.one_of(&SHAPES),
+        _ => {
+            std::iter::repeat_with(|| random.one_of(&SHAPES)).find(|shape| protocol.takes(*shape)).expect("one of them")
+        }
     };
     let request = WaveformRequest {
         rx_antennas: RxMask::from_antennas(antennas).expect("antennas"),
@@ -212,7 +227,8 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
         Kind::Stall => Fault::Stall(packet),
         Kind::Unplug => Fault::Unplug { packet, duration: Duration::from_millis(1 + random.below(60)) },
         Kind::SlowHost => Fault::SlowHost { packet, duration: Duration::from_millis(300 + random.below(200)) },
-        Kind::Version => Fault::WrongVersion(random.one_of(&[0, 1, 2, 5, 0xFFFF])),
+        // 2 to 4 are spoken by one board or another.
+        Kind::Version => Fault::WrongVersion(random.one_of(&[0, 1, 5, 0xFFFF])),
         Kind::Chip => Fault::ForeignChip(random.one_of(&[0, 0x504, 0x606, 0x60B, 0x707, 0x80C, 0x1234, 0xFF_FFFF])),
         Kind::Mixed => {
             let wire =
@@ -226,7 +242,7 @@ fn fault(random: &mut Random, kind: Kind, packet: u64, (messages, shortest): (f6
 /// The seed's job of this number.
 fn job(seed: u64, protocol: Protocol, kind: Kind, faults: u64) -> Job {
     let mut random = Random(seed);
-    let waveform = waveform(&mut random, kind);
+    let waveform = waveform(&mut random, protocol, kind);
     let messages = protocol.messages(&waveform);
     // What a port has in it when its board is unplugged is lost: let some frames pass first.
     let apart = match kind {

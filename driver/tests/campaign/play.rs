@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant};
 
 use radome_driver::{
-    Board, BoardError, BoardStream, EmulatedBoard, EmulatorOptions, Fault, LineStream, Pace, Reconnect,
+    Board, BoardError, BoardStream, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, LineStream,
+    Pace, Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
@@ -69,6 +70,7 @@ pub struct Outcome {
 enum Client {
     Board(Box<BoardStream>),
     Lines(Box<LineStream>),
+    Deepcraft(Box<DeepcraftStream>),
 }
 
 impl Client {
@@ -78,6 +80,10 @@ impl Client {
                 let stream = LineStream::open(board.path(), Some(&job.waveform))?;
                 Client::Lines(Box::new(stream.with_reconnect(POLICY)))
             }
+            Protocol::Deepcraft => {
+                let stream = DeepcraftBoard::open(board.path())?.start(&job.waveform)?;
+                Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
+            }
             _ => Client::Board(Box::new(Board::open(board.path())?.start(&job.waveform)?.with_reconnect(POLICY))),
         })
     }
@@ -86,6 +92,7 @@ impl Client {
         match self {
             Client::Board(stream) => stream.lost_frames(reason),
             Client::Lines(stream) => stream.lost_frames(reason),
+            Client::Deepcraft(stream) => stream.lost_frames(reason),
         }
     }
 
@@ -93,6 +100,7 @@ impl Client {
         match self {
             Client::Board(stream) => stream.next_frame(frame),
             Client::Lines(stream) => stream.next_frame(frame),
+            Client::Deepcraft(stream) => stream.next_frame(frame),
         }
     }
 }
@@ -123,6 +131,7 @@ pub fn play(job: &Job) -> Outcome {
     let client = attempts.find(|client| !is_late(client)).unwrap_or_else(attempt);
     match (job.kind, client) {
         (Kind::Version, Err(BoardError::Protocol { .. })) => {}
+        (Kind::Version | Kind::Chip, Err(BoardError::Deepcraft { .. })) => {}
         // All ones and all zeros are what a chip reads that is not there.
         (Kind::Chip, Err(BoardError::OtherChip { .. } | BoardError::ChipSilent { .. }))
             if job.protocol != Protocol::Esp32 => {}
@@ -221,12 +230,19 @@ impl<'a> Check<'a> {
                     if gap.reason == GapReason::Disconnected {
                         // A machine that is busy for a second makes a board that is well look stalled.
                         let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
-                        let is_known = self.job.kind.interrupts() || self.may_be_renumbered() || was_silent;
+                        let is_known = self.job.protocol == Protocol::Deepcraft
+                            || self.job.kind.interrupts()
+                            || self.may_be_renumbered()
+                            || was_silent;
                         if !is_known && !std::mem::take(&mut self.restarts) {
                             self.fail(format!("{gap:?}, but the board was never away"));
                         }
                         // A printing board restarts when its port is opened, behind what it had printed before.
                         self.restarts |= was_silent && self.job.protocol == Protocol::Esp32;
+                        self.offset = None;
+                    }
+                    // What damage has cost such a board, which is started anew, only the host's clock knows.
+                    if self.job.protocol == Protocol::Deepcraft {
                         self.offset = None;
                     }
                     self.next_sequence = gap.first_sequence + gap.frames;
