@@ -81,6 +81,28 @@ fn strata_board() -> Seeds {
     seeds
 }
 
+fn deepcraft() -> Seeds {
+    use radome_driver::protocol::deepcraft::{
+        CapabilitiesRequest, ChunkLayout, Command, Custom, Request, StartRequest, StopRequest,
+    };
+    let layout = ChunkLayout { device: 0, stream: 0, frame_codes: 16 };
+    let mut line = Vec::new();
+    for number in 0..3u16 {
+        layout.encode(u32::from(number), &(0..16).map(|i| 40 * i + number).collect::<Vec<_>>(), &mut line);
+    }
+    let mut requests = Vec::new();
+    for command in [
+        Command::Capabilities(CapabilitiesRequest { device: -1, tag: 7 }),
+        Command::Start(StartRequest { device: 0 }),
+        Command::Stop(StopRequest { device: -1 }),
+    ] {
+        Request { command: Some(command) }.encode_to(&mut requests);
+    }
+    let mut seeds = vec![line, requests];
+    seeds.extend(Custom::compile(&waveform()).ok().map(|custom| custom.encode()));
+    seeds
+}
+
 fn ascii_lines() -> Seeds {
     let mut lines = b"\x07I (312) main: radar started\r\n".to_vec();
     ascii::encode(7, &[0, 4095, 17, 1, 2, 3, 4, 5], &mut lines);
@@ -187,7 +209,8 @@ fn sdk_text() -> Seeds {
 
 fn main() {
     let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
-    let all: [(&str, Seeds); 9] = [
+    let all: [(&str, Seeds); 10] = [
+        ("deepcraft", deepcraft()),
         ("strata_board", strata_board()),
         ("strata_host", strata_host()),
         ("ascii_lines", ascii_lines()),
