@@ -70,6 +70,7 @@ impl Esp32 {
     /// Resets the chip and starts frames. What was in its FIFO is lost; how much the chip's frame counter tells, so that
     /// frames keep their numbers.
     fn start(&mut self) {
+        self.chip.world().stop();
         let status = self.chip.read(address::STAT1);
         let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
         let measured = u64::from(field::STAT1::FRAME_CNT.of(status)) + u64::from(is_cut);

@@ -116,9 +116,9 @@ impl World {
         self.has_begun = true;
     }
 
-    /// The chip is reset.
+    /// The chip is about to be reset: nothing is sampled any more.
     pub fn stop(&mut self) {
-        self.stopped_ns = self.now_ns();
+        self.stopped_ns = self.stopped_ns.or(self.now_ns());
     }
 
     /// Source time by the wall clock, ns.
@@ -259,7 +259,7 @@ impl World {
     /// Codes sampled since the frames started, those not yet taken from the source too. A world that waits has sampled what is
     /// there.
     pub fn sampled(&self) -> u64 {
-        let Some(now) = self.now_ns() else { return self.put };
+        let Some(now) = self.stopped_ns.or(self.now_ns()) else { return self.put };
         let sampled = |(first, time_ns): &(u64, u64)| {
             first + self.timing.sampled_after(now.saturating_sub(*time_ns) as f64 * 1e-9)
         };
