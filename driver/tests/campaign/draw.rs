@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use radome_driver::protocol::deepcraft::FIFO_LEVEL_CODES;
-use radome_driver::protocol::strata::SliceLayout;
+use radome_driver::protocol::strata::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
 
@@ -33,17 +33,20 @@ impl Random {
 pub enum Protocol {
     Mcu7V4,
     Mcu7V3,
+    Mcu7Bulk,
     Esp32,
     Deepcraft,
 }
 
 impl Protocol {
-    pub const ALL: [Protocol; 4] = [Protocol::Mcu7V4, Protocol::Mcu7V3, Protocol::Esp32, Protocol::Deepcraft];
+    pub const ALL: [Protocol; 5] =
+        [Protocol::Mcu7V4, Protocol::Mcu7V3, Protocol::Mcu7Bulk, Protocol::Esp32, Protocol::Deepcraft];
 
     pub fn name(self) -> &'static str {
         match self {
             Protocol::Mcu7V4 => "mcu7-4",
             Protocol::Mcu7V3 => "mcu7-3",
+            Protocol::Mcu7Bulk => "mcu7-bulk",
             Protocol::Esp32 => "esp32",
             Protocol::Deepcraft => "deepcraft",
         }
@@ -53,6 +56,7 @@ impl Protocol {
         match self {
             Protocol::Mcu7V4 => Board::Mcu7V4,
             Protocol::Mcu7V3 => Board::Mcu7V3,
+            Protocol::Mcu7Bulk => Board::Mcu7Bulk,
             Protocol::Esp32 => Board::Esp32,
             Protocol::Deepcraft => Board::Deepcraft,
         }
@@ -69,9 +73,14 @@ impl Protocol {
         self != Protocol::Deepcraft || (codes.is_multiple_of(2) && codes >= 256)
     }
 
+    fn slice(self, waveform: &Waveform) -> SliceLayout {
+        let framing = if self == Protocol::Mcu7Bulk { Framing::Bulk } else { Framing::Serial };
+        SliceLayout::for_frame_as(waveform.shape().codes(), framing)
+    }
+
     /// Bytes that its messages have at least.
     fn shortest_message(self, waveform: &Waveform) -> u64 {
-        let slice = SliceLayout::for_frame(waveform.shape().codes());
+        let slice = self.slice(waveform);
         match self {
             Protocol::Esp32 => 3 * waveform.shape().codes() as u64,
             Protocol::Deepcraft => 2 * waveform.shape().codes() as u64,
@@ -82,7 +91,7 @@ impl Protocol {
     /// Messages of one frame, as a fraction.
     fn messages(self, waveform: &Waveform) -> f64 {
         let codes = waveform.shape().codes();
-        let slice = SliceLayout::for_frame(codes);
+        let slice = self.slice(waveform);
         match self {
             Protocol::Esp32 => 1.0,
             // Its chunks hold the frames that a read of the FIFO completes.

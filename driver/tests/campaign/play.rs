@@ -84,7 +84,7 @@ impl Client {
                 let stream = DeepcraftBoard::open(board.path())?.start(&job.waveform)?;
                 Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
             }
-            _ => Client::Board(Box::new(Board::open(board.path())?.start(&job.waveform)?.with_reconnect(POLICY))),
+            _ => Client::Board(Box::new(Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY))),
         })
     }
 
