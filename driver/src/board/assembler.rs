@@ -184,6 +184,10 @@ impl Assembler {
         }
         let ahead = packet.counter.wrapping_sub(self.next_packet as u16);
         if ahead >= 0x8000 {
+            // From before the start, where nothing was: the counter has been set back.
+            if u64::from(ahead.wrapping_neg()) > self.next_packet {
+                return Outcome::Misaligned;
+            }
             tracing::debug!(counter = packet.counter, "a packet came twice");
             self.duplicates += 1;
             // Or the counter was set back, and this was another.

@@ -230,7 +230,10 @@ impl<'a> Check<'a> {
                     if gap.reason == GapReason::Disconnected {
                         // A machine that is busy for a second makes a board that is well look stalled.
                         let was_silent = self.last_event.elapsed() > Duration::from_secs(1);
+                        // One flag makes of a bulk packet the report that the board has given up.
+                        let may_report = self.job.protocol == Protocol::Mcu7Bulk && self.job.kind == Kind::Flip;
                         let is_known = self.job.protocol == Protocol::Deepcraft
+                            || may_report
                             || self.job.kind.interrupts()
                             || self.may_be_renumbered()
                             || was_silent;

@@ -11,7 +11,8 @@
 //! Data packets come on bulk endpoint [`DATA_ENDPOINT`], each a transfer of its own: the six-byte header, then the payload,
 //! no CRC. USB itself checks every packet on the cable and repeats it where it must, so what a CRC would add is a check of the
 //! software at both ends. Without it these go unseen: bits that turn in the board's memory or the host's, and a payload
-//! that was replaced by another of its length. These are seen: a header that is none, a length that is not what came, packets
+//! that was replaced by another of its length. A flag that turns may make a data packet the report that the board has given
+//! up; it is then opened again. These are seen: a header that is none, a length that is not what came, packets
 //! that are lost, doubled or out of order (by their counter), and packets that are not as long as the slice has them.
 
 use super::{BoardEvent, Framing, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Status};
