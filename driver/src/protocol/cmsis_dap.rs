@@ -30,7 +30,8 @@ pub enum Info {
 }
 
 impl Info {
-    const ALL: [Info; 6] = [
+    /// All of them.
+    pub const ALL: [Info; 6] = [
         Info::Vendor,
         Info::Product,
         Info::SerialNumber,

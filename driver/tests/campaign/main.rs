@@ -51,7 +51,7 @@ fn setting(name: &str, default: u64) -> u64 {
 fn the_campaign() {
     let (seed, faults) = (setting("RADOME_SEED", 1), setting("RADOME_FAULTS", 12_000));
     // They sleep more than they work.
-    let report = campaign(seed, faults, 48);
+    let report = campaign(seed, faults, 16);
     println!("{}", report.table());
     if let Some(path) = std::env::var_os("RADOME_REPORT") {
         std::fs::write(&path, format!("{:#}\n", report.json(seed))).expect("writes");

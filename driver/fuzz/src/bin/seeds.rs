@@ -81,6 +81,17 @@ fn strata_board() -> Seeds {
     seeds
 }
 
+fn usb() -> Seeds {
+    use radome_driver::protocol::cmsis_dap::{Answer, Command, Info};
+    use radome_driver::protocol::strata::{Framing, Packet, PacketFlags};
+    let mut stream = Vec::new();
+    for counter in 0..4u16 {
+        let flags = PacketFlags { first: true, last: true, timestamp: true, error: counter == 3 };
+        Packet { flags, channel: 0, counter, payload: &[counter as u8; 300] }.encode_as(Framing::Bulk, &mut stream);
+    }
+    vec![stream, Command::Info(Info::Vendor).encode(), Answer::Info(b"KitProg3\0").encode(), vec![0x43, 0x81, 0, 0]]
+}
+
 fn deepcraft() -> Seeds {
     use radome_driver::protocol::deepcraft::{
         CapabilitiesRequest, ChunkLayout, Command, Custom, Request, StartRequest, StopRequest,
@@ -209,7 +220,8 @@ fn sdk_text() -> Seeds {
 
 fn main() {
     let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
-    let all: [(&str, Seeds); 10] = [
+    let all: [(&str, Seeds); 11] = [
+        ("usb", usb()),
         ("deepcraft", deepcraft()),
         ("strata_board", strata_board()),
         ("strata_host", strata_host()),
