@@ -195,6 +195,9 @@ impl Dataset {
     }
 }
 
+/// Bytes that an npy header of version 1 has at most.
+const LONGEST_HEADER: u64 = 10 + 65_535;
+
 /// Checks type, shape and length of a shard; returns where its data begin.
 fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
     let inconsistent =
@@ -202,6 +205,17 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
     let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
     let mut reader = BufReader::new(file);
+    // The time that its parser takes doubles with each bracket within brackets: an array of numbers has one dictionary and
+    // one tuple.
+    let mut start = vec![0; length.min(LONGEST_HEADER) as usize];
+    reader.read_exact(&mut start).map_err(DatasetError::io(path, "reading the npy header"))?;
+    let header_length = start.get(8..10).map_or(0, |l| usize::from(l[0]) | usize::from(l[1]) << 8);
+    let text = start.get(10..(10 + header_length).min(start.len())).unwrap_or(&[]);
+    let count = |bracket: u8| text.iter().filter(|byte| **byte == bracket).count();
+    if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
+        return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
+    }
+    reader.rewind().map_err(DatasetError::io(path, "reading"))?;
     let header = npyz::NpyHeader::from_reader(&mut reader).map_err(DatasetError::io(path, "reading the npy header"))?;
     let want = [maps, shape.rx, shape.doppler, shape.range].map(|n| n as u64);
     if header.dtype().descr() != "'<f4'" || header.order() != npyz::Order::C || header.shape() != want {
