@@ -23,6 +23,7 @@ pub mod simulator;
 pub mod slow_time;
 pub mod stage;
 pub mod synthesis;
+pub mod trace;
 
 pub use receiver::Receiver;
 pub use scene::{Scene, SceneError, load_receiver};

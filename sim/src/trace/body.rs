@@ -1,0 +1,398 @@
+//! One mesh in an acceleration structure.
+
+use glam::{DVec3, UVec2, Vec3A};
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
+use obvhs::cwbvh::{CwBvh, node::CwBvhNode};
+use obvhs::ploc::PlocBuilder;
+use obvhs::triangle::Triangle;
+use obvhs::{BvhBuildParams, splits};
+use thiserror::Error;
+
+use super::ray::{Crossings, Probe};
+use super::triangle::{Corners, Meeting, Shear};
+use crate::geometry::Mesh;
+
+/// Coordinates beyond this are refused, m: f32 would not tell a wavelength there.
+pub const FARTHEST_M: f64 = 10_000.0;
+/// Boxes are traversed from this far behind a ray's origin, m: obvhs passes over boxes that end within 0.1 mm of it.
+const BACK_M: f32 = 2e-4;
+/// Levels of a structure that traversal has room for.
+const DEEPEST: usize = 30;
+const NONE: u32 = u32::MAX;
+
+/// A mesh that rays cannot be traced against.
+#[derive(Debug, Error, PartialEq)]
+pub enum BodyError {
+    /// A triangle names a vertex that does not exist.
+    #[error(
+        "triangle {triangle} names vertex {vertex}, but there are {vertices}\n\nhint: the mesh's indices are damaged; export it again"
+    )]
+    NoSuchVertex {
+        /// The triangle.
+        triangle: usize,
+        /// The vertex it names.
+        vertex: u32,
+        /// Vertices of the mesh.
+        vertices: usize,
+    },
+    /// A vertex is not a place.
+    #[error(
+        "vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m\n\nhint: check the mesh's unit"
+    )]
+    NoPlace {
+        /// The vertex.
+        vertex: usize,
+        /// Where it is, m.
+        position: DVec3,
+    },
+    /// Not the mesh that the structure was built for.
+    #[error(
+        "a structure over {expected} vertices was given {given}\n\nhint: a refit moves vertices; build again for another mesh"
+    )]
+    OtherMesh {
+        /// Vertices at the build.
+        expected: usize,
+        /// Vertices given.
+        given: usize,
+    },
+    /// More coplanar groups or fewer than triangles.
+    #[error("{given} coplanar groups for {expected} triangles, expected one a triangle")]
+    Groups {
+        /// Triangles of the mesh.
+        expected: usize,
+        /// Groups given.
+        given: usize,
+    },
+    /// The structure has more levels than can be traversed.
+    #[error(
+        "the structure over {triangles} triangles is {depth} levels deep, at most {DEEPEST} can be traversed\n\nhint: triangles' sizes differ by too many powers of two; simplify the mesh"
+    )]
+    TooDeep {
+        /// Triangles of the mesh.
+        triangles: usize,
+        /// Levels.
+        depth: usize,
+    },
+}
+
+/// How much time a structure is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Build {
+    /// Built once and never moved: large triangles are split among boxes, all nodes are placed again.
+    Static,
+    /// Refitted as its vertices move.
+    Moving,
+}
+
+/// One mesh in an acceleration structure.
+#[derive(Debug, Clone)]
+pub struct Body {
+    mesh: Mesh,
+    groups: Vec<u32>,
+    tree: CwBvh,
+    build: Build,
+    /// Corners and group of each of the tree's primitives, in its order.
+    corners: Vec<Corners>,
+    leaf_groups: Vec<u32>,
+    bounds: Aabb,
+    pad: f32,
+}
+
+/// The nearest meeting so far.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Nearest {
+    pub meeting: Meeting,
+    pub triangle: u32,
+}
+
+impl Body {
+    /// A structure over a mesh each of whose triangles is a surface of its own.
+    pub fn new(mesh: Mesh, build: Build) -> Result<Self, BodyError> {
+        let groups = (0..mesh.triangles.len() as u32).collect();
+        Self::with_groups(mesh, groups, build)
+    }
+
+    /// A structure over a mesh with one coplanar group a triangle ([`crate::geometry`] finds them).
+    pub fn with_groups(mesh: Mesh, groups: Vec<u32>, build: Build) -> Result<Self, BodyError> {
+        if groups.len() != mesh.triangles.len() {
+            return Err(BodyError::Groups { expected: mesh.triangles.len(), given: groups.len() });
+        }
+        check_places(&mesh.vertices)?;
+        let vertices = mesh.vertices.len();
+        for (triangle, corners) in mesh.triangles.iter().enumerate() {
+            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
+                return Err(BodyError::NoSuchVertex { triangle, vertex, vertices });
+            }
+        }
+        let pad = pad_m(&mesh.vertices);
+        let tree = build_tree(&mesh, pad, build);
+        let depth = depth(&tree);
+        if depth > DEEPEST {
+            return Err(BodyError::TooDeep { triangles: mesh.triangles.len(), depth });
+        }
+        let group = |&t: &u32| groups.get(t as usize).copied().unwrap_or(NONE);
+        let leaf_groups = tree.primitive_indices.iter().map(group).collect();
+        let corners = vec![Corners::default(); tree.primitive_indices.len()];
+        let mut body = Body { mesh, groups, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, pad };
+        body.load_corners();
+        body.bounds = body.corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, body.pad)));
+        Ok(body)
+    }
+
+    /// The mesh.
+    pub fn mesh(&self) -> &Mesh {
+        &self.mesh
+    }
+
+    /// Coplanar group of a triangle.
+    pub fn group(&self, triangle: u32) -> Option<u32> {
+        self.groups.get(triangle as usize).copied()
+    }
+
+    /// Moves the vertices and fits the boxes to them again. A structure built as [`Build::Static`] is built again, since its
+    /// boxes hold parts of triangles.
+    pub fn refit(&mut self, vertices: &[DVec3]) -> Result<(), BodyError> {
+        if vertices.len() != self.mesh.vertices.len() {
+            return Err(BodyError::OtherMesh { expected: self.mesh.vertices.len(), given: vertices.len() });
+        }
+        check_places(vertices)?;
+        self.mesh.vertices.copy_from_slice(vertices);
+        if self.build == Build::Static {
+            let (mesh, groups) = (std::mem::take(&mut self.mesh), std::mem::take(&mut self.groups));
+            *self = Self::with_groups(mesh, groups, self.build)?;
+            return Ok(());
+        }
+        self.pad = pad_m(vertices);
+        self.load_corners();
+        self.bounds = refit_tree(&mut self.tree, &self.corners, self.pad);
+        Ok(())
+    }
+
+    fn load_corners(&mut self) {
+        for (corners, &triangle) in self.corners.iter_mut().zip(&self.tree.primitive_indices) {
+            if let Some([a, b, c]) = self.mesh.corners(triangle as usize) {
+                let lanes = |axis: usize| Vec3A::new(a[axis] as f32, b[axis] as f32, c[axis] as f32);
+                *corners = [lanes(0), lanes(1), lanes(2)];
+            }
+        }
+    }
+
+    /// The box around the body: its least and greatest corner, m.
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        (self.bounds.min.as_dvec3(), self.bounds.max.as_dvec3())
+    }
+
+    /// Visits all triangles whose boxes a ray goes through up to `farthest`, which the visitor may lower by what it returns;
+    /// a negative number ends the visit.
+    #[inline(always)]
+    pub(super) fn visit(&self, probe: &Probe, mut farthest: f32, mut visitor: impl FnMut(usize, f32) -> f32) {
+        let origin = probe.origin - probe.direction * BACK_M;
+        let mut ray = obvhs::ray::Ray::new(origin, probe.direction, 0.0, farthest + BACK_M);
+        if self.tree.nodes.is_empty() || self.bounds.intersect_ray(&ray) > ray.tmax {
+            return;
+        }
+        let mut state = self.tree.new_traversal(probe.direction);
+        let mut node: &CwBvhNode;
+        'all: {
+            obvhs::traverse!(self.tree, node, state, node.intersect_ray(&ray, state.oct_inv4), {
+                farthest = visitor(state.primitive_id as usize, farthest);
+                if farthest < 0.0 {
+                    break 'all;
+                }
+                ray.tmax = farthest + BACK_M;
+            });
+        }
+    }
+
+    /// The nearest triangle up to `farthest`; of several at the same distance the one with the lowest index.
+    #[inline(always)]
+    pub(super) fn nearest(&self, probe: &Probe, shear: &Shear, farthest: f32, except: [u32; 2]) -> Option<Nearest> {
+        let mut nearest: Option<Nearest> = None;
+        self.visit(probe, farthest, |leaf, farthest| {
+            let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) else { return farthest };
+            if self.leaf_groups.get(leaf).is_some_and(|group| except.contains(group)) {
+                return farthest;
+            }
+            let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
+            if nearest.is_none_or(|n| meeting.distance < n.meeting.distance || triangle < n.triangle) {
+                nearest = Some(Nearest { meeting, triangle });
+            }
+            meeting.distance
+        });
+        nearest
+    }
+
+    /// Whether anything is met up to `farthest`.
+    #[inline(always)]
+    pub(super) fn any(&self, probe: &Probe, shear: &Shear, farthest: f32, except: [u32; 2]) -> bool {
+        let mut any = false;
+        self.visit(probe, farthest, |leaf, farthest| {
+            let met = self.corners.get(leaf).is_some_and(|c| shear.meet(c, farthest).is_some());
+            any = met && !self.leaf_groups.get(leaf).is_some_and(|group| except.contains(group));
+            if any { -1.0 } else { farthest }
+        });
+        any
+    }
+
+    /// All meetings, each triangle once, by distance and then triangle.
+    pub(super) fn all(&self, probe: &Probe, shear: &Shear, farthest: f32) -> Vec<Nearest> {
+        let mut all = Vec::new();
+        self.visit(probe, farthest, |leaf, farthest| {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) {
+                let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
+                all.push(Nearest { meeting, triangle });
+            }
+            farthest
+        });
+        all.sort_by(|a, b| a.meeting.distance.total_cmp(&b.meeting.distance).then(a.triangle.cmp(&b.triangle)));
+        // A structure with split boxes holds a triangle several times.
+        all.dedup_by_key(|n| n.triangle);
+        all
+    }
+
+    /// How often a line goes in and out.
+    #[inline(always)]
+    pub(super) fn crossings(&self, probe: &Probe, shear: &Shear, farthest: f32) -> Crossings {
+        let mut crossings = Crossings::default();
+        if self.build == Build::Static {
+            for n in self.all(probe, shear, farthest) {
+                count(&mut crossings, &n.meeting);
+            }
+            return crossings;
+        }
+        self.visit(probe, farthest, |leaf, farthest| {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) {
+                count(&mut crossings, &meeting);
+            }
+            farthest
+        });
+        crossings
+    }
+}
+
+fn count(crossings: &mut Crossings, meeting: &Meeting) {
+    if meeting.weights.element_sum() > 0.0 {
+        crossings.entered += 1;
+    } else {
+        crossings.left += 1;
+    }
+}
+
+fn check_places(vertices: &[DVec3]) -> Result<(), BodyError> {
+    // Written so that NaN is refused.
+    match vertices.iter().position(|v| !(v.abs().max_element() <= FARTHEST_M && v.is_finite())) {
+        Some(vertex) => Err(BodyError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),
+        None => Ok(()),
+    }
+}
+
+/// What boxes are enlarged by, m: several times what f32 loses of coordinates of this size in the ray-box test.
+fn pad_m(vertices: &[DVec3]) -> f32 {
+    let largest = vertices.iter().fold(0.0, |l: f64, v| l.max(v.abs().max_element()));
+    (1e-6 * (2.0 + largest)) as f32
+}
+
+fn bounds(corners: &Corners, pad: f32) -> Aabb {
+    let least = Vec3A::from_array(corners.map(|c| c.min_element()));
+    let greatest = Vec3A::from_array(corners.map(|c| c.max_element()));
+    Aabb::new(least - pad, greatest + pad)
+}
+
+fn build_tree(mesh: &Mesh, pad: f32, build: Build) -> CwBvh {
+    let triangles: Vec<Triangle> = (0..mesh.triangles.len())
+        .filter_map(|t| mesh.corners(t))
+        .map(|[a, b, c]| Triangle { v0: a.as_vec3a(), v1: b.as_vec3a(), v2: c.as_vec3a() })
+        .collect();
+    let mut boxes: Vec<Aabb> = triangles.iter().map(obvhs::Boundable::aabb).collect();
+    let mut indices: Vec<u32> = (0..triangles.len() as u32).collect();
+    let parameters = match build {
+        Build::Static => BvhBuildParams::very_slow_build(),
+        Build::Moving => BvhBuildParams::medium_build(),
+    };
+    if build == Build::Static {
+        let half_area = |b: &Aabb| b.half_area();
+        let mean = boxes.iter().map(half_area).sum::<f32>() / boxes.len().max(1) as f32;
+        let largest = boxes.iter().map(half_area).fold(0.0, f32::max);
+        splits::split_aabbs_preset(&mut boxes, &mut indices, &triangles, mean, largest);
+    }
+    for b in &mut boxes {
+        *b = Aabb::new(b.min - pad, b.max + pad);
+    }
+    let mut tree = PlocBuilder::with_capacity(boxes.len()).build(
+        parameters.ploc_search_distance,
+        &boxes,
+        indices,
+        parameters.sort_precision,
+        parameters.search_depth_threshold,
+    );
+    tree.uses_spatial_splits = build == Build::Static;
+    ReinsertionOptimizer::default().run(&mut tree, parameters.reinsertion_batch_ratio, None);
+    bvh2_to_cwbvh(&tree, 3, true, false)
+}
+
+/// Levels of a structure. Children come after their parents.
+fn depth(tree: &CwBvh) -> usize {
+    let mut depths = vec![0usize; tree.nodes.len()];
+    let mut deepest = 0;
+    for (index, node) in tree.nodes.iter().enumerate() {
+        let depth = depths.get(index).copied().unwrap_or(0) + 1;
+        deepest = deepest.max(depth);
+        for child in (0..8).filter(|&c| !node.is_child_empty(c) && !node.is_leaf(c)) {
+            if let Some(slot) = depths.get_mut(node.child_node_index(child) as usize) {
+                *slot = depth;
+            }
+        }
+    }
+    deepest
+}
+
+/// Fits all boxes to moved corners, children before parents; the shape of the tree stays. Returns the box around all.
+fn refit_tree(tree: &mut CwBvh, corners: &[Corners], pad: f32) -> Aabb {
+    let mut boxes = vec![Aabb::INVALID; tree.nodes.len()];
+    for index in (0..tree.nodes.len()).rev() {
+        let Some(node) = tree.nodes.get_mut(index) else { continue };
+        let mut children = [Aabb::INVALID; 8];
+        let mut whole = Aabb::INVALID;
+        for (child, around) in children.iter_mut().enumerate().filter(|&(c, _)| !node.is_child_empty(c)) {
+            if node.is_leaf(child) {
+                let (first, count) = node.child_primitives(child);
+                for c in corners.iter().skip(first as usize).take(count as usize) {
+                    *around = around.union(&bounds(c, pad));
+                }
+            } else if let Some(inner) = boxes.get(node.child_node_index(child) as usize) {
+                *around = *inner;
+            }
+            whole = whole.union(around);
+        }
+        quantise(node, &whole, &children);
+        if let Some(slot) = boxes.get_mut(index) {
+            *slot = whole;
+        }
+    }
+    boxes.first().copied().unwrap_or(Aabb::INVALID)
+}
+
+/// Writes children's boxes into a node: eight bits a plane over a grid of a power of two, rounded outwards (Ylitie, Karras
+/// and Laine, "Efficient incoherent ray traversal on GPUs through compressed wide BVHs", HPG 2017).
+fn quantise(node: &mut CwBvhNode, whole: &Aabb, children: &[Aabb; 8]) {
+    node.p = whole.min.into();
+    for axis in 0..3 {
+        let (low, extent) = (whole.min[axis], whole.max[axis] - whole.min[axis]);
+        let step = (extent.max(1e-20) / 255.0).log2().ceil().exp2();
+        if let Some(e) = node.e.get_mut(axis) {
+            *e = (step.to_bits() >> 23) as u8;
+        }
+        let (least, greatest) = match axis {
+            0 => (&mut node.child_min_x, &mut node.child_max_x),
+            1 => (&mut node.child_min_y, &mut node.child_max_y),
+            _ => (&mut node.child_min_z, &mut node.child_max_z),
+        };
+        for ((around, least), greatest) in children.iter().zip(least).zip(greatest) {
+            // A conversion to u8 saturates; an empty child's box is inside out and stays unused.
+            *least = ((around.min[axis] - low) / step).floor() as u8;
+            *greatest = ((around.max[axis] - low) / step).ceil() as u8;
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! What is asked and what is answered.
+
+use glam::{DVec3, Vec3A};
+
+/// A surface as rays know it: a coplanar group of one body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Surface {
+    /// Index of the body.
+    pub body: u32,
+    /// Coplanar group of its triangles ([`crate::trace::Body::group`]).
+    pub group: u32,
+}
+
+/// A straight way through the world.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Where it begins, m.
+    pub origin: DVec3,
+    /// Where it goes; a unit vector.
+    pub direction: DVec3,
+    /// Nothing farther than this is met, m.
+    pub length_m: f64,
+    /// The surfaces on which it begins and ends; they are not met. A ray is never moved off its surface: 10 um would be
+    /// 0.025 rad at 60 GHz.
+    pub except: [Option<Surface>; 2],
+}
+
+/// What a ray meets.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Index of the body.
+    pub body: u32,
+    /// Index of the triangle in the body's mesh.
+    pub triangle: u32,
+    /// Distance along the ray as f32 found it, m. Good enough to order surfaces; see [`crate::trace::World::exact`].
+    pub distance_m: f64,
+    /// Weights of the triangle's three corners.
+    pub barycentric: [f32; 3],
+    /// The triangle faces the ray: it is met from outside.
+    pub front: bool,
+}
+
+/// How often a ray goes into and out of a body.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Crossings {
+    /// Triangles met from outside.
+    pub entered: u32,
+    /// Triangles met from inside.
+    pub left: u32,
+}
+
+impl Ray {
+    /// From a point towards a direction of any length but zero, without end.
+    pub fn new(origin: DVec3, towards: DVec3) -> Self {
+        Ray { origin, direction: towards.normalize_or_zero(), length_m: f64::INFINITY, except: [None; 2] }
+    }
+
+    /// From one point to another.
+    pub fn between(from: DVec3, to: DVec3) -> Self {
+        Ray { length_m: from.distance(to), ..Ray::new(from, to - from) }
+    }
+
+    /// The same ray, beginning on a surface.
+    pub fn leaving(mut self, surface: Surface) -> Self {
+        self.except[0] = Some(surface);
+        self
+    }
+
+    /// The same ray, ending on a surface.
+    pub fn reaching(mut self, surface: Surface) -> Self {
+        self.except[1] = Some(surface);
+        self
+    }
+
+    /// Point at a distance.
+    pub fn at(&self, distance_m: f64) -> DVec3 {
+        self.origin + self.direction * distance_m
+    }
+
+    /// The shortest distance at which something is met, m: what f32 cannot tell from the origin.
+    pub fn nearest_m(&self) -> f64 {
+        4e-6 * (1.0 + self.origin.abs().max_element())
+    }
+}
+
+/// A ray in the precision of traversal.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Probe {
+    pub origin: Vec3A,
+    pub direction: Vec3A,
+    pub nearest: f32,
+    pub farthest: f32,
+}

@@ -1,0 +1,154 @@
+//! A ray and a triangle: the watertight test.
+
+use glam::Vec3A;
+use glam::swizzles::Vec3Swizzles;
+
+use super::ray::Probe;
+
+/// Corners by coordinate: `[x, y, z]`, each holding that coordinate of the three corners.
+pub(super) type Corners = [Vec3A; 3];
+
+/// Where a ray meets a triangle.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Meeting {
+    pub distance: f32,
+    /// Weights of the corners, not yet divided by their sum; negative when the triangle is met from behind.
+    pub weights: Vec3A,
+}
+
+/// The coordinates in which a ray runs along z through the origin: permuted so that z is its longest component, then sheared.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shear {
+    axes: [usize; 3],
+    origin: [Vec3A; 3],
+    shear_x: Vec3A,
+    shear_y: Vec3A,
+    scale_z: f32,
+    nearest: f32,
+}
+
+impl Shear {
+    #[inline(always)]
+    pub fn new(probe: &Probe) -> Self {
+        let d = probe.direction.to_array();
+        let size = probe.direction.abs();
+        let kz = if size.x > size.y && size.x > size.z {
+            0
+        } else if size.y > size.z {
+            1
+        } else {
+            2
+        };
+        let (next, after) = ([1, 2, 0][kz], [2, 0, 1][kz]);
+        // Winding is kept.
+        let (kx, ky) = if d[kz] < 0.0 { (after, next) } else { (next, after) };
+        let o = probe.origin.to_array();
+        Shear {
+            axes: [kx, ky, kz],
+            origin: [Vec3A::splat(o[kx]), Vec3A::splat(o[ky]), Vec3A::splat(o[kz])],
+            shear_x: Vec3A::splat(d[kx] / d[kz]),
+            shear_y: Vec3A::splat(d[ky] / d[kz]),
+            scale_z: 1.0 / d[kz],
+            nearest: probe.nearest,
+        }
+    }
+
+    /// Corners as the ray sees them: across (x, y) and along (z). The same corner gives the same numbers in every triangle.
+    #[inline(always)]
+    pub fn see(&self, corners: &Corners) -> [Vec3A; 3] {
+        let [kx, ky, kz] = self.axes;
+        let z = corners[kz] - self.origin[2];
+        let x = (corners[kx] - self.origin[0]) - self.shear_x * z;
+        let y = (corners[ky] - self.origin[1]) - self.shear_y * z;
+        [x, y, z]
+    }
+
+    /// Where the triangle is met, not nearer than the ray's nearest distance and at most at `farthest`.
+    #[inline(always)]
+    pub fn meet(&self, corners: &Corners, farthest: f32) -> Option<Meeting> {
+        let [x, y, z] = self.see(corners);
+        // Of the edge opposite each corner, from P to Q: Qx Py - Qy Px, which the edge's other triangle finds negated.
+        let mut weights = x.zxy() * y.yzx() - y.zxy() * x.yzx();
+        let positive = weights.cmpgt(Vec3A::ZERO).bitmask();
+        let negative = weights.cmplt(Vec3A::ZERO).bitmask();
+        if positive != 7 && negative != 7 {
+            if positive != 0 && negative != 0 {
+                return None;
+            }
+            weights = decide(x, y)?;
+        }
+        let sum = weights.x + weights.y + weights.z;
+        let distance = weights.dot(z) * self.scale_z / sum;
+        // Written so that NaN is a miss.
+        (distance >= self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
+    }
+}
+
+/// The weights where f32 found none of them to differ in sign and some to be zero. Products of two f32 are exact in f64 and
+/// their difference has the right sign. Where that is zero too, the ray meets the edge itself and is taken to pass it at
+/// (h, h^2), h infinitesimal: `h (Qy - Py) + h^2 (Px - Qx)` changes sign with the edge's direction.
+#[cold]
+fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
+    let (x, y) = (x.as_dvec3(), y.as_dvec3());
+    let exact = x.zxy() * y.yzx() - y.zxy() * x.yzx();
+    let mut positive = 0;
+    for (lane, (q, p)) in [(2, 1), (0, 2), (1, 0)].into_iter().enumerate() {
+        let sign = [exact[lane], y[q] - y[p], x[p] - x[q]].into_iter().find(|&s| s != 0.0)?;
+        positive += u32::from(sign > 0.0);
+    }
+    if positive != 0 && positive != 3 {
+        return None;
+    }
+    // Scaled, as they may be too small for f32. Seen on edge there is no area to weigh the corners with.
+    let largest = exact.abs().max_element();
+    (largest > 0.0).then(|| (exact / largest).as_vec3a())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn probe(origin: Vec3A, direction: Vec3A) -> Probe {
+        Probe { origin, direction: direction.normalize(), nearest: 0.0, farthest: f32::INFINITY }
+    }
+
+    fn corners(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Corners {
+        std::array::from_fn(|axis| Vec3A::new(a[axis], b[axis], c[axis]))
+    }
+
+    #[test]
+    fn a_triangle_is_met_where_it_is_from_the_side_it_faces() {
+        let triangle = corners([0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]);
+        let up = Shear::new(&probe(Vec3A::new(0.25, 0.25, 0.0), Vec3A::Z));
+        let met = up.meet(&triangle, 9.0).expect("it is above");
+        assert_eq!(met.distance, 2.0);
+        assert!(met.weights.x > 0.0, "normal is -z, the ray sees its front");
+        let w = met.weights / met.weights.element_sum();
+        assert_eq!(w.to_array(), [0.5, 0.25, 0.25]);
+        assert_eq!(up.meet(&triangle, 1.9), None);
+        let down = Shear::new(&probe(Vec3A::new(0.25, 0.25, 5.0), -Vec3A::Z));
+        assert!(down.meet(&triangle, 9.0).expect("it is below").weights.x < 0.0);
+    }
+
+    /// A fan around a vertex, met exactly at the vertex, on each of its edges and beside them: always by one triangle.
+    #[test]
+    fn a_fan_is_met_once_at_its_hub_and_along_its_spokes() {
+        for axis in [Vec3A::X, Vec3A::Y, Vec3A::Z, Vec3A::new(1.0, 1.0, 1.0), Vec3A::new(-3.0, 2.0, 0.5)] {
+            let (u, v) = axis.normalize().any_orthonormal_pair();
+            for spokes in 3..12 {
+                let rim = |i: usize| {
+                    let angle = i as f32 / spokes as f32 * std::f32::consts::TAU;
+                    (u * angle.cos() + v * angle.sin()).to_array()
+                };
+                let aims = (0..spokes).map(|i| Vec3A::from(rim(i)) * 0.5).chain([Vec3A::ZERO]);
+                for aim in aims {
+                    let shear = Shear::new(&probe(aim - axis * 4.0, axis));
+                    let met = (0..spokes)
+                        .filter(|&i| shear.meet(&corners([0.0; 3], rim(i), rim((i + 1) % spokes)), 1e9).is_some())
+                        .count();
+                    assert_eq!(met, 1, "{spokes} spokes, axis {axis}, aim {aim}");
+                }
+            }
+        }
+    }
+}
