@@ -1,0 +1,364 @@
+//! A person as one closed skin: a smooth surface around bones and flesh, made once in a pose with limbs apart, whose vertices
+//! then follow the thirteen ellipsoids of [`super::body`].
+//!
+//! A vertex is a weighted mean of points, each of which moves with one ellipsoid as its own surface does
+//! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`): it takes part in gait, twist and breath alike. Its velocity is the same sum
+//! over the ellipsoids' rates, which come from the pose in f64 and never from differences of vertices.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+
+use super::body::{Build, CHEST, PELVIS, Posture, SEGMENTS};
+use super::motion::Motion;
+use crate::field::highlight::Ellipsoid;
+use crate::geometry::{Mesh, isosurface};
+
+/// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
+pub const EDGE_M: f64 = 0.020;
+/// Parts blend into each other over about this, m.
+const BLEND_M: f64 = 0.014;
+/// A segment moves skin up to this far from its own surface, m.
+const REACH_M: f64 = 0.085;
+/// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
+const ARM_APART_RAD: f64 = 0.5;
+const LEG_APART_RAD: f64 = 0.10;
+/// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
+const RATE_STEP_S: f64 = 5e-4;
+
+/// Flesh: where it is and which segment moves it.
+#[derive(Debug, Clone, Copy)]
+enum Part {
+    Ellipsoid(usize, Ellipsoid),
+    /// From one ball to another.
+    Cone(usize, [DVec3; 2], [f64; 2]),
+}
+
+impl Part {
+    fn segment(&self) -> usize {
+        match *self {
+            Part::Ellipsoid(segment, _) | Part::Cone(segment, ..) => segment,
+        }
+    }
+
+    /// About the distance to the surface, m; negative inside.
+    fn distance_m(&self, p: DVec3) -> f64 {
+        match self {
+            Part::Ellipsoid(_, e) => {
+                let local = e.axes.transpose() * (p - e.centre);
+                let unit = (local / e.semi_axes_m).length();
+                let slope = (local / (e.semi_axes_m * e.semi_axes_m)).length();
+                if slope > 1e-9 { unit * (unit - 1.0) / slope } else { -e.semi_axes_m.min_element() }
+            }
+            Part::Cone(_, [a, b], [ra, rb]) => {
+                let axis = *b - *a;
+                let along = ((p - *a).dot(axis) / axis.length_squared()).clamp(0.0, 1.0);
+                p.distance(*a + axis * along) - (ra + (rb - ra) * along)
+            }
+        }
+    }
+}
+
+/// What moves a vertex: segments, weights that sum to one, and the point in units of each segment's semi-axes.
+#[derive(Debug, Clone, PartialEq)]
+struct Binding {
+    first: u32,
+    count: u32,
+}
+
+/// A skin that can take any posture of a build.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Skin {
+    rest: Mesh,
+    bindings: Vec<Binding>,
+    influences: Vec<(usize, f64, DVec3)>,
+}
+
+/// Vertices of a skin at one time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MovingVertices {
+    /// Positions, m.
+    pub vertices: Vec<DVec3>,
+    /// Velocities, m/s.
+    pub velocities_m_per_s: Vec<DVec3>,
+}
+
+impl Skin {
+    /// The skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
+    pub fn new(build: &Build, edge_m: f64) -> Self {
+        let segments = apart(build);
+        let parts = parts(&segments, build);
+        // Exact in order and value: a sum of exponentials, the largest taken out.
+        let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
+            let distances = parts.iter().filter(|part| of(part)).map(|part| part.distance_m(p));
+            let (mut least, mut sum) = (f64::INFINITY, 0.0);
+            for d in distances {
+                if d < least {
+                    sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
+                    least = d;
+                } else {
+                    sum += ((least - d) / BLEND_M).exp();
+                }
+            }
+            least - BLEND_M * f64::ln(sum)
+        };
+        let around = segments.iter().map(|e| (e.centre, super::program::half_extent(e)));
+        let (least, greatest) =
+            around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
+        let margin = DVec3::splat(0.06 + 2.0 * edge_m);
+        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
+
+        let mut skin = Skin { rest, bindings: Vec::new(), influences: Vec::new() };
+        for &vertex in &skin.rest.vertices {
+            let first = skin.influences.len();
+            let weight = |segment: usize| {
+                let distance = blended(vertex, &|part| part.segment() == segment).max(0.0);
+                (1.0 - distance / REACH_M).max(0.0).powi(3)
+            };
+            let total: f64 = (0..SEGMENTS).map(weight).sum();
+            for (segment, e) in segments.iter().enumerate() {
+                let weight = weight(segment) / total;
+                if weight > 0.0 {
+                    let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
+                    skin.influences.push((segment, weight, unit));
+                }
+            }
+            skin.bindings.push(Binding { first: first as u32, count: (skin.influences.len() - first) as u32 });
+        }
+        skin
+    }
+
+    /// The mesh in its rest pose, over the origin, facing +x.
+    pub fn rest(&self) -> &Mesh {
+        &self.rest
+    }
+
+    /// Vertices for the segments of a posture.
+    pub fn pose(&self, segments: &[Ellipsoid; SEGMENTS]) -> Vec<DVec3> {
+        let maps = segments.map(|e| Map::of(&e));
+        self.bindings.iter().map(|b| self.follow(b, &maps)).collect()
+    }
+
+    /// Vertices, and velocities from the segments' rates.
+    fn pose_with(&self, maps: &[Map; SEGMENTS], rates: &[Map; SEGMENTS]) -> MovingVertices {
+        MovingVertices {
+            vertices: self.bindings.iter().map(|b| self.follow(b, maps)).collect(),
+            velocities_m_per_s: self.bindings.iter().map(|b| self.follow(b, rates)).collect(),
+        }
+    }
+
+    fn follow(&self, binding: &Binding, maps: &[Map; SEGMENTS]) -> DVec3 {
+        let influences = self.influences.iter().skip(binding.first as usize).take(binding.count as usize);
+        influences.map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight).sum()
+    }
+}
+
+/// From the unit sphere to an ellipsoid; or the rate of that.
+#[derive(Debug, Clone, Copy)]
+struct Map {
+    centre: DVec3,
+    stretch: DMat3,
+}
+
+impl Map {
+    fn of(e: &Ellipsoid) -> Self {
+        Map { centre: e.centre, stretch: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
+    }
+}
+
+/// A person who walks as a mesh.
+#[derive(Debug, Clone)]
+pub struct WalkingMesh {
+    skin: Arc<Skin>,
+    motion: Arc<Motion>,
+}
+
+impl WalkingMesh {
+    /// A mesh for a motion; see [`Skin::new`] for `edge_m`.
+    pub fn new(motion: Arc<Motion>, edge_m: f64) -> Self {
+        WalkingMesh { skin: Arc::new(Skin::new(&motion.person.build, edge_m)), motion }
+    }
+
+    /// The skin.
+    pub fn skin(&self) -> &Skin {
+        &self.skin
+    }
+
+    /// The motion.
+    pub fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// Vertices and their velocities at a time, in the room.
+    pub fn at(&self, time_s: f64) -> MovingVertices {
+        let maps = |t: f64| self.motion.body(t).map(|e| Map::of(&e));
+        let h = RATE_STEP_S;
+        let [far_before, before, after, far_after] = [-2.0 * h, -h, h, 2.0 * h].map(|offset| maps(time_s + offset));
+        // The five-point rule: (f(-2h) - 8 f(-h) + 8 f(h) - f(2h)) / 12 h.
+        let rates = std::array::from_fn(|i| {
+            let (a, b, c, d) = (far_before[i], before[i], after[i], far_after[i]);
+            Map {
+                centre: (a.centre - d.centre + (c.centre - b.centre) * 8.0) / (12.0 * h),
+                stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
+            }
+        });
+        self.skin.pose_with(&maps(time_s), &rates)
+    }
+
+    /// The mesh at a time, in the room.
+    pub fn mesh_at(&self, time_s: f64) -> Mesh {
+        Mesh { vertices: self.skin.pose(&self.motion.body(time_s)), triangles: self.skin.rest.triangles.clone() }
+    }
+}
+
+/// The segments standing over the origin with limbs apart.
+fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
+    let standing = Posture {
+        position_m: [0.0; 2],
+        heading_rad: 0.0,
+        hip_height_m: build.standing_hip_height_m(),
+        lean_rad: 0.0,
+        twist_rad: 0.0,
+        shoulder_rad: [0.0; 2],
+        elbow_rad: [0.0; 2],
+        hip_rad: [0.0; 2],
+        knee_rad: [0.0; 2],
+        ankle_rad: [0.0; 2],
+        chest_m: 0.0,
+    };
+    let mut all = build.segments(&standing);
+    for side in 0..2 {
+        let sign = if side == 0 { 1.0 } else { -1.0 };
+        for (angle, chain) in [(ARM_APART_RAD, &[3, 5][..]), (LEG_APART_RAD, &[7, 9, 11][..])] {
+            let [joint, _] = joints(&all[chain[0] + side]);
+            let turn = DMat3::from_rotation_x(sign * angle);
+            for &segment in chain {
+                let e = &mut all[segment + side];
+                *e = Ellipsoid { centre: joint + turn * (e.centre - joint), axes: turn * e.axes, ..*e };
+            }
+        }
+    }
+    all
+}
+
+/// Upper and lower joint of a limb: its ellipsoid reaches beyond either by 0.3 of its thickness.
+fn joints(e: &Ellipsoid) -> [DVec3; 2] {
+    let half = e.axes * DVec3::Z * (e.semi_axes_m.z - 0.3 * e.semi_axes_m.x);
+    [e.centre + half, e.centre - half]
+}
+
+/// Ellipsoids alone touch in points: joints, neck, shoulders, hands and heels are added.
+fn parts(segments: &[Ellipsoid; SEGMENTS], build: &Build) -> Vec<Part> {
+    let mut parts: Vec<Part> = Vec::new();
+    for (index, &e) in segments.iter().enumerate() {
+        // Room for hanging arms.
+        let slim = if index == CHEST { DVec3::new(1.0, 0.88, 1.0) } else { DVec3::ONE };
+        parts.push(Part::Ellipsoid(index, Ellipsoid { semi_axes_m: e.semi_axes_m * slim, ..e }));
+    }
+    let girth = build.girth;
+    let head = segments[0].centre - segments[0].axes * DVec3::Z * 0.04;
+    let [left, right] = [joints(&segments[3])[0], joints(&segments[4])[0]];
+    let neck = 0.5 * (left + right);
+    parts.push(Part::Cone(CHEST, [neck, head], [0.062 * girth, 0.054 * girth]));
+    parts.push(Part::Cone(PELVIS, [segments[PELVIS].centre, segments[CHEST].centre], [0.100 * girth, 0.090 * girth]));
+    for (side, shoulder) in [left, right].into_iter().enumerate() {
+        parts.push(Part::Cone(CHEST, [neck.lerp(shoulder, 0.3), shoulder], [0.058 * girth, 0.046 * girth]));
+        let mut limb = |segment: usize, upper: f64, lower: f64| {
+            let ends = joints(&segments[segment + side]);
+            parts.push(Part::Cone(segment + side, ends, [upper * girth, lower * girth]));
+            ends[1]
+        };
+        limb(3, 0.046, 0.038);
+        limb(5, 0.039, 0.033);
+        limb(7, 0.078, 0.052);
+        let ankle = limb(9, 0.051, 0.038);
+        let foot = &segments[11 + side];
+        parts.push(Part::Cone(11 + side, [ankle, foot.centre], [0.040, 0.036]));
+    }
+    parts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::actor::motion::{MotionBuilder, Person};
+
+    fn walker(height_m: f64) -> WalkingMesh {
+        let person = Person::draw(1, [0, 0], height_m);
+        let motion = MotionBuilder::new(person, 0.0, [1.0, 1.0], 0.0).walk_to([9.0, 1.0], 1.2).stay();
+        WalkingMesh::new(Arc::new(motion), EDGE_M)
+    }
+
+    /// Every edge has one triangle on either side, and the surface is one piece without holes: V - E + F = 2.
+    #[test]
+    fn the_skin_is_one_closed_surface_with_the_size_of_a_person() {
+        for (identity, height_m) in [(0, 1.55), (1, 1.75), (2, 1.95)] {
+            let build = Person::draw(5, [identity, 0], height_m).build;
+            let skin = Skin::new(&build, EDGE_M);
+            let mesh = skin.rest();
+            let mut edges = std::collections::BTreeMap::new();
+            for &[a, b, c] in &mesh.triangles {
+                for edge in [(a, b), (b, c), (c, a)] {
+                    *edges.entry(edge).or_insert(0) += 1;
+                }
+            }
+            for (&(a, b), &n) in &edges {
+                let both = n == 1 && edges.get(&(b, a)) == Some(&1);
+                assert!(both, "not a closed manifold at {}", mesh.vertices[a as usize]);
+            }
+            assert_eq!(mesh.vertices.len() + mesh.triangles.len(), edges.len() / 2 + 2, "not one piece without holes");
+            let z = |v: &DVec3| v.z;
+            let (low, high) =
+                (mesh.vertices.iter().map(z).fold(9.0, f64::min), mesh.vertices.iter().map(z).fold(-9.0, f64::max));
+            assert!((high - height_m).abs() < 0.05 && low.abs() < 0.06, "from {low} to {high} m");
+            // 1010 kg/m^3 and a body mass index of 18 to 32.
+            let index = 1010.0 * mesh.volume_m3() / (height_m * height_m);
+            assert!((18.0..32.0).contains(&index), "body mass index {index}");
+        }
+    }
+
+    #[test]
+    fn triangles_are_even_and_about_fourteen_thousand() {
+        let walker = walker(1.75);
+        let mesh = walker.skin().rest();
+        assert!((12_000..16_500).contains(&mesh.triangles.len()), "{} triangles", mesh.triangles.len());
+        for time_s in [2.0, 2.3, 2.6] {
+            let mesh = walker.mesh_at(time_s);
+            let mut lengths: Vec<f64> = mesh
+                .triangles
+                .iter()
+                .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+                .map(|(a, b)| mesh.vertices[a as usize].distance(mesh.vertices[b as usize]))
+                .collect();
+            lengths.sort_by(f64::total_cmp);
+            let at = |part: f64| lengths[(part * (lengths.len() - 1) as f64) as usize];
+            assert!(at(0.02) > 0.009 && at(0.98) < 0.030, "2 % to 98 %: {} to {} m", at(0.02), at(0.98));
+        }
+    }
+
+    #[test]
+    fn velocities_are_the_rates_of_the_vertices() {
+        let walker = walker(1.75);
+        let (t, h) = (3.1, 1e-4);
+        let moving = walker.at(t);
+        let (before, after) = (walker.at(t - h).vertices, walker.at(t + h).vertices);
+        let mut fastest = 0.0f64;
+        for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
+            assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-4, "{velocity}");
+            fastest = fastest.max(velocity.length());
+        }
+        assert!((1.5..7.0).contains(&fastest), "a swinging foot goes at {fastest} m/s");
+        assert_eq!(moving.vertices, walker.mesh_at(t).vertices);
+    }
+
+    /// Flesh neither vanishes nor is made by walking: skinning at the joints costs little.
+    #[test]
+    fn volume_is_kept_while_walking() {
+        let walker = walker(1.75);
+        let standing = walker.skin().rest().volume_m3();
+        for i in 0..20 {
+            let ratio = walker.mesh_at(2.0 + 0.05 * f64::from(i)).volume_m3() / standing;
+            assert!((0.95..1.03).contains(&ratio), "{ratio} at {i}");
+        }
+    }
+}

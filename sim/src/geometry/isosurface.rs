@@ -1,0 +1,168 @@
+//! A closed mesh of where a smooth function is zero.
+//!
+//! Naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998): one vertex in every cell for each
+//! sheet of the surface in it, one quadrilateral across every edge of the grid that it crosses. Vertices are then relaxed along the surface, which
+//! makes triangles even, and put on it by Newton's step.
+
+use std::collections::BTreeMap;
+
+use glam::{DVec3, IVec3};
+
+use super::Mesh;
+
+/// Rounds of relaxation: beyond these, triangles' shapes no longer change visibly.
+const ROUNDS: usize = 8;
+/// Step of the gradient's differences as a part of the cell.
+const GRADIENT_STEP: f64 = 1e-3;
+
+/// The surface on which a function, negative inside, is zero, within a box that it does not touch; triangles face outwards and
+/// their edges are about as long as a cell. Features finer than two cells are lost or pinched.
+pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(DVec3) -> f64) -> Mesh {
+    let size = ((greatest - least) / cell_m).ceil().as_ivec3() + IVec3::ONE;
+    let place = |p: IVec3| least + p.as_dvec3() * cell_m;
+    let index = |p: IVec3| (p.x + size.x * (p.y + size.y * p.z)) as usize;
+    let grid =
+        || (0..size.z).flat_map(move |z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))));
+    let values: Vec<f64> = grid().map(|p| function(place(p))).collect();
+    let value = |p: IVec3| values.get(index(p)).copied().unwrap_or(f64::INFINITY);
+
+    let mut mesh = Mesh::default();
+    // Of every crossed edge of a cell, by (cell, edge of the cell): the vertex of the sheet that crosses it.
+    let mut vertex_of = BTreeMap::new();
+    for p in grid().filter(|p| p.cmplt(size - IVec3::ONE).all()) {
+        let corners = std::array::from_fn(|corner| value(p + offset(corner)));
+        for sheet in sheets(&corners) {
+            let crossing = |&edge: &usize| {
+                let (from, to) = ends(edge);
+                let (a, b) = (corners[from], corners[to]);
+                offset(from).as_dvec3().lerp(offset(to).as_dvec3(), a / (a - b))
+            };
+            let middle = sheet.iter().map(crossing).sum::<DVec3>() / sheet.len() as f64;
+            for edge in sheet {
+                vertex_of.insert((index(p), edge), mesh.vertices.len() as u32);
+            }
+            mesh.vertices.push(place(p) + middle * cell_m);
+        }
+    }
+    for p in grid() {
+        for axis in 0..3 {
+            let [step, u, v] = [0, 1, 2].map(|i| IVec3::AXES[(axis + i) % 3]);
+            let q = p + step;
+            if !q.cmplt(size).all() || (value(p) < 0.0) == (value(q) < 0.0) {
+                continue;
+            }
+            // Around the edge, counter-clockwise seen from its far end.
+            let around = [(1, 1), (0, 1), (0, 0), (1, 0)].map(|(i, j)| {
+                let cell = p - u * i - v * j;
+                vertex_of.get(&(index(cell), 4 * axis + (i + 2 * j) as usize)).copied()
+            });
+            let [Some(a), Some(b), Some(c), Some(d)] = around else { continue };
+            let [a, b, c, d] = if value(p) < 0.0 { [a, b, c, d] } else { [d, c, b, a] };
+            let at = |i: u32| mesh.vertices.get(i as usize).copied().unwrap_or_default();
+            // The shorter diagonal.
+            if at(a).distance_squared(at(c)) < at(b).distance_squared(at(d)) {
+                mesh.triangles.extend([[a, b, c], [a, c, d]]);
+            } else {
+                mesh.triangles.extend([[a, b, d], [b, c, d]]);
+            }
+        }
+    }
+    relax(&mut mesh, cell_m, &function);
+    mesh
+}
+
+/// A corner of a cell: bit 0 is x, 1 is y, 2 is z.
+fn offset(corner: usize) -> IVec3 {
+    IVec3::new((corner & 1) as i32, (corner >> 1 & 1) as i32, (corner >> 2 & 1) as i32)
+}
+
+/// Corners of an edge of a cell: four edges along each axis, by their place along the next axis and the one after.
+fn ends(edge: usize) -> (usize, usize) {
+    let axis = edge / 4;
+    let from = (edge & 1) << ((axis + 1) % 3) | (edge >> 1 & 1) << ((axis + 2) % 3);
+    (from, from | 1 << axis)
+}
+
+/// The edges of a cell that the surface crosses, by connected sheet. Two sheets in one cell get a vertex each, or the mesh
+/// would be pinched there (Nielson, "Dual marching cubes", IEEE Visualization 2004).
+fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
+    let inside = corners.map(|v| v < 0.0);
+    if inside.iter().all(|&i| i == inside[0]) {
+        return Vec::new();
+    }
+    let mut sheet_of: [usize; 12] = std::array::from_fn(|edge| edge);
+    let crossed: Vec<usize> = (0..12).filter(|&e| inside[ends(e).0] != inside[ends(e).1]).collect();
+    for face in 0..6 {
+        let (bit, side) = (1 << (face / 2), face % 2);
+        let on_face = |corner: usize| usize::from(corner & bit != 0) == side;
+        let edges: Vec<usize> = crossed.iter().copied().filter(|&e| on_face(ends(e).0) && on_face(ends(e).1)).collect();
+        for (i, &e) in edges.iter().enumerate() {
+            for &f in edges.iter().skip(i + 1) {
+                // Of a face that is crossed four times, those at the same inner corner belong together.
+                let shared = |c: usize| inside[c] && (c == ends(f).0 || c == ends(f).1);
+                if edges.len() == 2 || shared(ends(e).0) || shared(ends(e).1) {
+                    let (from, to) = (sheet_of[e], sheet_of[f]);
+                    sheet_of.iter_mut().filter(|s| **s == from).for_each(|s| *s = to);
+                }
+            }
+        }
+    }
+    let mut sheets: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for edge in crossed {
+        sheets.entry(sheet_of[edge]).or_default().push(edge);
+    }
+    sheets.into_values().collect()
+}
+
+/// Moves every vertex to the middle of its neighbours, along the surface, and onto it.
+fn relax(mesh: &mut Mesh, cell_m: f64, function: &impl Fn(DVec3) -> f64) {
+    let gradient = |p: DVec3| {
+        let h = cell_m * GRADIENT_STEP;
+        let slope = |axis: DVec3| (function(p + axis * h) - function(p - axis * h)) / (2.0 * h);
+        DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z))
+    };
+    for _ in 0..ROUNDS {
+        // An inner edge is seen from both its triangles, in both directions: each neighbour is counted once.
+        let mut sums = vec![(DVec3::ZERO, 0.0); mesh.vertices.len()];
+        for &[a, b, c] in &mesh.triangles {
+            for (from, to) in [(a, b), (b, c), (c, a)] {
+                let neighbour = mesh.vertices.get(to as usize).copied().unwrap_or_default();
+                if let Some((sum, count)) = sums.get_mut(from as usize) {
+                    *sum += neighbour;
+                    *count += 1.0;
+                }
+            }
+        }
+        for (vertex, (sum, count)) in mesh.vertices.iter_mut().zip(sums) {
+            let slope = gradient(*vertex);
+            let normal = slope.normalize_or_zero();
+            let step = if count > 0.0 { sum / count - *vertex } else { DVec3::ZERO };
+            *vertex += step - normal * step.dot(normal);
+            for _ in 0..2 {
+                let slope = gradient(*vertex);
+                let newton = slope * (function(*vertex) / slope.length_squared().max(1e-12));
+                *vertex -= newton.clamp_length_max(cell_m);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sphere_is_closed_faces_outwards_and_has_its_volume() {
+        let r = 0.2;
+        let mesh = isosurface(DVec3::splat(-0.25), DVec3::splat(0.25), 0.02, |p| p.length() - r);
+        let exact = 4.0 / 3.0 * std::f64::consts::PI * r.powi(3);
+        assert!((mesh.volume_m3() / exact - 1.0).abs() < 0.01, "{}", mesh.volume_m3() / exact);
+        assert!(mesh.vertices.iter().all(|v| (v.length() - r).abs() < 1e-6));
+        // Euler's formula for a closed surface without holes: V - E + F = 2, and 2 E = 3 F.
+        assert_eq!(2 * mesh.vertices.len(), mesh.triangles.len() + 4);
+        let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+        let lengths: Vec<f64> =
+            edges.map(|(a, b)| mesh.vertices[a as usize].distance(mesh.vertices[b as usize])).collect();
+        assert!(lengths.iter().all(|l| (0.008..0.035).contains(l)));
+    }
+}
