@@ -10,17 +10,17 @@ use obvhs::triangle::Triangle;
 use obvhs::{BvhBuildParams, splits};
 use thiserror::Error;
 
-use super::ray::{Crossings, Probe};
-use super::triangle::{Corners, Meeting, Shear};
+use super::probe::{NONE, Probe};
+use super::ray::Crossings;
+use super::triangle::{Corners, Meeting};
 use crate::geometry::Mesh;
 
 /// Coordinates beyond this are refused, m: f32 would not tell a wavelength there.
 pub const FARTHEST_M: f64 = 10_000.0;
 /// Boxes are traversed from this far behind a ray's origin, m: obvhs passes over boxes that end within 0.1 mm of it.
-const BACK_M: f32 = 2e-4;
+pub(super) const BACK_M: f32 = 2e-4;
 /// Levels of a structure that traversal has room for.
 const DEEPEST: usize = 30;
-const NONE: u32 = u32::MAX;
 
 /// A mesh that rays cannot be traced against.
 #[derive(Debug, Error, PartialEq)]
@@ -91,13 +91,14 @@ pub enum Build {
 pub struct Body {
     mesh: Mesh,
     groups: Vec<u32>,
-    tree: CwBvh,
+    pub(super) tree: CwBvh,
     build: Build,
     /// Corners and group of each of the tree's primitives, in its order.
-    corners: Vec<Corners>,
+    pub(super) corners: Vec<Corners>,
     leaf_groups: Vec<u32>,
-    bounds: Aabb,
-    pad: f32,
+    pub(super) bounds: Aabb,
+    /// Largest coordinate of the world, m: what boxes are enlarged for.
+    scale_m: f64,
 }
 
 /// The nearest meeting so far.
@@ -116,6 +117,10 @@ impl Body {
 
     /// A structure over a mesh with one coplanar group a triangle ([`crate::geometry`] finds them).
     pub fn with_groups(mesh: Mesh, groups: Vec<u32>, build: Build) -> Result<Self, BodyError> {
+        Self::in_world(mesh, groups, build, 0.0)
+    }
+
+    fn in_world(mesh: Mesh, groups: Vec<u32>, build: Build, scale_m: f64) -> Result<Self, BodyError> {
         if groups.len() != mesh.triangles.len() {
             return Err(BodyError::Groups { expected: mesh.triangles.len(), given: groups.len() });
         }
@@ -126,8 +131,8 @@ impl Body {
                 return Err(BodyError::NoSuchVertex { triangle, vertex, vertices });
             }
         }
-        let pad = pad_m(&mesh.vertices);
-        let tree = build_tree(&mesh, pad, build);
+        let scale_m = largest_m(&mesh.vertices).max(scale_m);
+        let tree = build_tree(&mesh, pad_m(scale_m), build);
         let depth = depth(&tree);
         if depth > DEEPEST {
             return Err(BodyError::TooDeep { triangles: mesh.triangles.len(), depth });
@@ -135,9 +140,9 @@ impl Body {
         let group = |&t: &u32| groups.get(t as usize).copied().unwrap_or(NONE);
         let leaf_groups = tree.primitive_indices.iter().map(group).collect();
         let corners = vec![Corners::default(); tree.primitive_indices.len()];
-        let mut body = Body { mesh, groups, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, pad };
+        let mut body = Body { mesh, groups, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, scale_m };
         body.load_corners();
-        body.bounds = body.corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, body.pad)));
+        body.bounds = body.corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, pad_m(scale_m))));
         Ok(body)
     }
 
@@ -159,14 +164,24 @@ impl Body {
         }
         check_places(vertices)?;
         self.mesh.vertices.copy_from_slice(vertices);
+        self.fit(largest_m(vertices))
+    }
+
+    /// Largest coordinate, m, for which boxes are enlarged enough.
+    pub(super) fn scale_m(&self) -> f64 {
+        self.scale_m
+    }
+
+    /// Fits the boxes to the vertices, in a world of at least this size.
+    pub(super) fn fit(&mut self, scale_m: f64) -> Result<(), BodyError> {
+        self.scale_m = self.scale_m.max(scale_m);
         if self.build == Build::Static {
             let (mesh, groups) = (std::mem::take(&mut self.mesh), std::mem::take(&mut self.groups));
-            *self = Self::with_groups(mesh, groups, self.build)?;
+            *self = Self::in_world(mesh, groups, self.build, self.scale_m)?;
             return Ok(());
         }
-        self.pad = pad_m(vertices);
         self.load_corners();
-        self.bounds = refit_tree(&mut self.tree, &self.corners, self.pad);
+        self.bounds = refit_tree(&mut self.tree, &self.corners, pad_m(self.scale_m));
         Ok(())
     }
 
@@ -187,9 +202,9 @@ impl Body {
     /// Visits all triangles whose boxes a ray goes through up to `farthest`, which the visitor may lower by what it returns;
     /// a negative number ends the visit.
     #[inline(always)]
-    pub(super) fn visit(&self, probe: &Probe, mut farthest: f32, mut visitor: impl FnMut(usize, f32) -> f32) {
-        let origin = probe.origin - probe.direction * BACK_M;
-        let mut ray = obvhs::ray::Ray::new(origin, probe.direction, 0.0, farthest + BACK_M);
+    fn visit(&self, probe: &Probe, mut farthest: f32, mut visitor: impl FnMut(usize, f32) -> f32) {
+        let mut ray = probe.ray;
+        ray.tmax = farthest + BACK_M;
         if self.tree.nodes.is_empty() || self.bounds.intersect_ray(&ray) > ray.tmax {
             return;
         }
@@ -206,41 +221,61 @@ impl Body {
         }
     }
 
-    /// The nearest triangle up to `farthest`; of several at the same distance the one with the lowest index.
+    /// A meeting that is not farther than the best so far, if it is to replace it: nearest first, then the lowest
+    /// (body, triangle).
     #[inline(always)]
-    pub(super) fn nearest(&self, probe: &Probe, shear: &Shear, farthest: f32, except: [u32; 2]) -> Option<Nearest> {
-        let mut nearest: Option<Nearest> = None;
-        self.visit(probe, farthest, |leaf, farthest| {
-            let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) else { return farthest };
-            if self.leaf_groups.get(leaf).is_some_and(|group| except.contains(group)) {
-                return farthest;
-            }
-            let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
-            if nearest.is_none_or(|n| meeting.distance < n.meeting.distance || triangle < n.triangle) {
-                nearest = Some(Nearest { meeting, triangle });
-            }
-            meeting.distance
-        });
-        nearest
+    pub(super) fn judge(
+        &self,
+        leaf: usize,
+        meeting: Meeting,
+        except: [u32; 2],
+        number: u32,
+        best: &Option<(u32, Nearest)>,
+    ) -> Option<Nearest> {
+        if self.leaf_groups.get(leaf).is_none_or(|group| except.contains(group)) {
+            return None;
+        }
+        let triangle = self.tree.primitive_indices.get(leaf).copied()?;
+        let better = match best {
+            Some((body, n)) if n.meeting.distance == meeting.distance => (number, triangle) < (*body, n.triangle),
+            _ => true,
+        };
+        better.then_some(Nearest { meeting, triangle })
     }
 
-    /// Whether anything is met up to `farthest`.
+    /// The nearest triangle, if it is nearer than the best so far.
     #[inline(always)]
-    pub(super) fn any(&self, probe: &Probe, shear: &Shear, farthest: f32, except: [u32; 2]) -> bool {
-        let mut any = false;
+    pub(super) fn closest(&self, probe: &Probe, number: u32, best: &mut Option<(u32, Nearest)>) {
+        let except = probe.except(number);
+        let farthest = best.map_or(probe.farthest, |(_, n)| n.meeting.distance);
         self.visit(probe, farthest, |leaf, farthest| {
-            let met = self.corners.get(leaf).is_some_and(|c| shear.meet(c, farthest).is_some());
-            any = met && !self.leaf_groups.get(leaf).is_some_and(|group| except.contains(group));
+            let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) else {
+                return farthest;
+            };
+            let Some(nearest) = self.judge(leaf, meeting, except, number, best) else { return farthest };
+            *best = Some((number, nearest));
+            meeting.distance
+        });
+    }
+
+    /// Whether anything is met.
+    #[inline(always)]
+    pub(super) fn any(&self, probe: &Probe, number: u32) -> bool {
+        let except = probe.except(number);
+        let mut any = false;
+        self.visit(probe, probe.farthest, |leaf, farthest| {
+            let met = self.corners.get(leaf).is_some_and(|c| probe.shear.meet(c, farthest).is_some());
+            any = met && self.leaf_groups.get(leaf).is_some_and(|group| !except.contains(group));
             if any { -1.0 } else { farthest }
         });
         any
     }
 
     /// All meetings, each triangle once, by distance and then triangle.
-    pub(super) fn all(&self, probe: &Probe, shear: &Shear, farthest: f32) -> Vec<Nearest> {
+    pub(super) fn all(&self, probe: &Probe) -> Vec<Nearest> {
         let mut all = Vec::new();
-        self.visit(probe, farthest, |leaf, farthest| {
-            if let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) {
+        self.visit(probe, probe.farthest, |leaf, farthest| {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) {
                 let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
                 all.push(Nearest { meeting, triangle });
             }
@@ -253,17 +288,16 @@ impl Body {
     }
 
     /// How often a line goes in and out.
-    #[inline(always)]
-    pub(super) fn crossings(&self, probe: &Probe, shear: &Shear, farthest: f32) -> Crossings {
+    pub(super) fn crossings(&self, probe: &Probe) -> Crossings {
         let mut crossings = Crossings::default();
         if self.build == Build::Static {
-            for n in self.all(probe, shear, farthest) {
+            for n in self.all(probe) {
                 count(&mut crossings, &n.meeting);
             }
             return crossings;
         }
-        self.visit(probe, farthest, |leaf, farthest| {
-            if let Some(meeting) = self.corners.get(leaf).and_then(|c| shear.meet(c, farthest)) {
+        self.visit(probe, probe.farthest, |leaf, farthest| {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) {
                 count(&mut crossings, &meeting);
             }
             farthest
@@ -288,10 +322,19 @@ fn check_places(vertices: &[DVec3]) -> Result<(), BodyError> {
     }
 }
 
-/// What boxes are enlarged by, m: several times what f32 loses of coordinates of this size in the ray-box test.
-fn pad_m(vertices: &[DVec3]) -> f32 {
-    let largest = vertices.iter().fold(0.0, |l: f64, v| l.max(v.abs().max_element()));
-    (1e-6 * (2.0 + largest)) as f32
+/// Largest coordinate, m.
+fn largest_m(vertices: &[DVec3]) -> f64 {
+    vertices.iter().fold(0.0, |l, v| l.max(v.abs().max_element()))
+}
+
+/// Coordinates of a ray's origin are at most this, m, where those of the world are at most `scale_m`.
+pub(super) fn roaming_m(scale_m: f64) -> f64 {
+    8.0 + 2.0 * scale_m
+}
+
+/// What boxes are enlarged by, m: twice what f32 loses in the ray-box test over the longest way.
+fn pad_m(scale_m: f64) -> f32 {
+    (8.0 * f64::from(f32::EPSILON) * (roaming_m(scale_m) + scale_m)) as f32
 }
 
 fn bounds(corners: &Corners, pad: f32) -> Aabb {

@@ -73,7 +73,7 @@ fn icosphere(level: usize, radius_m: f64, centre: DVec3) -> Mesh {
 #[test]
 fn a_million_rays_at_edges_and_vertices_neither_leak_nor_meet_twice() {
     let mesh = icosphere(4, 0.4, DVec3::new(3.1, 0.7, 1.3));
-    let world = World::new(vec![Body::new(mesh.clone(), Build::Moving).expect("a good mesh")]);
+    let world = World::new(vec![Body::new(mesh.clone(), Build::Moving).expect("a good mesh")]).expect("a small world");
     let mut rng = generator(1, Purpose::Build, [0, 0]);
     let (mut leaks, mut doubles, mut missed) = (0, 0, 0);
     for i in 0..1_000_000 {

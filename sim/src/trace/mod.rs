@@ -12,6 +12,8 @@
 //! processor: nearest first, then the lowest (body, triangle).
 
 mod body;
+mod packet;
+mod probe;
 mod ray;
 pub mod reference;
 mod triangle;

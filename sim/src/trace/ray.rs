@@ -1,6 +1,6 @@
 //! What is asked and what is answered.
 
-use glam::{DVec3, Vec3A};
+use glam::DVec3;
 
 /// A surface as rays know it: a coplanar group of one body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -81,13 +81,4 @@ impl Ray {
     pub fn nearest_m(&self) -> f64 {
         4e-6 * (1.0 + self.origin.abs().max_element())
     }
-}
-
-/// A ray in the precision of traversal.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Probe {
-    pub origin: Vec3A,
-    pub direction: Vec3A,
-    pub nearest: f32,
-    pub farthest: f32,
 }

@@ -3,8 +3,6 @@
 use glam::Vec3A;
 use glam::swizzles::Vec3Swizzles;
 
-use super::ray::Probe;
-
 /// Corners by coordinate: `[x, y, z]`, each holding that coordinate of the three corners.
 pub(super) type Corners = [Vec3A; 3];
 
@@ -19,19 +17,29 @@ pub(super) struct Meeting {
 /// The coordinates in which a ray runs along z through the origin: permuted so that z is its longest component, then sheared.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shear {
-    axes: [usize; 3],
-    origin: [Vec3A; 3],
-    shear_x: Vec3A,
-    shear_y: Vec3A,
-    scale_z: f32,
+    pub axes: [usize; 3],
+    pub origin: [Vec3A; 3],
+    pub shear_x: Vec3A,
+    pub shear_y: Vec3A,
+    pub scale_z: f32,
     nearest: f32,
 }
 
 impl Shear {
+    /// Of a ray along z.
+    pub const NONE: Shear = Shear {
+        axes: [0, 1, 2],
+        origin: [Vec3A::ZERO; 3],
+        shear_x: Vec3A::ZERO,
+        shear_y: Vec3A::ZERO,
+        scale_z: 1.0,
+        nearest: 0.0,
+    };
+
     #[inline(always)]
-    pub fn new(probe: &Probe) -> Self {
-        let d = probe.direction.to_array();
-        let size = probe.direction.abs();
+    pub fn new(origin: Vec3A, direction: Vec3A, nearest: f32) -> Self {
+        let d = direction.to_array();
+        let size = direction.abs();
         let kz = if size.x > size.y && size.x > size.z {
             0
         } else if size.y > size.z {
@@ -42,14 +50,14 @@ impl Shear {
         let (next, after) = ([1, 2, 0][kz], [2, 0, 1][kz]);
         // Winding is kept.
         let (kx, ky) = if d[kz] < 0.0 { (after, next) } else { (next, after) };
-        let o = probe.origin.to_array();
+        let o = origin.to_array();
         Shear {
             axes: [kx, ky, kz],
             origin: [Vec3A::splat(o[kx]), Vec3A::splat(o[ky]), Vec3A::splat(o[kz])],
             shear_x: Vec3A::splat(d[kx] / d[kz]),
             shear_y: Vec3A::splat(d[ky] / d[kz]),
             scale_z: 1.0 / d[kz],
-            nearest: probe.nearest,
+            nearest,
         }
     }
 
@@ -77,8 +85,10 @@ impl Shear {
             }
             weights = decide(x, y)?;
         }
-        let sum = weights.x + weights.y + weights.z;
-        let distance = weights.dot(z) * self.scale_z / sum;
+        // In this order on every processor.
+        let sum = (weights.x + weights.y) + weights.z;
+        let moment = weights * z;
+        let distance = ((moment.x + moment.y) + moment.z) * self.scale_z / sum;
         // Written so that NaN is a miss.
         (distance >= self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
     }
@@ -108,8 +118,8 @@ fn decide(x: Vec3A, y: Vec3A) -> Option<Vec3A> {
 mod tests {
     use super::*;
 
-    fn probe(origin: Vec3A, direction: Vec3A) -> Probe {
-        Probe { origin, direction: direction.normalize(), nearest: 0.0, farthest: f32::INFINITY }
+    fn shear(origin: Vec3A, direction: Vec3A) -> Shear {
+        Shear::new(origin, direction.normalize(), 0.0)
     }
 
     fn corners(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Corners {
@@ -119,14 +129,14 @@ mod tests {
     #[test]
     fn a_triangle_is_met_where_it_is_from_the_side_it_faces() {
         let triangle = corners([0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]);
-        let up = Shear::new(&probe(Vec3A::new(0.25, 0.25, 0.0), Vec3A::Z));
+        let up = shear(Vec3A::new(0.25, 0.25, 0.0), Vec3A::Z);
         let met = up.meet(&triangle, 9.0).expect("it is above");
         assert_eq!(met.distance, 2.0);
         assert!(met.weights.x > 0.0, "normal is -z, the ray sees its front");
         let w = met.weights / met.weights.element_sum();
         assert_eq!(w.to_array(), [0.5, 0.25, 0.25]);
         assert_eq!(up.meet(&triangle, 1.9), None);
-        let down = Shear::new(&probe(Vec3A::new(0.25, 0.25, 5.0), -Vec3A::Z));
+        let down = shear(Vec3A::new(0.25, 0.25, 5.0), -Vec3A::Z);
         assert!(down.meet(&triangle, 9.0).expect("it is below").weights.x < 0.0);
     }
 
@@ -142,7 +152,7 @@ mod tests {
                 };
                 let aims = (0..spokes).map(|i| Vec3A::from(rim(i)) * 0.5).chain([Vec3A::ZERO]);
                 for aim in aims {
-                    let shear = Shear::new(&probe(aim - axis * 4.0, axis));
+                    let shear = shear(aim - axis * 4.0, axis);
                     let met = (0..spokes)
                         .filter(|&i| shear.meet(&corners([0.0; 3], rim(i), rim((i + 1) % spokes)), 1e9).is_some())
                         .count();

@@ -2,32 +2,44 @@
 
 use glam::DVec3;
 
-use super::body::{Body, Nearest};
-use super::ray::{Crossings, Hit, Probe, Ray, Surface};
-use super::triangle::Shear;
-
-const NONE: u32 = u32::MAX;
+use super::body::{Body, BodyError, Nearest, roaming_m};
+use super::packet::{Found, LANES, Packet};
+use super::probe::Probe;
+use super::ray::{Crossings, Hit, Ray, Surface};
 
 /// Bodies that rays are traced among. Index 0 is best the static room: it ends most rays.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct World {
     bodies: Vec<Body>,
+    /// Largest coordinate of all bodies, m.
+    scale_m: f64,
+    /// Rays from farther away are let begin nearer.
+    roaming_m: f64,
 }
 
 impl World {
-    /// A world of bodies.
-    pub fn new(bodies: Vec<Body>) -> Self {
-        World { bodies }
+    /// A world of bodies. Those much smaller than it have their boxes enlarged for it.
+    pub fn new(mut bodies: Vec<Body>) -> Result<Self, BodyError> {
+        let scale_m = bodies.iter().map(Body::scale_m).fold(0.0, f64::max);
+        for body in bodies.iter_mut().filter(|b| 1.5 * roaming_m(b.scale_m()) < roaming_m(scale_m)) {
+            body.fit(scale_m)?;
+        }
+        Ok(World { bodies, scale_m, roaming_m: roaming_m(scale_m) })
+    }
+
+    /// Moves the vertices of a body; see [`Body::refit`].
+    pub fn refit(&mut self, body: u32, vertices: &[DVec3]) -> Result<(), BodyError> {
+        let Some(body) = self.bodies.get_mut(body as usize) else { return Ok(()) };
+        body.refit(vertices)?;
+        if body.scale_m() > self.scale_m {
+            *self = Self::new(std::mem::take(&mut self.bodies))?;
+        }
+        Ok(())
     }
 
     /// The bodies.
     pub fn bodies(&self) -> &[Body] {
         &self.bodies
-    }
-
-    /// One of the bodies, to refit it.
-    pub fn body_mut(&mut self, body: u32) -> Option<&mut Body> {
-        self.bodies.get_mut(body as usize)
     }
 
     /// The surface of a hit: what the next ray excludes.
@@ -68,17 +80,15 @@ impl World {
 
     /// All triangles of one body that a ray meets, nearest first.
     pub fn all(&self, body: u32, ray: &Ray) -> Vec<Hit> {
-        let Some((probe, start)) = self.probe(ray) else { return Vec::new() };
-        let shear = Shear::new(&probe);
-        let all = self.bodies.get(body as usize).map(|b| b.all(&probe, &shear, probe.farthest)).unwrap_or_default();
-        all.iter().map(|n| hit(body, n, start)).collect()
+        let probe = self.probe(ray);
+        let all = self.bodies.get(body as usize).map(|b| b.all(&probe)).unwrap_or_default();
+        all.iter().map(|n| hit(body, n, probe.start)).collect()
     }
 
     /// How often a ray enters and leaves a body: equally often where the body is closed and the ray begins and ends outside.
     pub fn crossings(&self, body: u32, ray: &Ray) -> Crossings {
-        let Some((probe, _)) = self.probe(ray) else { return Crossings::default() };
-        let shear = Shear::new(&probe);
-        self.bodies.get(body as usize).map(|b| b.crossings(&probe, &shear, probe.farthest)).unwrap_or_default()
+        let probe = self.probe(ray);
+        self.bodies.get(body as usize).map(|b| b.crossings(&probe)).unwrap_or_default()
     }
 
     /// The point of a hit in f64, m: on the triangle to the last bit, beside the ray by what f32 rounded of its weights.
@@ -95,43 +105,25 @@ impl World {
         super::reference::plane(ray, corners)
     }
 
-    /// The ray in f32, and how far along the ray that begins: rays from far away begin a metre before the first body, where
-    /// f32 still tells small things apart.
+    /// The ray in f32. Rays from far away begin a metre before the first body, where f32 still tells small things apart.
     #[inline(always)]
-    fn probe(&self, ray: &Ray) -> Option<(Probe, f64)> {
-        let mut start = 0.0;
-        if ray.origin.abs().max_element() > 30.0 {
-            start = self.approach(ray);
-        }
-        let origin = ray.at(start);
-        if !(origin.is_finite() && ray.direction.is_finite() && ray.direction != DVec3::ZERO) {
-            return None;
-        }
-        let farthest = (ray.length_m - start) as f32;
-        let nearest = if start > 0.0 { 0.0 } else { ray.nearest_m() as f32 };
-        let probe = Probe { origin: origin.as_vec3a(), direction: ray.direction.as_vec3a(), nearest, farthest };
-        // Between two surfaces what is nearest to either is alike: its own edge, not something in between.
-        let farthest = if ray.except[1].is_some() { farthest - nearest } else { farthest };
-        Some((Probe { farthest, ..probe }, start))
+    fn probe(&self, ray: &Ray) -> Probe {
+        let start = if ray.origin.abs().max_element() > self.roaming_m { self.approach_m(ray) } else { 0.0 };
+        Probe::new(ray, start)
     }
 
     #[cold]
-    fn approach(&self, ray: &Ray) -> f64 {
-        let (least, greatest) = self
-            .bodies
-            .iter()
-            .map(Body::bounds)
-            .fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (bl, bg)| (l.min(bl), g.max(bg)));
-        let middle = 0.5 * (least + greatest);
-        let radius = 0.5 * (greatest - least).length();
-        let start = (middle - ray.origin).dot(ray.direction) - radius - 1.0;
+    fn approach_m(&self, ray: &Ray) -> f64 {
+        let reach = 3f64.sqrt() * self.scale_m + 1.0;
+        let start = -ray.origin.dot(ray.direction) - reach;
         if start.is_finite() { start.max(0.0) } else { 0.0 }
     }
 }
 
+#[inline(always)]
 fn hit(body: u32, nearest: &Nearest, start: f64) -> Hit {
     let weights = nearest.meeting.weights;
-    let sum = weights.element_sum();
+    let sum = (weights.x + weights.y) + weights.z;
     Hit {
         body,
         triangle: nearest.triangle,
@@ -141,40 +133,46 @@ fn hit(body: u32, nearest: &Nearest, start: f64) -> Hit {
     }
 }
 
-/// Groups of one body that a ray does not meet.
-#[inline(always)]
-fn except(ray: &Ray, body: u32) -> [u32; 2] {
-    ray.except.map(|s| s.filter(|s| s.body == body).map_or(NONE, |s| s.group))
-}
-
+// Loops rather than closures where it is hot: what is not inlined is not compiled for the processor's own instructions.
 #[inline(always)]
 fn closest_body(world: &World, rays: &[Ray], answer: &mut impl FnMut(usize, Option<Hit>)) {
-    for (index, ray) in rays.iter().enumerate() {
-        let Some((probe, start)) = world.probe(ray) else {
-            answer(index, None);
-            continue;
-        };
-        let shear = Shear::new(&probe);
-        let mut nearest: Option<(u32, Nearest)> = None;
-        let mut farthest = probe.farthest;
-        for (number, body) in (0..).zip(&world.bodies) {
-            if let Some(n) = body.nearest(&probe, &shear, farthest, except(ray, number))
-                && nearest.is_none_or(|(_, best)| n.meeting.distance < best.meeting.distance)
-            {
-                farthest = n.meeting.distance;
-                nearest = Some((number, n));
+    let mut probes = [Probe::NOWHERE; LANES];
+    for (chunk, rays) in rays.chunks(LANES).enumerate() {
+        for (probe, ray) in probes.iter_mut().zip(rays) {
+            *probe = world.probe(ray);
+        }
+        let mut found: Found = [None; LANES];
+        let packet = if rays.len() == LANES { Packet::new(&probes) } else { None };
+        if let Some(mut packet) = packet {
+            for (number, body) in (0..).zip(&world.bodies) {
+                packet.closest(&probes, number, body, &mut found);
+            }
+        } else {
+            for ((probe, best), _) in probes.iter().zip(&mut found).zip(rays) {
+                for (number, body) in (0..).zip(&world.bodies) {
+                    body.closest(probe, number, best);
+                }
             }
         }
-        answer(index, nearest.map(|(body, n)| hit(body, &n, start)));
+        for (i, ((probe, found), _)) in probes.iter().zip(&found).zip(rays).enumerate() {
+            let hit = match found {
+                Some((body, nearest)) => Some(hit(*body, nearest, probe.start)),
+                None => None,
+            };
+            answer(chunk * LANES + i, hit);
+        }
     }
 }
 
 #[inline(always)]
 fn blocked_body(world: &World, ray: &Ray) -> bool {
-    let Some((probe, _)) = world.probe(ray) else { return false };
-    let shear = Shear::new(&probe);
-    // What moves is smaller and met sooner than what does not.
-    (0..).zip(&world.bodies).any(|(number, body)| body.any(&probe, &shear, probe.farthest, except(ray, number)))
+    let probe = world.probe(ray);
+    for (number, body) in (0..).zip(&world.bodies) {
+        if body.any(&probe, number) {
+            return true;
+        }
+    }
+    false
 }
 
 #[cfg(target_arch = "x86_64")]
