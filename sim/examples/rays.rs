@@ -151,9 +151,9 @@ fn bounces(world: &World, rays: &[Ray]) -> (Vec<Ray>, Vec<Ray>) {
     for ray in rays {
         let Some((point, normal, surface)) = world.closest(ray).and_then(|hit| bounce(ray, hit)) else { continue };
         let reflected = ray.direction - 2.0 * ray.direction.dot(normal) * normal;
-        mirror.push(Ray::new(point, reflected).leaving(surface));
+        mirror.push(Ray::new(point, reflected).leaving(surface, normal));
         let scattered = normal + DVec3::new(random(), random(), random()).normalize_or_zero() * 0.99;
-        diffuse.push(Ray::new(point, scattered).leaving(surface));
+        diffuse.push(Ray::new(point, scattered).leaving(surface, normal));
     }
     (mirror, diffuse)
 }

@@ -1,6 +1,45 @@
 //! A triangle mesh.
 
 use glam::DVec3;
+use thiserror::Error;
+
+/// Coordinates beyond this are refused, m: traversal is in f32, which would not tell a wavelength from the next there.
+pub const FARTHEST_M: f64 = 10_000.0;
+
+/// A mesh that is none.
+#[derive(Debug, Error, PartialEq)]
+pub enum MeshError {
+    /// A triangle names a vertex that does not exist.
+    #[error(
+        "triangle {triangle} names vertex {vertex}, but there are {vertices}\n\nhint: the mesh's indices are damaged; export it again"
+    )]
+    NoSuchVertex {
+        /// The triangle.
+        triangle: usize,
+        /// The vertex it names.
+        vertex: u32,
+        /// Vertices of the mesh.
+        vertices: usize,
+    },
+    /// A vertex is not a place.
+    #[error(
+        "vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m\n\nhint: check the unit of the mesh"
+    )]
+    NoPlace {
+        /// The vertex.
+        vertex: usize,
+        /// Where it is, m.
+        position: DVec3,
+    },
+    /// A length that is none.
+    #[error("{what} is {given_m} m, expected a positive number")]
+    Length {
+        /// What the length is for.
+        what: &'static str,
+        /// What was given, m.
+        given_m: f64,
+    },
+}
 
 /// Triangles over shared vertices, counter-clockwise seen from outside, metres.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -12,6 +51,23 @@ pub struct Mesh {
 }
 
 impl Mesh {
+    /// Refuses indices without a vertex and vertices without a place.
+    pub fn check(&self) -> Result<(), MeshError> {
+        check_places(&self.vertices)?;
+        let vertices = self.vertices.len();
+        for (triangle, corners) in self.triangles.iter().enumerate() {
+            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
+                return Err(MeshError::NoSuchVertex { triangle, vertex, vertices });
+            }
+        }
+        Ok(())
+    }
+
+    /// Twice the area times the unit normal of a triangle, m^2; zero for one that does not exist.
+    pub fn area_vector(&self, triangle: usize) -> DVec3 {
+        self.corners(triangle).map_or(DVec3::ZERO, |[a, b, c]| (b - a).cross(c - a))
+    }
+
     /// Corners of a triangle, m; `None` where it or one of them does not exist.
     pub fn corners(&self, triangle: usize) -> Option<[DVec3; 3]> {
         let [a, b, c] = *self.triangles.get(triangle)?;
@@ -30,6 +86,15 @@ impl Mesh {
     /// Signed volume, m^3: positive for a closed mesh whose triangles face outwards (divergence theorem).
     pub fn volume_m3(&self) -> f64 {
         (0..self.triangles.len()).filter_map(|t| self.corners(t)).map(|[a, b, c]| a.dot(b.cross(c)) / 6.0).sum()
+    }
+}
+
+/// Refuses vertices without a place.
+pub(crate) fn check_places(vertices: &[DVec3]) -> Result<(), MeshError> {
+    // Written so that NaN is refused.
+    match vertices.iter().position(|v| !(v.is_finite() && v.abs().max_element() <= FARTHEST_M)) {
+        Some(vertex) => Err(MeshError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),
+        None => Ok(()),
     }
 }
 

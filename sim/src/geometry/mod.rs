@@ -1,7 +1,19 @@
-//! Surfaces as triangle meshes.
+//! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
+//! ([`planes`], [`edges`]), and smooth where waves see them so ([`smooth_normals`]).
 
+mod edges;
 mod isosurface;
+mod lint;
 mod mesh;
+mod normals;
+mod planes;
+mod weld;
 
+pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
-pub use mesh::Mesh;
+pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
+pub(crate) use mesh::check_places;
+pub use mesh::{FARTHEST_M, Mesh, MeshError};
+pub use normals::smooth_normals;
+pub use planes::{Plane, Planes, planes};
+pub use weld::{Welded, weld};

@@ -10,43 +10,21 @@ use obvhs::triangle::Triangle;
 use obvhs::{BvhBuildParams, splits};
 use thiserror::Error;
 
+use super::packet::Bundle;
 use super::probe::{NONE, Probe};
 use super::ray::Crossings;
 use super::triangle::{Corners, Meeting};
-use crate::geometry::Mesh;
+use crate::geometry::{Mesh, MeshError, check_places, neighbours};
 
-/// Coordinates beyond this are refused, m: f32 would not tell a wavelength there.
-pub const FARTHEST_M: f64 = 10_000.0;
-/// Boxes are traversed from this far behind a ray's origin, m: obvhs passes over boxes that end within 0.1 mm of it.
-pub(super) const BACK_M: f32 = 2e-4;
 /// Levels of a structure that traversal has room for.
 const DEEPEST: usize = 30;
 
 /// A mesh that rays cannot be traced against.
 #[derive(Debug, Error, PartialEq)]
 pub enum BodyError {
-    /// A triangle names a vertex that does not exist.
-    #[error(
-        "triangle {triangle} names vertex {vertex}, but there are {vertices}\n\nhint: the mesh's indices are damaged; export it again"
-    )]
-    NoSuchVertex {
-        /// The triangle.
-        triangle: usize,
-        /// The vertex it names.
-        vertex: u32,
-        /// Vertices of the mesh.
-        vertices: usize,
-    },
-    /// A vertex is not a place.
-    #[error(
-        "vertex {vertex} is at {position}, expected finite coordinates of at most {FARTHEST_M} m\n\nhint: check the mesh's unit"
-    )]
-    NoPlace {
-        /// The vertex.
-        vertex: usize,
-        /// Where it is, m.
-        position: DVec3,
-    },
+    /// The mesh is none.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
     /// Not the mesh that the structure was built for.
     #[error(
         "a structure over {expected} vertices was given {given}\n\nhint: a refit moves vertices; build again for another mesh"
@@ -91,6 +69,7 @@ pub enum Build {
 pub struct Body {
     mesh: Mesh,
     groups: Vec<u32>,
+    neighbours: Vec<[u32; 3]>,
     pub(super) tree: CwBvh,
     build: Build,
     /// Corners and group of each of the tree's primitives, in its order.
@@ -124,13 +103,7 @@ impl Body {
         if groups.len() != mesh.triangles.len() {
             return Err(BodyError::Groups { expected: mesh.triangles.len(), given: groups.len() });
         }
-        check_places(&mesh.vertices)?;
-        let vertices = mesh.vertices.len();
-        for (triangle, corners) in mesh.triangles.iter().enumerate() {
-            if let Some(&vertex) = corners.iter().find(|&&v| v as usize >= vertices) {
-                return Err(BodyError::NoSuchVertex { triangle, vertex, vertices });
-            }
-        }
+        mesh.check()?;
         let scale_m = largest_m(&mesh.vertices).max(scale_m);
         let tree = build_tree(&mesh, pad_m(scale_m), build);
         let depth = depth(&tree);
@@ -140,7 +113,9 @@ impl Body {
         let group = |&t: &u32| groups.get(t as usize).copied().unwrap_or(NONE);
         let leaf_groups = tree.primitive_indices.iter().map(group).collect();
         let corners = vec![Corners::default(); tree.primitive_indices.len()];
-        let mut body = Body { mesh, groups, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, scale_m };
+        let neighbours = neighbours(&mesh);
+        let mut body =
+            Body { mesh, groups, neighbours, tree, build, corners, leaf_groups, bounds: Aabb::INVALID, scale_m };
         body.load_corners();
         body.bounds = body.corners.iter().fold(Aabb::INVALID, |all, c| all.union(&bounds(c, pad_m(scale_m))));
         Ok(body)
@@ -154,6 +129,11 @@ impl Body {
     /// Coplanar group of a triangle.
     pub fn group(&self, triangle: u32) -> Option<u32> {
         self.groups.get(triangle as usize).copied()
+    }
+
+    /// The triangles beyond a triangle's edges; `u32::MAX` where the surface ends.
+    pub(super) fn neighbours(&self, triangle: u32) -> Option<[u32; 3]> {
+        self.neighbours.get(triangle as usize).copied()
     }
 
     /// Moves the vertices and fits the boxes to them again. A structure built as [`Build::Static`] is built again, since its
@@ -204,7 +184,7 @@ impl Body {
     #[inline(always)]
     fn visit(&self, probe: &Probe, mut farthest: f32, mut visitor: impl FnMut(usize, f32) -> f32) {
         let mut ray = probe.ray;
-        ray.tmax = farthest + BACK_M;
+        ray.tmax = farthest + probe.back;
         if self.tree.nodes.is_empty() || self.bounds.intersect_ray(&ray) > ray.tmax {
             return;
         }
@@ -216,7 +196,7 @@ impl Body {
                 if farthest < 0.0 {
                     break 'all;
                 }
-                ray.tmax = farthest + BACK_M;
+                ray.tmax = farthest + probe.back;
             });
         }
     }
@@ -228,6 +208,7 @@ impl Body {
         &self,
         leaf: usize,
         meeting: Meeting,
+        probe: &Probe,
         except: [u32; 2],
         number: u32,
         best: &Option<(u32, Nearest)>,
@@ -236,6 +217,9 @@ impl Body {
             return None;
         }
         let triangle = self.tree.primitive_indices.get(leaf).copied()?;
+        if meeting.distance < probe.nearest && !probe.meets_near(self.mesh.corners(triangle as usize)) {
+            return None;
+        }
         let better = match best {
             Some((body, n)) if n.meeting.distance == meeting.distance => (number, triangle) < (*body, n.triangle),
             _ => true,
@@ -252,7 +236,7 @@ impl Body {
             let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) else {
                 return farthest;
             };
-            let Some(nearest) = self.judge(leaf, meeting, except, number, best) else { return farthest };
+            let Some(nearest) = self.judge(leaf, meeting, probe, except, number, best) else { return farthest };
             *best = Some((number, nearest));
             meeting.distance
         });
@@ -264,18 +248,36 @@ impl Body {
         let except = probe.except(number);
         let mut any = false;
         self.visit(probe, probe.farthest, |leaf, farthest| {
-            let met = self.corners.get(leaf).is_some_and(|c| probe.shear.meet(c, farthest).is_some());
-            any = met && self.leaf_groups.get(leaf).is_some_and(|group| !except.contains(group));
+            let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) else {
+                return farthest;
+            };
+            any = self.judge(leaf, meeting, probe, except, number, &None).is_some();
             if any { -1.0 } else { farthest }
         });
         any
+    }
+
+    /// Visits all triangles whose boxes a bundle may enter; some of them several times.
+    pub(super) fn visit_bundle(&self, bundle: &Bundle, probe: &Probe, mut visitor: impl FnMut(u32)) {
+        if self.tree.nodes.is_empty() || !bundle.enters(&self.bounds) {
+            return;
+        }
+        let mut state = self.tree.new_traversal(probe.direction);
+        let mut node: &CwBvhNode;
+        obvhs::traverse!(self.tree, node, state, bundle.meet(node, state.oct_inv4), {
+            if let Some(&triangle) = self.tree.primitive_indices.get(state.primitive_id as usize) {
+                visitor(triangle);
+            }
+        });
     }
 
     /// All meetings, each triangle once, by distance and then triangle.
     pub(super) fn all(&self, probe: &Probe) -> Vec<Nearest> {
         let mut all = Vec::new();
         self.visit(probe, probe.farthest, |leaf, farthest| {
-            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest))
+                && meeting.distance >= probe.nearest
+            {
                 let triangle = self.tree.primitive_indices.get(leaf).copied().unwrap_or(NONE);
                 all.push(Nearest { meeting, triangle });
             }
@@ -297,7 +299,9 @@ impl Body {
             return crossings;
         }
         self.visit(probe, probe.farthest, |leaf, farthest| {
-            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest)) {
+            if let Some(meeting) = self.corners.get(leaf).and_then(|c| probe.shear.meet(c, farthest))
+                && meeting.distance >= probe.nearest
+            {
                 count(&mut crossings, &meeting);
             }
             farthest
@@ -311,14 +315,6 @@ fn count(crossings: &mut Crossings, meeting: &Meeting) {
         crossings.entered += 1;
     } else {
         crossings.left += 1;
-    }
-}
-
-fn check_places(vertices: &[DVec3]) -> Result<(), BodyError> {
-    // Written so that NaN is refused.
-    match vertices.iter().position(|v| !(v.abs().max_element() <= FARTHEST_M && v.is_finite())) {
-        Some(vertex) => Err(BodyError::NoPlace { vertex, position: vertices.get(vertex).copied().unwrap_or_default() }),
-        None => Ok(()),
     }
 }
 

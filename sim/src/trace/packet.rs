@@ -6,7 +6,7 @@
 use glam::{UVec2, Vec3A};
 use obvhs::cwbvh::node::CwBvhNode;
 
-use super::body::{BACK_M, Body, Nearest};
+use super::body::{Body, Nearest};
 use super::probe::Probe;
 use super::triangle::Corners;
 
@@ -88,13 +88,13 @@ impl Packet {
                     let farthest = &mut self.farthest[lane & (LANES - 1)];
                     let Some(meeting) = probe.shear.meet(corners, *farthest) else { continue };
                     let best = &mut found[lane & (LANES - 1)];
-                    if let Some(nearest) = body.judge(leaf, meeting, probe.except(number), number, best) {
+                    if let Some(nearest) = body.judge(leaf, meeting, probe, probe.except(number), number, best) {
                         *farthest = nearest.meeting.distance;
                         *best = Some((number, nearest));
                     }
                 }
             }
-            self.bundle.farthest = largest(&self.farthest) + BACK_M;
+            self.bundle.farthest = largest(&self.farthest) + self.bundle.back;
         });
     }
 
@@ -115,7 +115,8 @@ impl Packet {
             let greatest = higher(higher(a, b), c);
             let ahead = higher(higher(az * sz, bz * sz), cz * sz);
             let before = lower(lower(az * sz, bz * sz), cz * sz);
-            maybe[i] = ((least >= 0.0) | (greatest <= 0.0)) & (ahead >= self.nearest[i]) & (before <= self.farthest[i]);
+            maybe[i] =
+                ((least >= 0.0) | (greatest <= 0.0)) & (ahead >= -self.nearest[i]) & (before <= self.farthest[i]);
         }
         bits(&maybe)
     }
@@ -130,10 +131,12 @@ fn bits(lanes: &[bool; LANES]) -> u32 {
     bits
 }
 
-/// All the places where eight rays may be: intervals of origin and direction.
-struct Bundle {
+/// All the places where some rays may be: intervals of origin and direction.
+pub(super) struct Bundle {
     axes: [Span; 3],
     farthest: f32,
+    /// The most that any of the rays begins behind its origin.
+    back: f32,
 }
 
 /// One coordinate of a bundle, mirrored where the rays go down.
@@ -152,12 +155,13 @@ impl Bundle {
     fn new(probes: &[Probe; LANES]) -> Self {
         let mut least = (Vec3A::splat(f32::INFINITY), Vec3A::splat(f32::INFINITY));
         let mut greatest = (Vec3A::splat(f32::NEG_INFINITY), Vec3A::splat(f32::NEG_INFINITY));
-        let mut farthest = 0.0;
+        let (mut farthest, mut back) = (0.0, 0.0);
         for probe in probes {
             let origin = probe.ray.origin;
             least = (least.0.min(origin), least.1.min(probe.direction));
             greatest = (greatest.0.max(origin), greatest.1.max(probe.direction));
             farthest = higher(farthest, probe.farthest);
+            back = higher(back, probe.back);
         }
         let mut axes = [Span::default(); 3];
         for (axis, span) in axes.iter_mut().enumerate() {
@@ -170,12 +174,21 @@ impl Bundle {
             let definite = direction[0] > 1e-4;
             *span = Span { mirror, origin, direction, inverse: [1.0 / direction[1], 1.0 / direction[0]], definite };
         }
-        Bundle { axes, farthest: farthest + BACK_M }
+        Bundle { axes, farthest: farthest + back, back }
+    }
+
+    /// All rays parallel to one, within a distance of it.
+    pub fn around(probe: &Probe, reach: f32) -> Self {
+        let mut bundle = Bundle::new(&[*probe; LANES]);
+        for span in &mut bundle.axes {
+            span.origin = [span.origin[0] - reach, span.origin[1] + reach];
+        }
+        bundle
     }
 
     /// Whether any of the rays may enter a box.
     #[inline(always)]
-    fn enters(&self, around: &obvhs::aabb::Aabb) -> bool {
+    pub fn enters(&self, around: &obvhs::aabb::Aabb) -> bool {
         let mut planes = [[[0.0; LANES]; 2]; 3];
         for (axis, planes) in planes.iter_mut().enumerate() {
             *planes = [[around.min[axis]; LANES], [around.max[axis]; LANES]];
@@ -185,7 +198,7 @@ impl Bundle {
 
     /// The children of a node whose boxes some of the rays may enter, in the encoding of [`obvhs::traverse`].
     #[inline(always)]
-    fn meet(&self, node: &CwBvhNode, oct_inv4: u32) -> u32 {
+    pub fn meet(&self, node: &CwBvhNode, oct_inv4: u32) -> u32 {
         let (p, step) = (node.p.to_array(), node.compute_extent().to_array());
         let least = [&node.child_min_x, &node.child_min_y, &node.child_min_z];
         let greatest = [&node.child_max_x, &node.child_max_y, &node.child_max_z];

@@ -20,9 +20,12 @@ pub struct Ray {
     pub direction: DVec3,
     /// Nothing farther than this is met, m.
     pub length_m: f64,
-    /// The surfaces on which it begins and ends; they are not met. A ray is never moved off its surface: 10 um would be
+    /// The surfaces on which it begins and ends; they are not met. The origin stays on its surface: 10 um beside it would be
     /// 0.025 rad at 60 GHz.
     pub except: [Option<Surface>; 2],
+    /// Unit normal of the surface on which it begins, to the side to which it goes; zero for a free place. Only what f32 makes
+    /// of the origin is kept on this side: rounded below a floor, a grazing ray would pass below the wall.
+    pub side: DVec3,
 }
 
 /// What a ray meets.
@@ -52,7 +55,13 @@ pub struct Crossings {
 impl Ray {
     /// From a point towards a direction of any length but zero, without end.
     pub fn new(origin: DVec3, towards: DVec3) -> Self {
-        Ray { origin, direction: towards.normalize_or_zero(), length_m: f64::INFINITY, except: [None; 2] }
+        Ray {
+            origin,
+            direction: towards.normalize_or_zero(),
+            length_m: f64::INFINITY,
+            except: [None; 2],
+            side: DVec3::ZERO,
+        }
     }
 
     /// From one point to another.
@@ -60,9 +69,10 @@ impl Ray {
         Ray { length_m: from.distance(to), ..Ray::new(from, to - from) }
     }
 
-    /// The same ray, beginning on a surface.
-    pub fn leaving(mut self, surface: Surface) -> Self {
+    /// The same ray, beginning on a surface with this normal of either sign.
+    pub fn leaving(mut self, surface: Surface, normal: DVec3) -> Self {
         self.except[0] = Some(surface);
+        self.side = normal.normalize_or_zero() * self.direction.dot(normal).signum();
         self
     }
 
@@ -77,7 +87,8 @@ impl Ray {
         self.origin + self.direction * distance_m
     }
 
-    /// The shortest distance at which something is met, m: what f32 cannot tell from the origin.
+    /// What f32 cannot tell from the origin, m. A ray from a free place meets nothing nearer; one that leaves a surface meets
+    /// only what faces it there.
     pub fn nearest_m(&self) -> f64 {
         4e-6 * (1.0 + self.origin.abs().max_element())
     }

@@ -71,7 +71,7 @@ impl Shear {
         [x, y, z]
     }
 
-    /// Where the triangle is met, not nearer than the ray's nearest distance and at most at `farthest`.
+    /// Where the triangle is met, at most at `farthest` and behind the origin at most by what f32 cannot tell from it.
     #[inline(always)]
     pub fn meet(&self, corners: &Corners, farthest: f32) -> Option<Meeting> {
         let [x, y, z] = self.see(corners);
@@ -90,7 +90,7 @@ impl Shear {
         let moment = weights * z;
         let distance = ((moment.x + moment.y) + moment.z) * self.scale_z / sum;
         // Written so that NaN is a miss.
-        (distance >= self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
+        (distance >= -self.nearest && distance <= farthest).then_some(Meeting { distance, weights })
     }
 }
 

@@ -1,0 +1,133 @@
+//! Edges: which triangles meet where, and how sharply.
+
+use super::Mesh;
+
+/// An edge of a mesh.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Edge {
+    /// Its vertices, in the direction in which `left` goes around.
+    pub vertices: [u32; 2],
+    /// The triangle that has it on its border; of several the first.
+    pub left: u32,
+    /// The triangle beyond, which goes around the other way. `None` at a border.
+    pub right: Option<u32>,
+    /// Angle between the normals of the two, rad: positive where the surface is convex (an outer corner: pi/2 for a cube),
+    /// negative where it is concave (a corner of a room seen from within), zero at a border.
+    pub turn_rad: f64,
+    /// Three or more triangles meet here, or two that face different ways.
+    pub tangled: bool,
+}
+
+impl Edge {
+    /// Whether the surface ends here.
+    pub fn is_boundary(&self) -> bool {
+        self.right.is_none() && !self.tangled
+    }
+
+    /// Whether the surface turns here by more than an angle, or ends.
+    pub fn is_crease(&self, least_turn_rad: f64) -> bool {
+        self.right.is_none() || self.turn_rad.abs() > least_turn_rad
+    }
+}
+
+/// All edges of a mesh, by their lower and then their higher vertex. A closed surface has no boundary and no tangle.
+pub fn edges(mesh: &Mesh) -> Vec<Edge> {
+    // (lower, higher vertex, triangle, goes upwards)
+    let mut sides: Vec<(u32, u32, u32, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
+    for (triangle, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            sides.push((from.min(to), from.max(to), triangle as u32, from < to));
+        }
+    }
+    sides.sort_unstable();
+    sides
+        .chunk_by(|a, b| (a.0, a.1) == (b.0, b.1))
+        .filter_map(|chunk| {
+            let &(low, high, left, up) = chunk.first()?;
+            let vertices = if up { [low, high] } else { [high, low] };
+            let opposite = chunk.get(1).filter(|other| other.3 != up);
+            let tangled = chunk.len() > 2 || (chunk.len() == 2 && opposite.is_none());
+            let right = opposite.filter(|_| !tangled).map(|other| other.2);
+            let turn_rad = right.map_or(0.0, |right| turn_rad(mesh, vertices, left, right));
+            Some(Edge { vertices, left, right, turn_rad, tangled })
+        })
+        .collect()
+}
+
+fn turn_rad(mesh: &Mesh, [from, to]: [u32; 2], left: u32, right: u32) -> f64 {
+    let [Some(from), Some(to)] = [from, to].map(|v| mesh.vertices.get(v as usize)) else { return 0.0 };
+    let [n, m] = [left, right].map(|t| mesh.area_vector(t as usize).normalize_or_zero());
+    // Over an outer corner the normal turns about the edge as the left triangle runs along it.
+    let along = (*to - *from).normalize_or_zero();
+    n.cross(m).dot(along).atan2(n.dot(m))
+}
+
+/// Of every triangle, the ones beyond its edges (first to second corner, second to third, third to first); `u32::MAX` where
+/// there is none.
+pub fn neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
+    let mut all = vec![[u32::MAX; 3]; mesh.triangles.len()];
+    for edge in edges(mesh) {
+        let Some(right) = edge.right else { continue };
+        let [from, to] = edge.vertices;
+        for (triangle, other, (p, q)) in [(edge.left, right, (from, to)), (right, edge.left, (to, from))] {
+            let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
+            let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q));
+            if let (Some(side), Some(slots)) = (side, all.get_mut(triangle as usize))
+                && let Some(slot) = slots.get_mut(side)
+            {
+                *slot = other;
+            }
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use glam::DVec3;
+
+    use super::*;
+
+    fn cube(inwards: bool) -> Mesh {
+        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let mut triangles: Vec<[u32; 3]> = quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        if inwards {
+            triangles.iter_mut().for_each(|t| t.swap(1, 2));
+        }
+        Mesh { vertices, triangles }
+    }
+
+    #[test]
+    fn a_cube_turns_outwards_and_a_room_inwards() {
+        for (inwards, turn) in [(false, FRAC_PI_2), (true, -FRAC_PI_2)] {
+            let edges = edges(&cube(inwards));
+            assert_eq!(edges.len(), 18, "Euler: 12 edges and 6 diagonals");
+            let creases: Vec<_> = edges.iter().filter(|e| e.is_crease(0.1)).collect();
+            assert_eq!(creases.len(), 12);
+            assert!(creases.iter().all(|e| (e.turn_rad - turn).abs() < 1e-12));
+            assert!(edges.iter().all(|e| !e.is_boundary() && !e.tangled));
+        }
+    }
+
+    #[test]
+    fn a_hole_has_a_boundary_and_a_flipped_triangle_a_tangle() {
+        let mut open = cube(false);
+        open.triangles.pop();
+        assert_eq!(edges(&open).iter().filter(|e| e.is_boundary()).count(), 3);
+        let mut flipped = cube(false);
+        flipped.triangles[0].swap(0, 1);
+        assert_eq!(edges(&flipped).iter().filter(|e| e.tangled).count(), 3);
+    }
+
+    #[test]
+    fn neighbours_are_mutual() {
+        let mesh = cube(false);
+        let all = neighbours(&mesh);
+        for (t, next) in all.iter().enumerate() {
+            assert!(next.iter().all(|&n| all[n as usize].contains(&(t as u32))));
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! Large planar polygons from small triangles.
+
+use std::cmp::Reverse;
+
+use glam::DVec3;
+
+use super::{Mesh, neighbours};
+
+/// Triangles that lie in one plane and hang together.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Plane {
+    /// Unit normal.
+    pub normal: DVec3,
+    /// Distance of the plane from the origin along the normal, m.
+    pub offset_m: f64,
+    /// Area, m^2.
+    pub area_m2: f64,
+    /// The triangles, ascending.
+    pub triangles: Vec<u32>,
+    /// Closed loops of vertices around it: counter-clockwise outside, clockwise around holes. All vertices are kept, also
+    /// those within straight lines, so that neighbours still fit.
+    pub outlines: Vec<Vec<u32>>,
+}
+
+/// Planes of a mesh.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Planes {
+    /// Of every triangle, the plane's index. A triangle of a curved surface is a plane of its own.
+    pub of_triangle: Vec<u32>,
+    /// The planes, by their lowest triangle.
+    pub planes: Vec<Plane>,
+}
+
+/// Groups triangles that hang together by edges and have all corners within a tolerance of the plane of the largest of them.
+/// 1 um is 0.003 rad of phase at 60 GHz and far above rounding; a body's facets differ by more.
+pub fn planes(mesh: &Mesh, tolerance_m: f64) -> Planes {
+    let next = neighbours(mesh);
+    let mut by_area: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    by_area.sort_by_key(|&t| (Reverse(mesh.area_vector(t as usize).length_squared().to_bits()), t));
+    let mut group_of: Vec<Option<u32>> = vec![None; mesh.triangles.len()];
+    let mut groups: Vec<Vec<u32>> = Vec::new();
+    for seed in by_area {
+        if group_of.get(seed as usize).copied().flatten().is_some() {
+            continue;
+        }
+        let normal = mesh.area_vector(seed as usize).normalize_or_zero();
+        let Some([origin, ..]) = mesh.corners(seed as usize) else { continue };
+        let lies_in = |t: u32| {
+            mesh.corners(t as usize).is_some_and(|corners| {
+                corners.iter().all(|c| (*c - origin).dot(normal).abs() <= tolerance_m)
+                    && mesh.area_vector(t as usize).dot(normal) > 0.0
+            })
+        };
+        let group = groups.len() as u32;
+        let mut members = vec![seed];
+        if let Some(slot) = group_of.get_mut(seed as usize) {
+            *slot = Some(group);
+        }
+        let mut reached = 0;
+        while let Some(&triangle) = members.get(reached) {
+            reached += 1;
+            for &n in next.get(triangle as usize).into_iter().flatten() {
+                if let Some(slot) = group_of.get_mut(n as usize)
+                    && slot.is_none()
+                    && lies_in(n)
+                {
+                    *slot = Some(group);
+                    members.push(n);
+                }
+            }
+        }
+        members.sort_unstable();
+        groups.push(members);
+    }
+    groups.sort_by_key(|members| members.first().copied());
+    let mut result = Planes { of_triangle: vec![0; mesh.triangles.len()], planes: Vec::new() };
+    for members in groups {
+        for &t in &members {
+            if let Some(slot) = result.of_triangle.get_mut(t as usize) {
+                *slot = result.planes.len() as u32;
+            }
+        }
+        result.planes.push(plane(mesh, members));
+    }
+    result
+}
+
+fn plane(mesh: &Mesh, triangles: Vec<u32>) -> Plane {
+    let sum: DVec3 = triangles.iter().map(|&t| mesh.area_vector(t as usize)).sum();
+    let normal = sum.normalize_or_zero();
+    let corners = triangles.iter().filter_map(|&t| mesh.corners(t as usize)).flatten();
+    let (total, count) = corners.fold((0.0, 0.0), |(total, count), c| (total + c.dot(normal), count + 1.0));
+    Plane {
+        normal,
+        offset_m: if count > 0.0 { total / count } else { 0.0 },
+        area_m2: 0.5 * sum.length(),
+        outlines: outlines(mesh, &triangles),
+        triangles,
+    }
+}
+
+/// Loops of the edges that only one of some triangles has.
+fn outlines(mesh: &Mesh, triangles: &[u32]) -> Vec<Vec<u32>> {
+    let mut sides: Vec<[u32; 2]> = triangles
+        .iter()
+        .filter_map(|&t| mesh.triangles.get(t as usize))
+        .flat_map(|&[a, b, c]| [[a, b], [b, c], [c, a]])
+        .collect();
+    sides.sort_unstable();
+    let inner = |&[a, b]: &[u32; 2]| sides.binary_search(&[b, a]).is_ok();
+    let mut border: Vec<[u32; 2]> = sides.iter().filter(|s| !inner(s)).copied().collect();
+    let mut loops = Vec::new();
+    while let Some([first, mut at]) = border.pop() {
+        let mut outline = vec![first];
+        while at != first {
+            outline.push(at);
+            let Some(next) = border.iter().position(|&[from, _]| from == at) else { break };
+            [_, at] = border.remove(next);
+        }
+        loops.push(outline);
+    }
+    loops
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::isosurface;
+
+    /// A square of `n` by `n` quadrilaterals with one left out, bent along the middle when asked.
+    fn sheet(n: u32, bend_m: f64) -> Mesh {
+        let side = n + 1;
+        let vertices = (0..side * side)
+            .map(|i| {
+                let (x, y) = (f64::from(i % side) / f64::from(n), f64::from(i / side) / f64::from(n));
+                DVec3::new(x, y, bend_m * (x - 0.5).max(0.0))
+            })
+            .collect();
+        let quad = |i: u32| {
+            let a = i % n + i / n * side;
+            [[a, a + 1, a + side + 1], [a, a + side + 1, a + side]]
+        };
+        Mesh { vertices, triangles: (0..n * n).filter(|&i| i != n + 1).flat_map(quad).collect() }
+    }
+
+    #[test]
+    fn a_finely_split_wall_with_a_window_is_one_plane_with_two_outlines() {
+        let found = planes(&sheet(8, 0.0), 1e-6);
+        assert_eq!(found.planes.len(), 1);
+        let wall = &found.planes[0];
+        assert!((wall.area_m2 - 63.0 / 64.0).abs() < 1e-12);
+        assert_eq!(wall.normal, DVec3::Z);
+        let mut lengths: Vec<usize> = wall.outlines.iter().map(Vec::len).collect();
+        lengths.sort_unstable();
+        assert_eq!(lengths, [4, 32]);
+    }
+
+    #[test]
+    fn a_bent_wall_is_two_planes_and_a_sphere_is_none() {
+        assert_eq!(planes(&sheet(8, 1e-3), 1e-6).planes.len(), 2);
+        assert_eq!(planes(&sheet(8, 1e-7), 1e-6).planes.len(), 1);
+        let ball = isosurface(DVec3::splat(-0.15), DVec3::splat(0.15), 0.015, |p| p.length() - 0.1);
+        let found = planes(&ball, 1e-6);
+        assert!(found.planes.len() as f64 > 0.98 * ball.triangles.len() as f64, "{} planes", found.planes.len());
+    }
+}

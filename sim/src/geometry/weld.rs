@@ -1,0 +1,158 @@
+//! One vertex where there were several, and no triangles without area.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::mesh::{Mesh, MeshError};
+
+/// A triangle is dropped when twice its area is below this part of its longest edge squared: its normal is rounding.
+const LEAST_HEIGHT: f64 = 1e-12;
+
+/// A mesh after welding.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Welded {
+    /// The mesh.
+    pub mesh: Mesh,
+    /// Vertices that became one with an earlier one.
+    pub merged_vertices: usize,
+    /// Vertices that no triangle uses any more, or ever did.
+    pub unused_vertices: usize,
+    /// Triangles without area: two corners welded into one, or all three on a line.
+    pub degenerate_triangles: usize,
+    /// Of every triangle that is left: which it was.
+    pub triangle_of: Vec<u32>,
+}
+
+/// Makes vertices within a tolerance one: each goes where the first of them is, so nothing moves farther than the tolerance.
+/// Files without indices (STL) and seams of textures come apart at edges otherwise: rays leak there, normals break.
+pub fn weld(mesh: &Mesh, tolerance_m: f64) -> Result<Welded, MeshError> {
+    mesh.check()?;
+    // Written so that NaN is refused.
+    if !(tolerance_m > 0.0 && tolerance_m.is_finite()) {
+        return Err(MeshError::Length { what: "the tolerance of welding", given_m: tolerance_m });
+    }
+    // Cells as wide as the tolerance: whatever is near enough is in the same or the next one.
+    let cell = |v: DVec3| (v / tolerance_m).floor();
+    let mut firsts: HashMap<[u64; 3], Vec<u32>> = HashMap::new();
+    let key = |cell: DVec3| (cell + 0.0).to_array().map(f64::to_bits);
+    let mut became: Vec<u32> = Vec::with_capacity(mesh.vertices.len());
+    let mut merged_vertices = 0;
+    for (index, &vertex) in mesh.vertices.iter().enumerate() {
+        let home = cell(vertex);
+        let near = (0..27).filter_map(|n| {
+            let step = DVec3::new(f64::from(n % 3 - 1), f64::from(n / 3 % 3 - 1), f64::from(n / 9 - 1));
+            firsts.get(&key(home + step))
+        });
+        let same = near
+            .flatten()
+            .filter(|&&f| mesh.vertices.get(f as usize).is_some_and(|p| p.distance(vertex) <= tolerance_m))
+            .min();
+        match same {
+            Some(&first) => {
+                merged_vertices += 1;
+                became.push(first);
+            }
+            None => {
+                firsts.entry(key(home)).or_default().push(index as u32);
+                became.push(index as u32);
+            }
+        }
+    }
+
+    let mut welded = Welded { merged_vertices, ..Welded::default() };
+    let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
+    for (index, corners) in mesh.triangles.iter().enumerate() {
+        let corners = corners.map(|c| became.get(c as usize).copied().unwrap_or(c));
+        let [a, b, c] = corners.map(|c| mesh.vertices.get(c as usize).copied().unwrap_or_default());
+        let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+        if (b - a).cross(c - a).length() <= LEAST_HEIGHT * longest {
+            welded.degenerate_triangles += 1;
+            continue;
+        }
+        let mut place = |c: u32| {
+            let slot = number.get_mut(c as usize)?;
+            if slot.is_none() {
+                *slot = Some(welded.mesh.vertices.len() as u32);
+                welded.mesh.vertices.push(mesh.vertices.get(c as usize).copied()?);
+            }
+            *slot
+        };
+        if let [Some(a), Some(b), Some(c)] = corners.map(&mut place) {
+            welded.mesh.triangles.push([a, b, c]);
+            welded.triangle_of.push(index as u32);
+        }
+    }
+    welded.unused_vertices = mesh.vertices.len() - welded.merged_vertices - welded.mesh.vertices.len();
+    Ok(welded)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::edges;
+
+    /// A cube as STL holds it: 36 corners of their own, a little beside each other.
+    fn soup() -> Mesh {
+        let corner = |i: u32| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2));
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let mut mesh = Mesh::default();
+        for [a, b, c, d] in quads {
+            for triangle in [[a, b, c], [a, c, d]] {
+                let first = mesh.vertices.len() as u32;
+                mesh.vertices.extend(triangle.map(|i| corner(i) + f64::from(first) * 1e-9));
+                mesh.triangles.push([first, first + 1, first + 2]);
+            }
+        }
+        mesh
+    }
+
+    #[test]
+    fn a_soup_of_triangles_becomes_a_closed_cube() {
+        let welded = weld(&soup(), 1e-6).expect("a good mesh");
+        assert_eq!((welded.mesh.vertices.len(), welded.merged_vertices, welded.degenerate_triangles), (8, 28, 0));
+        assert!((welded.mesh.volume_m3() - 1.0).abs() < 1e-6);
+        assert!(edges(&welded.mesh).iter().all(|e| e.right.is_some()));
+        assert_eq!(welded.triangle_of, (0..12).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn welding_again_changes_nothing() {
+        let once = weld(&soup(), 1e-6).expect("a good mesh").mesh;
+        assert_eq!(weld(&once, 1e-6).expect("a good mesh").mesh, once);
+    }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::*;
+
+    /// sbr.md section 2: n = 0/0 is dropped with a count; a needle is thin, not degenerate.
+    #[test]
+    fn triangles_without_area_are_dropped_and_needles_are_kept() {
+        let vertices = vec![DVec3::ZERO, DVec3::X, DVec3::X * 2.0, DVec3::new(0.5, 1e-7, 0.0), DVec3::X + 1e-9];
+        let triangles = vec![[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 0, 3]];
+        let welded = weld(&Mesh { vertices, triangles }, 1e-8).expect("a good mesh");
+        assert_eq!(welded.degenerate_triangles, 3);
+        assert_eq!(welded.triangle_of, [1]);
+    }
+
+    #[test]
+    fn vertices_on_either_side_of_a_cell_and_of_zero_are_found() {
+        for base in [-1e-6, -1e-12, 0.0, 1e-6, 7.0] {
+            let vertices = vec![DVec3::splat(base), DVec3::splat(base + 3e-7), DVec3::X * 3.0, DVec3::Y * 3.0];
+            let mesh = Mesh { vertices, triangles: vec![[0, 2, 3], [1, 2, 3]] };
+            assert_eq!(weld(&mesh, 1e-6).expect("a good mesh").mesh.vertices.len(), 3, "{base}");
+        }
+    }
+
+    #[test]
+    fn damaged_meshes_are_refused_by_name() {
+        let mesh = Mesh { vertices: vec![DVec3::ZERO], triangles: vec![[0, 0, 7]] };
+        assert_eq!(weld(&mesh, 1e-6), Err(MeshError::NoSuchVertex { triangle: 0, vertex: 7, vertices: 1 }));
+        let mesh = Mesh { vertices: vec![DVec3::ZERO, DVec3::new(0.0, f64::NAN, 0.0)], triangles: vec![] };
+        assert!(matches!(weld(&mesh, 1e-6), Err(MeshError::NoPlace { vertex: 1, .. })));
+        assert!(matches!(weld(&Mesh::default(), f64::NAN), Err(MeshError::Length { .. })));
+        assert_eq!(weld(&Mesh::default(), 1e-6).expect("nothing is a mesh").mesh, Mesh::default());
+    }
+}
