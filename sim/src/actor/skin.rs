@@ -18,6 +18,8 @@ use crate::geometry::{Mesh, isosurface};
 pub const EDGE_M: f64 = 0.020;
 /// Parts blend into each other over about this, m.
 const BLEND_M: f64 = 0.014;
+/// Parts farther than the nearest by this many times that blend by 1e-9.
+const NEGLIGIBLE: f64 = 20.0;
 /// A segment moves skin up to this far from its own surface, m.
 const REACH_M: f64 = 0.085;
 /// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
@@ -88,15 +90,15 @@ impl Skin {
     pub fn new(build: &Build, edge_m: f64) -> Self {
         let segments = apart(build);
         let parts = parts(&segments, build);
-        // Exact in order and value: a sum of exponentials, the largest taken out.
+        // Distance to what is nearest, less what the rest adds: -BLEND ln sum exp(-d / BLEND), the largest taken out.
         let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
-            let distances = parts.iter().filter(|part| of(part)).map(|part| part.distance_m(p));
             let (mut least, mut sum) = (f64::INFINITY, 0.0);
-            for d in distances {
+            for part in parts.iter().filter(|part| of(part)) {
+                let d = part.distance_m(p);
                 if d < least {
                     sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
                     least = d;
-                } else {
+                } else if d - least < NEGLIGIBLE * BLEND_M {
                     sum += ((least - d) / BLEND_M).exp();
                 }
             }

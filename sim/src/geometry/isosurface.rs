@@ -11,8 +11,8 @@ use glam::{DVec3, IVec3};
 use super::Mesh;
 
 /// Rounds of relaxation: beyond these, triangles' shapes no longer change visibly.
-const ROUNDS: usize = 8;
-/// Step of the gradient's differences as a part of the cell.
+const ROUNDS: usize = 6;
+/// Step of the gradient's differences, as a part of the cell.
 const GRADIENT_STEP: f64 = 1e-3;
 
 /// The surface on which a function, negative inside, is zero, within a box that it does not touch; triangles face outwards and
@@ -116,11 +116,17 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
 
 /// Moves every vertex to the middle of its neighbours, along the surface, and onto it.
 fn relax(mesh: &mut Mesh, cell_m: f64, function: &impl Fn(DVec3) -> f64) {
-    let gradient = |p: DVec3| {
-        let h = cell_m * GRADIENT_STEP;
-        let slope = |axis: DVec3| (function(p + axis * h) - function(p - axis * h)) / (2.0 * h);
-        DVec3::new(slope(DVec3::X), slope(DVec3::Y), slope(DVec3::Z))
+    let h = cell_m * GRADIENT_STEP;
+    // Newton's step to the surface, and its normal there.
+    let settle = |vertex: &mut DVec3| {
+        let value = function(*vertex);
+        let slope = DVec3::AXES.map(|axis| (function(*vertex + axis * h) - value) / h);
+        let slope = DVec3::from(slope);
+        let newton = slope * (value / slope.length_squared().max(1e-12));
+        *vertex -= newton.clamp_length_max(cell_m);
+        slope.normalize_or_zero()
     };
+    let mut normals: Vec<DVec3> = mesh.vertices.iter_mut().map(settle).collect();
     for _ in 0..ROUNDS {
         // An inner edge is seen from both its triangles, in both directions: each neighbour is counted once.
         let mut sums = vec![(DVec3::ZERO, 0.0); mesh.vertices.len()];
@@ -133,16 +139,15 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &impl Fn(DVec3) -> f64) {
                 }
             }
         }
-        for (vertex, (sum, count)) in mesh.vertices.iter_mut().zip(sums) {
-            let slope = gradient(*vertex);
-            let normal = slope.normalize_or_zero();
+        for ((vertex, normal), (sum, count)) in mesh.vertices.iter_mut().zip(&mut normals).zip(sums) {
             let step = if count > 0.0 { sum / count - *vertex } else { DVec3::ZERO };
-            *vertex += step - normal * step.dot(normal);
-            for _ in 0..2 {
-                let slope = gradient(*vertex);
-                let newton = slope * (function(*vertex) / slope.length_squared().max(1e-12));
-                *vertex -= newton.clamp_length_max(cell_m);
-            }
+            *vertex += step - *normal * step.dot(*normal);
+            *normal = settle(vertex);
+        }
+    }
+    for _ in 0..2 {
+        for vertex in &mut mesh.vertices {
+            settle(vertex);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! What rays usually get wrong: the rows of sbr.md section 2 that concern them.
 
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 
 use glam::{DMat3, DVec3};
 use rand::Rng;
@@ -40,10 +40,13 @@ fn corridor(split: u32) -> Mesh {
     crate::geometry::weld(&mesh, 1e-9).expect("a good mesh").mesh
 }
 
-fn walker() -> WalkingMesh {
-    let person = Person::draw(1, [0, 0], 1.75);
-    let motion = MotionBuilder::new(person, 0.0, [2.0, 1.0], 0.0).walk_to([9.0, 1.0], 1.2).stay();
-    WalkingMesh::new(Arc::new(motion), EDGE_M)
+fn walker() -> &'static WalkingMesh {
+    static WALKER: LazyLock<WalkingMesh> = LazyLock::new(|| {
+        let person = Person::draw(1, [0, 0], 1.75);
+        let motion = MotionBuilder::new(person, 0.0, [2.0, 1.0], 0.0).walk_to([9.0, 1.0], 1.2).stay();
+        WalkingMesh::new(Arc::new(motion), EDGE_M)
+    });
+    &WALKER
 }
 
 fn world(bodies: Vec<(Mesh, Build)>) -> World {
@@ -188,6 +191,23 @@ fn structure_and_order_do_not_matter() {
         let mirrored = backwards.closest(&ray).map(|h| Hit { triangle: count - 1 - h.triangle, ..h });
         assert_eq!(mirrored, hit);
     }
+}
+
+/// The same bits with the processor's widest instructions as with those that every processor has.
+#[test]
+fn the_processor_does_not_matter() {
+    let world = world(vec![(corridor(2), Build::Static), (walker().mesh_at(2.0), Build::Moving)]);
+    let rays: Vec<Ray> = (0..20_003)
+        .map(|i| {
+            let (y, z) = (f64::from(i % 200) / 100.0 - 1.0, f64::from(i / 200) / 50.0 - 1.0);
+            Ray::new(DVec3::new(0.05, 1.0, 1.2), DVec3::new(1.0, 0.4 * y, 0.4 * z))
+        })
+        .collect();
+    let (mut here, mut everywhere) = (vec![None; rays.len()], vec![None; rays.len()]);
+    world.closest_each(&rays, |i, hit| here[i] = hit);
+    super::world::closest_body(&world, &rays, &mut |i, hit| everywhere[i] = hit);
+    assert_eq!(here, everywhere);
+    assert!(here.iter().all(|h| h.is_some()) && here.iter().flatten().filter(|h| h.body == 1).count() > 300);
 }
 
 /// sbr.md section 2, coplanar faces: of two at the same distance the lowest (body, triangle) is met, everywhere.

@@ -144,7 +144,7 @@ fn hit(body: u32, nearest: &Nearest, start: f64) -> Hit {
 
 // Loops rather than closures where it is hot: what is not inlined is not compiled for the processor's own instructions.
 #[inline(always)]
-fn closest_body(world: &World, rays: &[Ray], answer: &mut impl FnMut(usize, Option<Hit>)) {
+pub(super) fn closest_body(world: &World, rays: &[Ray], answer: &mut impl FnMut(usize, Option<Hit>)) {
     let mut probes = [Probe::NOWHERE; LANES];
     for (chunk, rays) in rays.chunks(LANES).enumerate() {
         for (probe, ray) in probes.iter_mut().zip(rays) {
