@@ -1,7 +1,8 @@
 //! Surfaces as triangle meshes: made whole ([`weld`]), looked through ([`lint`]), taken apart into planes and edges
-//! ([`planes`], [`edges`]), and smooth where waves see them so ([`smooth_normals`]).
+//! ([`planes`], [`edges`]), read from files ([`import`]), and smooth where waves see them so ([`smooth_normals`]).
 
 mod edges;
+pub mod import;
 mod isosurface;
 mod lint;
 mod mesh;

@@ -255,6 +255,29 @@ fn a_ray_does_not_meet_the_surface_that_it_leaves() {
     }
 }
 
+/// sbr.md section 2, f32 hit point as path vertex: f32 puts it 5.8 um beside a wall 12 m away, 0.015 rad of phase a bounce. The
+/// point that is given lies on the triangle to 1e-14 m, and the exact distance ends on its plane.
+#[test]
+fn a_point_that_was_met_lies_on_its_triangle_in_f64() {
+    let world = world(vec![(corridor(3), Build::Static), (walker().mesh_at(2.0), Build::Moving)]);
+    let mut rng = generator(10, Purpose::Build, [0, 0]);
+    for _ in 0..20_000 {
+        let ray = Ray::new(DVec3::new(rng.random_range(0.1..11.9), 0.3, 1.1), direction(&mut rng));
+        let hit = world.closest(&ray).expect("the room is closed");
+        let mesh = world.bodies()[hit.body as usize].mesh();
+        let [corner, ..] = mesh.corners(hit.triangle as usize).expect("it was met");
+        let normal = mesh.area_vector(hit.triangle as usize).normalize();
+        let point = world.point(&hit).expect("it was met");
+        assert!((point - corner).dot(normal).abs() < 1e-14, "{}", (point - corner).dot(normal));
+        let across = normal.dot(ray.direction).abs();
+        let (distance, weights) = world.exact(&ray, &hit).expect("it was met");
+        assert!((ray.at(distance) - corner).dot(normal).abs() < 1e-13);
+        assert!((distance - hit.distance_m).abs() * across < 5e-6);
+        assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-9);
+        assert!((point - ray.at(distance)).length() * across < 1e-5, "beside the ray by what f32 loses");
+    }
+}
+
 /// Between two surfaces nothing is in the way but what is between: not the surfaces themselves, nor their edges.
 #[test]
 fn neither_end_blocks_a_way() {

@@ -104,7 +104,7 @@ impl Packet {
         let [kx, ky, kz] = self.axes;
         let (x, y, z) = (corners[kx].to_array(), corners[ky].to_array(), corners[kz].to_array());
         let mut maybe = [false; LANES];
-        for i in 0..LANES {
+        for (i, maybe) in maybe.iter_mut().enumerate() {
             let (oz, ox, oy) = (self.origin[2][i], self.origin[0][i], self.origin[1][i]);
             let (sx, sy, sz) = (self.shear[0][i], self.shear[1][i], self.scale_z[i]);
             let (az, bz, cz) = (z[0] - oz, z[1] - oz, z[2] - oz);
@@ -115,8 +115,9 @@ impl Packet {
             let greatest = higher(higher(a, b), c);
             let ahead = higher(higher(az * sz, bz * sz), cz * sz);
             let before = lower(lower(az * sz, bz * sz), cz * sz);
-            maybe[i] =
-                ((least >= 0.0) | (greatest <= 0.0)) & (ahead >= -self.nearest[i]) & (before <= self.farthest[i]);
+            // The distance itself may round to a little outside of its corners'.
+            let reached = (ahead >= -2.0 * self.nearest[i]) & (before * 0.999_99 <= self.farthest[i]);
+            *maybe = ((least >= 0.0) | (greatest <= 0.0)) & reached;
         }
         bits(&maybe)
     }

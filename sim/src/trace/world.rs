@@ -164,11 +164,7 @@ pub(super) fn closest_body(world: &World, rays: &[Ray], answer: &mut impl FnMut(
             }
         }
         for (i, ((probe, found), _)) in probes.iter().zip(&found).zip(rays).enumerate() {
-            let hit = match found {
-                Some((body, nearest)) => Some(hit(*body, nearest, probe.start)),
-                None => None,
-            };
-            answer(chunk * LANES + i, hit);
+            answer(chunk * LANES + i, found.as_ref().map(|(body, nearest)| hit(*body, nearest, probe.start)));
         }
     }
 }

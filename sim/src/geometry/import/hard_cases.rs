@@ -1,0 +1,174 @@
+//! Files as they come.
+
+use rand::Rng;
+
+use super::*;
+use crate::geometry::{lint, weld};
+use crate::random::{Purpose, generator};
+
+const TETRAHEDRON: &str = "solid a thing
+facet normal 0 0 -1
+ outer loop
+  vertex 0 0 0
+  vertex 0 1 0
+  vertex 1 0 0
+ endloop
+endfacet
+facet normal 0 -1 0
+ outer loop
+  vertex 0 0 0
+  vertex 1 0 0
+  vertex 0 0 1
+ endloop
+endfacet
+facet normal -1 0 0
+ outer loop
+  vertex 0 0 0
+  vertex 0 0 1
+  vertex 0 1 0
+ endloop
+endfacet
+facet normal 1 1 1
+ outer loop
+  vertex 1 0 0
+  vertex 0 1 0
+  vertex 0 0 1
+ endloop
+endfacet
+endsolid a thing
+";
+
+const CUBE: &str = "# a cube of quadrilaterals, two materials
+mtllib missing.mtl
+o crate
+v 0 0 0 1.0 0.5 0.5
+v 1 0 0
+v 1 1 0
+v 0 1 0
+v 0 0 1
+v 1 0 1
+v 1 1 1
+v 0 1 1
+vt 0 0
+vn 0 0 1
+usemtl dark wood
+f 4/1/1 3/1/1 2/1/1 1/1/1
+f 5//1 6//1 7//1 8//1
+f 1 2 6 5
+usemtl steel
+f -7 -6 -2 -3
+f 3 4 8 7
+f 4 1 5 8
+";
+
+/// The same triangles as a binary file, with a header that looks like text.
+fn binary() -> Vec<u8> {
+    let mesh = &parse_stl(TETRAHEDRON.as_bytes()).expect("a good file")[0].mesh;
+    let mut bytes = b"solid but binary".to_vec();
+    bytes.resize(80, b' ');
+    bytes.extend((mesh.triangles.len() as u32).to_le_bytes());
+    for t in &mesh.triangles {
+        bytes.extend([0; 12]);
+        for v in t.map(|i| mesh.vertices[i as usize]) {
+            bytes.extend(v.to_array().into_iter().flat_map(|c| (c as f32).to_le_bytes()));
+        }
+        bytes.extend([0; 2]);
+    }
+    bytes
+}
+
+#[test]
+fn text_and_binary_stl_are_the_same_solid() {
+    let text = parse_stl(TETRAHEDRON.as_bytes()).expect("a good file");
+    let binary = parse_stl(&binary()).expect("a good file");
+    assert_eq!((text[0].name.as_str(), &text[0].mesh), ("a thing", &binary[0].mesh));
+    let whole = weld(&text[0].mesh, 1e-6).expect("a good mesh").mesh;
+    assert!(lint(&whole).is_solid() && (whole.volume_m3() - 1.0 / 6.0).abs() < 1e-12);
+    // No name, and empty lines before.
+    let bare = format!("\n\n{}", TETRAHEDRON.replace(" a thing", ""));
+    assert_eq!(parse_stl(bare.as_bytes()).expect("a good file")[0].mesh, text[0].mesh);
+}
+
+#[test]
+fn an_obj_s_parts_have_names_materials_and_triangles() {
+    let parts = parse_obj(CUBE.as_bytes()).expect("a good file");
+    let found: Vec<_> =
+        parts.iter().map(|p| (p.name.as_str(), p.material.as_deref(), p.mesh.triangles.len())).collect();
+    assert_eq!(found, [("crate", Some("dark wood"), 6), ("crate", Some("steel"), 6)]);
+    let mut whole = parts[0].mesh.clone();
+    let start = whole.vertices.len() as u32;
+    whole.vertices.extend(&parts[1].mesh.vertices);
+    whole.triangles.extend(parts[1].mesh.triangles.iter().map(|t| t.map(|v| v + start)));
+    let whole = weld(&whole, 1e-9).expect("a good mesh").mesh;
+    assert!(lint(&whole).is_solid(), "{:?}", lint(&whole));
+    assert!((whole.volume_m3() - 1.0).abs() < 1e-12);
+}
+
+#[test]
+fn errors_name_the_line_or_the_byte() {
+    let error = |text: String| parse_stl(text.as_bytes()).expect_err("damaged").to_string();
+    let message = error(TETRAHEDRON.replace("vertex 0 0 1\n  vertex 0 1 0", "vertex 0 o 1\n"));
+    assert!(message.starts_with("line 19: "), "{message}");
+    let message = error(TETRAHEDRON.replace("endsolid a thing\n", ""));
+    assert!(message.starts_with("line 29: EOF"), "{message}");
+    assert!(error(TETRAHEDRON.replace("facet normal 1 1 1", "facet 1 1 1")).starts_with("line 23: invalid facet"));
+    assert_eq!(parse_stl(b"solid x\nendsolid x\n"), Err(ParseError::Empty));
+    let whole = binary();
+    for cut in [0, 50, 84, 133, whole.len() - 2] {
+        let error = parse_stl(&[b"x", &whole[1..].get(..cut).unwrap_or(&[])[..]].concat());
+        assert!(matches!(error, Err(ParseError::Byte { .. })), "{cut}: {error:?}");
+    }
+    let mut huge = whole.clone();
+    huge[0] = b'x';
+    huge[80..84].copy_from_slice(&u32::MAX.to_le_bytes());
+    assert!(matches!(parse_stl(&huge), Err(ParseError::Byte { offset: 284, .. })));
+
+    let error = |text: String| parse_obj(text.as_bytes()).expect_err("damaged").to_string();
+    assert_eq!(error(CUBE.replace("v 1 1 0\n", "v 1 l 0\n")), "line 6: a vertex is not three numbers");
+    assert_eq!(error(CUBE.replace("f 1 2 6 5", "f 1 2")), "line 17: a face of fewer than three corners");
+    assert_eq!(error(CUBE.replace("f 1 2 6 5", "f 1 2 x")), "line 17: a face is not a list of vertex numbers");
+    assert!(error(CUBE.replace("f 3 4 8 7", "f 3 4 8 9")).contains("names a vertex that does not exist"));
+    assert_eq!(parse_obj(b"# nothing\n"), Err(ParseError::Empty));
+}
+
+#[test]
+fn units_and_axes_are_applied_and_the_path_is_named() {
+    let folder = std::env::temp_dir().join(format!("radome-import-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let path = folder.join("box.OBJ");
+    std::fs::write(&path, "v 1000 2000 3000\nv 0 1 0\nv 1 0 0\nf 1 2 3\n").expect("written");
+    let first = |unit, up| import(&path, unit, up).expect("a good file")[0].mesh.vertices[0];
+    assert_eq!(first(LengthUnit::Millimetre, UpAxis::Z), DVec3::new(1.0, 2.0, 3.0));
+    assert_eq!(first(LengthUnit::Centimetre, UpAxis::Y), DVec3::new(10.0, -30.0, 20.0));
+    std::fs::write(&path, "v 1 2 3\nv x\n").expect("written");
+    let message = import(&path, LengthUnit::Metre, UpAxis::Z).expect_err("damaged").to_string();
+    assert!(message.contains("box.OBJ: line 2: "), "{message}");
+    std::fs::write(&path, "v 1e300 2 3\nv 0 1 0\nv 1 0 0\nf 1 2 3\n").expect("written");
+    assert!(import(&path, LengthUnit::Metre, UpAxis::Z).is_err(), "farther than the farthest");
+    let other = import(&folder.join("box.fbx"), LengthUnit::Metre, UpAxis::Z);
+    assert!(matches!(other, Err(ImportError::Format { .. })));
+    std::fs::remove_dir_all(&folder).expect("removed");
+}
+
+/// Whatever bytes are damaged or missing: an answer or an error, never a panic.
+#[test]
+fn damaged_files_never_panic() {
+    let mut rng = generator(11, Purpose::Build, [0, 0]);
+    let samples: [(&[u8], fn(&[u8]) -> Result<Vec<Part>, ParseError>); 3] =
+        [(TETRAHEDRON.as_bytes(), parse_stl), (&binary(), parse_stl), (CUBE.as_bytes(), parse_obj)];
+    for (whole, parse) in samples {
+        for _ in 0..3000 {
+            let mut bytes = whole.to_vec();
+            for _ in 0..rng.random_range(1..4) {
+                let at = rng.random_range(0..bytes.len());
+                bytes[at] = if rng.random() { rng.random() } else { b"0-/. \nfv9#"[rng.random_range(0..10)] };
+            }
+            bytes.truncate(rng.random_range(0..=bytes.len()));
+            if let Ok(parts) = parse(&bytes) {
+                assert!(
+                    parts.iter().all(|p| p.mesh.check().is_ok() || p.mesh.vertices.iter().any(|v| v.length() > 1e4))
+                );
+            }
+        }
+    }
+}

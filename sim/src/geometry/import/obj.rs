@@ -1,0 +1,82 @@
+//! Wavefront OBJ: places, faces, names of objects and materials. Textures, normals and colours are not looked at.
+
+use std::cell::Cell;
+use std::collections::HashMap;
+
+use glam::DVec3;
+use tobj::{LoadError, LoadOptions, Material};
+
+use super::lines::Lines;
+use super::{Mesh, ParseError, Part};
+
+/// Parses an OBJ file: a part for each object or group and each material in it; polygons become fans of triangles.
+pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
+    let text = String::from_utf8_lossy(bytes);
+    // Materials by name alone; what they are made of is the scene's to say. Asked for by a line before the first.
+    let mut names: Vec<String> = Vec::new();
+    let mut plain = String::from("mtllib names\n");
+    for line in text.lines() {
+        let mut words = line.split_whitespace();
+        match words.next() {
+            Some("v") => {
+                let place: Vec<&str> = words.take(4).collect();
+                // A fourth number is a weight, or the first of a colour.
+                let kept = if line.split_whitespace().count() == 5 { 4 } else { 3 };
+                plain.push_str(&format!("v {}", place.get(..kept.min(place.len())).unwrap_or(&[]).join(" ")));
+            }
+            Some("f") => {
+                let corners: Vec<&str> = words.filter_map(|w| w.split('/').next()).collect();
+                if corners.len() < 3 {
+                    let line = plain.lines().count();
+                    return Err(ParseError::Line { line, problem: "a face of fewer than three corners".to_owned() });
+                }
+                plain.push_str(&format!("f {}", corners.join(" ")));
+            }
+            Some("usemtl") => {
+                let name = words.collect::<Vec<_>>().join(" ");
+                if !name.is_empty() {
+                    plain.push_str(&format!("usemtl {name}"));
+                    names.push(name);
+                }
+            }
+            Some(word @ ("o" | "g")) => plain.push_str(&format!("{word} {}", words.collect::<Vec<_>>().join(" "))),
+            _ => {}
+        }
+        plain.push('\n');
+    }
+    names.sort();
+    names.dedup();
+
+    let count = Cell::new(0);
+    let options = LoadOptions { triangulate: true, ignore_lines: true, ignore_points: true, ..LoadOptions::default() };
+    let materials = |_: &std::path::Path| {
+        let all = names.iter().map(|name| Material { name: name.clone(), ..Material::default() }).collect();
+        let by_name: HashMap<String, usize> = names.iter().cloned().zip(0..).collect();
+        Ok((all, by_name))
+    };
+    let loaded = tobj::load_obj_buf(&mut Lines::new(plain.as_bytes(), &count), &options, materials);
+    let (models, _) = loaded.map_err(|error| ParseError::Line {
+        line: count.get().saturating_sub(1),
+        problem: match error {
+            LoadError::FaceVertexOutOfBounds => {
+                "in the object that ends here a face names a vertex that does not exist".to_owned()
+            }
+            LoadError::PositionParseError => "a vertex is not three numbers".to_owned(),
+            LoadError::FaceParseError => "a face is not a list of vertex numbers".to_owned(),
+            other => other.to_string(),
+        },
+    })?;
+    let mut parts = Vec::new();
+    for model in models {
+        let vertices = model.mesh.positions.as_chunks::<3>().0.iter().map(|&p| DVec3::from(p)).collect();
+        let mesh = Mesh { vertices, triangles: model.mesh.indices.as_chunks::<3>().0.to_vec() };
+        mesh.check()?;
+        if !mesh.triangles.is_empty() {
+            let material = model.mesh.material_id.and_then(|id| names.get(id).cloned());
+            // What tobj calls an object without a name.
+            let name = if model.name == "unnamed_object" { String::new() } else { model.name };
+            parts.push(Part { name, material, mesh });
+        }
+    }
+    if parts.is_empty() { Err(ParseError::Empty) } else { Ok(parts) }
+}

@@ -1,0 +1,87 @@
+//! STL, binary and text.
+
+use std::cell::Cell;
+use std::io::Cursor;
+
+use glam::DVec3;
+
+use super::lines::Lines;
+use super::{Mesh, ParseError, Part};
+
+/// Header and count of a binary file.
+const HEADER_BYTES: usize = 84;
+/// A triangle of a binary file.
+const TRIANGLE_BYTES: usize = 50;
+
+/// Parses an STL file. It is text when it begins with `solid` and is not just as long as a binary file with its count of
+/// triangles: binary files of some programs begin with `solid` too. Normals in the file are not used; corners go round them.
+pub fn parse_stl(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
+    let claimed = bytes
+        .get(80..HEADER_BYTES)
+        .and_then(|c| c.try_into().ok())
+        .map(|c: [u8; 4]| HEADER_BYTES + TRIANGLE_BYTES * u32::from_le_bytes(c) as usize);
+    let text = bytes.trim_ascii_start();
+    let part = if text.starts_with(b"solid") && claimed != Some(bytes.len()) {
+        parse_text(bytes)?
+    } else {
+        match claimed {
+            Some(claimed) if bytes.len() >= claimed => parse_binary(bytes)?,
+            Some(claimed) => {
+                let problem = format!("the file ends here, but its triangles reach to byte {claimed}");
+                return Err(ParseError::Byte { offset: bytes.len(), problem });
+            }
+            None => {
+                let problem = format!("the file ends within the first {HEADER_BYTES} bytes and is no text");
+                return Err(ParseError::Byte { offset: bytes.len(), problem });
+            }
+        }
+    };
+    if part.mesh.triangles.is_empty() { Err(ParseError::Empty) } else { Ok(vec![part]) }
+}
+
+fn parse_binary(bytes: &[u8]) -> Result<Part, ParseError> {
+    // A header that begins with `solid` would make text of it.
+    let mut bytes = bytes.to_vec();
+    if let Some(first) = bytes.first_mut() {
+        *first = b' ';
+    }
+    let mut mesh = Mesh::default();
+    let at = |triangle: usize| HEADER_BYTES + TRIANGLE_BYTES * triangle;
+    let problem = |offset, problem: String| ParseError::Byte { offset, problem };
+    let mut cursor = Cursor::new(bytes);
+    let reader = stl_io::create_stl_reader(&mut cursor).map_err(|e| problem(0, e.to_string()))?;
+    for (index, triangle) in reader.enumerate() {
+        let triangle = triangle.map_err(|e| problem(at(index), e.to_string()))?;
+        if !triangle.vertices.iter().flat_map(|v| v.0).all(f32::is_finite) {
+            return Err(problem(at(index), format!("triangle {index} has a corner that is no place")));
+        }
+        push(&mut mesh, &triangle);
+    }
+    Ok(Part { name: String::new(), material: None, mesh })
+}
+
+fn parse_text(bytes: &[u8]) -> Result<Part, ParseError> {
+    // The reader wants a name after `solid`, and nothing before it.
+    let skipped = bytes.len() - bytes.trim_ascii_start().len();
+    let before = bytes.iter().take(skipped).filter(|&&b| b == b'\n').count();
+    let first_end = bytes.iter().skip(skipped).position(|&b| b == b'\n').map_or(bytes.len(), |i| skipped + i);
+    let first_line = bytes.get(skipped..first_end).unwrap_or(&[]);
+    let name = String::from_utf8_lossy(first_line.get(5..).unwrap_or(&[])).trim().to_owned();
+    let rest = bytes.get(first_end..).unwrap_or(&[]);
+    let text = [b"solid x".as_slice(), rest].concat();
+
+    let count = Cell::new(0);
+    let mut lines = Lines::new(&text, &count);
+    let problem = |e: std::io::Error| ParseError::Line { line: before + count.get(), problem: e.to_string() };
+    let mut mesh = Mesh::default();
+    for triangle in stl_io::create_stl_reader(&mut lines).map_err(problem)? {
+        push(&mut mesh, &triangle.map_err(problem)?);
+    }
+    Ok(Part { name, material: None, mesh })
+}
+
+fn push(mesh: &mut Mesh, triangle: &stl_io::Triangle) {
+    let first = mesh.vertices.len() as u32;
+    mesh.vertices.extend(triangle.vertices.iter().map(|v| DVec3::from(v.0.map(f64::from))));
+    mesh.triangles.push([first, first + 1, first + 2]);
+}
