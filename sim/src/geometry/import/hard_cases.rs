@@ -115,7 +115,7 @@ fn errors_name_the_line_or_the_byte() {
     assert_eq!(parse_stl(b"solid x\nendsolid x\n"), Err(ParseError::Empty));
     let whole = binary();
     for cut in [0, 50, 84, 133, whole.len() - 2] {
-        let error = parse_stl(&[b"x", &whole[1..].get(..cut).unwrap_or(&[])[..]].concat());
+        let error = parse_stl(&[b"x".as_slice(), &whole[1..=cut]].concat());
         assert!(matches!(error, Err(ParseError::Byte { .. })), "{cut}: {error:?}");
     }
     let mut huge = whole.clone();
@@ -154,7 +154,8 @@ fn units_and_axes_are_applied_and_the_path_is_named() {
 #[test]
 fn damaged_files_never_panic() {
     let mut rng = generator(11, Purpose::Build, [0, 0]);
-    let samples: [(&[u8], fn(&[u8]) -> Result<Vec<Part>, ParseError>); 3] =
+    type Parser = fn(&[u8]) -> Result<Vec<Part>, ParseError>;
+    let samples: [(&[u8], Parser); 3] =
         [(TETRAHEDRON.as_bytes(), parse_stl), (&binary(), parse_stl), (CUBE.as_bytes(), parse_obj)];
     for (whole, parse) in samples {
         for _ in 0..3000 {
