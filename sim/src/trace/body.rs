@@ -35,6 +35,14 @@ pub enum BodyError {
         /// Vertices given.
         given: usize,
     },
+    /// The world has no such body.
+    #[error("there is no body {body}, the world has {bodies}")]
+    NoSuchBody {
+        /// The body asked for.
+        body: u32,
+        /// Bodies of the world.
+        bodies: usize,
+    },
     /// More coplanar groups or fewer than triangles.
     #[error("{given} coplanar groups for {expected} triangles, expected one a triangle")]
     Groups {
@@ -143,6 +151,11 @@ impl Body {
             return Err(BodyError::OtherMesh { expected: self.mesh.vertices.len(), given: vertices.len() });
         }
         check_places(vertices)?;
+        if self.build == Build::Static {
+            let mesh = Mesh { vertices: vertices.to_vec(), triangles: self.mesh.triangles.clone() };
+            *self = Self::in_world(mesh, self.groups.clone(), self.build, self.scale_m)?;
+            return Ok(());
+        }
         self.mesh.vertices.copy_from_slice(vertices);
         self.fit(largest_m(vertices))
     }
@@ -156,8 +169,7 @@ impl Body {
     pub(super) fn fit(&mut self, scale_m: f64) -> Result<(), BodyError> {
         self.scale_m = self.scale_m.max(scale_m);
         if self.build == Build::Static {
-            let (mesh, groups) = (std::mem::take(&mut self.mesh), std::mem::take(&mut self.groups));
-            *self = Self::in_world(mesh, groups, self.build, self.scale_m)?;
+            *self = Self::in_world(self.mesh.clone(), self.groups.clone(), self.build, self.scale_m)?;
             return Ok(());
         }
         self.load_corners();

@@ -403,6 +403,7 @@ fn damaged_meshes_are_refused_and_leave_a_body_as_it_was() {
     vertices[5].y = f64::NAN;
     assert!(world.refit(0, &vertices).is_err());
     assert!(matches!(world.refit(0, &vertices[1..]), Err(BodyError::OtherMesh { .. })));
+    assert!(matches!(world.refit(1, &vertices), Err(BodyError::NoSuchBody { body: 1, bodies: 1 })));
     assert_eq!(world.closest(&ray), before);
 }
 

@@ -22,18 +22,19 @@ impl World {
     /// A world of bodies. Those much smaller than it have their boxes enlarged for it.
     pub fn new(mut bodies: Vec<Body>) -> Result<Self, BodyError> {
         let scale_m = bodies.iter().map(Body::scale_m).fold(0.0, f64::max);
-        for body in bodies.iter_mut().filter(|b| 1.5 * roaming_m(b.scale_m()) < roaming_m(scale_m)) {
-            body.fit(scale_m)?;
-        }
+        enlarge(&mut bodies, scale_m)?;
         Ok(World { bodies, scale_m, roaming_m: roaming_m(scale_m) })
     }
 
     /// Moves the vertices of a body; see [`Body::refit`].
     pub fn refit(&mut self, body: u32, vertices: &[DVec3]) -> Result<(), BodyError> {
-        let Some(body) = self.bodies.get_mut(body as usize) else { return Ok(()) };
-        body.refit(vertices)?;
-        if body.scale_m() > self.scale_m {
-            *self = Self::new(std::mem::take(&mut self.bodies))?;
+        let bodies = self.bodies.len();
+        let moved = self.bodies.get_mut(body as usize).ok_or(BodyError::NoSuchBody { body, bodies })?;
+        moved.refit(vertices)?;
+        let scale_m = moved.scale_m();
+        if scale_m > self.scale_m {
+            (self.scale_m, self.roaming_m) = (scale_m, roaming_m(scale_m));
+            enlarge(&mut self.bodies, scale_m)?;
         }
         Ok(())
     }
@@ -127,6 +128,14 @@ impl World {
         let start = -ray.origin.dot(ray.direction) - reach;
         if start.is_finite() { start.max(0.0) } else { 0.0 }
     }
+}
+
+/// Enlarges the boxes of bodies much smaller than the world they are in.
+fn enlarge(bodies: &mut [Body], scale_m: f64) -> Result<(), BodyError> {
+    for body in bodies.iter_mut().filter(|b| 1.5 * roaming_m(b.scale_m()) < roaming_m(scale_m)) {
+        body.fit(scale_m)?;
+    }
+    Ok(())
 }
 
 #[inline(always)]
