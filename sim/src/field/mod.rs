@@ -1,12 +1,16 @@
-//! Fields: reflection at slabs, antennas and their images, highlights on curved bodies.
+//! Fields: reflection at slabs, antennas and their images, highlights on curved bodies, physical optics over facets.
 //!
 //! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a path
 //! except the propagation phase.
 
+pub mod boundary;
+pub mod facet;
 pub mod fresnel;
 pub mod highlight;
 pub mod image;
 pub mod pattern;
+pub mod terminal;
+pub mod triangle;
 
 use glam::DVec3;
 use num_complex::Complex64;

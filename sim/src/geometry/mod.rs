@@ -8,6 +8,8 @@ mod lint;
 mod mesh;
 mod normals;
 mod planes;
+pub mod shape;
+mod surface;
 mod weld;
 
 pub use edges::{Edge, edges, neighbours};
@@ -17,4 +19,5 @@ pub(crate) use mesh::check_places;
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
 pub use normals::smooth_normals;
 pub use planes::{Plane, Planes, planes};
+pub use surface::Surface;
 pub use weld::{Welded, weld};
