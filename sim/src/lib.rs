@@ -5,6 +5,8 @@
 //! times) -> [`echo`] (what each of them reflects by every audible pair of image antennas) -> [`slow_time`] (every chirp between
 //! the keys) -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding).
 //!
+//! Beside it, [`rcs`] puts canonical targets before the solver's parts in [`field`], one by one, against what is known of them.
+//!
 //! Conventions are those of [`radome_dsp`]. The room is the box `0..size`, x and y horizontal, z up; the radar's own axes are
 //! x boresight, y left, z up. Every random draw is a function of (seed, purpose, index): frames are the same bytes in whatever
 //! order and on however many threads they are made.
@@ -15,6 +17,7 @@ pub mod echo;
 pub mod field;
 pub mod geometry;
 pub mod random;
+pub mod rcs;
 pub mod receiver;
 mod render;
 pub mod scene;

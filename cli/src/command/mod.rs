@@ -12,6 +12,7 @@ mod evaluate;
 mod labels;
 mod live;
 mod models;
+mod rcs;
 mod rdm;
 mod record;
 mod repair;
@@ -41,6 +42,8 @@ pub enum Command {
     Repair(repair::Arguments),
     /// Labels of a recording, to and from Audacity tracks and DEEPCRAFT files
     Labels(labels::Arguments),
+    /// One target through the solver: radar cross-section, analytic value, error, time
+    Rcs(rcs::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
     /// Simulate a scene: raw frames, truth and labels
@@ -71,6 +74,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Repair(arguments) => repair::run(&arguments),
         Command::Labels(arguments) => labels::run(&arguments),
+        Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),

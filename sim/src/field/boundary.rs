@@ -49,8 +49,12 @@ impl Boundary {
         let outgoing = direction - normal * (2.0 * descent);
         let coefficients = self.reflection(wavenumber_per_m, descent.abs().min(1.0));
         let (te, tm) = incidence_frame(direction, normal);
-        let field =
-            Phasor3::combine(coefficients.te * incident.along(te), te, coefficients.tm * incident.along(tm), te.cross(outgoing));
+        let field = Phasor3::combine(
+            coefficients.te * incident.along(te),
+            te,
+            coefficients.tm * incident.along(tm),
+            te.cross(outgoing),
+        );
         (field, outgoing)
     }
 }

@@ -4,10 +4,14 @@
 //! except the propagation phase.
 
 pub mod boundary;
+pub mod chain;
+pub mod current;
+pub mod edge;
 pub mod facet;
 pub mod fresnel;
 pub mod highlight;
 pub mod image;
+pub mod link;
 pub mod pattern;
 pub mod terminal;
 pub mod triangle;

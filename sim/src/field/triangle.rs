@@ -80,10 +80,20 @@ pub fn by_quadrature(a: f64, b: f64, c: f64) -> Complex64 {
 
 /// Nodes and weights of the 10-point rule on equal panels of 0..1.
 pub(crate) fn gauss_legendre(panels: usize) -> impl Iterator<Item = (f64, f64)> {
-    const NODES: [f64; 5] =
-        [0.148_874_338_981_631_22, 0.433_395_394_129_247_2, 0.679_409_568_299_024_4, 0.865_063_366_688_984_5, 0.973_906_528_517_171_7];
-    const WEIGHTS: [f64; 5] =
-        [0.295_524_224_714_752_87, 0.269_266_719_309_996_35, 0.219_086_362_515_982_04, 0.149_451_349_150_580_6, 0.066_671_344_308_688_14];
+    const NODES: [f64; 5] = [
+        0.148_874_338_981_631_22,
+        0.433_395_394_129_247_2,
+        0.679_409_568_299_024_4,
+        0.865_063_366_688_984_5,
+        0.973_906_528_517_171_7,
+    ];
+    const WEIGHTS: [f64; 5] = [
+        0.295_524_224_714_752_87,
+        0.269_266_719_309_996_35,
+        0.219_086_362_515_982_04,
+        0.149_451_349_150_580_6,
+        0.066_671_344_308_688_14,
+    ];
     let width = 1.0 / panels.max(1) as f64;
     (0..panels.max(1)).flat_map(move |panel| {
         let centre = (panel as f64 + 0.5) * width;
@@ -108,7 +118,8 @@ mod hard_cases {
         for p in sizes {
             for q in sizes {
                 for offset in [0.0, 0.7, -3.0] {
-                    for [a, b, c] in [[0.0, p, q], [0.0, p, p + q], [0.0, p, -q], [p, p, q], [0.0, p, p * (1.0 + 1e-9)]] {
+                    for [a, b, c] in [[0.0, p, q], [0.0, p, p + q], [0.0, p, -q], [p, p, q], [0.0, p, p * (1.0 + 1e-9)]]
+                    {
                         let (a, b, c) = (a + offset, b + offset, c + offset);
                         worst = worst.max((integral(a, b, c) - by_quadrature(a, b, c)).norm() / 0.5);
                     }

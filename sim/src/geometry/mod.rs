@@ -8,6 +8,7 @@ mod lint;
 mod mesh;
 mod normals;
 mod planes;
+pub mod polygon;
 pub mod shape;
 mod surface;
 mod weld;

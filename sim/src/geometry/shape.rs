@@ -28,8 +28,7 @@ fn grid(columns: usize, rows: usize, vertex: impl Fn(usize, usize) -> (DVec3, DV
     let at = |column: usize, row: usize| (row * (columns + 1) + column) as u32;
     for row in 0..rows {
         for column in 0..columns {
-            let [a, b, c, d] =
-                [at(column, row), at(column + 1, row), at(column + 1, row + 1), at(column, row + 1)];
+            let [a, b, c, d] = [at(column, row), at(column + 1, row), at(column + 1, row + 1), at(column, row + 1)];
             surface.triangles.extend([[a, b, c], [a, c, d]]);
         }
     }

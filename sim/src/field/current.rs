@@ -1,0 +1,95 @@
+//! The currents that a field excites on a surface, and what an antenna hears of them.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::Phasor3;
+use super::boundary::Boundary;
+
+/// A wave that has arrived at a surface.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Arrival {
+    /// Electric field.
+    pub field: Phasor3,
+    /// Unit vector along which the wave travels.
+    pub direction: DVec3,
+}
+
+/// An antenna that listens.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Listener {
+    /// Unit vector from the surface to the antenna.
+    pub towards: DVec3,
+    /// Polarisation, unit vector.
+    pub polarisation: DVec3,
+}
+
+fn cross(a: DVec3, b: Phasor3) -> Phasor3 {
+    Phasor3 { re: a.cross(b.re), im: a.cross(b.im) }
+}
+
+fn sum(a: Phasor3, b: Phasor3) -> Phasor3 {
+    Phasor3 { re: a.re + b.re, im: a.im + b.im }
+}
+
+/// Physical optics at a point: half of `p . [eta (J - s (s . J)) + M x s]` with `J = n x (H_i + H_r)` and
+/// `M = -n x (E_i + E_r)`, so that the received field is `-jk/(2 pi)` times its integral over the surface (with spreading and
+/// phase). For a conductor seen by the antenna that lights it, the cosine of the angle of incidence.
+pub fn heard(
+    arrival: &Arrival,
+    normal: DVec3,
+    boundary: &Boundary,
+    wavenumber_per_m: f64,
+    listener: &Listener,
+) -> Complex64 {
+    let s = listener.towards;
+    let p = listener.polarisation - s * s.dot(listener.polarisation);
+    let magnetic = cross(arrival.direction, arrival.field);
+    if *boundary == Boundary::Conductor {
+        return cross(normal, magnetic).along(p);
+    }
+    let (reflected, outgoing) = boundary.reflect(arrival.field, arrival.direction, normal, wavenumber_per_m);
+    let electric_current = cross(normal, sum(magnetic, cross(outgoing, reflected)));
+    let magnetic_current = cross(normal, sum(arrival.field, reflected));
+    // p . (M x s) = M . (s x p), and M has the minus.
+    0.5 * (electric_current.along(p) - magnetic_current.along(s.cross(p)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Back to where it came from: the cosine for a conductor, minus the reflection coefficient times it for anything else at
+    /// normal incidence.
+    #[test]
+    fn backscatter_is_the_cosine_times_reflection() {
+        let towards = DVec3::new(0.5, 0.3, 0.8).normalize();
+        let polarisation = towards.any_orthonormal_vector();
+        let listener = Listener { towards, polarisation };
+        let arrival = Arrival { field: Phasor3::real(polarisation), direction: -towards };
+        let conductor = heard(&arrival, DVec3::Z, &Boundary::Conductor, 1257.0, &listener);
+        assert!((conductor - towards.z).norm() < 1e-12);
+        let permittivity = Complex64::new(7.98, -10.9);
+        let skin = Boundary::HalfSpace { permittivity };
+        let back = heard(&arrival, towards, &skin, 1257.0, &listener);
+        let index = permittivity.sqrt();
+        assert!((back + (1.0 - index) / (1.0 + index)).norm() < 1e-12);
+    }
+
+    /// A dielectric whose permittivity grows without bound is a conductor, at any angle between the two ends.
+    #[test]
+    fn a_conductor_is_the_limit_of_dielectrics() {
+        let direction = DVec3::new(0.6, 0.1, -0.5).normalize();
+        let field = Phasor3::combine(
+            Complex64::new(0.2, 0.5),
+            direction.any_orthonormal_vector(),
+            Complex64::new(-0.7, 0.1),
+            direction.cross(direction.any_orthonormal_vector()),
+        );
+        let arrival = Arrival { field, direction };
+        let listener = Listener { towards: DVec3::new(-0.2, 0.5, 0.7).normalize(), polarisation: DVec3::Y };
+        let metal = heard(&arrival, DVec3::Z, &Boundary::Conductor, 1257.0, &listener);
+        let almost = Boundary::HalfSpace { permittivity: Complex64::new(1.0, -1e12) };
+        assert!((heard(&arrival, DVec3::Z, &almost, 1257.0, &listener) - metal).norm() < 1e-5);
+    }
+}

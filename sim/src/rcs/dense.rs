@@ -1,0 +1,48 @@
+//! Plain physical optics: a surface cut into small patches of constant phase, all alike. What the solver is measured against,
+//! in error and in time.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use crate::field::facet::{Integral, Sample};
+use crate::geometry::Surface;
+
+/// Sums the integrand over patches whose edges are at most `patch_m`, each with the value at its middle. The patches of a
+/// facet lie on the curved surface that its corners' normals describe.
+pub fn integrate(
+    surface: &Surface,
+    wavenumber_per_m: f64,
+    patch_m: f64,
+    sample: impl Fn(DVec3, DVec3) -> Sample,
+) -> Integral {
+    let mut sum = Integral::default();
+    for corners in (0..surface.triangles.len()).filter_map(|t| surface.corners(t)) {
+        let [(a, na), (b, nb), (c, nc)] = corners;
+        let longest = a.distance(b).max(b.distance(c)).max(c.distance(a));
+        let cuts = (longest / patch_m.max(1e-9)).ceil().clamp(1.0, 2048.0) as usize;
+        // How far the middle of each edge lies off the chord.
+        let bulge = |p: DVec3, n: DVec3, q: DVec3, m: DVec3| 0.5 * ((q - p).dot(m) * m - (q - p).dot(n) * n);
+        let (ab, bc, ca) = (bulge(a, na, b, nb), bulge(b, nb, c, nc), bulge(c, nc, a, na));
+        let at = |u: f64, v: f64| {
+            let w = 1.0 - u - v;
+            (a * w + b * u + c * v + ab * (w * u) + bc * (u * v) + ca * (v * w), na * w + nb * u + nc * v)
+        };
+        let area = 0.5 * (b - a).cross(c - a).length() / (cuts * cuts) as f64;
+        let size = 1.0 / cuts as f64;
+        for i in 0..cuts {
+            for j in 0..cuts - i {
+                let mut patch = |shift: f64| {
+                    let (point, normal) = at((i as f64 + shift) * size, (j as f64 + shift) * size);
+                    let sample = sample(point, normal.normalize_or(na));
+                    sum.facets += 1;
+                    sum.value += sample.amplitude * Complex64::from_polar(area, -wavenumber_per_m * sample.length_m);
+                };
+                patch(1.0 / 3.0);
+                if i + j + 1 < cuts {
+                    patch(2.0 / 3.0);
+                }
+            }
+        }
+    }
+    sum
+}
