@@ -79,20 +79,20 @@ pub fn integrate<F: Fn(DVec3, DVec3) -> Sample>(surface: &Surface, accuracy: Acc
 
 /// Half-way between two points of a surface with these normals, and the normal there: the cubic through both that is
 /// tangential to the surface at its ends. No bit depends on which end comes first.
-fn halfway(a: &Corner, b: &Corner) -> (DVec3, DVec3) {
-    let d = b.point - a.point;
-    let bulge = b.normal * d.dot(b.normal) - a.normal * d.dot(a.normal);
+pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (DVec3, DVec3) {
+    let d = b - a;
+    let bulge = normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a);
     let chord = d.length_squared();
-    let mean = a.normal + b.normal;
+    let mean = normal_a + normal_b;
     // The normal of a parabola over the edge: the mean, leaned back by what the ends' slopes say about the middle.
     let lean = if chord > 0.0 { d * (1.5 * d.dot(mean) / chord) } else { DVec3::ZERO };
-    (0.5 * (a.point + b.point) + 0.125 * bulge, (mean - lean).normalize_or(a.normal))
+    (0.5 * (a + b) + 0.125 * bulge, (mean - lean).normalize_or(normal_a))
 }
 
 impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
     /// The middle of an edge, and whether the edge is to be cut there.
     fn middle(&self, a: &Corner, b: &Corner, depth: u32) -> (Corner, bool) {
-        let (point, normal) = halfway(a, b);
+        let (point, normal) = halfway(a.point, a.normal, b.point, b.normal);
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
         let k = self.accuracy.wavenumber_per_m;
         let bend = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));

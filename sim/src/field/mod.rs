@@ -12,6 +12,7 @@ pub mod fresnel;
 pub mod highlight;
 pub mod image;
 pub mod link;
+pub mod mesh_highlight;
 pub mod pattern;
 pub mod terminal;
 pub mod triangle;

@@ -12,6 +12,7 @@ pub mod polygon;
 pub mod shape;
 mod surface;
 mod weld;
+mod topology;
 
 pub use edges::{Edge, edges, neighbours};
 pub use isosurface::isosurface;
@@ -22,3 +23,4 @@ pub use normals::smooth_normals;
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;
 pub use weld::{Welded, weld};
+pub use topology::{Patch, Topology};

@@ -11,7 +11,9 @@ use crate::field::chain::{self, Face};
 use crate::field::facet::{self, Accuracy, Integral};
 use crate::field::highlight::Ellipsoid;
 use crate::field::link::Link;
-use crate::geometry::{Surface, shape};
+use crate::field::mesh_highlight::HighlightFinder;
+use crate::field::terminal::Terminal;
+use crate::geometry::{Surface, Topology, shape};
 
 /// More triangles than this are not made.
 const MOST_TRIANGLES: f64 = 4e6;
@@ -34,6 +36,8 @@ enum Shape {
     Faces(Vec<Face>),
     Body(Ellipsoid),
     Surface(Surface),
+    /// The surface, its topology, and each patch by itself.
+    Mesh(Box<(Surface, Topology, Vec<Surface>)>),
 }
 
 /// What a solution is and what it took.
@@ -79,6 +83,12 @@ impl Problem {
             (Method::Chain, _) => Shape::Faces(faces(target, setup.boundary)),
             (Method::Highlight, &Target::Sphere { radius_m }) => Shape::Body(body(DVec3::splat(radius_m))),
             (Method::Highlight, &Target::Ellipsoid { semi_axes_m }) => Shape::Body(body(semi_axes_m)),
+            (Method::MeshHighlight, _) => {
+                let surface = mesh(target, mesh_edge_m)?;
+                let topology = Topology::new(&surface);
+                let parts = topology.patches.iter().map(|patch| surface.patch(patch)).collect();
+                Shape::Mesh(Box::new((surface, topology, parts)))
+            }
             _ => Shape::Surface(mesh(target, mesh_edge_m)?),
         };
         let link = setup.link(target.reference_point(setup.towards()));
@@ -89,6 +99,7 @@ impl Problem {
     pub fn triangles(&self) -> usize {
         match &self.shape {
             Shape::Surface(surface) => surface.triangles.len(),
+            Shape::Mesh(mesh) => mesh.0.triangles.len(),
             _ => 0,
         }
     }
@@ -106,6 +117,7 @@ impl Problem {
                 }
                 all
             }),
+            Shape::Mesh(mesh) => self.mesh_highlights(&mesh.0, &mesh.1, &mesh.2, tolerance_db),
             Shape::Surface(surface) => match self.method {
                 Method::Dense => self.dense(surface, tolerance_db),
                 _ => self.refined(tolerance_db, |accuracy| self.facets(surface, accuracy)),
@@ -170,12 +182,46 @@ impl Problem {
         Outcome { facets, ..self.outcome(&coarse, Some(estimate_db).filter(|e| e.is_finite())) }
     }
 
+    /// Highlights of the closed patches where they hold to the tolerance, facets elsewhere.
+    fn mesh_highlights(&self, surface: &Surface, topology: &Topology, parts: &[Surface], tolerance_db: f64) -> Outcome {
+        let k = self.setup.wavenumber_per_m();
+        let finder = HighlightFinder::new(surface, topology, k);
+        let mut sum = Integral::default();
+        let mut left_out = Vec::new();
+        let mut estimate_db: f64 = 0.0;
+        for (patch, part) in topology.patches.iter().zip(parts) {
+            // What ends somewhere has an edge that a highlight does not know of.
+            let found = if patch.closed { finder.find(patch, &self.link.tx, &self.link.rx) } else { Vec::new() };
+            if !patch.closed || found.iter().any(|h| h.estimate_db > tolerance_db) {
+                left_out.push(part);
+                continue;
+            }
+            for highlight in found {
+                let sample = self.link.sample(highlight.point, highlight.normal, false, &self.setup.boundary, k);
+                sum.value += highlight.integral(sample.amplitude, k);
+                sum.facets += 1;
+                estimate_db = estimate_db.max(highlight.estimate_db);
+            }
+        }
+        if left_out.is_empty() {
+            return self.outcome(&sum, Some(estimate_db));
+        }
+        self.refined(tolerance_db, |accuracy| {
+            left_out.iter().fold(sum, |mut sum, part| {
+                let integral = self.facets(part, accuracy);
+                sum.value += integral.value;
+                sum.facets += integral.facets;
+                sum
+            })
+        })
+    }
+
     /// Stationary phase on the exact shape.
     fn highlight(&self, body: &Ellipsoid) -> Outcome {
         let d = self.setup.towards();
         let (setup, radar) = match self.link.tx {
-            crate::field::terminal::Terminal::Near(radar) => (self.setup, radar),
-            crate::field::terminal::Terminal::Far(_) => {
+            Terminal::Near(radar) => (self.setup, radar),
+            Terminal::Far(_) => {
                 let range_m = FAR * body.semi_axes_m.max_element();
                 (Setup { range_m: Some(range_m), ..self.setup }, d * range_m)
             }
@@ -184,7 +230,7 @@ impl Problem {
             return self.outcome(&Integral::default(), None);
         };
         let k = setup.wavenumber_per_m();
-        let link = Link::monostatic(crate::field::terminal::Terminal::Near(radar), self.link.tx_polarisation);
+        let link = Link::monostatic(Terminal::Near(radar), self.link.tx_polarisation);
         let sample = link.sample(h.point, h.normal, false, &setup.boundary, k);
         let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
         let integral = Integral { value, facets: 1 };

@@ -1,0 +1,245 @@
+//! Which vertices of a surface are neighbours, and into which smooth patches it falls.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+
+use super::{Mesh, Surface};
+
+/// A connected smooth part of a surface.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Patch {
+    /// Its triangles.
+    pub triangles: Vec<u32>,
+    /// Whether it has no edge: every side of every triangle has another one behind it.
+    pub closed: bool,
+}
+
+/// Neighbourhood of a surface's vertices.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Topology {
+    /// Where each vertex' neighbours begin.
+    first: Vec<u32>,
+    neighbours: Vec<u32>,
+    /// The smooth parts.
+    pub patches: Vec<Patch>,
+}
+
+impl Topology {
+    /// Finds neighbours and patches.
+    pub fn new(surface: &Surface) -> Self {
+        let count = surface.vertices.len();
+        // Each side of a triangle, both ways; a closed surface has every one twice.
+        let sides = surface.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)]);
+        let mut sides: Vec<(u32, u32)> =
+            sides.filter(|&(a, b)| (a as usize) < count && (b as usize) < count && a != b).collect();
+        sides.sort_unstable();
+        let mut open = vec![false; count];
+        let mut unique = Vec::with_capacity(sides.len() / 2);
+        for run in sides.chunk_by(|p, q| p == q) {
+            if let Some(&(a, b)) = run.first() {
+                if run.len() != 2 {
+                    open[a as usize] = true;
+                    open[b as usize] = true;
+                }
+                unique.push((a, b));
+            }
+        }
+        let mut first = vec![0u32; count + 1];
+        for &(a, _) in &unique {
+            first[a as usize + 1] += 1;
+        }
+        for i in 0..count {
+            first[i + 1] += first[i];
+        }
+        let neighbours: Vec<u32> = unique.iter().map(|&(_, b)| b).collect();
+        let mut topology = Topology { first, neighbours, patches: Vec::new() };
+        topology.patches = topology.find_patches(surface, &open);
+        topology
+    }
+
+    /// Vertices that share a side with this one.
+    pub fn neighbours(&self, vertex: u32) -> &[u32] {
+        let at = |i: usize| self.first.get(i).map_or(0, |&f| f as usize);
+        self.neighbours.get(at(vertex as usize)..at(vertex as usize + 1)).unwrap_or_default()
+    }
+
+    fn find_patches(&self, surface: &Surface, open: &[bool]) -> Vec<Patch> {
+        let mut patch_of = vec![u32::MAX; surface.vertices.len()];
+        let mut patches: Vec<Patch> = Vec::new();
+        for start in 0..surface.vertices.len() as u32 {
+            if patch_of[start as usize] != u32::MAX || self.neighbours(start).is_empty() {
+                continue;
+            }
+            let id = patches.len() as u32;
+            let mut closed = true;
+            let mut left = vec![start];
+            patch_of[start as usize] = id;
+            while let Some(vertex) = left.pop() {
+                closed &= !open[vertex as usize];
+                for &next in self.neighbours(vertex) {
+                    if patch_of[next as usize] == u32::MAX {
+                        patch_of[next as usize] = id;
+                        left.push(next);
+                    }
+                }
+            }
+            patches.push(Patch { triangles: Vec::new(), closed });
+        }
+        for (t, triangle) in surface.triangles.iter().enumerate() {
+            let patch = patch_of.get(triangle[0] as usize).and_then(|&p| patches.get_mut(p as usize));
+            if let Some(patch) = patch {
+                patch.triangles.push(t as u32);
+            }
+        }
+        patches
+    }
+}
+
+impl Surface {
+    /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
+    /// same place are one. A vertex' normal is the mean of its triangles' by the angles that they have there. Triangles
+    /// without area are left out.
+    pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
+        let mut places: HashMap<[u64; 3], u32> = HashMap::new();
+        let place_of: Vec<u32> = mesh
+            .vertices
+            .iter()
+            .map(|v| {
+                let next = places.len() as u32;
+                // Adding zero turns -0 into 0.
+                *places.entry((*v + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert(next)
+            })
+            .collect();
+        let mut kept: Vec<([u32; 3], [DVec3; 3], DVec3)> = Vec::with_capacity(mesh.triangles.len());
+        for (t, triangle) in mesh.triangles.iter().enumerate() {
+            let Some([a, b, c]) = mesh.corners(t) else { continue };
+            let cross = (b - a).cross(c - a);
+            let longest = a.distance_squared(b).max(b.distance_squared(c)).max(c.distance_squared(a));
+            if cross.is_finite() && cross.length() > 1e-12 * longest {
+                let places = triangle.map(|i| place_of.get(i as usize).copied().unwrap_or(0));
+                kept.push((places, [a, b, c], cross.normalize()));
+            }
+        }
+        let groups = smooth_corners(&kept, crease_rad);
+        let mut surface = Surface::default();
+        let mut vertex_of: HashMap<u32, u32> = HashMap::new();
+        for (t, (_, corners, normal)) in kept.iter().enumerate() {
+            let triangle = [0, 1, 2].map(|i| {
+                let vertex = *vertex_of.entry(groups[3 * t + i]).or_insert_with(|| {
+                    surface.vertices.push(corners[i]);
+                    surface.normals.push(DVec3::ZERO);
+                    (surface.vertices.len() - 1) as u32
+                });
+                let (p, q) = (corners[(i + 1) % 3] - corners[i], corners[(i + 2) % 3] - corners[i]);
+                surface.normals[vertex as usize] += *normal * p.angle_between(q);
+                vertex
+            });
+            surface.triangles.push(triangle);
+        }
+        for (normal, fallback) in surface.normals.iter_mut().zip(std::iter::repeat(DVec3::Z)) {
+            *normal = normal.normalize_or(fallback);
+        }
+        surface
+    }
+
+    /// The part of a surface that a patch is.
+    pub fn patch(&self, patch: &Patch) -> Surface {
+        let triangles = patch.triangles.iter().filter_map(|&t| self.triangles.get(t as usize).copied());
+        let mut part = Surface { two_sided: self.two_sided || !patch.closed, ..Surface::default() };
+        let mut new_index: HashMap<u32, u32> = HashMap::new();
+        for triangle in triangles {
+            let triangle = triangle.map(|i| {
+                *new_index.entry(i).or_insert_with(|| {
+                    part.vertices.push(self.vertices.get(i as usize).copied().unwrap_or_default());
+                    part.normals.push(self.normals.get(i as usize).copied().unwrap_or(DVec3::Z));
+                    (part.vertices.len() - 1) as u32
+                })
+            });
+            part.triangles.push(triangle);
+        }
+        part
+    }
+}
+
+/// For each corner of each triangle a number that it shares with the corners it is smooth with.
+fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> Vec<u32> {
+    let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
+    fn root(parent: &mut [u32], mut i: u32) -> u32 {
+        while parent[i as usize] != i {
+            parent[i as usize] = parent[parent[i as usize] as usize];
+            i = parent[i as usize];
+        }
+        i
+    }
+    let mut sides: Vec<((u32, u32), usize, usize)> = Vec::with_capacity(3 * triangles.len());
+    for (t, (places, ..)) in triangles.iter().enumerate() {
+        for i in 0..3 {
+            let (a, b) = (places[i], places[(i + 1) % 3]);
+            sides.push(((a.min(b), a.max(b)), t, i));
+        }
+    }
+    sides.sort_unstable();
+    for run in sides.chunk_by(|p, q| p.0 == q.0) {
+        // More than two triangles on a side: no surface continues there.
+        let [(_, t, i), (_, u, j)] = *run else { continue };
+        if triangles[t].2.angle_between(triangles[u].2) >= crease_rad {
+            continue;
+        }
+        for (k, l) in [(i, (j + 1) % 3), ((i + 1) % 3, j)] {
+            // The side runs the other way in the neighbour; where it does not, the two are not one sheet.
+            if triangles[t].0[k] != triangles[u].0[l] {
+                continue;
+            }
+            let (p, q) = (root(&mut parent, (3 * t + k) as u32), root(&mut parent, (3 * u + l) as u32));
+            parent[p.max(q) as usize] = p.min(q);
+        }
+    }
+    (0..parent.len() as u32).map(|i| root(&mut parent, i)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::shape;
+
+    fn cube() -> Mesh {
+        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles = quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        Mesh { vertices, triangles }
+    }
+
+    #[test]
+    fn a_cube_falls_into_six_open_patches_and_stays_one_closed_one_when_smoothed() {
+        let sharp = Surface::from_mesh(&cube(), 0.5);
+        let patches = Topology::new(&sharp).patches;
+        assert_eq!((patches.len(), sharp.vertices.len()), (6, 24));
+        assert!(patches.iter().all(|p| !p.closed && p.triangles.len() == 2));
+        let smooth = Surface::from_mesh(&cube(), 2.0);
+        let patches = Topology::new(&smooth).patches;
+        assert_eq!((patches.len(), smooth.vertices.len(), patches[0].closed), (1, 8, true));
+        assert!(smooth.normals.iter().zip(&smooth.vertices).all(|(n, v)| n.dot(*v - DVec3::splat(0.5)) > 0.8));
+    }
+
+    /// A soup of triangles is welded, what has no area dropped, and the normals come out as the sphere's.
+    #[test]
+    fn a_soup_becomes_a_sphere() {
+        let sphere = shape::icosphere(DVec3::splat(0.05), 12);
+        let mut soup = Mesh::default();
+        for t in 0..sphere.triangles.len() {
+            let first = soup.vertices.len() as u32;
+            soup.vertices.extend(sphere.corners(t).expect("in range").map(|c| c.0));
+            soup.triangles.push([first, first + 1, first + 2]);
+            soup.triangles.push([first, first, first + 2]);
+        }
+        let surface = Surface::from_mesh(&soup, 0.5);
+        assert_eq!(surface.vertices.len(), sphere.vertices.len());
+        assert_eq!(surface.triangles.len(), sphere.triangles.len());
+        let worst = surface.vertices.iter().zip(&surface.normals).map(|(v, n)| n.angle_between(*v));
+        assert!(worst.fold(0.0, f64::max) < 0.01);
+        let topology = Topology::new(&surface);
+        assert!(topology.patches.len() == 1 && topology.patches[0].closed);
+        assert!((0..surface.vertices.len() as u32).all(|v| (5..=6).contains(&topology.neighbours(v).len())));
+    }
+}
