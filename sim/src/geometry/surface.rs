@@ -32,6 +32,12 @@ impl Surface {
         Mesh { vertices: self.vertices.clone(), triangles: self.triangles.clone() }
     }
 
+    /// Lowest and highest coordinates; both zero for no vertex.
+    pub fn bounds(&self) -> (DVec3, DVec3) {
+        let Some(&first) = self.vertices.first() else { return (DVec3::ZERO, DVec3::ZERO) };
+        self.vertices.iter().fold((first, first), |(low, high), &v| (low.min(v), high.max(v)))
+    }
+
     /// Mean length of the triangles' edges, m.
     pub fn mean_edge_m(&self) -> f64 {
         let (mut sum, mut count) = (0.0, 0usize);

@@ -99,13 +99,8 @@ impl Target {
             }
             Target::Ellipsoid { semi_axes_m } => towards / (towards / *semi_axes_m).length(),
             Target::Surface { surface } => {
-                let (low, high) = surface
-                    .vertices
-                    .iter()
-                    .fold((DVec3::splat(f64::INFINITY), DVec3::splat(f64::NEG_INFINITY)), |(low, high), &v| {
-                        (low.min(v), high.max(v))
-                    });
-                if surface.vertices.is_empty() { DVec3::ZERO } else { 0.5 * (low + high) }
+                let (low, high) = surface.bounds();
+                0.5 * (low + high)
             }
             _ => DVec3::ZERO,
         }
