@@ -202,10 +202,10 @@ impl<'a> HighlightFinder<'a> {
             let mut radius_m = (1.2 * zone_m).max(2.3 * edge_m);
             // A plane first: it takes little to be found, and less to be misled by noise. What a cubic cannot make
             // stationary a lesser fit may, or one over more of the surface.
-            let sizes: &[usize] = if pass == 0 { &[3] } else { &[10, 6, 3] };
             let mut attempt = None;
             for _ in 0..WIDENINGS {
                 let sums = self.gather(candidate, centre, normal, radius_m);
+                let sizes = if pass == 0 { &[3][..] } else { sums.sizes() };
                 attempt = sizes.iter().find_map(|&size| {
                     let fit = sums.solve(size)?;
                     let at = stationary(&fit, tx, rx, radius_m)?;
@@ -452,12 +452,14 @@ struct FitSums {
     radius_m: f64,
     matrix: [[f64; TERMS]; TERMS],
     right: [[f64; 2]; TERMS],
+    /// Sum of the squares that are fitted.
+    squares: f64,
     count: usize,
 }
 
 impl FitSums {
     fn new(centre: DVec3, frame: [DVec3; 3], radius_m: f64) -> Self {
-        FitSums { centre, frame, radius_m, matrix: [[0.0; TERMS]; TERMS], right: [[0.0; 2]; TERMS], count: 0 }
+        FitSums { centre, frame, radius_m, matrix: [[0.0; TERMS]; TERMS], right: [[0.0; 2]; TERMS], squares: 0.0, count: 0 }
     }
 
     fn add(&mut self, x: f64, y: f64, weight: f64, u: f64, v: f64) {
@@ -469,7 +471,28 @@ impl FitSums {
             self.right[i][0] += weight * row[i] * u;
             self.right[i][1] += weight * row[i] * v;
         }
+        self.squares += weight * (u * u + v * v);
         self.count += 1;
+    }
+
+    /// Terms to try, the best first: more of them only where they explain so much more that it cannot be noise.
+    fn sizes(&self) -> &'static [usize] {
+        let variance = |size: usize| {
+            let Some(fit) = self.solve(size) else { return f64::INFINITY };
+            let explained: f64 =
+                (0..size).map(|i| fit.along_u[i] * self.right[i][0] + fit.along_v[i] * self.right[i][1]).sum();
+            (self.squares - explained).max(0.0) / (self.count as f64 - 0.8 * size as f64).max(0.5)
+        };
+        let (plane, quadratic, cubic) = (variance(3), variance(6), variance(10));
+        // What is left may be rounding where a surface is its own fit, as a sphere is.
+        let rounding = 1e-14 * self.squares;
+        if cubic < 0.6 * quadratic.min(plane) + rounding {
+            &[10, 6, 3]
+        } else if quadratic < 0.6 * plane + rounding {
+            &[6, 3, 10]
+        } else {
+            &[3, 6, 10]
+        }
     }
 
     /// A cubic (10 terms), a quadratic (6) or a plane (3), if the points are enough for it.
