@@ -4,6 +4,7 @@ use anyhow::{Context, bail};
 use clap::ValueEnum;
 use glam::DVec3;
 use radome_sim::field::boundary::Boundary;
+use radome_sim::geometry::{Mesh, Surface};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
 use serde::Serialize;
@@ -240,8 +241,24 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
     Ok(target)
 }
 
+/// Smooth across everything that bends less than this: a ball of triangles is a ball, a box has edges.
+const CREASE_DEG: f64 = 35.0;
+
 fn mesh_file(path: &str) -> anyhow::Result<Target> {
-    bail!("there is no target {path}\n\nhint: plate, dihedral, trihedral, sphere, cylinder, ellipsoid or mirror")
+    let lower = path.to_ascii_lowercase();
+    let read = || std::fs::read(path).with_context(|| format!("cannot read {path}"));
+    let mesh = if lower.ends_with(".stl") {
+        Mesh::from_stl(&read()?)
+    } else if lower.ends_with(".obj") {
+        Mesh::from_obj(&read()?)
+    } else {
+        bail!(
+            "there is no target {path}\n\nhint: plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a file \
+             that ends in .stl or .obj"
+        )
+    };
+    let mesh = mesh.with_context(|| format!("cannot use {path}"))?;
+    Ok(Target::Surface { surface: Surface::from_mesh(&mesh, CREASE_DEG.to_radians()) })
 }
 
 fn setup(arguments: &Arguments, target: &Target) -> anyhow::Result<Setup> {

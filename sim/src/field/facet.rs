@@ -1,6 +1,10 @@
 //! Physical optics over a surface, facet by facet: `int A e^{-jk(R_t + R_r)} dS` with exact phases at the vertices, the
 //! triangle integral in between, and facets cut until the phase bends little inside each.
 //!
+//! Strength is linear inside a facet too, as phase is. Far from stationary points the sum lives on neighbours cancelling at
+//! their common edges, and facets of constant strength do not: on a sphere of 5 mm facets they leave 0.1 dB where linear ones
+//! leave 0.01.
+//!
 //! Whether an edge is cut depends on that edge alone: both of its facets decide alike, no vertex ever hangs on a neighbour's
 //! edge, and the vertex phases of interior edges cancel exactly. The half-way point of an edge lies on the curve that its
 //! ends' normals describe, so that the facets of a coarse mesh follow the body that it stands for.
@@ -35,15 +39,15 @@ pub struct Integral {
 const MAX_DEPTH: u32 = 11;
 /// Phase difference along an edge, rad, beyond which the facet's contribution is so far from stationary that its bending
 /// matters less, by the square of the ratio.
-const STATIONARY_RAD: f64 = 10.0;
+const STATIONARY_RAD: f64 = 30.0;
 
 /// How finely to integrate.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Accuracy {
     /// Wave number, 1/m.
     pub wavenumber_per_m: f64,
-    /// Phase, rad, by which the middle of an edge may miss the mean of its ends. The mean over the facet is made up for; what
-    /// remains is of second order: 0.1 rad gives about half a decibel, 0.04 rad a tenth.
+    /// Phase, rad, by which the middle of an edge may miss the mean of its ends. The facet is then integrated as the four that
+    /// its middles make of it, less their mean residual: half a radian leaves some hundredths of a decibel.
     pub tolerance_rad: f64,
 }
 
@@ -146,19 +150,22 @@ impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
         }
     }
 
-    fn leaf(&mut self, [a, b, c]: [&Corner; 3], middles: [&Corner; 3]) {
-        self.sum.facets += 1;
-        let twice_area = (b.point - a.point).cross(c.point - a.point).length();
+    /// A facet that is cut no more, as the four triangles that its middles make of it: their samples are there anyway.
+    fn leaf(&mut self, [a, b, c]: [&Corner; 3], [ab, bc, ca]: [&Corner; 3]) {
         let ends = a.sample.length_m + b.sample.length_m + c.sample.length_m;
-        let between: f64 = middles.iter().map(|m| m.sample.length_m).sum();
-        // Phases about their mean, so that the integral works on small numbers; the quadratic part of the path has its mean
-        // a third of the sum of what the middles miss.
-        let mean = ends / 3.0;
-        let k = self.accuracy.wavenumber_per_m;
-        let phase = |corner: &Corner| -k * (corner.sample.length_m - mean);
-        let integral = triangle::integral(phase(a), phase(b), phase(c));
-        let shift = -k * (mean + (between - ends) / 3.0);
-        let amplitude = (a.sample.amplitude + b.sample.amplitude + c.sample.amplitude) / 3.0;
-        self.sum.value += amplitude * integral * Complex64::from_polar(twice_area, shift);
+        let between = ab.sample.length_m + bc.sample.length_m + ca.sample.length_m;
+        // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
+        let residual = (between - ends) / 12.0;
+        for [p, q, r] in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+            self.sum.facets += 1;
+            let k = self.accuracy.wavenumber_per_m;
+            // Phases about their mean, so that the integral works on small numbers.
+            let mean = (p.sample.length_m + q.sample.length_m + r.sample.length_m) / 3.0;
+            let phase = |corner: &Corner| -k * (corner.sample.length_m - mean);
+            let [x, y, z] = triangle::moments(phase(p), phase(q), phase(r));
+            let integral = x * p.sample.amplitude + y * q.sample.amplitude + z * r.sample.amplitude;
+            let twice_area = (q.point - p.point).cross(r.point - p.point).length();
+            self.sum.value += integral * Complex64::from_polar(twice_area, -k * (mean + residual));
+        }
     }
 }

@@ -3,6 +3,7 @@
 //! Convention `e^{+jwt}`, propagation `e^{-jkR}`, permittivity `eps' - j eps''`. Amplitudes hold every coefficient of a path
 //! except the propagation phase.
 
+pub mod aperture;
 pub mod boundary;
 pub mod chain;
 pub mod current;

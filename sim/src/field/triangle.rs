@@ -30,6 +30,91 @@ pub fn integral(a: f64, b: f64, c: f64) -> Complex64 {
     if longest < 1.0 { series(a, b, c) } else { (edge(b, c) - edge(a, b)) / Complex64::new(0.0, longest) }
 }
 
+/// `int l_i exp(j phase)` over the unit simplex for each corner i: what a strength that is linear between the corners
+/// integrates to is their sum weighted by it. They are the derivatives of [`integral`] by the phases, over j, and add up to it.
+#[inline]
+pub fn moments(a: f64, b: f64, c: f64) -> [Complex64; 3] {
+    let (low, high) = (a.min(b).min(c), a.max(b).max(c));
+    if high - low < 1.0 {
+        return series_moments([a, b, c]);
+    }
+    // Sorted by exchanges, which are undone in the result.
+    let (mut x, mut order) = ([a, b, c], [0usize, 1, 2]);
+    for (i, j) in [(0, 1), (1, 2), (0, 1)] {
+        if x[i] > x[j] {
+            x.swap(i, j);
+            order.swap(i, j);
+        }
+    }
+    let [p, q, r] = x;
+    let longest = r - p;
+    let (lower, upper) = (Edge::new(p, q), Edge::new(q, r));
+    let over = Complex64::new(0.0, longest).inv();
+    let whole = (upper.value - lower.value) * over;
+    let sorted = [
+        -lower.to_first * over + whole / longest,
+        (upper.to_first - lower.to_second) * over,
+        upper.to_second * over - whole / longest,
+    ];
+    let mut moments = [Complex64::ZERO; 3];
+    for (to, value) in order.into_iter().zip(sorted) {
+        moments[to] = Complex64::new(value.im, -value.re);
+    }
+    moments
+}
+
+/// `int_0^1 exp(j (a + t (b - a))) dt` and its derivatives by a and b.
+struct Edge {
+    value: Complex64,
+    to_first: Complex64,
+    to_second: Complex64,
+}
+
+impl Edge {
+    #[inline]
+    fn new(a: f64, b: f64) -> Self {
+        let (half, turn) = (0.5 * (b - a), Complex64::from_polar(1.0, 0.5 * (a + b)));
+        let (sine, cosine) = half.sin_cos();
+        let (sinc, slope) = if half.abs() < 0.03 {
+            let square = half * half;
+            let slope = -half / 3.0 * (1.0 - square / 10.0 * (1.0 - square / 28.0 * (1.0 - square / 54.0)));
+            (1.0 - square / 6.0 * (1.0 - square / 20.0 * (1.0 - square / 42.0)), slope)
+        } else {
+            (sine / half, (cosine - sine / half) / half)
+        };
+        Edge {
+            value: turn * sinc,
+            to_first: turn * Complex64::new(-0.5 * slope, 0.5 * sinc),
+            to_second: turn * Complex64::new(0.5 * slope, 0.5 * sinc),
+        }
+    }
+}
+
+/// The same series with each corner's phase counted twice: `h_n(x, y, z, x) = h_n(x, y, z) + x h_{n-1}(x, y, z, x)`.
+fn series_moments(phases: [f64; 3]) -> [Complex64; 3] {
+    let mean = (phases[0] + phases[1] + phases[2]) / 3.0;
+    let x = phases.map(|p| p - mean);
+    let (e2, e3) = (x[0] * x[1] + x[1] * x[2] + x[2] * x[0], x[0] * x[1] * x[2]);
+    let (mut h2, mut h1, mut h0) = (0.0, 0.0, 1.0);
+    let mut twice = [1.0; 3];
+    let mut sums = [(INVERSE_FACTORIALS[1], 0.0); 3];
+    for (n, inverse) in INVERSE_FACTORIALS.iter().skip(2).enumerate().map(|(i, inverse)| (i + 1, inverse)) {
+        let h = -e2 * h1 + e3 * h2;
+        (h2, h1, h0) = (h1, h0, h);
+        for ((twice, sum), x) in twice.iter_mut().zip(&mut sums).zip(x) {
+            *twice = h0 + x * *twice;
+            match n % 4 {
+                0 => sum.0 += *twice * inverse,
+                1 => sum.1 += *twice * inverse,
+                2 => sum.0 -= *twice * inverse,
+                _ => sum.1 -= *twice * inverse,
+            }
+        }
+    }
+    let turn = Complex64::from_polar(1.0, mean);
+    sums.map(|(re, im)| turn * Complex64::new(re, im))
+}
+
 /// Complete homogeneous symmetric polynomials `h_n` of the phases about their mean, by their recursion: their first order
 /// vanishes there.
 fn series(a: f64, b: f64, c: f64) -> Complex64 {
@@ -127,6 +212,27 @@ mod hard_cases {
             }
         }
         assert!(worst < 3e-15, "{worst:e}");
+    }
+
+    /// Moments add up to the integral, follow their corners, and each is the quadrature's difference quotient.
+    #[test]
+    fn moments_are_derivatives_of_the_integral() {
+        let sizes = [0.0, 1e-12, 1e-6, 1e-3, 0.05, 0.3, 0.99, 1.0, 1.01, 2.0, 6.3, 20.0, 60.0];
+        let mut worst: f64 = 0.0;
+        for p in sizes {
+            for q in sizes {
+                for [a, b, c] in [[0.3, 0.3 + p, 0.3 + q], [p, 0.0, -q], [p, p + q, 0.1]] {
+                    let [x, y, z] = moments(a, b, c);
+                    worst = worst.max((x + y + z - integral(a, b, c)).norm());
+                    let [v, w, u] = moments(b, c, a);
+                    assert!((u - x).norm() + (v - y).norm() + (w - z).norm() < 1e-14);
+                    let step = 1e-4;
+                    let slope = (integral(a + step, b, c) - integral(a - step, b, c)) / Complex64::new(0.0, 2.0 * step);
+                    assert!((slope - x).norm() < 1e-9, "{a} {b} {c}: {slope} {x}");
+                }
+            }
+        }
+        assert!(worst < 2e-15, "{worst:e}");
     }
 
     #[test]

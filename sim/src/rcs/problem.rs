@@ -139,7 +139,7 @@ impl Problem {
     fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
         let at =
             |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
-        let mut tolerance_rad = (0.4 * tolerance_db).min(0.4);
+        let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
         let mut coarse = at(4.0 * tolerance_rad);
         let mut facets = coarse.facets;
         let mut estimate_db = f64::INFINITY;

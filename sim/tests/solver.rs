@@ -1,0 +1,431 @@
+//! The solver's parts against reference values that were computed independently: closed forms, Mie, dense quadrature.
+
+mod common;
+
+use std::f64::consts::PI;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_sim::field::boundary::Boundary;
+use radome_sim::field::facet::{self, Accuracy};
+use radome_sim::field::link::Link;
+use radome_sim::field::mesh_highlight::HighlightFinder;
+use radome_sim::field::terminal::Terminal;
+use radome_sim::field::triangle;
+use radome_sim::geometry::{Topology, shape};
+use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
+use radome_sim::scene::material::SKIN_PERMITTIVITY;
+
+const SKIN: Boundary = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+
+fn number(value: &serde_json::Value) -> f64 {
+    value.as_f64().expect("number")
+}
+
+fn db(sigma_m2: f64) -> f64 {
+    10.0 * sigma_m2.log10()
+}
+
+fn setup(range_m: Option<f64>, azimuth_deg: f64, elevation_deg: f64, boundary: Boundary) -> Setup {
+    Setup {
+        frequency_hz: 60e9,
+        range_m,
+        azimuth_rad: azimuth_deg.to_radians(),
+        elevation_rad: elevation_deg.to_radians(),
+        polarisation: Polarisation::Vertical,
+        boundary,
+    }
+}
+
+fn solve(target: &Target, setup: &Setup, method: Method, edge_m: Option<f64>, tolerance_db: f64) -> Outcome {
+    let problem = Problem::new(target, setup, method, edge_m).expect("valid problem");
+    problem.solve(tolerance_db).expect("valid tolerance")
+}
+
+fn known_db(target: &Target, setup: &Setup) -> f64 {
+    db(known(target, setup).expect("a closed form").sigma_m2)
+}
+
+#[test]
+fn triangle_integrals_are_those_of_25_digit_quadrature() {
+    let Some(reference) = common::reference() else { return };
+    let cases = reference["triangle_integral"]["cases"].as_array().expect("cases");
+    assert!(cases.len() >= 12);
+    for case in cases {
+        let [a, b, c] = [0, 1, 2].map(|i| number(&case["phases"][i]));
+        let expected = Complex64::new(number(&case["re"]), number(&case["im"]));
+        let error = (triangle::integral(a, b, c) - expected).norm() / 0.5;
+        assert!(error < 1e-15, "{case}: {error:e}");
+    }
+}
+
+#[test]
+fn plates_have_their_sidelobes_near_a_null_too() {
+    let Some(reference) = common::reference() else { return };
+    let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
+    for row in reference["plate"]["rows"].as_array().expect("rows") {
+        let s = setup(None, number(&row["theta_deg"]), 0.0, Boundary::Conductor);
+        let expected = number(&row["sigma_m2"]);
+        for method in [Method::Facets, Method::Chain] {
+            let got = solve(&plate, &s, method, None, 0.1).sigma_m2;
+            assert!((got / expected - 1.0).abs() < 1e-6, "{row} {method:?}: {got}");
+        }
+        assert!((known_db(&plate, &s) - db(expected)).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn plates_in_the_near_field_to_a_hundredth_of_a_decibel() {
+    let Some(reference) = common::reference() else { return };
+    for row in reference["plate_near_field"]["rows"].as_array().expect("rows") {
+        let side = number(&row["a_m"]);
+        let plate = Target::Plate { width_m: side, height_m: side };
+        let s = setup(Some(number(&row["R_m"])), 0.0, 0.0, Boundary::Conductor);
+        let expected = number(&row["sigma_nf_dBsm"]);
+        let outcome = solve(&plate, &s, Method::Facets, None, 0.01);
+        let error = db(outcome.sigma_m2) - expected;
+        assert!(error.abs() < 0.01, "{row}: {error} dB");
+        assert!(outcome.estimate_db.expect("estimate") < 0.01);
+        // The quadrature that the program prints beside it.
+        assert!((known_db(&plate, &s) - expected).abs() < 1e-5, "{row}");
+    }
+}
+
+#[test]
+fn a_dihedral_far_and_near() {
+    let Some(reference) = common::reference() else { return };
+    let dihedral = Target::Dihedral { width_m: 0.1, height_m: 0.1 };
+    let expected = number(&reference["dihedral"]["dBsm"]);
+    for range in [None, Some(100.0), Some(1000.0)] {
+        let s = setup(range, 45.0, 0.0, Boundary::Conductor);
+        let error = db(solve(&dihedral, &s, Method::Chain, None, 0.01).sigma_m2) - expected;
+        // All orders together: the single bounces off both faces at 45 degrees have their part of it.
+        assert!(error.abs() < 0.051, "{range:?}: {error} dB");
+    }
+    // Near, the wave fronts bend: 4.9 dB less at 2 m (dense integration of both orders, alone).
+    let near =
+        db(solve(&dihedral, &setup(Some(2.0), 45.0, 0.0, Boundary::Conductor), Method::Chain, None, 0.01).sigma_m2);
+    assert!((near - (expected - 4.9)).abs() < 0.3, "{near}");
+}
+
+#[test]
+fn trihedrals_at_all_tabulated_angles() {
+    let Some(reference) = common::reference() else { return };
+    for row in reference["trihedral"]["rows"].as_array().expect("rows") {
+        let s = setup(None, number(&row["az"]), number(&row["el"]), Boundary::Conductor);
+        for (outline, key) in [(Outline::Triangular, "tri_dBsm"), (Outline::Square, "sq_dBsm")] {
+            let target = Target::Trihedral { edge_m: 0.1, outline };
+            let expected = number(&row[key]);
+            let got = db(solve(&target, &s, Method::Chain, None, 0.1).sigma_m2);
+            assert!((got - expected).abs() < 0.3, "{row} {outline:?}: {got}");
+            // The reference's square apertures are numerical overlaps, good to 0.04 dB.
+            assert!((known_db(&target, &s) - expected).abs() < 0.04, "{row} {outline:?}");
+        }
+    }
+}
+
+#[test]
+fn mie_is_the_reference_mie() {
+    let Some(reference) = common::reference() else { return };
+    let wavelength_m = 299_792_458.0 / 60e9;
+    for row in reference["sphere"]["rows"].as_array().expect("rows") {
+        let radius = number(&row["r_m"]);
+        let metal = db(mie::cross_section_m2(radius, wavelength_m, None));
+        assert!((metal - number(&row["mie_dBsm"])).abs() < 1e-9, "{row}: {metal}");
+        let skin = db(mie::cross_section_m2(radius, wavelength_m, Some(SKIN_PERMITTIVITY)));
+        assert!((skin - number(&row["skin_mie_dBsm"])).abs() < 1e-9, "{row}: {skin}");
+    }
+}
+
+/// A sphere of 20 thousand triangles against Mie, conductor and skin, from several sides of its mesh.
+#[test]
+fn spheres_of_twenty_thousand_triangles_are_mies() {
+    for radius_m in [0.02, 0.03, 0.04, 0.05, 0.06, 0.08, 0.1] {
+        let target = Target::Sphere { radius_m };
+        let tolerance = if radius_m < 0.025 { 0.2 } else { 0.1 };
+        for boundary in [Boundary::Conductor, SKIN] {
+            for (azimuth, elevation) in [(0.0, 0.0), (17.0, 31.0), (222.0, -65.0)] {
+                let s = setup(None, azimuth, elevation, boundary);
+                let edge = radius_m * (4.0 * PI / (20480.0 * 0.433)).sqrt();
+                let problem = Problem::new(&target, &s, Method::MeshHighlight, Some(edge)).expect("valid");
+                assert_eq!(problem.triangles(), 20480);
+                let outcome = problem.solve(0.1).expect("valid");
+                assert_eq!(outcome.facets, 1, "one highlight, and no fall-back");
+                let error = db(outcome.sigma_m2) - known_db(&target, &s);
+                assert!(error.abs() < tolerance, "{radius_m} m {boundary:?}: {error} dB");
+            }
+        }
+    }
+}
+
+/// Physical optics over facets against its own closed form, to its tolerance.
+#[test]
+fn facets_of_spheres_agree_with_the_closed_form_of_physical_optics() {
+    let Some(reference) = common::reference() else { return };
+    for row in reference["sphere"]["rows"].as_array().expect("rows") {
+        let radius_m = number(&row["r_m"]);
+        let s = setup(None, 20.0, 10.0, Boundary::Conductor);
+        let outcome = solve(&Target::Sphere { radius_m }, &s, Method::Facets, Some(0.04 * radius_m), 0.02);
+        let error = db(outcome.sigma_m2) - number(&row["po_dBsm"]);
+        assert!(error.abs() < 0.05, "{row}: {error} dB, estimate {:?}", outcome.estimate_db);
+    }
+}
+
+/// Meshes of every body of the reference, at its directions, against the highlight formula that dense integration confirmed.
+#[test]
+fn ellipsoids_on_meshes() {
+    let Some(reference) = common::reference() else { return };
+    let table = &reference["ellipsoid_highlight"];
+    for row in table["rows"].as_array().expect("rows") {
+        let triple = |key: &str| DVec3::from_array([0, 1, 2].map(|i| number(&row[key][i])));
+        let semi_axes_m = triple("axes");
+        let surface = shape::ellipsoid(semi_axes_m, 0.2 * semi_axes_m.min_element());
+        let topology = Topology::new(&surface);
+        let radar = triple("dir").normalize() * (number(&row["R0"]) + semi_axes_m.max_element());
+        let end = Terminal::Near(radar);
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let found = HighlightFinder::new(&surface, &topology, k).find(&topology.patches[0], &end, &end);
+        assert_eq!(found.len(), 1, "{row}");
+        let point = found[0].point;
+        let gradient = (point / (semi_axes_m * semi_axes_m)).length();
+        let product = semi_axes_m.element_product();
+        let gaussian = 1.0 / (product * gradient * gradient).powi(2);
+        let mean =
+            (semi_axes_m.length_squared() - point.length_squared()) / (2.0 * product * product * gradient.powi(3));
+        let range = 0.5 * found[0].length_m;
+        let expected = gaussian + 2.0 * mean / range + 1.0 / (range * range);
+        let error = db(expected / (found[0].hessian_per_m[0] * found[0].hessian_per_m[1]));
+        assert!(error.abs() < 0.1, "{row}: {error} dB");
+    }
+}
+
+/// A torso on a 14 mm mesh, all around, near and far: 0.2 dB asked, a tenth of it kept.
+#[test]
+fn a_torso_on_a_14_mm_mesh() {
+    let target = Target::Ellipsoid { semi_axes_m: DVec3::new(0.12, 0.17, 0.3) };
+    for range in [None, Some(1.0), Some(4.0)] {
+        for i in 0..24 {
+            let s = setup(range, 15.0 * f64::from(i), -60.0 + 5.0 * f64::from(i), SKIN);
+            let outcome = solve(&target, &s, Method::MeshHighlight, Some(0.014), 0.2);
+            let error = db(outcome.sigma_m2) - known_db(&target, &s);
+            assert!(error.abs() < 0.02, "{range:?} view {i}: {error} dB");
+        }
+    }
+}
+
+#[test]
+fn cylinders_far_and_near() {
+    let Some(reference) = common::reference() else { return };
+    let cylinder = |radius_m, height_m| Target::Cylinder { radius_m, height_m };
+    for (s, name) in [
+        (setup(None, 20.0, 0.0, Boundary::Conductor), "broadside"),
+        (setup(None, 20.0, 2.0, Boundary::Conductor), "tilted"),
+        (setup(Some(3.0), 20.0, 0.0, Boundary::Conductor), "near"),
+    ] {
+        let target = cylinder(0.05, 0.3);
+        let error = db(solve(&target, &s, Method::Facets, Some(0.004), 0.05).sigma_m2) - known_db(&target, &s);
+        assert!(error.abs() < 0.1, "{name}: {error} dB");
+    }
+    // The Fresnel integral along a cylinder without end is the reference's.
+    for row in reference["cylinder_infinite"]["rows"].as_array().expect("rows") {
+        let s = setup(Some(number(&row["R_surface_m"])), 0.0, 0.0, Boundary::Conductor);
+        let long = known_db(&cylinder(number(&row["a_m"]), 1e5), &s);
+        assert!((long - number(&row["sigma_eff_dBsm"])).abs() < 1e-2, "{row}: {long}");
+    }
+}
+
+/// Through the focus of a concave mirror, where geometrical optics is infinite.
+#[test]
+fn a_mirror_is_finite_at_its_caustic() {
+    let Some(reference) = common::reference() else { return };
+    let mirror = Target::Mirror { radius_m: 1.0, aperture_m: 0.2 };
+    let k = setup(None, 0.0, 0.0, Boundary::Conductor).wavenumber_per_m();
+    for row in reference["concave_mirror"]["rows"].as_array().expect("rows") {
+        let range = number(&row["R_m"]);
+        let s = setup(Some(range), 0.0, 0.0, Boundary::Conductor);
+        let expected = db(k * k / PI * number(&row["abs_I"]).powi(2) * range.powi(4));
+        assert!((known_db(&mirror, &s) - expected).abs() < 0.001, "{row}");
+        let outcome = solve(&mirror, &s, Method::Facets, None, 0.02);
+        let error = db(outcome.sigma_m2) - expected;
+        // Deep in its interference nulls the polygon that stands for the round rim counts: 20 dB and more under the rest.
+        let tolerance = if expected < 0.0 { 0.5 } else { 0.05 };
+        assert!(error.abs() < tolerance, "{row}: {error} dB");
+        // Left to itself, the mesh's highlight hands over to facets.
+        let automatic = solve(&mirror, &s, Method::MeshHighlight, None, 0.02);
+        assert!((db(automatic.sigma_m2) - db(outcome.sigma_m2)).abs() < 1e-9);
+    }
+    let focus = setup(Some(1.0), 0.0, 0.0, Boundary::Conductor);
+    let error = db(solve(&mirror, &focus, Method::Facets, None, 0.02).sigma_m2) - known_db(&mirror, &focus);
+    assert!(error.abs() < 0.1, "{error}");
+}
+
+/// A person behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.
+#[test]
+fn two_ways_through_plasterboard() {
+    use radome_sim::field::fresnel::{slab, straight_through};
+    use radome_sim::scene::material::Material;
+    let eps = Material::Plasterboard.permittivity(60e9).expect("dielectric");
+    let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+    let sphere = Target::Sphere { radius_m: 0.1 };
+    let s = setup(Some(3.0), 0.0, 0.0, SKIN);
+    let free = solve(&sphere, &s, Method::MeshHighlight, Some(0.005), 0.05).sigma_m2;
+    let through = straight_through(eps, 0.0125, k, 1.0).te;
+    let behind = db(free * through.norm_sqr().powi(2));
+    let expected = known_db(&sphere, &s) + 40.0 * slab(eps, 0.0125, k, 1.0).transmission.te.norm().log10();
+    assert!((behind - expected).abs() < 0.1, "{behind} {expected}");
+    // 5.5 dB each way, as the design study has it.
+    assert!((40.0 * through.norm().log10() + 11.0).abs() < 0.2);
+}
+
+/// The rows of the design study's table of numerically hard cases that are fields.
+mod hard_cases {
+    use super::*;
+
+    /// Facet integral near specular: a plate turned through its specular direction by steps down to 1e-16 rad is smooth.
+    #[test]
+    fn nothing_happens_at_the_specular_direction() {
+        let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
+        let at = |degrees: f64| {
+            db(solve(&plate, &setup(None, degrees, 0.0, Boundary::Conductor), Method::Facets, None, 0.1).sigma_m2)
+        };
+        let peak = at(0.0);
+        for exponent in 3..16 {
+            let off = 10f64.powi(-exponent);
+            // sinc^2 at k a sin(angle): quadratic in the angle.
+            let u = 125.750_7 * off.to_radians().sin();
+            assert!((at(off) - peak + 10.0 * u * u / 3.0 / 10f64.ln()).abs() < 1e-7, "{off}");
+        }
+    }
+
+    /// Both polarisations and every direction of the edges (edge-degenerate ones too) against a rotated plate.
+    #[test]
+    fn turning_everything_together_changes_nothing() {
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let surface = shape::plate(0.1, 0.07, 0.1);
+        let radar = DVec3::new(1.2, 0.1, -0.05);
+        let integral = |turn: glam::DQuat| {
+            let mut turned = surface.clone();
+            turned.vertices.iter_mut().for_each(|v| *v = turn * *v);
+            turned.normals.iter_mut().for_each(|n| *n = turn * *n);
+            let link = Link::monostatic(Terminal::Near(turn * radar), turn * DVec3::Z);
+            let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.02 };
+            facet::integrate(&turned, accuracy, |p, n| link.sample(p, n, true, &SKIN, k)).value
+        };
+        let still = integral(glam::DQuat::IDENTITY);
+        for (axis, angle) in [(DVec3::X, 0.7), (DVec3::new(0.6, 0.0, 0.8), 2.0), (DVec3::Y, -1.1)] {
+            let turned = integral(glam::DQuat::from_axis_angle(axis, angle));
+            assert!((turned - still).norm() < 1e-9 * still.norm(), "{axis} {angle}");
+        }
+    }
+
+    /// The scalar path for conductors against the vectors that it stands for: a conductor as the limit of a dielectric.
+    #[test]
+    fn the_scalar_path_is_the_vectors() {
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
+        let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
+        let almost = Boundary::HalfSpace { permittivity: Complex64::new(1.0, -1e14) };
+        let of = |boundary: Boundary| {
+            facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, false, &boundary, k)).value
+        };
+        let (scalar, vectors) = (of(Boundary::Conductor), of(almost));
+        assert!((scalar - vectors).norm() < 1e-5 * scalar.norm(), "{scalar} {vectors}");
+    }
+
+    /// Permuted triangles and rotated corners: the same sum but for rounding, the same facets.
+    #[test]
+    fn the_order_of_triangles_does_not_matter() {
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let surface = shape::ellipsoid(DVec3::new(0.05, 0.06, 0.08), 0.01);
+        let mut shuffled = surface.clone();
+        shuffled.triangles.reverse();
+        shuffled.triangles.iter_mut().for_each(|t| t.rotate_left(1));
+        let link = Link::monostatic(Terminal::Near(DVec3::new(0.7, 0.4, 0.2)), DVec3::Z);
+        let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
+        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, false, &Boundary::Conductor, k));
+        let (a, b) = (of(&surface), of(&shuffled));
+        assert_eq!(a.facets, b.facets);
+        assert!((a.value - b.value).norm() < 1e-12 * a.value.norm());
+    }
+
+    /// Needles, triangles without area, points upon each other: finite, and nothing but what has an area counts.
+    #[test]
+    fn degenerate_triangles_add_nothing() {
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let link = Link::monostatic(Terminal::Near(DVec3::new(1.0, 0.02, 0.01)), DVec3::Z);
+        let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.05 };
+        let plain = shape::plate(0.1, 0.1, 0.05);
+        let mut worse = plain.clone();
+        worse.triangles.extend([[0, 0, 0], [0, 1, 1], [0, 1, 2], [999, 0, 1]]);
+        let of = |s| facet::integrate(s, accuracy, |p, n| link.sample(p, n, true, &Boundary::Conductor, k)).value;
+        // 0, 1 and 2 lie in a row: no area.
+        assert!((of(&plain) - of(&worse)).norm() < 1e-12 * of(&plain).norm());
+        let topology = Topology::new(&worse);
+        assert!(topology.patches.iter().all(|p| !p.closed));
+    }
+
+    /// A radar that touches the surface, or sits on it, gives a finite answer.
+    #[test]
+    fn no_range_is_too_short_for_a_finite_answer() {
+        let k = setup(None, 0.0, 0.0, SKIN).wavenumber_per_m();
+        let surface = shape::plate(0.02, 0.02, 0.02);
+        for distance in [0.0, 1e-12, 1e-6, 1e-3] {
+            let link = Link::monostatic(Terminal::Near(DVec3::X * distance), DVec3::Z);
+            let accuracy = Accuracy { wavenumber_per_m: k, tolerance_rad: 0.2 };
+            for boundary in [Boundary::Conductor, SKIN] {
+                let value = facet::integrate(&surface, accuracy, |p, n| link.sample(p, n, true, &boundary, k)).value;
+                assert!(value.is_finite(), "{distance} {boundary:?}: {value}");
+            }
+        }
+    }
+
+    /// Grazing: a plate seen edge-on fades to nothing without a jump.
+    #[test]
+    fn grazing_incidence_fades() {
+        let plate = Target::Plate { width_m: 0.1, height_m: 0.1 };
+        for boundary in [Boundary::Conductor, SKIN] {
+            for off in [1e-3, 1e-6, 1e-9, 0.0] {
+                let sigma = solve(&plate, &setup(None, 90.0 - off, 0.0, boundary), Method::Facets, None, 0.1).sigma_m2;
+                assert!(sigma.is_finite() && sigma < 1e-3, "{off}: {sigma}");
+            }
+        }
+    }
+
+    /// Half-lit facets: however coarse the mesh, a sphere's shadow line does not show.
+    #[test]
+    fn shadow_lines_do_not_show() {
+        let target = Target::Sphere { radius_m: 0.05 };
+        let mut values = Vec::new();
+        for turn in 0..8 {
+            let s = setup(None, 7.0 * f64::from(turn), 3.0 * f64::from(turn), Boundary::Conductor);
+            values.push(db(solve(&target, &s, Method::Facets, Some(0.005), 0.05).sigma_m2));
+        }
+        let (low, high) =
+            (values.iter().copied().fold(f64::MAX, f64::min), values.iter().copied().fold(f64::MIN, f64::max));
+        assert!(high - low < 0.1, "{values:?}");
+    }
+
+    /// What cannot be is refused with words.
+    #[test]
+    fn impossible_targets_are_refused() {
+        let plate = |width_m| Target::Plate { width_m, height_m: 0.1 };
+        let s = setup(None, 0.0, 0.0, Boundary::Conductor);
+        for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9] {
+            assert!(Problem::new(&plate(bad), &s, Method::Facets, None).is_err(), "{bad}");
+            let near = Setup { range_m: Some(bad), ..s };
+            assert!(Problem::new(&plate(0.1), &near, Method::Facets, None).is_err(), "{bad}");
+            assert!(Problem::new(&plate(0.1), &s, Method::Facets, Some(bad)).is_err(), "{bad}");
+            let odd = Setup { frequency_hz: 1e4 * bad, ..s };
+            assert!(Problem::new(&plate(0.1), &odd, Method::Facets, None).is_err(), "{bad}");
+        }
+        let problem = Problem::new(&plate(0.1), &s, Method::Facets, None).expect("valid");
+        assert!(problem.solve(f64::NAN).is_err() && problem.solve(0.0).is_err());
+        assert!(Problem::new(&plate(0.1), &s, Method::Highlight, None).is_err());
+        let inside = Setup { range_m: Some(0.05), ..s };
+        let corner = Target::Trihedral { edge_m: 0.1, outline: Outline::Square };
+        assert!(Problem::new(&corner, &inside, Method::Chain, None).is_err());
+        let sphere = Target::Sphere { radius_m: 1.0 };
+        assert!(Problem::new(&sphere, &s, Method::Facets, Some(1e-4)).is_err());
+    }
+}
