@@ -12,7 +12,7 @@ use radome_sim::field::link::Link;
 use radome_sim::field::mesh_highlight::HighlightFinder;
 use radome_sim::field::terminal::Terminal;
 use radome_sim::field::triangle;
-use radome_sim::geometry::{Topology, shape};
+use radome_sim::geometry::{Mesh, Surface, Topology, shape};
 use radome_sim::rcs::{Method, Outcome, Outline, Polarisation, Problem, Setup, Target, known, mie};
 use radome_sim::scene::material::SKIN_PERMITTIVITY;
 
@@ -257,6 +257,38 @@ fn a_mirror_is_finite_at_its_caustic() {
     let focus = setup(Some(1.0), 0.0, 0.0, Boundary::Conductor);
     let error = db(solve(&mirror, &focus, Method::Facets, None, 0.02).sigma_m2) - known_db(&mirror, &focus);
     assert!(error.abs() < 0.1, "{error}");
+}
+
+/// Files know nothing but triangles: a ball of them is a ball, a corner a corner, and who stands behind another is not seen.
+#[test]
+fn meshes_without_normals_are_what_they_look_like() {
+    let ball = shape::icosphere(DVec3::splat(0.05), 32);
+    let s = setup(None, 12.0, 34.0, Boundary::Conductor);
+    let surface = Surface::from_mesh(&ball.mesh(), 0.6);
+    let target = Target::Surface { surface };
+    assert_eq!(Method::automatic(&target, true), Method::MeshHighlight);
+    let outcome = solve(&target, &s, Method::MeshHighlight, None, 0.1);
+    let error = db(outcome.sigma_m2) - known_db(&Target::Sphere { radius_m: 0.05 }, &s);
+    assert!(error.abs() < 0.1 && outcome.rays == 1, "{error} dB");
+
+    // The same ball twice, one right behind the other: as one.
+    let mut two = ball.mesh();
+    let count = two.vertices.len() as u32;
+    let behind = s.towards() * -0.5;
+    two.vertices.extend(ball.vertices.iter().map(|v| *v + behind));
+    two.triangles.extend(ball.triangles.iter().map(|t| t.map(|i| i + count)));
+    let pair = Target::Surface { surface: Surface::from_mesh(&two, 0.6) };
+    let both = solve(&pair, &s, Method::MeshHighlight, None, 0.1);
+    assert!((both.sigma_m2 / outcome.sigma_m2 - 1.0).abs() < 1e-6 && both.rays == 2);
+
+    // A trihedral of three triangles.
+    let vertices = vec![DVec3::ZERO, DVec3::X * 0.1, DVec3::Y * 0.1, DVec3::Z * 0.1];
+    let mesh = Mesh { vertices, triangles: vec![[0, 1, 2], [0, 2, 3], [0, 3, 1]] };
+    let corner = Target::Surface { surface: Surface::from_mesh(&mesh, 0.6) };
+    assert_eq!(Method::automatic(&corner, true), Method::Chain);
+    let axis = setup(None, 45.0, 35.264_389_682_754_654, Boundary::Conductor);
+    let error = db(solve(&corner, &axis, Method::Chain, None, 0.1).sigma_m2) - 12.247_497;
+    assert!(error.abs() < 0.3, "{error} dB");
 }
 
 /// A person behind plasterboard: a skin sphere through 12.5 mm of it, both ways, against the closed form.

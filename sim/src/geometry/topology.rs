@@ -99,7 +99,7 @@ impl Topology {
 impl Surface {
     /// A surface from a mesh, smooth across every side whose triangles meet at less than the crease angle; vertices at the
     /// same place are one. A vertex' normal is the mean of its triangles' by the angles that they have there. Triangles
-    /// without area are left out.
+    /// without area are left out. A mesh with an open side is a sheet and reflects on either side.
     pub fn from_mesh(mesh: &Mesh, crease_rad: f64) -> Self {
         let mut places: HashMap<[u64; 3], u32> = HashMap::new();
         let place_of: Vec<u32> = mesh
@@ -121,8 +121,8 @@ impl Surface {
                 kept.push((places, [a, b, c], cross.normalize()));
             }
         }
-        let groups = smooth_corners(&kept, crease_rad);
-        let mut surface = Surface::default();
+        let (groups, open) = smooth_corners(&kept, crease_rad);
+        let mut surface = Surface { two_sided: open, ..Surface::default() };
         let mut vertex_of: HashMap<u32, u32> = HashMap::new();
         for (t, (_, corners, normal)) in kept.iter().enumerate() {
             let triangle = [0, 1, 2].map(|i| {
@@ -146,7 +146,7 @@ impl Surface {
     /// The part of a surface that a patch is.
     pub fn patch(&self, patch: &Patch) -> Surface {
         let triangles = patch.triangles.iter().filter_map(|&t| self.triangles.get(t as usize).copied());
-        let mut part = Surface { two_sided: self.two_sided || !patch.closed, ..Surface::default() };
+        let mut part = Surface { two_sided: self.two_sided, ..Surface::default() };
         let mut new_index: HashMap<u32, u32> = HashMap::new();
         for triangle in triangles {
             let triangle = triangle.map(|i| {
@@ -162,8 +162,9 @@ impl Surface {
     }
 }
 
-/// For each corner of each triangle a number that it shares with the corners it is smooth with.
-fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> Vec<u32> {
+/// For each corner of each triangle a number that it shares with the corners it is smooth with; and whether some side has
+/// no triangle behind it.
+fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) -> (Vec<u32>, bool) {
     let mut parent: Vec<u32> = (0..3 * triangles.len() as u32).collect();
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {
@@ -180,7 +181,9 @@ fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) 
         }
     }
     sides.sort_unstable();
+    let mut open = false;
     for run in sides.chunk_by(|p, q| p.0 == q.0) {
+        open |= run.len() == 1;
         // More than two triangles on a side: no surface continues there.
         let [(_, t, i), (_, u, j)] = *run else { continue };
         if triangles[t].2.angle_between(triangles[u].2) >= crease_rad {
@@ -195,7 +198,7 @@ fn smooth_corners(triangles: &[([u32; 3], [DVec3; 3], DVec3)], crease_rad: f64) 
             parent[p.max(q) as usize] = p.min(q);
         }
     }
-    (0..parent.len() as u32).map(|i| root(&mut parent, i)).collect()
+    ((0..parent.len() as u32).map(|i| root(&mut parent, i)).collect(), open)
 }
 
 #[cfg(test)]
@@ -216,6 +219,7 @@ mod tests {
         let patches = Topology::new(&sharp).patches;
         assert_eq!((patches.len(), sharp.vertices.len()), (6, 24));
         assert!(patches.iter().all(|p| !p.closed && p.triangles.len() == 2));
+        assert!(!sharp.two_sided, "a box has an inside");
         let smooth = Surface::from_mesh(&cube(), 2.0);
         let patches = Topology::new(&smooth).patches;
         assert_eq!((patches.len(), smooth.vertices.len(), patches[0].closed), (1, 8, true));

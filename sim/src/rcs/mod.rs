@@ -242,9 +242,11 @@ impl Method {
     pub fn suits(self, target: &Target) -> bool {
         match self {
             Method::Highlight => matches!(target, Target::Sphere { .. } | Target::Ellipsoid { .. }),
-            Method::Chain => {
-                matches!(target, Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Plate { .. })
-            }
+            Method::Chain => match target {
+                Target::Dihedral { .. } | Target::Trihedral { .. } | Target::Plate { .. } => true,
+                Target::Surface { surface } => few_flat_faces(surface),
+                _ => false,
+            },
             _ => !matches!(target, Target::Dihedral { .. } | Target::Trihedral { .. }),
         }
     }
@@ -255,10 +257,23 @@ impl Method {
             Target::Plate { .. } | Target::Cylinder { .. } | Target::Mirror { .. } => Method::Facets,
             Target::Dihedral { .. } | Target::Trihedral { .. } => Method::Chain,
             Target::Sphere { .. } | Target::Ellipsoid { .. } if !mesh => Method::Highlight,
+            Target::Surface { surface } if few_flat_faces(surface) => Method::Chain,
             _ => Method::MeshHighlight,
         }
     }
 }
+
+/// Whether a surface is a handful of plane faces: corners and boxes.
+fn few_flat_faces(surface: &Surface) -> bool {
+    surface.triangles.len() <= MOST_FACES
+        && (0..surface.triangles.len()).filter_map(|t| surface.corners(t)).all(|[a, b, c]| {
+            let normal = (b.0 - a.0).cross(c.0 - a.0).normalize_or_zero();
+            [a, b, c].iter().all(|corner| corner.1.dot(normal) > 1.0 - 1e-9)
+        })
+}
+
+/// Faces between which every sequence is followed, at most.
+const MOST_FACES: usize = 64;
 
 /// What cannot be solved.
 #[derive(Debug, Error)]

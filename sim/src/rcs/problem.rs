@@ -11,12 +11,14 @@ use crate::field::chain::{self, Face};
 use crate::field::facet::{self, Accuracy, Integral};
 use crate::field::highlight::Ellipsoid;
 use crate::field::link::Link;
-use crate::field::mesh_highlight::HighlightFinder;
+use crate::field::mesh_highlight::{HighlightFinder, MeshHighlight};
 use crate::field::terminal::Terminal;
 use crate::geometry::{Surface, Topology, shape};
 
 /// More triangles than this are not made.
 const MOST_TRIANGLES: f64 = 4e6;
+/// Bounces between plane faces, at most.
+const MOST_BOUNCES: usize = 3;
 /// Where far is, in sizes of an exact shape.
 const FAR: f64 = 1e7;
 /// Most times that facets are halved for the sake of a tolerance.
@@ -31,13 +33,21 @@ pub struct Problem {
     shape: Shape,
 }
 
+/// A surface with its topology, each patch by itself, and whether one part may hide another.
+#[derive(Debug, Clone)]
+struct Mesh {
+    surface: Surface,
+    topology: Topology,
+    parts: Vec<Surface>,
+    may_hide: bool,
+}
+
 #[derive(Debug, Clone)]
 enum Shape {
     Faces(Vec<Face>),
     Body(Ellipsoid),
     Surface(Surface),
-    /// The surface, its topology, and each patch by itself.
-    Mesh(Box<(Surface, Topology, Vec<Surface>)>),
+    Mesh(Box<Mesh>),
 }
 
 /// What a solution is and what it took.
@@ -87,7 +97,8 @@ impl Problem {
                 let surface = mesh(target, mesh_edge_m)?;
                 let topology = Topology::new(&surface);
                 let parts = topology.patches.iter().map(|patch| surface.patch(patch)).collect();
-                Shape::Mesh(Box::new((surface, topology, parts)))
+                let may_hide = matches!(target, Target::Surface { .. });
+                Shape::Mesh(Box::new(Mesh { surface, topology, parts, may_hide }))
             }
             _ => Shape::Surface(mesh(target, mesh_edge_m)?),
         };
@@ -99,7 +110,7 @@ impl Problem {
     pub fn triangles(&self) -> usize {
         match &self.shape {
             Shape::Surface(surface) => surface.triangles.len(),
-            Shape::Mesh(mesh) => mesh.0.triangles.len(),
+            Shape::Mesh(mesh) => mesh.surface.triangles.len(),
             _ => 0,
         }
     }
@@ -111,13 +122,13 @@ impl Problem {
             Shape::Body(body) => self.highlight(body),
             Shape::Faces(faces) => self.refined(tolerance_db, |accuracy| {
                 let mut all = Integral::default();
-                for c in chain::contributions(faces, &self.link, accuracy, faces.len()) {
+                for c in chain::contributions(faces, &self.link, accuracy, faces.len().min(MOST_BOUNCES)) {
                     all.value += c.integral.value;
                     all.facets += c.integral.facets;
                 }
                 all
             }),
-            Shape::Mesh(mesh) => self.mesh_highlights(&mesh.0, &mesh.1, &mesh.2, tolerance_db),
+            Shape::Mesh(mesh) => self.mesh_highlights(mesh, tolerance_db),
             Shape::Surface(surface) => match self.method {
                 Method::Dense => self.dense(surface, tolerance_db),
                 _ => self.refined(tolerance_db, |accuracy| self.facets(surface, accuracy)),
@@ -183,7 +194,9 @@ impl Problem {
     }
 
     /// Highlights of the closed patches where they hold to the tolerance, facets elsewhere.
-    fn mesh_highlights(&self, surface: &Surface, topology: &Topology, parts: &[Surface], tolerance_db: f64) -> Outcome {
+    fn mesh_highlights(&self, mesh: &Mesh, tolerance_db: f64) -> Outcome {
+        let Mesh { surface, topology, parts, may_hide } = mesh;
+        let mut rays = 0;
         let k = self.setup.wavenumber_per_m();
         let finder = HighlightFinder::new(surface, topology, k);
         let mut sum = Integral::default();
@@ -197,6 +210,12 @@ impl Problem {
                 continue;
             }
             for highlight in found {
+                if *may_hide {
+                    rays += 1;
+                    if hidden(surface, &highlight, &self.link.tx) {
+                        continue;
+                    }
+                }
                 let sample = self.link.sample(highlight.point, highlight.normal, false, &self.setup.boundary, k);
                 sum.value += highlight.integral(sample.amplitude, k);
                 sum.facets += 1;
@@ -204,16 +223,17 @@ impl Problem {
             }
         }
         if left_out.is_empty() {
-            return self.outcome(&sum, Some(estimate_db));
+            return Outcome { rays, ..self.outcome(&sum, Some(estimate_db)) };
         }
-        self.refined(tolerance_db, |accuracy| {
+        let outcome = self.refined(tolerance_db, |accuracy| {
             left_out.iter().fold(sum, |mut sum, part| {
                 let integral = self.facets(part, accuracy);
                 sum.value += integral.value;
                 sum.facets += integral.facets;
                 sum
             })
-        })
+        });
+        Outcome { rays, ..outcome }
     }
 
     /// Stationary phase on the exact shape.
@@ -238,6 +258,24 @@ impl Problem {
     }
 }
 
+/// Whether a triangle stands between a highlight and the radar. Every triangle is tried: highlights are few.
+fn hidden(surface: &Surface, highlight: &MeshHighlight, radar: &Terminal) -> bool {
+    let leg = radar.leg(highlight.point);
+    let reach_m = if leg.curvature_per_m > 0.0 { leg.length_m } else { f64::INFINITY };
+    // The highlight lies on the curved surface, its own triangle a little beside it.
+    let own = surface.corners(highlight.triangle as usize);
+    let clear_m = own.map_or(0.0, |[a, b, _]| a.0.distance(b.0));
+    (0..surface.triangles.len()).filter_map(|t| surface.corners(t)).any(|[a, b, c]| {
+        let (u, v) = (b.0 - a.0, c.0 - a.0);
+        let across = leg.towards.cross(v);
+        let det = u.dot(across);
+        let from = highlight.point - a.0;
+        let (p, turned) = (from.dot(across) / det, from.cross(u));
+        let (q, distance_m) = (leg.towards.dot(turned) / det, v.dot(turned) / det);
+        p >= 0.0 && q >= 0.0 && p + q <= 1.0 && distance_m > clear_m && distance_m < reach_m
+    })
+}
+
 fn body(semi_axes_m: DVec3) -> Ellipsoid {
     Ellipsoid { centre: DVec3::ZERO, axes: DMat3::IDENTITY, semi_axes_m }
 }
@@ -252,6 +290,12 @@ fn faces(target: &Target, boundary: Boundary) -> Vec<Face> {
                 [(-w, -h), (w, -h), (w, h), (-w, h)].iter().map(|&(y, z)| DVec3::new(0.0, y, z)).collect();
             let back = corners.iter().rev().copied().collect();
             vec![Face { corners, boundary }, Face { corners: back, boundary }]
+        }
+        Target::Surface { ref surface } => {
+            let triangles = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
+            let sides = if surface.two_sided { 2 } else { 1 };
+            let both = triangles.flat_map(|[a, b, c]| [vec![a.0, b.0, c.0], vec![c.0, b.0, a.0]].into_iter().take(sides));
+            both.map(|corners| Face { corners, boundary }).collect()
         }
         _ => Vec::new(),
     }
