@@ -78,6 +78,58 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     image.save(path).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// Writes points of several series on logarithmic axes, a colour a series.
+pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
+    const WIDTH: u32 = 640;
+    const HEIGHT: u32 = 400;
+    const LEGEND: u32 = 150;
+    let size = (MARGIN_LEFT + WIDTH + LEGEND, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM);
+    let mut image = RgbImage::from_pixel(size.0, size.1, Rgb([255, 255, 255]));
+    let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
+    // Whole decades around all points.
+    let decades = |values: Vec<f64>| {
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let low = if low.is_finite() { low.floor() } else { 0.0 };
+        (low, if high.is_finite() { high.ceil().max(low + 1.0) } else { low + 1.0 })
+    };
+    let (x_low, x_high) = decades(points().map(|p| p.0.log10()).collect());
+    let (y_low, y_high) = decades(points().map(|p| p.1.log10()).collect());
+    let x_of = |v: f64| MARGIN_LEFT + ((v - x_low) / (x_high - x_low) * f64::from(WIDTH)) as u32;
+    let y_of = |v: f64| MARGIN_TOP + ((y_high - v) / (y_high - y_low) * f64::from(HEIGHT)) as u32;
+    for decade in x_low as i32..=x_high as i32 {
+        let x = x_of(f64::from(decade));
+        vertical(&mut image, x, MARGIN_TOP, HEIGHT + 5);
+        let name = format!("{}", 10f64.powi(decade));
+        text(&mut image, x.saturating_sub(4 * name.len() as u32), MARGIN_TOP + HEIGHT + 8, &name);
+    }
+    for decade in y_low as i32..=y_high as i32 {
+        let y = y_of(f64::from(decade));
+        horizontal(&mut image, MARGIN_LEFT - 5, y, WIDTH + 5);
+        let name = format!("{}", 10f64.powi(decade));
+        text(&mut image, (MARGIN_LEFT - 8).saturating_sub(8 * name.len() as u32), y.saturating_sub(4), &name);
+    }
+    text(&mut image, MARGIN_LEFT + WIDTH / 2 - 36, MARGIN_TOP + HEIGHT + 26, across);
+    text(&mut image, 4, 8, up);
+    let dot = |image: &mut RgbImage, x: u32, y: u32, colour: Rgb<u8>| {
+        for (dx, dy) in (0..7).flat_map(|dx| (0..7).map(move |dy| (dx, dy))) {
+            let (px, py) = ((x + dx).saturating_sub(3), (y + dy).saturating_sub(3));
+            if px < image.width() && py < image.height() {
+                image.put_pixel(px, py, colour);
+            }
+        }
+    };
+    for (i, (name, points)) in (0u32..).zip(series) {
+        let colour = viridis(i as f32 / (series.len().max(2) - 1) as f32);
+        for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
+            dot(&mut image, x_of(x.log10()), y_of(y.log10()), colour);
+        }
+        dot(&mut image, MARGIN_LEFT + WIDTH + 16, MARGIN_TOP + 10 + 20 * i, colour);
+        text(&mut image, MARGIN_LEFT + WIDTH + 26, MARGIN_TOP + 6 + 20 * i, name);
+    }
+    image.save(path).with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Round values between two ends, about seven of them.
 fn ticks(from: f64, to: f64) -> Vec<f64> {
     let raw = (to - from) / 7.0;

@@ -1,3 +1,5 @@
+mod solver;
+
 use std::time::Instant;
 
 use radome_dsp::rdm::reference;
@@ -24,6 +26,8 @@ enum Stage {
         #[arg(long, default_value_t = 200)]
         rounds: usize,
     },
+    /// Cross-sections of canonical targets by every method that suits them, beside plain sums over patches
+    Solver(solver::Arguments),
 }
 
 /// One way to make the maps of a frame.
@@ -37,8 +41,9 @@ struct Row {
 
 /// Speed against error.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    match arguments.stage {
-        Stage::Rdm { json, rounds } => rdm(json, rounds),
+    match &arguments.stage {
+        Stage::Rdm { json, rounds } => rdm(*json, *rounds),
+        Stage::Solver(arguments) => solver::run(arguments),
     }
 }
 

@@ -129,6 +129,18 @@ mod tests {
         }
     }
 
+    /// Beyond the critical angle (seen from inside a denser body) the branch that decays is taken, and all comes back.
+    #[test]
+    fn total_reflection_takes_the_branch_that_decays() {
+        let inside_out = Complex64::new(1.0 / 6.31, 0.0);
+        for cosine in [0.05, 0.3, 0.6] {
+            assert!(normal_index(inside_out, cosine).im <= 0.0);
+            let face = half_space(inside_out, cosine);
+            assert!((face.te.norm() - 1.0).abs() < 1e-12 && (face.tm.norm() - 1.0).abs() < 1e-12);
+            assert!(slab(inside_out, 0.05, K, cosine).transmission.te.norm() < 1e-9);
+        }
+    }
+
     /// No wall, no change: not even of phase.
     #[test]
     fn air_is_no_wall() {

@@ -294,7 +294,8 @@ fn faces(target: &Target, boundary: Boundary) -> Vec<Face> {
         Target::Surface { ref surface } => {
             let triangles = (0..surface.triangles.len()).filter_map(|t| surface.corners(t));
             let sides = if surface.two_sided { 2 } else { 1 };
-            let both = triangles.flat_map(|[a, b, c]| [vec![a.0, b.0, c.0], vec![c.0, b.0, a.0]].into_iter().take(sides));
+            let both =
+                triangles.flat_map(|[a, b, c]| [vec![a.0, b.0, c.0], vec![c.0, b.0, a.0]].into_iter().take(sides));
             both.map(|corners| Face { corners, boundary }).collect()
         }
         _ => Vec::new(),
