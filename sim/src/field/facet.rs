@@ -33,6 +33,9 @@ pub struct Integral {
     pub value: Complex64,
     /// Facets that were evaluated.
     pub facets: usize,
+    /// The largest bend, rad, that was left uncut: less than the tolerance, and how much less says whether a finer one would
+    /// have changed anything.
+    pub bend_rad: f64,
 }
 
 /// Cuts an edge deeper than this no more: a thousandth part of it and less.
@@ -95,16 +98,21 @@ pub(crate) fn halfway(a: DVec3, normal_a: DVec3, b: DVec3, normal_b: DVec3) -> (
 
 impl<F: Fn(DVec3, DVec3) -> Sample> Integrator<F> {
     /// The middle of an edge, and whether the edge is to be cut there.
-    fn middle(&self, a: &Corner, b: &Corner, depth: u32) -> (Corner, bool) {
+    fn middle(&mut self, a: &Corner, b: &Corner, depth: u32) -> (Corner, bool) {
         let (point, normal) = halfway(a.point, a.normal, b.point, b.normal);
         let corner = Corner { point, normal, sample: (self.sample)(point, normal) };
         let k = self.accuracy.wavenumber_per_m;
         let bend = k * (corner.sample.length_m - 0.5 * (a.sample.length_m + b.sample.length_m));
         let along = k * (b.sample.length_m - a.sample.length_m) / STATIONARY_RAD;
-        let bent = bend.abs() > self.accuracy.tolerance_rad * (1.0 + along * along);
+        let weighed = bend.abs() / (1.0 + along * along);
+        let bent = weighed > self.accuracy.tolerance_rad;
         // Where light ends, facets of no more than a wavelength.
         let edge_of_light = a.sample.lit != b.sample.lit && k * a.point.distance(b.point) > std::f64::consts::TAU;
-        (corner, depth < MAX_DEPTH && (bent || edge_of_light))
+        let cut = depth < MAX_DEPTH && (bent || edge_of_light);
+        if !cut {
+            self.sum.bend_rad = self.sum.bend_rad.max(weighed);
+        }
+        (corner, cut)
     }
 
     fn facet(&mut self, [a, b, c]: [&Corner; 3], depth: u32) {

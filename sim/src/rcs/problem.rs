@@ -17,6 +17,8 @@ use crate::geometry::{Surface, Topology, shape};
 
 /// More triangles than this are not made.
 const MOST_TRIANGLES: f64 = 4e6;
+/// Phases that bend less than this, rad, are straight but for rounding.
+const STRAIGHT_RAD: f64 = 1e-9;
 /// Bounces between plane faces, at most.
 const MOST_BOUNCES: usize = 3;
 /// Where far is, in sizes of an exact shape.
@@ -125,6 +127,7 @@ impl Problem {
                 for c in chain::contributions(faces, &self.link, accuracy, faces.len().min(MOST_BOUNCES)) {
                     all.value += c.integral.value;
                     all.facets += c.integral.facets;
+                    all.bend_rad = all.bend_rad.max(c.integral.bend_rad);
                 }
                 all
             }),
@@ -146,24 +149,29 @@ impl Problem {
         Outcome { sigma_m2: self.setup.cross_section_m2(integral.value), estimate_db, facets: integral.facets, rays: 0 }
     }
 
-    /// Facets of a size by the tolerance, then half as much bending until the result stays where it is.
+    /// Facets by the tolerance, then with a quarter of their bending until the result stays where it is; the last change is the
+    /// estimate.
     fn refined(&self, tolerance_db: f64, integrate: impl Fn(Accuracy) -> Integral) -> Outcome {
         let at =
             |tolerance_rad: f64| integrate(Accuracy { wavenumber_per_m: self.setup.wavenumber_per_m(), tolerance_rad });
         let mut tolerance_rad = (2.0 * tolerance_db).min(0.4);
         let mut coarse = at(4.0 * tolerance_rad);
         let mut facets = coarse.facets;
-        let mut estimate_db = f64::INFINITY;
+        let mut estimate_db = 0.0;
         for _ in 0..ROUNDS {
+            // Where nothing bends there is nothing to cut: flat faces seen from far are exact.
+            if coarse.bend_rad < STRAIGHT_RAD {
+                break;
+            }
+            // Finer than what the last one happened to be, or nothing would be learnt.
+            tolerance_rad = tolerance_rad.min(0.25 * coarse.bend_rad);
             let fine = at(tolerance_rad);
             facets += fine.facets;
-            // The error falls at least in proportion to the bending: a quarter of it has a third of the change left.
-            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs() / 3.0;
+            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
             if !(estimate_db > tolerance_db) {
                 break;
             }
-            tolerance_rad *= 0.25;
         }
         let estimate = Some(estimate_db).filter(|e| e.is_finite());
         Outcome { facets, ..self.outcome(&coarse, estimate) }
@@ -184,7 +192,7 @@ impl Problem {
             patch_m *= 0.5;
             let fine = at(patch_m);
             facets += fine.facets;
-            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs() / 3.0;
+            estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
             if !(estimate_db > tolerance_db) {
                 break;
@@ -230,6 +238,7 @@ impl Problem {
                 let integral = self.facets(part, accuracy);
                 sum.value += integral.value;
                 sum.facets += integral.facets;
+                sum.bend_rad = sum.bend_rad.max(integral.bend_rad);
                 sum
             })
         });
@@ -253,7 +262,7 @@ impl Problem {
         let link = Link::monostatic(Terminal::Near(radar), self.link.tx_polarisation);
         let sample = link.sample(h.point, h.normal, false, &setup.boundary, k);
         let value = sample.amplitude * Complex64::from(PI / k / h.det_j.sqrt());
-        let integral = Integral { value, facets: 1 };
+        let integral = Integral { value, facets: 1, bend_rad: 0.0 };
         Outcome { sigma_m2: setup.cross_section_m2(integral.value), ..self.outcome(&integral, None) }
     }
 }
