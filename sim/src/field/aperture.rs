@@ -51,7 +51,7 @@ mod tests {
     /// of any fineness: `A = (jk/2pi) E a b sinc sinc` in closed form.
     #[test]
     fn a_plane_wave_on_a_rectangle_has_its_closed_form_in_both_polarisations() {
-        let k = 1257.507_013_171_009;
+        let k = 1_257.507_013_171_009;
         let (width, height) = (0.031, 0.047);
         let (ti, fi): (f64, f64) = (0.5, 0.8);
         // Incident from (theta_i, phi_i): phase k . r with k towards the source, as the paper's convention has it.
@@ -96,7 +96,7 @@ mod tests {
     /// aperture's cross-section is the plate's, `4 pi A^2/lambda^2`.
     #[test]
     fn the_plate_is_an_aperture() {
-        let k = 1257.507_013_171_009;
+        let k = 1_257.507_013_171_009;
         let corner = |x: f64, y: f64| DVec2::new(0.05 * x, 0.05 * y);
         let [a, b, c, d] = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(1.0, 1.0), corner(-1.0, 1.0)];
         let field = [Complex64::ONE, Complex64::ZERO];

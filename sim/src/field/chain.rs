@@ -159,7 +159,7 @@ pub fn trihedral(edge_m: f64, square: bool, boundary: Boundary) -> Vec<Face> {
 mod hard_cases {
     use super::*;
 
-    const K: f64 = 1257.507_013_171_009;
+    const K: f64 = 1_257.507_013_171_009;
 
     fn link(towards: DVec3) -> Link {
         Link::monostatic(Terminal::Far(towards), DVec3::Z)

@@ -75,7 +75,7 @@ pub fn straight_through(permittivity: Complex64, thickness_m: f64, wavenumber_pe
 mod tests {
     use super::*;
 
-    const K: f64 = 1257.507_013_171_009;
+    const K: f64 = 1_257.507_013_171_009;
 
     /// Reflection and transmission by the characteristic matrix of a layer (Born and Wolf, section 1.6), the slow and obvious
     /// way: `[cos, j sin/p; j p sin, cos]` with admittances p of TE and TM.

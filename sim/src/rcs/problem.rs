@@ -169,7 +169,8 @@ impl Problem {
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
-            if !(estimate_db > tolerance_db) {
+            // No number where everything is dark: that will not change.
+            if estimate_db <= tolerance_db || estimate_db.is_nan() {
                 break;
             }
         }
@@ -194,7 +195,8 @@ impl Problem {
             facets += fine.facets;
             estimate_db = (20.0 * (coarse.value.norm() / fine.value.norm()).log10()).abs();
             coarse = fine;
-            if !(estimate_db > tolerance_db) {
+            // No number where everything is dark: that will not change.
+            if estimate_db <= tolerance_db || estimate_db.is_nan() {
                 break;
             }
         }

@@ -78,8 +78,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             .iter()
             .map(|method| {
                 let of_method = rows.iter().filter(|r| r.method == method.name());
-                // A hundred-thousandth of a decibel is as good as none.
-                (method.name(), of_method.map(|r| (r.milliseconds, r.error_db.abs().max(1e-5))).collect())
+                // A ten-thousandth of a decibel is as good as none.
+                (method.name(), of_method.map(|r| (r.milliseconds, r.error_db.abs().max(1e-4))).collect())
             })
             .collect();
         plot::scatter(path, ("time / ms", "error / dB"), &series)?;
