@@ -1,10 +1,12 @@
+use std::path::Path;
 use std::time::Instant;
 
 use anyhow::{Context, bail};
 use clap::ValueEnum;
 use glam::DVec3;
 use radome_sim::field::boundary::Boundary;
-use radome_sim::geometry::{Mesh, Surface};
+use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
+use radome_sim::geometry::{Mesh, Surface, weld};
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
 use serde::Serialize;
@@ -244,20 +246,25 @@ fn target(arguments: &Arguments) -> anyhow::Result<Target> {
 /// Smooth across everything that bends less than this: a ball of triangles is a ball, a box has edges.
 const CREASE_DEG: f64 = 35.0;
 
+/// Vertices nearer than this are one, m.
+const WELD_TOLERANCE_M: f64 = 1e-6;
+
 fn mesh_file(path: &str) -> anyhow::Result<Target> {
     let lower = path.to_ascii_lowercase();
-    let read = || std::fs::read(path).with_context(|| format!("cannot read {path}"));
-    let mesh = if lower.ends_with(".stl") {
-        Mesh::from_stl(&read()?)
-    } else if lower.ends_with(".obj") {
-        Mesh::from_obj(&read()?)
-    } else {
+    if !lower.ends_with(".stl") && !lower.ends_with(".obj") {
         bail!(
             "there is no target {path}\n\nhint: plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a file \
              that ends in .stl or .obj"
         )
-    };
-    let mesh = mesh.with_context(|| format!("cannot use {path}"))?;
+    }
+    let mut mesh = Mesh::default();
+    for part in import(Path::new(path), LengthUnit::Metre, UpAxis::Z)? {
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend(part.mesh.vertices);
+        mesh.triangles.extend(part.mesh.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
+    }
+    // Files without indices come apart at their edges.
+    let mesh = weld(&mesh, WELD_TOLERANCE_M)?.mesh;
     Ok(Target::Surface { surface: Surface::from_mesh(&mesh, CREASE_DEG.to_radians()) })
 }
 
