@@ -339,6 +339,21 @@ mod hard_cases {
         ChunkLayout { device: 0, stream: 0, frame_codes: 1536 },
     ];
 
+    /// Found by fuzzing: an inner length of ten bytes reaches past the end of a message of that length.
+    #[test]
+    fn a_length_that_goes_on_past_its_message_is_damage() {
+        for layout in LAYOUTS {
+            let length = (2 * layout.frame_codes + 16) as u8 | 1;
+            for inner in 0..=20usize {
+                let bytes = [&[length & 0x7F, 0x22][..], &vec![0xFF; inner], &[0x01], &[0xFF; 40]].concat();
+                assert!(!matches!(layout.beginning(&bytes), Beginning::Chunk(_)), "{layout:?} {inner}");
+            }
+        }
+        let layout = ChunkLayout { device: 0, stream: 0, frame_codes: 2 };
+        let bytes = [&[0x0A, 0x22][..], &[0xFF; 9], &[0x69], &[0xFF; 53]].concat();
+        assert_eq!(layout.beginning(&bytes), Beginning::No);
+    }
+
     /// A message that is cut short anywhere, on a line that is silent nowhere or after every byte: what comes out has no
     /// wrong sample.
     #[test]

@@ -104,7 +104,7 @@ impl ChunkLayout {
         must(cursor.varint()? == DATA)?;
         // The chunk is all there is in the response.
         let inner = cursor.varint()?;
-        must(inner == (end - cursor.at) as u64)?;
+        must(end.checked_sub(cursor.at).is_some_and(|rest| inner == rest as u64))?;
         let [mut device, mut stream, mut count, mut number] = [0; 4];
         loop {
             let tag = cursor.varint()?;
@@ -190,7 +190,8 @@ fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop
     let (start, end) = (cursor.at, cursor.at + length as usize);
     let tag = cursor.varint()?;
     let can_be = tag == ERROR || tag == CAPABILITIES && expected_tag.is_some();
-    if !can_be || cursor.varint()? != (end - cursor.at) as u64 {
+    let inner = cursor.varint()?;
+    if !can_be || end.checked_sub(cursor.at).is_none_or(|rest| inner != rest as u64) {
         return Err(Stop::Bad);
     }
     let message = bytes.get(start..end).ok_or(Stop::Short)?;
