@@ -125,8 +125,8 @@ pub fn play(job: &Job) -> Outcome {
     };
     let mut attempts = std::iter::repeat_with(attempt).take(100);
     let is_late = |client: &Result<Client, BoardError>| {
-        use BoardError::{Disconnected, NoAnswer, Open};
-        matches!(client, Err(NoAnswer { .. } | Disconnected { .. } | Open { .. }))
+        use BoardError::{Absent, Disconnected, NoAnswer, Open};
+        matches!(client, Err(NoAnswer { .. } | Disconnected { .. } | Open { .. } | Absent { .. }))
     };
     let client = attempts.find(|client| !is_late(client)).unwrap_or_else(attempt);
     match (job.kind, client) {

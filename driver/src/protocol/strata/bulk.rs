@@ -136,9 +136,22 @@ impl BulkParser {
         let rest = self.buffer.get(self.used..).filter(|rest| !rest.is_empty())?;
         let header = rest.first_chunk::<{ Packet::HEADER_LENGTH }>();
         let packet = header.map(|header| Packet::header(Framing::Bulk, header));
-        let is_whole = |length: usize| rest.len() >= Packet::HEADER_LENGTH + length;
+        // Behind a packet that fills whole USB packets nothing ends its transfer: others may follow, as whole as it is.
+        let is_whole = |length: usize| match rest.get(Packet::HEADER_LENGTH + length..) {
+            Some([]) => true,
+            Some(more) => {
+                let fills = (Packet::HEADER_LENGTH + length).is_multiple_of(Framing::USB_PACKET);
+                let next = more.first_chunk().and_then(|header| Packet::header(Framing::Bulk, header));
+                fills || next.is_some_and(|(_, length)| more.len() == Packet::HEADER_LENGTH + length)
+            }
+            None => false,
+        };
         let length = match packet {
             Some(Some((_, length))) if is_whole(length) => length,
+            // Any other ends where its transfer does: what goes on behind it was cut, and completed by another.
+            Some(Some((_, length))) if rest.len() > Packet::HEADER_LENGTH + length => {
+                return Some(BoardEvent::Damaged { bytes: self.give_up() });
+            }
             Some(Some(_)) | None if !self.ended => return None,
             _ => return Some(BoardEvent::Damaged { bytes: self.give_up() }),
         };
