@@ -1,5 +1,8 @@
 //! Echoes of people: highlights of their segments by every audible pair of images, at key times.
 
+pub mod self_shadow;
+pub mod skin;
+
 use std::sync::Arc;
 
 use glam::DVec3;
@@ -124,6 +127,21 @@ fn visibility(stage: &Stage, people: &[Snapshot], me: usize, segment: usize, way
             weight *= shadow::past(point, source, &column, wavelength_m);
         }
     }
+    weight * past_people(stage, people, me, image, antenna, point)
+}
+
+/// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
+/// own body before the last wall.
+fn past_people(
+    stage: &Stage,
+    people: &[Snapshot],
+    me: usize,
+    image: ImageIndex,
+    antenna: DVec3,
+    point: DVec3,
+) -> f64 {
+    let wavelength_m = stage.wavelength_m;
+    let mut weight = 1.0;
     if order(image) == 0 {
         for (i, other) in people.iter().enumerate() {
             if i != me {

@@ -1,6 +1,6 @@
 //! One frame of a scene: truth, paths, chirps. A pure function of (scene, seed, index).
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
@@ -10,15 +10,19 @@ use rand_distr::{Distribution, StandardNormal};
 use crate::actor::body::{CHEST, SEGMENTS};
 use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
+use crate::actor::skin::{EDGE_M, WalkingMesh};
+use crate::echo::skin::{Fineness, SkinPaths, SkinnedPerson};
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
+use crate::field::curved_triangle::Integrator;
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_chirp_lsb, quantise};
 use crate::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
 use crate::scene::Scene;
+use crate::scene::file::BodyFile;
 use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
-use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches};
+use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches, stretches_with};
 use crate::stage::Stage;
 use crate::synthesis::{CHIRPS, Grid, SynthesisScratch, Synthesiser, Tone};
 
@@ -43,6 +47,9 @@ pub(crate) struct Renderer {
     leakage: Vec<Vec<f32>>,
     /// Factor on the jitter of leakage.
     leakage_jitter: f64,
+    integrator: Integrator,
+    /// People as meshes, those last seen at the end; none where people are ellipsoids.
+    skins: Mutex<Vec<(Arc<Motion>, Arc<SkinnedPerson>)>>,
 }
 
 /// Buffers of one frame.
@@ -53,8 +60,16 @@ struct Scratch {
     chirp: Vec<f32>,
 }
 
-/// Paths of one person at the keys: `[key][path * rx + rx]`.
-type KeyedEchoes = Vec<Vec<Key>>;
+/// Paths of one person at the keys.
+struct KeyedEchoes {
+    /// `[key][path * rx + rx]`.
+    keys: Vec<Vec<Key>>,
+    /// Rates of amplitudes, LSB/s, likewise; empty where they are taken from neighbouring keys.
+    rates: Vec<Vec<Complex64>>,
+}
+
+/// Skins of this many people are kept: those in the room, and who comes next.
+const MOST_SKINS: usize = 8;
 
 impl Renderer {
     /// Traces what is static, draws who comes.
@@ -86,7 +101,29 @@ impl Renderer {
             noise,
             leakage,
             leakage_jitter,
+            integrator: Integrator::default(),
+            skins: Mutex::default(),
         }
+    }
+
+    /// Somebody's skin; `None` where people are ellipsoids.
+    fn skin(&self, motion: &Arc<Motion>) -> Option<Arc<SkinnedPerson>> {
+        if self.scene.file().people.body != BodyFile::Mesh {
+            return None;
+        }
+        let mut skins = self.skins.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(at) = skins.iter().position(|(of, _)| Arc::ptr_eq(of, motion)) {
+            let kept = skins.remove(at);
+            let skin = Arc::clone(&kept.1);
+            skins.push(kept);
+            return Some(skin);
+        }
+        let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M))?);
+        if skins.len() >= MOST_SKINS {
+            skins.remove(0);
+        }
+        skins.push((Arc::clone(motion), Arc::clone(&skin)));
+        Some(skin)
     }
 
     fn waveform(&self) -> &Waveform {
@@ -172,14 +209,24 @@ impl Renderer {
             .enumerate()
             .map(|(me, motion)| {
                 let pairs = audible_pairs(&self.stage, motion, middle_s);
-                snapshots
+                if let Some(skin) = self.skin(motion) {
+                    let times: Vec<f64> = (0..count).map(|k| start_s + k as f64 * step_s).collect();
+                    let people: Vec<&[Snapshot]> = snapshots.iter().map(Vec::as_slice).collect();
+                    let fineness = Fineness::for_tolerance(self.options.tolerance_db);
+                    let (stage, integrator) = (&self.stage, &self.integrator);
+                    let SkinPaths { keys, rates } =
+                        skin.paths(stage, integrator, &fineness, &times, &people, me, &pairs, report);
+                    return KeyedEchoes { keys, rates };
+                }
+                let keys = snapshots
                     .iter()
                     .map(|people| {
                         let mut keys = Vec::with_capacity(pairs.len() * SEGMENTS * self.stage.rx.len());
                         echoes(&self.stage, motion, people, me, &pairs, &mut keys, report);
                         keys
                     })
-                    .collect()
+                    .collect();
+                KeyedEchoes { keys, rates: Vec::new() }
             })
             .collect();
         (snapshots, keyed)
@@ -191,7 +238,7 @@ impl Renderer {
         let (mut error, mut power) = (0.0, 0.0);
         let to_rad = std::f64::consts::TAU * self.stage.chirp.start_hz;
         for person in keyed {
-            for triple in person.windows(3).step_by(2) {
+            for triple in person.keys.windows(3).step_by(2) {
                 let [first, middle, last] = triple else { continue };
                 for ((a, b), c) in first.iter().zip(middle).zip(last) {
                     let weight = b.amplitude.norm_sqr();
@@ -258,10 +305,12 @@ impl Renderer {
         keyed
             .iter()
             .map(|person| {
-                let paths = person.first().map_or(0, Vec::len) / channels;
+                let paths = person.keys.first().map_or(0, Vec::len) / channels;
+                // Triangles are parts of one echo: none is left out for being weak alone.
+                let is_skin = !person.rates.is_empty();
                 let heard = |path: usize| {
                     let range = path * channels..(path + 1) * channels;
-                    person.iter().any(|at| at.get(range.clone()).is_some_and(loud))
+                    is_skin || person.keys.iter().any(|at| at.get(range.clone()).is_some_and(loud))
                 };
                 (0..paths).filter(|&path| heard(path)).collect()
             })
@@ -331,9 +380,15 @@ impl Renderer {
         for (person, paths) in keyed.iter().zip(audible) {
             for path in paths {
                 keys.clear();
-                keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
+                keys.extend(person.keys.iter().filter_map(|at| at.get(path * channels + rx).copied()));
                 of_path.clear();
-                stretches(&keys, step_s, &mut of_path);
+                if person.rates.is_empty() {
+                    stretches(&keys, step_s, &mut of_path);
+                } else {
+                    let rate = |key: usize| person.rates.get(key).and_then(|at| at.get(path * channels + rx));
+                    let slope = |key: usize| rate(key).map_or(Complex64::ZERO, |r| r * step_s);
+                    stretches_with(&keys, step_s, slope, &mut of_path);
+                }
                 for (all, stretch) in cubics.iter_mut().zip(&of_path) {
                     all.push(*stretch);
                 }

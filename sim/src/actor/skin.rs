@@ -12,7 +12,7 @@ use glam::{DMat3, DVec3};
 use super::body::{Build, CHEST, PELVIS, Posture, SEGMENTS};
 use super::motion::Motion;
 use crate::field::highlight::Ellipsoid;
-use crate::geometry::{Mesh, isosurface};
+use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
 
 /// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
 pub const EDGE_M: f64 = 0.020;
@@ -72,8 +72,34 @@ struct Binding {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
     rest: Mesh,
+    edges: Vec<SkinEdge>,
+    /// Edges of each triangle: first to second corner, second to third, third to first.
+    sides: Vec<[u32; 3]>,
     bindings: Vec<Binding>,
     influences: Vec<(usize, f64, DVec3)>,
+}
+
+/// An edge of a closed skin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SkinEdge {
+    /// Its vertices.
+    pub vertices: [u32; 2],
+    /// The triangles on either side.
+    pub triangles: [u32; 2],
+}
+
+/// A skin at one time.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PosedSkin {
+    /// Positions of the vertices, m.
+    pub vertices: Vec<DVec3>,
+    /// Their velocities, m/s.
+    pub velocities_m_per_s: Vec<DVec3>,
+    /// Unit normals there.
+    pub normals: Vec<DVec3>,
+    /// How far the surface lies beside the middle of each edge, m: the cubic over the edge that is tangential to the surface at
+    /// both ends.
+    pub bulges: Vec<DVec3>,
 }
 
 /// Vertices of a skin at one time.
@@ -110,7 +136,24 @@ impl Skin {
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
 
-        let mut skin = Skin { rest, bindings: Vec::new(), influences: Vec::new() };
+        let mut sides = vec![[0; 3]; rest.triangles.len()];
+        let edges: Vec<SkinEdge> = edges(&rest)
+            .iter()
+            .enumerate()
+            .map(|(number, edge)| {
+                let triangles = [edge.left, edge.right.unwrap_or(edge.left)];
+                for triangle in triangles {
+                    let Some(&[a, b, c]) = rest.triangles.get(triangle as usize) else { continue };
+                    let [p, q] = edge.vertices;
+                    let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q) || s == (q, p));
+                    if let (Some(side), Some(of)) = (side, sides.get_mut(triangle as usize)) {
+                        of[side] = number as u32;
+                    }
+                }
+                SkinEdge { vertices: edge.vertices, triangles }
+            })
+            .collect();
+        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new() };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -135,6 +178,26 @@ impl Skin {
         &self.rest
     }
 
+    /// The edges.
+    pub fn edges(&self) -> &[SkinEdge] {
+        &self.edges
+    }
+
+    /// Edges of each triangle: first to second corner, second to third, third to first.
+    pub fn sides(&self) -> &[[u32; 3]] {
+        &self.sides
+    }
+
+    /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
+    pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
+        self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_segment[s]).sum()).collect()
+    }
+
+    fn influences(&self, binding: &Binding) -> impl Iterator<Item = &(usize, f64, DVec3)> {
+        let first = binding.first as usize;
+        self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
+    }
+
     /// Vertices for the segments of a posture.
     pub fn pose(&self, segments: &[Ellipsoid; SEGMENTS]) -> Vec<DVec3> {
         let maps = segments.map(|e| Map::of(&e));
@@ -150,8 +213,9 @@ impl Skin {
     }
 
     fn follow(&self, binding: &Binding, maps: &[Map; SEGMENTS]) -> DVec3 {
-        let influences = self.influences.iter().skip(binding.first as usize).take(binding.count as usize);
-        influences.map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight).sum()
+        self.influences(binding)
+            .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
+            .sum()
     }
 }
 
@@ -181,6 +245,11 @@ impl WalkingMesh {
         WalkingMesh { skin: Arc::new(Skin::new(&motion.person.build, edge_m)), motion }
     }
 
+    /// A mesh for a motion, with the skin of its build that somebody has made already.
+    pub fn with_skin(skin: Arc<Skin>, motion: Arc<Motion>) -> Self {
+        WalkingMesh { skin, motion }
+    }
+
     /// The skin.
     pub fn skin(&self) -> &Skin {
         &self.skin
@@ -205,6 +274,21 @@ impl WalkingMesh {
             }
         });
         self.skin.pose_with(&maps(time_s), &rates)
+    }
+
+    /// The skin at a time, in the room, with what a surface integral needs.
+    pub fn posed(&self, time_s: f64) -> PosedSkin {
+        let MovingVertices { vertices, velocities_m_per_s } = self.at(time_s);
+        let normals = one_ring_normals(&vertices, &self.skin.rest.triangles);
+        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
+        let bulge = |edge: &SkinEdge| {
+            let [a, b] = edge.vertices;
+            let (normal_a, normal_b) = (at(&normals, a), at(&normals, b));
+            let d = at(&vertices, b) - at(&vertices, a);
+            0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
+        };
+        let bulges = self.skin.edges.iter().map(bulge).collect();
+        PosedSkin { vertices, velocities_m_per_s, normals, bulges }
     }
 
     /// The mesh at a time, in the room.

@@ -42,17 +42,32 @@ pub fn heard(
     wavenumber_per_m: f64,
     listener: &Listener,
 ) -> Complex64 {
-    let s = listener.towards;
-    let p = listener.polarisation - s * s.dot(listener.polarisation);
+    heard_by(arrival, normal, boundary, wavenumber_per_m, listener.towards, Phasor3::real(listener.polarisation))
+}
+
+/// [`heard`] by an antenna of which the surface sees a complex polarisation, as behind a lossy wall.
+pub fn heard_by(
+    arrival: &Arrival,
+    normal: DVec3,
+    boundary: &Boundary,
+    wavenumber_per_m: f64,
+    towards: DVec3,
+    polarisation: Phasor3,
+) -> Complex64 {
+    let s = towards;
+    let p = Phasor3 {
+        re: polarisation.re - s * s.dot(polarisation.re),
+        im: polarisation.im - s * s.dot(polarisation.im),
+    };
     let magnetic = cross(arrival.direction, arrival.field);
     if *boundary == Boundary::Conductor {
-        return cross(normal, magnetic).along(p);
+        return cross(normal, magnetic).received_by(p);
     }
     let (reflected, outgoing) = boundary.reflect(arrival.field, arrival.direction, normal, wavenumber_per_m);
     let electric_current = cross(normal, sum(magnetic, cross(outgoing, reflected)));
     let magnetic_current = cross(normal, sum(arrival.field, reflected));
     // p . (M x s) = M . (s x p), and M has the minus.
-    0.5 * (electric_current.along(p) - magnetic_current.along(s.cross(p)))
+    0.5 * (electric_current.received_by(p) - magnetic_current.received_by(cross(s, p)))
 }
 
 #[cfg(test)]

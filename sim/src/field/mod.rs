@@ -7,6 +7,7 @@ pub mod aperture;
 pub mod boundary;
 pub mod chain;
 pub mod current;
+pub mod curved_triangle;
 pub mod edge;
 pub mod facet;
 pub mod fresnel;

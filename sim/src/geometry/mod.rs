@@ -19,6 +19,7 @@ pub use isosurface::isosurface;
 pub use lint::{LEAST_OVERLAP_M2, Lint, Overlap, Shell, lint};
 pub(crate) use mesh::check_places;
 pub use mesh::{FARTHEST_M, Mesh, MeshError};
+pub(crate) use normals::one_ring_normals;
 pub use normals::smooth_normals;
 pub use planes::{Plane, Planes, planes};
 pub use surface::Surface;

@@ -77,6 +77,27 @@ fn fit(mesh: &Mesh, ring: &[DVec3], areas: &[f64], patch: &[u32], centre: DVec3,
     DVec3::new(fitted.x_axis.x, fitted.y_axis.x, fitted.z_axis.x).try_normalize().unwrap_or(own)
 }
 
+/// Unit normals at the vertices of triangles from one ring alone: enough where a mesh is as smooth as what it stands for.
+pub(crate) fn one_ring_normals(vertices: &[DVec3], triangles: &[[u32; 3]]) -> Vec<DVec3> {
+    let mut normals = vec![DVec3::ZERO; vertices.len()];
+    for &corners in triangles {
+        let [a, b, c] = corners.map(|v| vertices.get(v as usize).copied().unwrap_or_default());
+        let (ab, bc, ca) = (b - a, c - b, a - c);
+        let area_vector = ab.cross(-ca);
+        let [ab, bc, ca] = [ab, bc, ca].map(DVec3::length_squared);
+        // Of no area: of no weight.
+        let weights = [ab * ca, bc * ab, ca * bc];
+        for (at, squares) in corners.into_iter().zip(weights) {
+            if let Some(normal) = normals.get_mut(at as usize)
+                && squares > 0.0
+            {
+                *normal += area_vector / squares;
+            }
+        }
+    }
+    normals.into_iter().map(DVec3::normalize_or_zero).collect()
+}
+
 /// Normals of one ring with Max's weights, which are exact on a sphere ("Weights for computing vertex normals from facet
 /// normals", J. Graphics Tools 4(2), 1999), and a third of the area around each vertex.
 fn ring_normals(mesh: &Mesh) -> (Vec<DVec3>, Vec<f64>) {

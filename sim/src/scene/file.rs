@@ -136,10 +136,24 @@ pub struct DoorFile {
     pub width_m: f64,
 }
 
+/// What people are made of.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum BodyFile {
+    /// Thirteen ellipsoids, each with one highlight: the fastest.
+    #[default]
+    Ellipsoids,
+    /// One skin of about 14000 triangles over the same bones, integrated to the tolerance asked for.
+    Mesh,
+}
+
 /// Who comes, and what they do: exactly one of the three programs.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PeopleFile {
+    /// What people are made of: "ellipsoids" or "mesh" (not at a desk). Default "ellipsoids".
+    #[serde(default)]
+    pub body: BodyFile,
     /// People with written way-points.
     #[serde(default)]
     pub actor: Vec<ActorFile>,

@@ -1,0 +1,474 @@
+//! One curved triangle of a skin between two antennas: physical optics over all of it as the strength of one path.
+//!
+//! The triangle bulges between its corners as their normals say (a quadratic patch: edges are common with the neighbours', so
+//! that the surface has no gaps). It is cut evenly into `4 m^2` flat ones, the path to their corners is exact, their integrals
+//! are those of [`super::triangle`], and what the path still bends inside each is added as its mean. `m` is chosen so that the
+//! middle of an edge misses the mean of its ends by no more than a tolerance, less where the phase runs fast along the edge:
+//! there neighbours cancel and bending does not matter ([`super::facet`] cuts by the same rule, edge by edge).
+//!
+//! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
+//! precision does: [`moments`] is held to [`exact_moments`] by test.
+
+use glam::{DVec3, Vec3};
+use num_complex::{Complex, Complex64};
+use radome_dsp::KernelLevel;
+
+use super::triangle;
+
+/// Cuts of an edge in two, at most.
+pub const MOST_CUTS: usize = 6;
+/// Triangles side by side.
+const LANES: usize = 8;
+/// Phase difference along an edge beyond which bending matters less, by the square of the ratio, rad.
+const STATIONARY_RAD: f64 = 10.0;
+/// Nodes of a triangle whose edges are cut [`MOST_CUTS`] times in two.
+const MOST_NODES: usize = (2 * MOST_CUTS + 1) * (2 * MOST_CUTS + 2) / 2;
+
+type Row = [f32; LANES];
+
+/// A quadratic patch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct CurvedTriangle {
+    /// Mean of the corners, m.
+    pub middle: DVec3,
+    /// Corners from there, m.
+    pub corners: [Vec3; 3],
+    /// How far the surface lies beside the middles of the edges (first to second corner, second to third, third to first), m.
+    pub bulges: [Vec3; 3],
+}
+
+/// An antenna as the middle of a triangle sees it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct View {
+    /// From the antenna to the middle, m.
+    pub offset: DVec3,
+    /// Length of that, m.
+    pub distance_m: f64,
+}
+
+impl View {
+    /// Of a point.
+    pub fn new(antenna: DVec3, point: DVec3) -> Self {
+        let offset = point - antenna;
+        View { offset, distance_m: offset.length().max(1e-6) }
+    }
+
+    /// Unit vector from the middle to the antenna.
+    pub fn towards(&self) -> DVec3 {
+        -self.offset / self.distance_m
+    }
+}
+
+impl CurvedTriangle {
+    /// From corners and bulges, in the room.
+    pub fn new(corners: [DVec3; 3], bulges: [DVec3; 3]) -> Self {
+        let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+        CurvedTriangle {
+            middle,
+            corners: corners.map(|c| (c - middle).as_vec3()),
+            bulges: bulges.map(|b| b.as_vec3()),
+        }
+    }
+
+    /// A place by its weights of the corners, from the middle, m.
+    #[inline(always)]
+    fn place(&self, [a, b, c]: [f32; 3]) -> Vec3 {
+        let flat = self.corners[0] * a + self.corners[1] * b + self.corners[2] * c;
+        let [ab, bc, ca] = self.bulges;
+        flat + 4.0 * (ab * (a * b) + bc * (b * c) + ca * (c * a))
+    }
+
+    /// Into how many parts edges are to be cut, in two each, so that no more than a tolerance of bending is left.
+    pub fn cuts(&self, tx: &View, rx: &View, wavenumber_per_m: f64, tolerance_rad: f64) -> usize {
+        let longer = |weights: [f32; 3]| {
+            let place = self.place(weights).as_dvec3();
+            longer_m(tx, place) + longer_m(rx, place)
+        };
+        let ends = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(longer);
+        let middles = [[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]].map(longer);
+        let mut most: f64 = 0.0;
+        for i in 0..3 {
+            let (from, to) = (ends[i], ends[(i + 1) % 3]);
+            let bend = wavenumber_per_m * (middles[i] - 0.5 * (from + to));
+            let along = wavenumber_per_m * (to - from) / STATIONARY_RAD;
+            most = most.max(bend.abs() / (1.0 + along * along));
+        }
+        ((most / tolerance_rad).sqrt().ceil() as usize).clamp(1, MOST_CUTS)
+    }
+}
+
+/// How much longer the way is to a place beside the middle, m: `(|d|^2 + 2 d.e)/(|e + d| + |e|)`.
+fn longer_m(view: &View, place: DVec3) -> f64 {
+    let more = place.length_squared() + 2.0 * place.dot(view.offset);
+    more / (view.distance_m + (view.distance_m * view.distance_m + more).max(0.0).sqrt())
+}
+
+/// Where an even cut has its nodes, and which of them make triangles.
+struct Cut {
+    /// Weights of the corners.
+    nodes: Vec<[f32; 3]>,
+    /// The four triangles in each of the parts: `[node; 3]`, and weights of their middle.
+    quarters: Vec<([u16; 3], [f32; 3])>,
+    /// Corners and middles of edges of each part.
+    parts: Vec<[u16; 6]>,
+}
+
+impl Cut {
+    fn new(cuts: usize) -> Self {
+        let n = 2 * cuts;
+        let index = |i: usize, j: usize| (i * (n + 1) - i * i.saturating_sub(1) / 2 + j) as u16;
+        let mut nodes = vec![[0.0; 3]; (n + 1) * (n + 2) / 2];
+        for i in 0..=n {
+            for j in 0..=n - i {
+                let weights = [(n - i - j) as f32, j as f32, i as f32].map(|w| w / n as f32);
+                nodes[usize::from(index(i, j))] = weights;
+            }
+        }
+        let (mut quarters, mut parts) = (Vec::new(), Vec::new());
+        let mut part = |a: [usize; 2], b: [usize; 2], c: [usize; 2]| {
+            let middle = |p: [usize; 2], q: [usize; 2]| [(p[0] + q[0]) / 2, (p[1] + q[1]) / 2];
+            let six = [a, b, c, middle(a, b), middle(b, c), middle(c, a)].map(|[i, j]| index(i, j));
+            let [a, b, c, ab, bc, ca] = six;
+            for corners in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
+                let mut mean = [0.0; 3];
+                for node in corners {
+                    for (m, w) in mean.iter_mut().zip(nodes[usize::from(node)]) {
+                        *m += w / 3.0;
+                    }
+                }
+                quarters.push((corners, mean));
+            }
+            parts.push(six);
+        };
+        for i in (0..n).step_by(2) {
+            for j in (0..n - i).step_by(2) {
+                part([i, j], [i, j + 2], [i + 2, j]);
+                if i + j + 4 <= n {
+                    part([i + 2, j + 2], [i + 2, j], [i, j + 2]);
+                }
+            }
+        }
+        Cut { nodes, quarters, parts }
+    }
+}
+
+/// Physical optics over curved triangles, for one number of instructions' width.
+pub struct Integrator {
+    cuts: Vec<Cut>,
+    level: KernelLevel,
+}
+
+impl std::fmt::Debug for Integrator {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Integrator").field("level", &self.level).finish_non_exhaustive()
+    }
+}
+
+impl Default for Integrator {
+    fn default() -> Self {
+        Integrator { cuts: (1..=MOST_CUTS).map(Cut::new).collect(), level: KernelLevel::detect() }
+    }
+}
+
+impl Integrator {
+    /// `int l_i exp(-j k (L - L_middle)) dS` over a triangle for the weights `l_i` of its three corners, m^2: what a strength
+    /// linear between the corners integrates to is their sum weighted by it.
+    pub fn moments(
+        &self,
+        triangle: &CurvedTriangle,
+        tx: &View,
+        rx: &View,
+        wavenumber_per_m: f64,
+        cuts: usize,
+    ) -> [Complex<f32>; 3] {
+        let Some(cut) = self.cuts.get(cuts.clamp(1, MOST_CUTS) - 1) else { return Default::default() };
+        match self.level {
+            KernelLevel::Portable => body(cut, triangle, tx, rx, wavenumber_per_m),
+            // SAFETY: `level` is only ever one that the processor has.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx2 => unsafe { body_avx2(cut, triangle, tx, rx, wavenumber_per_m) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx512 => unsafe { body_avx512(cut, triangle, tx, rx, wavenumber_per_m) },
+            #[cfg(not(target_arch = "x86_64"))]
+            KernelLevel::Avx2 | KernelLevel::Avx512 => body(cut, triangle, tx, rx, wavenumber_per_m),
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn body_avx2(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
+    body(cut, triangle, tx, rx, k)
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
+fn body_avx512(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
+    body(cut, triangle, tx, rx, k)
+}
+
+/// Nodes rounded up to whole vectors.
+const ROOM: usize = MOST_NODES.next_multiple_of(LANES);
+
+#[inline(always)]
+fn body(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
+    let mut place = [[0f32; ROOM]; 3];
+    let mut phase = [0f32; ROOM];
+    let k = k as f32;
+    let views = [tx, rx].map(|v| (v.offset.as_vec3(), v.distance_m as f32));
+    for (i, weights) in cut.nodes.iter().enumerate() {
+        let p = triangle.place(*weights);
+        (place[0][i], place[1][i], place[2][i]) = (p.x, p.y, p.z);
+    }
+    for i in 0..cut.nodes.len().next_multiple_of(LANES) {
+        let (x, y, z) = (place[0][i], place[1][i], place[2][i]);
+        let square = x * x + y * y + z * z;
+        let mut longer = 0.0;
+        for (offset, distance) in views {
+            let more = square + 2.0 * (x * offset.x + y * offset.y + z * offset.z);
+            longer += more / (distance + (distance * distance + more).max(0.0).sqrt());
+        }
+        phase[i] = -k * longer;
+    }
+    let mut sums = [Complex::<f32>::default(); 3];
+    // Two parts of four triangles at a time.
+    for (parts, quarters) in cut.parts.chunks(LANES / 4).zip(cut.quarters.chunks(LANES)) {
+        let mut shift: Row = [0.0; LANES];
+        for (i, six) in parts.iter().enumerate() {
+            let [a, b, c, ab, bc, ca] = six.map(|node| phase[usize::from(node)]);
+            // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
+            shift[4 * i..4 * i + 4].fill(((ab + bc + ca) - (a + b + c)) / 12.0);
+        }
+        let (mut a, mut b, mut c): (Row, Row, Row) = Default::default();
+        let mut twice_area: Row = [0.0; LANES];
+        let (mut u, mut v): ([Row; 3], [Row; 3]) = Default::default();
+        for (i, (nodes, _)) in quarters.iter().enumerate() {
+            let [p, q, r] = nodes.map(usize::from);
+            (a[i], b[i], c[i]) = (phase[p] + shift[i], phase[q] + shift[i], phase[r] + shift[i]);
+            for axis in 0..3 {
+                u[axis][i] = place[axis][q] - place[axis][p];
+                v[axis][i] = place[axis][r] - place[axis][p];
+            }
+        }
+        for i in 0..LANES {
+            let x = u[1][i] * v[2][i] - u[2][i] * v[1][i];
+            let y = u[2][i] * v[0][i] - u[0][i] * v[2][i];
+            let z = u[0][i] * v[1][i] - u[1][i] * v[0][i];
+            twice_area[i] = (x * x + y * y + z * z).sqrt();
+        }
+        let (re, im) = integrals(&a, &b, &c);
+        for (i, (_, weights)) in quarters.iter().enumerate() {
+            let value = Complex::new(re[i], im[i]) * twice_area[i];
+            for (sum, w) in sums.iter_mut().zip(weights) {
+                *sum += value * *w;
+            }
+        }
+    }
+    sums
+}
+
+/// [`triangle::integral`] of eight triangles in single precision: both of its forms, and for each triangle the one that holds.
+#[inline(always)]
+fn integrals(a: &Row, b: &Row, c: &Row) -> (Row, Row) {
+    let (mut low, mut middle, mut high): (Row, Row, Row) = Default::default();
+    for i in 0..LANES {
+        let (x, y) = (a[i].min(b[i]), a[i].max(b[i]));
+        low[i] = x.min(c[i]);
+        high[i] = y.max(c[i]);
+        middle[i] = x.max(y.min(c[i]));
+    }
+    let (mut mean, mut upper, mut lower): (Row, Row, Row) = Default::default();
+    let (mut half_upper, mut half_lower): (Row, Row) = Default::default();
+    for i in 0..LANES {
+        mean[i] = (low[i] + middle[i] + high[i]) * (1.0 / 3.0);
+        upper[i] = 0.5 * (middle[i] + high[i]);
+        lower[i] = 0.5 * (low[i] + middle[i]);
+        half_upper[i] = 0.5 * (high[i] - middle[i]);
+        half_lower[i] = 0.5 * (middle[i] - low[i]);
+    }
+    let (mean_sin, mean_cos) = sin_cos(&mean);
+    let (upper_sin, upper_cos) = sin_cos(&upper);
+    let (lower_sin, lower_cos) = sin_cos(&lower);
+    let (sine_upper, _) = sin_cos(&half_upper);
+    let (sine_lower, _) = sin_cos(&half_lower);
+    let (mut re, mut im): (Row, Row) = Default::default();
+    for i in 0..LANES {
+        // The series about the mean.
+        let (x, y, z) = (low[i] - mean[i], middle[i] - mean[i], high[i] - mean[i]);
+        let (e2, e3) = (x * y + y * z + z * x, x * y * z);
+        let h2 = -e2;
+        let h3 = e3;
+        let h4 = e2 * e2;
+        let h5 = -2.0 * e2 * e3;
+        let h6 = -e2 * h4 + e3 * h3;
+        let h7 = -e2 * h5 + e3 * h4;
+        let h8 = -e2 * h6 + e3 * h5;
+        let h9 = -e2 * h7 + e3 * h6;
+        let h10 = -e2 * h8 + e3 * h7;
+        let even = 0.5
+            - h2 * (1.0 / 24.0)
+            + h4 * (1.0 / 720.0)
+            - h6 * (1.0 / 40_320.0)
+            + h8 * (1.0 / 3_628_800.0)
+            - h10 * (1.0 / 479_001_600.0);
+        let odd = -h3 * (1.0 / 120.0) + h5 * (1.0 / 5040.0) - h7 * (1.0 / 362_880.0) + h9 * (1.0 / 39_916_800.0);
+        let near_re = even * mean_cos[i] - odd * mean_sin[i];
+        let near_im = even * mean_sin[i] + odd * mean_cos[i];
+        // The difference of the edges' integrals over the longest difference.
+        let sinc = |half: f32, sine: f32| if half > 0.05 { sine / half } else { 1.0 - half * half * (1.0 / 6.0) };
+        let (u, l) = (sinc(half_upper[i], sine_upper[i]), sinc(half_lower[i], sine_lower[i]));
+        let longest = high[i] - low[i];
+        let over = 1.0 / longest.max(0.5);
+        let (dx, dy) = (upper_cos[i] * u - lower_cos[i] * l, upper_sin[i] * u - lower_sin[i] * l);
+        let near = longest < 1.5;
+        re[i] = if near { near_re } else { dy * over };
+        im[i] = if near { near_im } else { -dx * over };
+    }
+    (re, im)
+}
+
+/// Sines and cosines of eight numbers to a few units of the seventh digit: by the half angle's series and its doubling.
+#[inline(always)]
+fn sin_cos(x: &Row) -> (Row, Row) {
+    /// 1.5 times 2^23: adding it leaves the nearest integer in a number's last bits.
+    const SHIFT: f32 = 12_582_912.0;
+    let (mut sines, mut cosines): (Row, Row) = Default::default();
+    for i in 0..LANES {
+        let turns = x[i] * std::f32::consts::FRAC_1_PI * 0.5;
+        let whole = (turns + SHIFT) - SHIFT;
+        // 2 pi in two pieces, so that the reduction loses nothing.
+        let reduced = (x[i] - whole * 6.281_25) - whole * 1.935_307_2e-3;
+        let y = 0.5 * reduced;
+        let z = y * y;
+        let sine =
+            y * (1.0
+                + z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362_880.0 - z * (1.0 / 39_916_800.0))))));
+        let cosine = 1.0
+            + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40_320.0 - z * (1.0 / 3_628_800.0)))));
+        sines[i] = 2.0 * sine * cosine;
+        cosines[i] = 1.0 - 2.0 * sine * sine;
+    }
+    (sines, cosines)
+}
+
+/// [`Integrator::moments`] the slow and obvious way: double precision, linear strength in each of the flat triangles, paths as
+/// plain distances.
+pub fn exact_moments(
+    triangle: &CurvedTriangle,
+    antennas: [DVec3; 2],
+    wavenumber_per_m: f64,
+    cuts: usize,
+) -> [Complex64; 3] {
+    let cut = Cut::new(cuts);
+    let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
+    let start = length(triangle.middle);
+    let places: Vec<DVec3> = cut.nodes.iter().map(|w| triangle.place(*w).as_dvec3()).collect();
+    let phases: Vec<f64> =
+        places.iter().map(|p| -wavenumber_per_m * (length(triangle.middle + *p) - start)).collect();
+    let mut sums = [Complex64::ZERO; 3];
+    for (nodes, _) in &cut.quarters {
+        let [p, q, r] = nodes.map(usize::from);
+        let twice_area = (places[q] - places[p]).cross(places[r] - places[p]).length();
+        let moments = triangle::moments(phases[p], phases[q], phases[r]);
+        for (node, moment) in [p, q, r].into_iter().zip(moments) {
+            for (sum, w) in sums.iter_mut().zip(cut.nodes[node]) {
+                *sum += moment * twice_area * f64::from(w);
+            }
+        }
+    }
+    sums
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::Rng;
+
+    use super::*;
+    use crate::random::{Purpose, generator};
+
+    const K: f64 = 1_257.507_013_171_009;
+
+    /// Triangles of a limb or a trunk a few metres away, at any angle.
+    fn triangles() -> Vec<(CurvedTriangle, [DVec3; 2])> {
+        let mut rng = generator(11, Purpose::Noise, [0, 0]);
+        let mut vector = |size: f64| {
+            DVec3::new(rng.random_range(-size..size), rng.random_range(-size..size), rng.random_range(-size..size))
+        };
+        (0..200)
+            .map(|_| {
+                let middle = DVec3::new(3.0, 0.5, 1.0) + vector(0.5);
+                let corners = [0; 3].map(|_| middle + vector(0.012));
+                let bulges = [0; 3].map(|_| vector(6e-4));
+                let antenna = vector(0.5);
+                (CurvedTriangle::new(corners, bulges), [antenna, antenna + vector(0.003)])
+            })
+            .collect()
+    }
+
+    fn moments(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel, cuts: usize) -> [Complex<f32>; 3] {
+        let [tx, rx] = antennas.map(|a| View::new(a, triangle.middle));
+        Integrator { level, ..Integrator::default() }.moments(triangle, &tx, &rx, K, cuts)
+    }
+
+    /// What is bent away inside each piece falls faster than with the square of its size.
+    #[test]
+    fn cuts_converge_to_the_integral() {
+        let (mut coarse, mut fine, mut all) = (0.0, 0.0, 0.0);
+        for (triangle, antennas) in triangles() {
+            let exact = exact_moments(&triangle, antennas, K, 24);
+            let miss = |cuts: usize| {
+                let found = moments(&triangle, antennas, KernelLevel::Portable, cuts);
+                (0..3).map(|i| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm_sqr()).sum::<f64>()
+            };
+            coarse += miss(2);
+            fine += miss(6);
+            all += exact.iter().map(Complex64::norm_sqr).sum::<f64>();
+        }
+        let (coarse, fine) = ((coarse / all).sqrt(), (fine / all).sqrt());
+        assert!(fine < 0.006 && coarse / fine > 9.0, "{coarse} {fine}");
+    }
+
+    #[test]
+    fn every_level_of_instructions_computes_the_same() {
+        for (triangle, antennas) in triangles() {
+            let portable = moments(&triangle, antennas, KernelLevel::Portable, 3);
+            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+                assert_eq!(moments(&triangle, antennas, level, 3), portable, "{level}");
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Phases that agree, that agree pairwise, at the seam of both forms, and many turns apart.
+        #[test]
+        fn single_precision_is_double_precision_in_every_direction() {
+            let mut worst: f64 = 0.0;
+            for i in 0..400 {
+                let span = 10f64.powf(-7.0 + 0.0225 * f64::from(i));
+                for (b, c) in [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0), (1e-3, 1.0), (0.999, 1.0), (-1.0, 1.0)] {
+                    let phases = [0.3, 0.3 + b * span, 0.3 + c * span].map(|p: f64| p as f32);
+                    let [a, b, c] = phases;
+                    let (re, im) = integrals(&[a; LANES], &[b; LANES], &[c; LANES]);
+                    let exact = triangle::integral(a.into(), b.into(), c.into());
+                    worst = worst.max((exact - Complex64::new(re[0].into(), im[0].into())).norm() / 0.5);
+                }
+            }
+            assert!(worst < 2e-6, "{worst:e}");
+        }
+
+        #[test]
+        fn a_point_and_a_needle_are_no_surface() {
+            let antennas = [DVec3::ZERO, DVec3::Y * 0.003];
+            let corner = DVec3::new(2.0, 0.0, 0.0);
+            for corners in [[corner; 3], [corner, corner + DVec3::Z * 0.02, corner + DVec3::Z * 0.01]] {
+                let triangle = CurvedTriangle::new(corners, [DVec3::ZERO; 3]);
+                for moment in moments(&triangle, antennas, KernelLevel::detect(), 2) {
+                    assert!(moment.norm() < 1e-9, "{moment}");
+                }
+            }
+        }
+    }
+}
