@@ -1,5 +1,6 @@
 //! Echoes of people: highlights of their segments by every audible pair of images, at key times.
 
+pub mod dense;
 pub mod self_shadow;
 pub mod skin;
 

@@ -6,11 +6,13 @@ use num_complex::{Complex, Complex64};
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use rayon::prelude::*;
 
 use crate::actor::body::{CHEST, SEGMENTS};
 use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
+use crate::echo::dense;
 use crate::echo::skin::{Fineness, SkinPaths, SkinnedPerson};
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
 use crate::field::curved_triangle::Integrator;
@@ -23,7 +25,7 @@ use crate::scene::file::BodyFile;
 use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
 use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches, stretches_with};
-use crate::stage::Stage;
+use crate::stage::{Stage, threshold_lsb};
 use crate::synthesis::{CHIRPS, Grid, SynthesisScratch, Synthesiser, Tone};
 
 /// Keys of a frame to begin with; doubled (3, 5, 9) while delays between them are not predicted well enough.
@@ -34,6 +36,12 @@ const MOST_KEYS: usize = 9;
 const PHASE_TOLERANCE_RAD: f64 = 0.03;
 /// Truth is looked up at this many times of a frame.
 const TRUTH_TIMES: usize = 5;
+
+/// How far below the noise of a cell a path is left out, dB: those of 10 dB below it add half a decibel to a cell that
+/// stands just above it.
+fn margin_db(tolerance_db: f64) -> f64 {
+    10.0 - 20.0 * (tolerance_db / 0.5).log10()
+}
 
 /// Everything about a scene and a seed that frames share.
 #[derive(Debug)]
@@ -68,13 +76,25 @@ struct KeyedEchoes {
     rates: Vec<Vec<Complex64>>,
 }
 
+/// Everybody's paths in a frame.
+struct Traced {
+    /// `[key][person]`.
+    snapshots: Vec<Vec<Snapshot>>,
+    keyed: Vec<KeyedEchoes>,
+    /// Those of each person's paths that are strong enough to be heard.
+    audible: Vec<Vec<usize>>,
+    /// Between keys, s.
+    step_s: f64,
+    report: FrameReport,
+}
+
 /// Skins of this many people are kept: those in the room, and who comes next.
 const MOST_SKINS: usize = 8;
 
 impl Renderer {
     /// Traces what is static, draws who comes.
     pub(crate) fn new(scene: &Scene, options: SimulateOptions) -> Self {
-        let stage = Stage::new(scene, options.seed, options.tolerance_db);
+        let stage = Stage::new(scene, options.seed, margin_db(options.tolerance_db));
         let waveform = scene.waveform();
         let samples = waveform.request.samples_per_chirp;
         let shaper = NoiseShaper::new(&density_lsb2(scene.receiver(), waveform), samples);
@@ -263,6 +283,18 @@ impl Renderer {
         frame.codes.resize(shape.codes(), 0);
         frame.truth = Some(self.truth(index));
 
+        let traced = self.traced(start_s);
+        let mut report = traced.report;
+        let clutter = self.clutter_weights(index, start_s, traced.step_s, &traced.snapshots);
+        let mut scratch = Scratch::default();
+        for rx in 0..shape.rx {
+            self.render_channel(rx, index, &traced, &clutter, frame, &mut scratch, &mut report);
+        }
+        report
+    }
+
+    /// Everybody's paths in a frame, at as many keys as it takes.
+    fn traced(&self, start_s: f64) -> Traced {
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut echo_report;
@@ -276,10 +308,8 @@ impl Renderer {
             }
             count = 2 * count - 1;
         };
-        let step_s = self.active_s() / (count - 1) as f64;
-
         let audible = self.audible_paths(&keyed);
-        let mut report = FrameReport {
+        let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
             traced_paths: echo_report.paths / count,
             moving_paths: audible.iter().map(Vec::len).sum(),
@@ -288,12 +318,53 @@ impl Renderer {
             clamped: echo_report.clamped,
             clipped: 0,
         };
-        let clutter = self.clutter_weights(index, start_s, step_s, &snapshots);
+        Traced { snapshots, keyed, audible, step_s: self.active_s() / (count - 1) as f64, report }
+    }
+
+    /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
+    pub(crate) fn echo_samples(&self, index: u64) -> Vec<f32> {
+        let traced = self.traced(self.start_s(index));
+        let samples = self.waveform().shape().samples;
         let mut scratch = Scratch::default();
-        for rx in 0..shape.rx {
-            self.render_channel(rx, index, (&keyed, &audible), &clutter, step_s, frame, &mut scratch, &mut report);
+        let mut all = Vec::with_capacity(self.waveform().shape().codes());
+        for rx in 0..self.waveform().shape().rx {
+            let cubics = self.cubics(rx, &traced);
+            self.each_chirp(&cubics, &[], traced.step_s, |_, grid| {
+                scratch.chirp.clear();
+                scratch.chirp.resize(samples, 0.0);
+                self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
+                all.extend_from_slice(&scratch.chirp);
+            });
         }
-        report
+        all
+    }
+
+    /// The same the slow way ([`dense`]): skins only.
+    pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
+        let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
+        let motions: Vec<Arc<Motion>> =
+            self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
+        let mut stage = self.stage.clone();
+        stage.threshold_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), margin_db);
+        let middle_s = start_s + 0.5 * self.active_s();
+        let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps)
+            .into_par_iter()
+            .map(|chirp| {
+                let time_s = start_s + chirp as f64 * self.waveform().chirp_interval_s + stage.chirp.middle_s;
+                let people: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, time_s)).collect();
+                let mut sum = vec![vec![0.0; shape.samples]; shape.rx];
+                for (me, motion) in motions.iter().enumerate() {
+                    let Some(skin) = self.skin(motion) else { continue };
+                    let pairs = audible_pairs(&stage, motion, middle_s);
+                    let own = dense::chirp(&stage, &skin, &people, me, &pairs, time_s, shape.samples);
+                    for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
+                        *sum += own;
+                    }
+                }
+                sum
+            })
+            .collect();
+        (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
     }
 
     /// Paths of every person that are loud enough at some key and receiver: a path alone in its cell half as strong as the
@@ -362,22 +433,41 @@ impl Renderer {
         &self,
         rx: usize,
         index: u64,
-        (keyed, audible): (&[KeyedEchoes], &[Vec<usize>]),
+        traced: &Traced,
         clutter: &[Vec<Complex64>],
-        step_s: f64,
         frame: &mut Frame,
         scratch: &mut Scratch,
         report: &mut FrameReport,
     ) {
-        let waveform = self.waveform();
-        let shape = waveform.shape();
-        let channels = shape.rx.max(1);
+        let shape = self.waveform().shape();
         let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights)).collect();
-        let count = clutter.len().saturating_sub(1).max(1);
-        // `[stretch][path]`.
-        let mut cubics: Vec<Vec<Stretch>> = vec![Vec::new(); count];
+        let cubics = self.cubics(rx, traced);
+        let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
+        let (offset, leakage_scale) = self.offset(rx, index);
+        let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
+        self.each_chirp(&cubics, &static_grids, traced.step_s, |chirp, grid| {
+            scratch.chirp.clear();
+            scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
+            self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
+            if let Some((shaper, scale)) = self.noise.get(rx) {
+                shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
+            }
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
+                for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
+                    *code = quantise(*x);
+                    report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
+                }
+            }
+        });
+    }
+
+    /// Paths of one receiver between keys: `[stretch][path]`.
+    fn cubics(&self, rx: usize, traced: &Traced) -> Vec<Vec<Stretch>> {
+        let (channels, step_s) = (self.waveform().shape().rx.max(1), traced.step_s);
+        let mut cubics: Vec<Vec<Stretch>> = vec![Vec::new(); traced.report.keys.saturating_sub(1).max(1)];
         let (mut keys, mut of_path) = (Vec::new(), Vec::new());
-        for (person, paths) in keyed.iter().zip(audible) {
+        for (person, paths) in traced.keyed.iter().zip(&traced.audible) {
             for path in paths {
                 keys.clear();
                 keys.extend(person.keys.iter().filter_map(|at| at.get(path * channels + rx).copied()));
@@ -394,10 +484,19 @@ impl Renderer {
                 }
             }
         }
+        cubics
+    }
 
-        let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
-        let (offset, leakage_scale) = self.offset(rx, index);
-        let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
+    /// The frequency grid of every chirp in turn: static grids at the keys, blended, and paths.
+    fn each_chirp(
+        &self,
+        cubics: &[Vec<Stretch>],
+        static_grids: &[Grid],
+        step_s: f64,
+        mut visit: impl FnMut(usize, &Grid),
+    ) {
+        let (waveform, chirps) = (self.waveform(), self.waveform().shape().chirps);
+        let count = cubics.len();
         let (mut grids, mut grid) = (self.synthesiser.grids(), self.synthesiser.grid());
         // Stretch of a chirp, and its place there.
         let place = |chirp: usize| {
@@ -406,12 +505,12 @@ impl Renderer {
             (stretch, keys_in - stretch as f64)
         };
         let mut begin = 0;
-        while begin < shape.chirps {
+        while begin < chirps {
             let (stretch, first) = place(begin);
             // Chirps in the same stretch; lanes beyond them repeat the first.
             let mut places = [first; CHIRPS];
             let mut end = begin;
-            for (chirp, at) in (begin..shape.chirps).zip(&mut places) {
+            for (chirp, at) in (begin..chirps).zip(&mut places) {
                 let (same, place) = place(chirp);
                 if same != stretch {
                     break;
@@ -426,19 +525,7 @@ impl Renderer {
             self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
             for (lane, chirp) in (begin..end).enumerate() {
                 grids.extract(lane, &mut grid);
-                scratch.chirp.clear();
-                scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
-                self.synthesiser.transform(&grid, &mut scratch.chirp, &mut scratch.synthesis);
-                if let Some((shaper, scale)) = self.noise.get(rx) {
-                    shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
-                }
-                let first = (rx * shape.chirps + chirp) * shape.samples;
-                if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
-                    for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
-                        *code = quantise(*x);
-                        report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
-                    }
-                }
+                visit(chirp, &grid);
             }
             begin = end;
         }

@@ -23,13 +23,14 @@ pub struct SimulateOptions {
     pub people: Option<usize>,
     /// End after this many frames; endless if `None`.
     pub frames: Option<u64>,
-    /// Paths are left out when they are this far below the noise of a cell of the map, dB. More is slower and finer.
+    /// Error, dB, of the echoes in the maps, rms over the cells in which they stand above the receiver's noise. What is left out
+    /// and how finely the rest is integrated follows from it.
     pub tolerance_db: f64,
 }
 
 impl Default for SimulateOptions {
     fn default() -> Self {
-        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 10.0 }
+        SimulateOptions { seed: 0, people: None, frames: None, tolerance_db: 0.5 }
     }
 }
 
@@ -47,7 +48,7 @@ pub enum SimError {
         most: usize,
     },
     /// The tolerance is not a number in range.
-    #[error("simulation: tolerance_db is {got}, expected -60 to 80 dB")]
+    #[error("simulation: tolerance_db is {got}, expected 0.01 to 20 dB")]
     Tolerance {
         /// What was given.
         got: f64,
@@ -119,7 +120,7 @@ impl Simulator {
         {
             return Err(SimError::TooManyPeople { asked, scene: scene.name().to_owned(), most });
         }
-        if !(options.tolerance_db >= -60.0 && options.tolerance_db <= 80.0) {
+        if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
         let inner = Renderer::new(scene, options);
@@ -138,6 +139,18 @@ impl Simulator {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
         let report = self.inner.render_into(index, &mut frame);
         (frame, report)
+    }
+
+    /// What comes back from people alone in a frame, without anything static and without a receiver's noise, LSB:
+    /// `[rx][chirp][sample]`.
+    pub fn echo_samples(&self, index: u64) -> Vec<f32> {
+        self.inner.echo_samples(index)
+    }
+
+    /// The same the slow way, on all threads: dense physical optics over the skins, anew in every chirp, in f64, by all pairs
+    /// of images louder than this far below the noise of a cell. Minutes a frame; people who are ellipsoids have none.
+    pub fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
+        self.inner.dense_echo_samples(index, margin_db)
     }
 
     /// What is true of a frame.

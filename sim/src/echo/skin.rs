@@ -110,6 +110,30 @@ impl SkinnedPerson {
         Some(SkinnedPerson { mesh, cloth, world })
     }
 
+    /// Factor of clothes on amplitude at each vertex.
+    pub fn cloth(&self) -> &[f64] {
+        &self.cloth
+    }
+
+    /// The mesh alone, as rays meet it in a pose.
+    pub fn refitted(&self, posed: &PosedSkin) -> Option<World> {
+        let mut world = self.world.clone();
+        world.refit(0, &posed.vertices).ok()?;
+        Some(world)
+    }
+
+    /// What other people, and the body itself before the last wall, leave of an image antenna's field at each vertex: by
+    /// segment, as vertices follow those.
+    pub fn past_people(&self, stage: &Stage, people: &[Snapshot], me: usize, index: ImageIndex) -> Vec<f64> {
+        let Some(own) = people.get(me) else { return vec![1.0; self.cloth.len()] };
+        let of_segment: [f64; SEGMENTS] =
+            std::array::from_fn(|s| past_people(stage, people, me, index, stage.tx.position, own.body[s].centre));
+        if of_segment.iter().all(|&w| w == 1.0) {
+            return vec![1.0; self.cloth.len()];
+        }
+        self.mesh.skin().blend(&of_segment)
+    }
+
     /// The mesh in motion.
     pub fn mesh(&self) -> &WalkingMesh {
         &self.mesh
@@ -271,15 +295,8 @@ impl SkinnedPerson {
             }
             None => vec![1.0; posed.vertices.len()],
         };
-        // Other people, and the body itself before the last wall: by segment, as vertices follow those.
-        if let Some(own) = people.get(me) {
-            let of_segment: [f64; SEGMENTS] =
-                std::array::from_fn(|s| past_people(stage, people, me, index, stage.tx.position, own.body[s].centre));
-            if of_segment.iter().any(|&w| w < 1.0) {
-                for (weight, past) in weights.iter_mut().zip(self.mesh.skin().blend(&of_segment)) {
-                    *weight *= past;
-                }
-            }
+        for (weight, past) in weights.iter_mut().zip(self.past_people(stage, people, me, index)) {
+            *weight *= past;
         }
         let back = stage.rx.first().map_or_else(Vec::new, light);
         Image { index, tx, rx, out: light(&stage.tx), back, weights }
