@@ -67,8 +67,8 @@ pub enum BoardError {
     },
     /// No such board is attached.
     #[error(
-        "{path}: no such board with bulk firmware (058b:0252) is attached\n\nhint: radome devices says what is; boards with the \
-         vendor's shipped firmware answer on serial:/dev/ttyACM0",
+        "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome devices lists what is attached; boards with \
+         the vendor's shipped firmware answer on serial:/dev/ttyACM0",
         path = path.display()
     )]
     Absent {
@@ -297,5 +297,34 @@ impl Board {
         let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
         let answer = self.link.demand(&Command::Execute { words, answer: true })?;
         Ok(answer.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w) & 0xFF_FFFF).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::usb::UsbAddress;
+
+    /// The address of the only board ends with a colon, and the addresses of others hold one.
+    #[test]
+    fn messages_name_the_board_in_every_form_of_address() {
+        for (address, name) in [
+            (UsbAddress::Any, "usb"),
+            (UsbAddress::Device { bus: 1, address: 4 }, "usb:1-4"),
+            (UsbAddress::Port { bus: 1, ports: vec![2, 3] }, "usb port 1-2.3"),
+            (UsbAddress::Serial("77AB".into()), "usb:77AB"),
+            (UsbAddress::Emulated("/tmp/board".into()), "usb:/tmp/board"),
+        ] {
+            let path = Address::Usb(address).name();
+            let absent = BoardError::Absent { path: path.clone() }.to_string();
+            let (sentence, hint) = absent.split_once("\n\nhint: ").expect("a hint");
+            assert_eq!(sentence, format!("no board with bulk firmware (058b:0252) is attached at {name}"));
+            assert!(hint.contains("radome devices"), "{hint}");
+            let ambiguous =
+                BoardError::Ambiguous { path: path.clone(), found: vec!["usb:1-4".into(), "usb:1-5".into()] };
+            for message in [absent, ambiguous.to_string(), BoardError::Busy { path }.to_string()] {
+                assert!(!message.contains("::") && message.contains(name), "{message}");
+            }
+        }
     }
 }
