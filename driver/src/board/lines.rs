@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 use serialport::TTYPort;
 
-use super::reconnect::{Losses, Reconnect};
+use super::reconnect::{Losses, Outage, Reconnect};
 use super::{BoardError, link};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
@@ -37,6 +37,7 @@ pub struct LineStream {
     deadline: Duration,
     waveform: Waveform,
     reconnect: Option<Reconnect>,
+    outage: Outage,
     losses: Losses,
 }
 
@@ -100,6 +101,7 @@ impl LineStream {
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             reconnect: None,
+            outage: Outage::default(),
             losses: Losses::default(),
         })
     }
@@ -167,7 +169,7 @@ impl LineStream {
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
         // The old port must be closed before the new one can be had.
         self.port = None;
-        policy.until_back(self.order.last_frame, error, || {
+        policy.until_back(self.outage.noticed(self.order.last_frame), error, || {
             self.port = Some(link::open_port(&self.path, BAUD_RATE)?);
             self.parser = LineParser::new(self.waveform.shape().codes());
             self.order.reopened();
