@@ -5,6 +5,7 @@ mod address;
 mod assembler;
 mod deepcraft;
 mod detect;
+mod identify;
 mod lines;
 mod link;
 mod reconnect;
@@ -17,22 +18,18 @@ use radome_dsp::Waveform;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError, REGISTERS, RegisterFile, address as register};
+use crate::chip::{ChipConfiguration, ChipError};
 use crate::protocol::ascii::LineError;
-use crate::protocol::strata::{
-    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, PayloadError,
-    Protocol, SpiWord, Status,
-};
+use crate::protocol::strata::{Command, PayloadError, SpiWord, Status};
 pub use address::Address;
 pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
 pub use detect::Detected;
+pub(crate) use identify::CHIP_ID_BGT60TR13C;
+use identify::{Greeting, chip_name};
 pub use lines::LineStream;
 use link::Link;
 pub use reconnect::Reconnect;
 pub use stream::BoardStream;
-
-/// Digital and RF id of the BGT60TR13C.
-pub(crate) const CHIP_ID_BGT60TR13C: u32 = 0x0303;
 
 /// Who a board says it is. Written into recordings with these names.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -70,8 +67,8 @@ pub enum BoardError {
     },
     /// No such board is attached.
     #[error(
-        "{path}: no such board with bulk firmware (058b:0252) is attached\n\nhint: radome devices says what is; boards with the \
-         vendor's shipped firmware answer on serial:/dev/ttyACM0",
+        "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome devices lists what is attached; boards with \
+         the vendor's shipped firmware answer on serial:/dev/ttyACM0",
         path = path.display()
     )]
     Absent {
@@ -226,17 +223,6 @@ pub enum BoardError {
     Stopped,
 }
 
-/// Name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
-fn chip_name(chip_id: u32) -> &'static str {
-    match (chip_id >> 8, chip_id & 0xFF) {
-        (3, 3) => "BGT60TR13C",
-        (5, 4) => "BGT60ATR24C",
-        (6, 6 | 11) => "BGT60UTR13D",
-        (7, 7 | 9 | 12) | (8, 12) => "BGT60UTR11AIP",
-        _ => "unknown",
-    }
-}
-
 /// A board that has been identified and does not measure.
 pub struct Board {
     link: Link,
@@ -244,7 +230,15 @@ pub struct Board {
 }
 
 impl Board {
-    /// Opens a serial port and asks what is there, as the vendor's client does.
+    /// Asks a board who it is and leaves its chip as it is: whoever opens the board next still finds what the chip was
+    /// programmed with. Only a chip that cannot be read before its SPI is set up is written to, the one register of the SPI and
+    /// the FIFO. A board that measures is stopped from sending.
+    pub fn identity_at(address: &Address) -> Result<BoardIdentity, BoardError> {
+        let mut link = Link::open(address)?;
+        Greeting::exchange(&mut link)?.identity(&mut link, identify::read_chip_id)
+    }
+
+    /// Opens a serial port, asks what is there and resets the chip, as the vendor's client does.
     pub fn open(path: &Path) -> Result<Board, BoardError> {
         Board::open_at(&Address::Serial(path.into()))
     }
@@ -252,18 +246,24 @@ impl Board {
     /// Like [`Board::open`], wherever the board is.
     pub fn open_at(address: &Address) -> Result<Board, BoardError> {
         let mut link = Link::open(address)?;
-        let identity = identify(&mut link, None)?;
-        Ok(Board { link, identity })
+        let greeting = Greeting::exchange(&mut link)?;
+        Board::reset(link, greeting)
     }
 
     /// Like [`Board::open_at`], and reads from the chip what it was programmed with before: nothing since it has power, or
     /// the waveform of the program that used it last.
     pub fn open_as_left(address: &Address) -> Result<(Board, Option<Waveform>), BoardError> {
         let mut link = Link::open(address)?;
-        let mut registers = RegisterFile::default();
-        let identity = identify(&mut link, Some(&mut registers))?;
+        let greeting = Greeting::exchange(&mut link)?;
+        let registers = identify::read_every_register(&mut link)?;
         let waveform = ChipConfiguration::decode(&registers).ok().map(|configuration| configuration.waveform);
-        Ok((Board { link, identity }, waveform))
+        Ok((Board::reset(link, greeting)?, waveform))
+    }
+
+    fn reset(mut link: Link, greeting: Greeting) -> Result<Board, BoardError> {
+        identify::set_up_spi(&mut link)?;
+        let identity = greeting.identity(&mut link, identify::reset_and_read_chip_id)?;
+        Ok(Board { link, identity })
     }
 
     /// Who the board says it is.
@@ -300,75 +300,31 @@ impl Board {
     }
 }
 
-/// Asks who is there. It resets the chip; `registers` are read before, if wanted.
-fn identify(link: &mut Link, registers: Option<&mut RegisterFile>) -> Result<BoardIdentity, BoardError> {
-    let path = link.path.clone();
-    let malformed = |source| BoardError::Malformed { path: path.clone(), source };
-    // Firmware of version 3 does not know the codes of version 4.
-    let answer = match link.request(&Command::BoardInfo)? {
-        (Status::Ok, answer) => answer,
-        (Status::RequestTypeInvalid, _) => {
-            link.protocol = Protocol::V3;
-            link.demand(&Command::BoardInfo)?
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::usb::UsbAddress;
+
+    /// The address of the only board ends with a colon, and the addresses of others hold one.
+    #[test]
+    fn messages_name_the_board_in_every_form_of_address() {
+        for (address, name) in [
+            (UsbAddress::Any, "usb"),
+            (UsbAddress::Device { bus: 1, address: 4 }, "usb:1-4"),
+            (UsbAddress::Port { bus: 1, ports: vec![2, 3] }, "usb port 1-2.3"),
+            (UsbAddress::Serial("77AB".into()), "usb:77AB"),
+            (UsbAddress::Emulated("/tmp/board".into()), "usb:/tmp/board"),
+        ] {
+            let path = Address::Usb(address).name();
+            let absent = BoardError::Absent { path: path.clone() }.to_string();
+            let (sentence, hint) = absent.split_once("\n\nhint: ").expect("a hint");
+            assert_eq!(sentence, format!("no board with bulk firmware (058b:0252) is attached at {name}"));
+            assert!(hint.contains("radome devices"), "{hint}");
+            let ambiguous =
+                BoardError::Ambiguous { path: path.clone(), found: vec!["usb:1-4".into(), "usb:1-5".into()] };
+            for message in [absent, ambiguous.to_string(), BoardError::Busy { path }.to_string()] {
+                assert!(!message.contains("::") && message.contains(name), "{message}");
+            }
         }
-        (status, _) => return Err(BoardError::Refused { path, command: "board info", status }),
-    };
-    let info = BoardInfo::decode(&answer).map_err(malformed)?;
-    let version = FirmwareVersion::decode(&link.demand(&Command::FirmwareVersion)?).map_err(malformed)?;
-    let [major, minor] = version.protocol;
-    if major != link.protocol.major() {
-        return Err(BoardError::Protocol { path, major, minor });
     }
-    // Left over from a program that ended without stopping the board.
-    link.request(&Command::StopData)?;
-    let has_chip = match link.protocol {
-        Protocol::V4 => {
-            let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
-            count.first().is_some_and(|count| *count > 0)
-        }
-        Protocol::V3 => {
-            let answer = link.demand(&Command::ComponentImplementation { component: COMPONENT_RADAR })?;
-            answer.first() == Some(&IMPLEMENTATION_AVIAN)
-        }
-    };
-    if !has_chip {
-        return Err(BoardError::ChipSilent { path, chip_id: 0 });
-    }
-    if let Some(registers) = registers {
-        let addresses = REGISTERS.iter().map(|register| register.address);
-        let words = addresses.clone().map(SpiWord::read).collect();
-        let answer = link.demand(&Command::Execute { words, answer: true })?;
-        let values = answer.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word));
-        addresses.zip(values).for_each(|(address, value)| registers.set(address, value));
-    }
-    // A stale FIFO overflow makes the first access fail; the reset clears it.
-    link.request(&Command::WriteRegisters { address: register::SFCTL, values: vec![0x10_0000] })?;
-    let uuid = match link.request(&Command::Uuid)? {
-        (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
-        _ => "0".repeat(32),
-    };
-    let extended = link.request(&Command::ExtendedVersion)?.1;
-    link.demand(&Command::HardwareReset)?;
-    let words = vec![SpiWord::write(register::SFCTL, 0x10_0000)];
-    link.demand(&Command::Execute { words, answer: false })?;
-    let words = vec![SpiWord::read(register::CHIP_ID)];
-    let answer = link.demand(&Command::Execute { words, answer: true })?;
-    let chip_id = answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF);
-    match chip_id {
-        0 | 0xFF_FFFF => return Err(BoardError::ChipSilent { path, chip_id }),
-        CHIP_ID_BGT60TR13C => {}
-        _ => return Err(BoardError::OtherChip { path, chip: chip_name(chip_id), chip_id }),
-    }
-    let [a, b, c, _] = version.firmware;
-    Ok(BoardIdentity {
-        name: info.name,
-        vendor_id: info.vendor_id,
-        product_id: info.product_id,
-        firmware_version: format!("{a}.{b}.{c}"),
-        extended_version: crate::protocol::strata::text(&extended),
-        protocol_version: format!("{major}.{minor}"),
-        uuid,
-        chip: chip_name(chip_id).to_owned(),
-        chip_id,
-    })
 }

@@ -73,7 +73,12 @@ fn the_board_says_that_it_is_the_bulk_variant() {
         client = stream.stop().expect("stops");
     }
     drop(client.start(&waveform).expect("starts"));
-    Board::open_at(board.address()).expect("opens again");
+    // Who only asks leaves the chip as it is; who opens the board has reset it.
+    assert_eq!(Board::identity_at(board.address()).expect("answers"), identity);
+    let (client, left) = Board::open_as_left(board.address()).expect("opens again");
+    left.expect("programmed").check_compatible(&waveform).expect("the same");
+    drop(client);
+    assert_eq!(Board::open_as_left(board.address()).expect("opens again").1, None);
 }
 
 mod hard_cases {

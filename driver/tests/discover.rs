@@ -5,7 +5,10 @@ use std::os::unix::fs::symlink;
 use std::path::Path;
 
 use radome_driver::discover::{Belief, Change, Identity, Roots, State, Transport, Watch, ask, candidates_in};
-use radome_driver::{Address, Candidate, EmulatedBoard, EmulatorOptions, Fault, Pace, UsbAddress};
+use radome_driver::{
+    Address, Board, Candidate, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace, UsbAddress,
+};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 mod common;
 
@@ -208,6 +211,45 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
     for id in [0, 0xFF_FFFF] {
         let State::NotAnswering { why } = state(&[Fault::ForeignChip(id)]) else { panic!("answers") };
         assert!(why.contains("radar chip does not"), "{why}");
+    }
+}
+
+/// What the next one to open a board finds in its chip.
+fn left(board: &EmulatedBoard) -> Option<Waveform> {
+    let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
+        panic!("another kind of board")
+    };
+    left
+}
+
+/// Found by hand: after `radome devices` nothing could be recorded without naming the waveform anew.
+#[test]
+fn whoever_was_asked_keeps_what_it_was_programmed_with() {
+    let machine = Machine::new();
+    machine.plug("1-1", (0x058B, 0x0251), 5, "IFX CDC", "77");
+    machine.give("1-1", "tty", "ttyACM0", "");
+    let waveform = common::waveform(&[1, 3], 8, 64, 0.1);
+    for kind in [Kind::Mcu7V4, Kind::Mcu7V3] {
+        let options = EmulatorOptions { pace: Pace::AsFastAsRead, kind, ..EmulatorOptions::default() };
+        let source = Box::new(common::Pattern::new(waveform.clone(), 1000));
+        let board = EmulatedBoard::spawn(source, options).expect("spawns");
+        // Opened and not started, a chip has been reset: what is found below is not what the emulator began with.
+        let opened = Board::open(board.path()).expect("opens");
+        let identity = opened.identity().clone();
+        drop(opened);
+        assert_eq!(left(&board), None);
+        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut frame = Frame::zeroed(waveform.shape());
+        assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        drop(stream);
+
+        for _ in 0..2 {
+            let state = ask(&candidate_at(&machine, &board), false);
+            assert_eq!(state, State::Ready { identity: Identity::Board(identity.clone()) });
+        }
+        let left = left(&board).expect("still programmed");
+        left.check_compatible(&waveform).expect("the same");
+        assert_eq!(left.request.rx_antennas, waveform.request.rx_antennas);
     }
 }
 

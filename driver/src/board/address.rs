@@ -19,14 +19,17 @@ impl Address {
     pub(crate) fn name(&self) -> PathBuf {
         match self {
             Address::Serial(port) => port.clone(),
-            Address::Usb(usb) => PathBuf::from(usb.to_string()),
+            Address::Usb(usb) => usb.name(),
         }
     }
 }
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}", self.name().display())
+        match self {
+            Address::Serial(port) => write!(f, "{}", port.display()),
+            Address::Usb(usb) => write!(f, "{usb}"),
+        }
     }
 }
 

@@ -264,6 +264,8 @@ impl Assembler {
         let mut used = 0;
         while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {
             let frame = self.next_frame;
+            // Without a time nobody knows which frame it is, or when the first one was: it is given up.
+            let Some(start_us) = self.start_us(frame) else { break };
             let start = (self.start_byte(frame) - self.buffer_start) as usize;
             let end = (self.end_byte(frame) - self.buffer_start) as usize;
             packed12::unpack(self.buffer.get(start..end).unwrap_or(&[]), &mut self.scratch);
@@ -272,7 +274,6 @@ impl Assembler {
             codes.resize(self.shape.codes(), 0);
             fifo::deinterleave(self.scratch.get(half..).unwrap_or(&[]), self.shape, &mut codes);
 
-            let start_us = self.start_us(frame);
             let sequence = self.sequence(frame, start_us);
             if let Some(gap) = self.gap.take() {
                 self.ready.push_back(Ready::Gap(gap));
@@ -294,18 +295,17 @@ impl Assembler {
         }
     }
 
-    /// Board time of a frame's start, from the stamp of the slice that it begins in; that stamp was taken when the
-    /// slice's last code had been sampled.
-    fn start_us(&self, frame: u64) -> f64 {
-        let slice = frame * self.shape.codes() as u64 / self.slice.samples as u64;
-        let last_code = (slice + 1) * self.slice.samples as u64 - 1;
-        match self.stamps.iter().find(|(s, _)| *s == slice) {
-            Some((_, stamp_us)) => {
-                let since_start_s = self.timing.in_stream_s(last_code) - frame as f64 * self.frame_interval_us * 1e-6;
-                *stamp_us as f64 - since_start_s * 1e6
-            }
-            None => self.last_time_us + self.frame_interval_us,
+    /// Board time of a frame's start, from the stamp of the slice that it begins in, or of the next that has come; that stamp
+    /// was taken when the slice's last code had been sampled. Where the packet with the stamp is lost, frames of its slice that
+    /// are whole have come at their interval, if there are others to count from.
+    fn start_us(&self, frame: u64) -> Option<f64> {
+        let first_slice = frame * self.shape.codes() as u64 / self.slice.samples as u64;
+        if let Some((slice, stamp_us)) = self.stamps.iter().find(|(slice, _)| *slice >= first_slice) {
+            let since_start_us = self.nominal_us(*slice) - frame as f64 * self.frame_interval_us;
+            return Some(*stamp_us as f64 - since_start_us);
         }
+        let since_last = (self.base?.wrapping_add(frame) + 1).saturating_sub(self.next_sequence);
+        self.origin_us.map(|_| self.last_time_us + since_last as f64 * self.frame_interval_us)
     }
 
     /// Sequence number of a frame of this stream; after a restart by the board's clock, and the gap is noted.
@@ -382,25 +382,102 @@ mod tests {
         Assembler::new(&waveform, SliceLayout::for_frame(waveform.shape().codes()))
     }
 
-    /// The first slice since a start, complete at this time by the board's clock: what comes out.
-    fn first_slice(assembler: &mut Assembler, time_us: u64) -> Vec<SourceEvent> {
-        let slice = assembler.slice;
-        let bytes = [vec![0; slice.data_bytes()], time_us.to_le_bytes().to_vec()].concat();
+    /// Two frames of an odd number of codes in a slice of two packets, the first frame whole in the first packet.
+    fn two_frames_a_slice() -> Assembler {
+        let waveform = Waveform::realise(WaveformRequest {
+            rx_antennas: RxMask::from_antennas(&[1]).expect("valid"),
+            chirps_per_frame: 45,
+            samples_per_chirp: 45,
+            frame_interval_s: FRAME_US as f64 * 1e-6,
+            ..WaveformRequest::paper()
+        });
+        let waveform = waveform.expect("valid");
+        let slice = SliceLayout::for_frame(waveform.shape().codes());
+        assert_eq!((slice.samples, slice.packets()), (2 * 45 * 45, 2));
+        Assembler::new(&waveform, slice)
+    }
+
+    /// A slice, complete at this time by the board's clock, of which only these packets come: what comes out. Frames as their
+    /// sequence number and time.
+    fn packets(assembler: &mut Assembler, slice: u64, indices: &[usize], time_us: u64) -> Vec<Result<(u64, u64), Gap>> {
+        let layout = assembler.slice;
+        let bytes = [vec![0; layout.data_bytes()], time_us.to_le_bytes().to_vec()].concat();
         let mut rest = bytes.as_slice();
-        for index in 0..slice.packets() {
-            let (payload, after) = rest.split_at(slice.payload_length(index));
+        for index in 0..layout.packets() {
+            let (payload, after) = rest.split_at(layout.payload_length(index));
             rest = after;
-            let last = index + 1 == slice.packets();
+            let last = index + 1 == layout.packets();
             let flags = PacketFlags { first: index == 0, last, timestamp: last, error: false };
-            let packet = Packet { flags, channel: 0, counter: index as u16, payload };
-            assert_eq!(assembler.packet(&packet), Outcome::Taken);
+            let counter = (slice as usize * layout.packets() + index) as u16;
+            if indices.contains(&index) {
+                assert_eq!(assembler.packet(&Packet { flags, channel: 0, counter, payload }), Outcome::Taken);
+            }
         }
         let mut frame = Frame::zeroed(assembler.shape);
-        std::iter::from_fn(|| assembler.pop(&mut frame)).collect()
+        let mut found = Vec::new();
+        while let Some(event) = assembler.pop(&mut frame) {
+            match event {
+                SourceEvent::Frame => found.push(Ok((frame.sequence, frame.time_ns))),
+                SourceEvent::Gap(gap) => found.push(Err(gap)),
+                SourceEvent::End => panic!("no end"),
+            }
+        }
+        found
+    }
+
+    /// The first slice since a start, of which nothing is lost.
+    fn first_slice(assembler: &mut Assembler, time_us: u64) -> Vec<SourceEvent> {
+        let indices: Vec<usize> = (0..assembler.slice.packets()).collect();
+        let events = packets(assembler, 0, &indices, time_us);
+        events.into_iter().map(|event| event.map_or_else(SourceEvent::Gap, |_| SourceEvent::Frame)).collect()
     }
 
     mod hard_cases {
         use super::*;
+
+        const FRAME_NS: u64 = FRAME_US * 1000;
+        /// An hour after it was switched on.
+        const HOUR_US: u64 = 3_600_000_000;
+
+        /// A frame that came whole while its slice's stamp was lost stood for the board's clock: the time of every later frame
+        /// was an hour off, and so were the frames counted at the next overflow.
+        #[test]
+        fn a_first_frame_without_time_does_not_set_the_clock() {
+            let mut assembler = two_frames_a_slice();
+            assert_eq!(packets(&mut assembler, 0, &[0], HOUR_US), []);
+            let gap = Gap { first_sequence: 0, frames: 2, reason: GapReason::PacketLost };
+            let found = packets(&mut assembler, 1, &[0, 1], HOUR_US + 2 * FRAME_US);
+            assert_eq!(found, [Err(gap), Ok((2, 2 * FRAME_NS)), Ok((3, 3 * FRAME_NS))]);
+            assembler.restart(GapReason::FifoOverflow);
+            let gap = Gap { first_sequence: 4, frames: 6, reason: GapReason::FifoOverflow };
+            let found = packets(&mut assembler, 0, &[0, 1], HOUR_US + 10 * FRAME_US);
+            assert_eq!(found, [Err(gap), Ok((10, 10 * FRAME_NS)), Ok((11, 11 * FRAME_NS))]);
+        }
+
+        /// And after an overflow it counted as the very next one.
+        #[test]
+        fn a_frame_without_time_after_a_restart_does_not_count_what_was_lost() {
+            let mut assembler = two_frames_a_slice();
+            packets(&mut assembler, 0, &[0, 1], HOUR_US);
+            assembler.restart(GapReason::FifoOverflow);
+            assert_eq!(packets(&mut assembler, 0, &[0], HOUR_US + 10 * FRAME_US), []);
+            // Frames 10 and 11 are lost with the packet.
+            let gap = Gap { first_sequence: 2, frames: 10, reason: GapReason::FifoOverflow };
+            let found = packets(&mut assembler, 1, &[0, 1], HOUR_US + 12 * FRAME_US);
+            assert_eq!(found, [Err(gap), Ok((12, 12 * FRAME_NS)), Ok((13, 13 * FRAME_NS))]);
+        }
+
+        /// Behind a gap it is later than the last frame by the gap.
+        #[test]
+        fn a_frame_without_time_behind_a_gap_comes_at_its_place() {
+            let mut assembler = two_frames_a_slice();
+            packets(&mut assembler, 0, &[0, 1], HOUR_US);
+            assert_eq!(packets(&mut assembler, 3, &[0], 0), []);
+            let found = packets(&mut assembler, 4, &[0, 1], HOUR_US + 8 * FRAME_US);
+            let gap = |first_sequence, frames| Err(Gap { first_sequence, frames, reason: GapReason::PacketLost });
+            let expected = [gap(2, 4), Ok((6, 6 * FRAME_NS)), gap(7, 1), Ok((8, 8 * FRAME_NS)), Ok((9, 9 * FRAME_NS))];
+            assert_eq!(found, expected);
+        }
 
         /// Found by the campaign: twice without power, and each time measuring at once. The second time the clock stood where
         /// it had stood the first time, which passed for a clock that had run on; every later count was one short.

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, Waveform};
 use serialport::TTYPort;
 
-use super::reconnect::{Losses, Reconnect};
+use super::reconnect::{Losses, Outage, Reconnect};
 use super::{BoardError, link};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
@@ -37,6 +37,7 @@ pub struct LineStream {
     deadline: Duration,
     waveform: Waveform,
     reconnect: Option<Reconnect>,
+    outage: Outage,
     losses: Losses,
 }
 
@@ -49,8 +50,8 @@ struct Order {
     next_number: Option<u64>,
     /// Of the codes taken last: by it a line that comes twice is known.
     last_codes: u64,
-    /// A line whose number was not the next one.
-    unconfirmed: Option<(u64, Vec<u16>)>,
+    /// A line whose number was not the next one, and when it came.
+    unconfirmed: Option<(u64, Vec<u16>, Instant)>,
     /// Whether a damaged line came since the last good one.
     damaged: bool,
     /// The port was opened anew: the firmware may have, too.
@@ -100,6 +101,7 @@ impl LineStream {
             deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
             waveform,
             reconnect: None,
+            outage: Outage::default(),
             losses: Losses::default(),
         })
     }
@@ -126,7 +128,7 @@ impl LineStream {
             }
             match self.parser.next_line() {
                 Some(Ok(Line::Frame { number, codes })) => {
-                    self.order.take(number, codes);
+                    self.order.take(number, codes, Instant::now());
                     continue;
                 }
                 Some(Ok(Line::Log(text))) => {
@@ -167,7 +169,7 @@ impl LineStream {
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
         // The old port must be closed before the new one can be had.
         self.port = None;
-        policy.until_back(self.order.last_frame, error, || {
+        policy.until_back(self.outage.noticed(self.order.last_frame), error, || {
             self.port = Some(link::open_port(&self.path, BAUD_RATE)?);
             self.parser = LineParser::new(self.waveform.shape().codes());
             self.order.reopened();
@@ -220,57 +222,57 @@ impl Order {
         self.reopened = true;
     }
 
-    /// A line by the firmware's number.
-    fn take(&mut self, number: u64, codes: &[u16]) {
+    /// A line by the firmware's number, that came just now.
+    fn take(&mut self, number: u64, codes: &[u16], now: Instant) {
         if self.reopened {
             self.reopened = false;
-            self.begin_anew(number);
+            self.begin_anew(number, now);
         }
         let next = *self.next_number.get_or_insert(number);
         let follows = |number: u64, other: u64| number == other.wrapping_add(1);
         if number == next {
             match self.unconfirmed.take() {
                 // The last number with other codes, and on from there: the firmware has begun anew right where it began.
-                Some((before, other)) if follows(next, before) => {
-                    self.begin_anew(before);
-                    self.accept(&other);
-                    self.accept(codes);
+                Some((before, other, came)) if follows(next, before) => {
+                    self.begin_anew(before, came);
+                    self.accept(&other, came);
+                    self.accept(codes, now);
                 }
                 // A line that has overtaken this one.
-                Some((later, other)) if follows(later, number) => {
-                    self.accept(codes);
-                    self.accept(&other);
+                Some((later, other, _)) if follows(later, number) => {
+                    self.accept(codes, now);
+                    self.accept(&other, now);
                 }
-                _ => self.accept(codes),
+                _ => self.accept(codes, now),
             }
         } else if follows(next, number) && self.last_codes == digest(codes) {
             tracing::debug!(number, "a line came twice");
         } else {
             match self.unconfirmed.take() {
                 // Two lines with one number: one of them is wrong, and nobody knows which.
-                Some((before, other)) if before == number => {
+                Some((before, other, came)) if before == number => {
                     if other == codes {
-                        self.unconfirmed = Some((before, other));
+                        self.unconfirmed = Some((before, other, came));
                     } else {
                         self.damaged = true;
                     }
                 }
                 // Either both lie ahead, with perhaps more lost between them, or the firmware counts from its beginning.
-                Some((before, other))
+                Some((before, other, came))
                     if follows(number, before) || (is_ahead(before, next) && is_ahead(number, before)) =>
                 {
                     if is_ahead(before, next) {
                         self.lose(before.wrapping_sub(next));
                     } else {
-                        self.begin_anew(before);
+                        self.begin_anew(before, came);
                     }
                     self.next_number = Some(before);
-                    self.accept(&other);
-                    self.take(number, codes);
+                    self.accept(&other, came);
+                    self.take(number, codes, now);
                 }
                 before => {
                     self.damaged |= before.is_some();
-                    self.unconfirmed = Some((number, self.copy(codes)));
+                    self.unconfirmed = Some((number, self.copy(codes), now));
                 }
             }
         }
@@ -283,13 +285,13 @@ impl Order {
         copy
     }
 
-    fn accept(&mut self, codes: &[u16]) {
+    fn accept(&mut self, codes: &[u16], came: Instant) {
         self.last_codes = digest(codes);
         self.next_number = self.next_number.map(|number| number.wrapping_add(1));
         let codes = self.copy(codes);
         self.ready.push_back(Ready::Frame(codes));
         self.damaged = false;
-        self.last_frame = Instant::now();
+        self.last_frame = came;
     }
 
     fn lose(&mut self, frames: u64) {
@@ -300,9 +302,10 @@ impl Order {
     /// The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was away. One
     /// that has run on knows itself: its number is ahead, by no more than that clock allows and further than it could have
     /// counted from its beginning.
-    fn begin_anew(&mut self, number: u64) {
+    fn begin_anew(&mut self, number: u64, came: Instant) {
         let Some(next) = self.next_number.replace(number) else { return };
-        let intervals = self.last_frame.elapsed().as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
+        let intervals =
+            came.saturating_duration_since(self.last_frame).as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
         let by_host = (intervals.round() as u64).saturating_sub(1);
         let has_run_on = |ahead: &u64| ahead.abs_diff(by_host) <= 1 || (*ahead <= by_host && number > by_host);
         let frames = Some(number.wrapping_sub(next)).filter(has_run_on).unwrap_or(by_host);
@@ -391,7 +394,7 @@ mod tests {
         let mut frame = Frame::zeroed(order.waveform.shape());
         let (mut found, mut next) = (Vec::new(), order.next_sequence);
         for (number, code) in lines {
-            order.take(*number, &vec![*code; frame.shape.codes()]);
+            order.take(*number, &vec![*code; frame.shape.codes()], Instant::now());
             while let Some(event) = order.pop(&mut frame) {
                 match event {
                     SourceEvent::Frame => {
@@ -478,6 +481,26 @@ mod tests {
                 let (before, after) = found.split_at(first.len());
                 assert!(before.iter().all(Result::is_ok), "{found:?}");
                 assert_eq!(after, [Err((1, GapReason::Disconnected)), Ok(20), Ok(21), Ok(22)]);
+            }
+        }
+
+        /// Whether it has begun anew only its second line says; it began with the first.
+        #[test]
+        fn what_was_lost_before_a_new_beginning_ends_with_its_first_line() {
+            let began = Instant::now();
+            // Numbers and when they come, in frame intervals: one that begins at another number, and one at the last again.
+            for lines in [&[(10, 0), (11, 1), (0, 6), (1, 7)][..], &[(0, 0), (0, 5), (1, 6)]] {
+                let mut order = order();
+                let interval_s = order.waveform.frame_interval_s();
+                for (number, place) in lines {
+                    let codes = vec![*place; order.waveform.shape().codes()];
+                    order.take(*number, &codes, began + Duration::from_secs_f64(f64::from(*place) * interval_s));
+                }
+                let gaps = order.ready.iter().filter_map(|ready| match ready {
+                    Ready::Gap(gap) => Some(gap.frames),
+                    Ready::Frame(_) => None,
+                });
+                assert_eq!(gaps.collect::<Vec<_>>(), [4], "{lines:?}");
             }
         }
 

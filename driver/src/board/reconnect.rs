@@ -15,7 +15,8 @@ pub struct Reconnect {
     pub first_wait: Duration,
     /// Longest wait: each is twice the one before until it is this long.
     pub longest_wait: Duration,
-    /// After so long without a frame the stream ends with the error that began it.
+    /// So long after the loss was noticed, without a frame since, the stream ends with the error that began it. A frame that
+    /// comes seldom, or a consumer that asks seldom, takes nothing from that time.
     pub give_up_after: Duration,
 }
 
@@ -37,17 +38,17 @@ impl Reconnect {
         std::iter::successors(Some(self.first_wait), move |wait| Some(wait.saturating_mul(2).min(longest)))
     }
 
-    /// Tries again and again until the board is back; gives the error that led here if it does not come. The last frame
-    /// came at `last_frame`.
+    /// Tries again and again until the board is back; gives the error that led here if it does not come. The loss was noticed
+    /// at `noticed`.
     pub(super) fn until_back(
         self,
-        last_frame: Instant,
+        noticed: Instant,
         error: BoardError,
         mut reopen: impl FnMut() -> Result<(), BoardError>,
     ) -> Result<(), BoardError> {
         tracing::warn!(%error, "the board is opened again");
         for wait in self.waits() {
-            let left = self.give_up_after.saturating_sub(last_frame.elapsed());
+            let left = self.give_up_after.saturating_sub(noticed.elapsed());
             if left.is_zero() {
                 break;
             }
@@ -58,6 +59,21 @@ impl Reconnect {
             }
         }
         Err(error)
+    }
+}
+
+/// The loss of a board that is being looked for: the last frame before it, and when it was noticed. A board that answers but
+/// sends no frame is still lost.
+#[derive(Debug, Default)]
+pub(super) struct Outage(Option<(Instant, Instant)>);
+
+impl Outage {
+    /// When the loss behind this frame was noticed: now, if it is a new one.
+    pub fn noticed(&mut self, last_frame: Instant) -> Instant {
+        match self.0 {
+            Some((before, noticed)) if before == last_frame => noticed,
+            _ => self.0.insert((last_frame, Instant::now())).1,
+        }
     }
 }
 
@@ -120,6 +136,32 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Frames 10 s apart are missed after half a minute, which is when the stream ended without having looked for its board.
+        #[test]
+        fn a_loss_that_is_noticed_late_is_looked_after_all_the_same() {
+            let give_up_after = Duration::from_secs(1);
+            let policy = Reconnect { first_wait: Duration::from_millis(1), give_up_after, ..Reconnect::default() };
+            let stalled = || BoardError::Stalled { path: "port".into(), waited: Duration::from_secs(31) };
+            let last_frame = Instant::now();
+            thread::sleep(Duration::from_millis(20));
+            let (mut outage, mut attempts) = (Outage::default(), 0);
+            // The port opens each time, and no frame comes: that ends too.
+            let error = loop {
+                let noticed = outage.noticed(last_frame);
+                assert!(noticed >= last_frame + Duration::from_millis(20));
+                let reopen = || {
+                    attempts += 1;
+                    Ok(())
+                };
+                if let Err(error) = policy.until_back(noticed, stalled(), reopen) {
+                    break error;
+                }
+            };
+            assert!(attempts > 0 && matches!(error, BoardError::Stalled { .. }), "{attempts} attempts: {error}");
+            // The next loss has its own time.
+            assert!(outage.noticed(Instant::now()) > last_frame + Duration::from_millis(20));
+        }
 
         #[test]
         fn waits_neither_overflow_nor_shrink() {

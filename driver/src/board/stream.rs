@@ -7,7 +7,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 
 use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
-use super::reconnect::{Losses, Reconnect};
+use super::reconnect::{Losses, Outage, Reconnect};
 use super::{Address, Board, BoardError};
 use crate::chip::{ChipConfiguration, RegisterList, field};
 use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
@@ -29,6 +29,7 @@ pub struct BoardStream {
     address: Address,
     uuid: String,
     reconnect: Option<Reconnect>,
+    outage: Outage,
     /// When the last frame was handed out, or the stream began.
     last_frame: Instant,
     losses: Losses,
@@ -53,6 +54,7 @@ impl BoardStream {
             address: board.address().clone(),
             uuid: board.identity().uuid.clone(),
             reconnect: None,
+            outage: Outage::default(),
             last_frame: Instant::now(),
             losses: Losses::default(),
             board: Some(board),
@@ -101,7 +103,7 @@ impl BoardStream {
         // The old port must be closed before the new one can be had.
         self.board = None;
         self.restart = None;
-        policy.until_back(self.last_frame, error, || {
+        policy.until_back(self.outage.noticed(self.last_frame), error, || {
             self.board = None;
             let board = Board::open_at(&self.address)?;
             if board.identity().uuid != self.uuid {

@@ -88,16 +88,16 @@ fn in_words(error: &dyn std::error::Error) -> String {
     text
 }
 
-/// Asks a device who it is. Boards and probes are opened and sent requests, which stops a board that measures; serial ports of
-/// which nothing is known only if `any_port` is set.
+/// Asks a device who it is. Boards and probes are opened and sent requests, which stops a board that measures but leaves its
+/// chip [as it was programmed](Board::identity_at); serial ports of which nothing is known only if `any_port` is set.
 pub fn ask(candidate: &Candidate, any_port: bool) -> State {
     match candidate.access {
         Access::Denied => return State::PermissionDenied { remedy: PERMISSION_REMEDY },
         Access::Absent => return State::NotAnswering { why: "it has no device node".into() },
         Access::Granted => {}
     }
-    let board = |address: &Address| match Board::open_at(address) {
-        Ok(board) => State::Ready { identity: Identity::Board(board.identity().clone()) },
+    let board = |address: &Address| match Board::identity_at(address) {
+        Ok(identity) => State::Ready { identity: Identity::Board(identity) },
         Err(error) => error.into(),
     };
     match (candidate.address(), candidate.belief, candidate.transport) {

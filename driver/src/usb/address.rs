@@ -67,6 +67,16 @@ impl FromStr for UsbAddress {
     }
 }
 
+impl UsbAddress {
+    /// As it stands in messages, where a colon may follow.
+    pub(crate) fn name(&self) -> PathBuf {
+        match self {
+            UsbAddress::Any => "usb".into(),
+            other => other.to_string().into(),
+        }
+    }
+}
+
 impl fmt::Display for UsbAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {

@@ -7,7 +7,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 
 use super::order::Order;
 use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
-use crate::board::reconnect::{Losses, Reconnect};
+use crate::board::reconnect::{Losses, Outage, Reconnect};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
     CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
@@ -45,6 +45,7 @@ pub struct DeepcraftStream {
     path: PathBuf,
     uuid: String,
     reconnect: Option<Reconnect>,
+    outage: Outage,
     last_byte: Instant,
     /// When the last chunk came, or the stream began.
     last_chunk: Instant,
@@ -73,6 +74,7 @@ impl DeepcraftStream {
             path: board.link.path.clone(),
             uuid: board.identity.uuid.clone(),
             reconnect: None,
+            outage: Outage::default(),
             last_byte: now,
             last_chunk: now,
             losses: Losses::default(),
@@ -125,7 +127,7 @@ impl DeepcraftStream {
         // The old port must be closed before the new one can be had.
         self.board = None;
         self.restart = None;
-        policy.until_back(self.last_chunk, error, || {
+        policy.until_back(self.outage.noticed(self.last_chunk), error, || {
             self.board = None;
             let board = DeepcraftBoard::open(&self.path)?;
             if board.identity.uuid != self.uuid {

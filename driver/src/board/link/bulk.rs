@@ -1,6 +1,5 @@
 //! Requests as control transfers, packets as bulk transfers ([`crate::protocol::strata::bulk`]).
 
-use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use super::super::BoardError;
@@ -35,7 +34,7 @@ impl From<TransferError> for Failure {
 impl Bulk {
     /// Opens the device. Also gives how to find it when it has been plugged in anew.
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
-        let path = PathBuf::from(address.to_string());
+        let path = address.name();
         let (endpoints, settled) = usb::open(USB_ID, address).map_err(|e| match e {
             OpenError::Absent => BoardError::Absent { path },
             OpenError::Ambiguous(found) => {

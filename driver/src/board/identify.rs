@@ -1,0 +1,148 @@
+//! Who a board is: what its firmware says of itself, and what its chip says of itself, with or without a reset.
+
+use super::link::Link;
+use super::{BoardError, BoardIdentity};
+use crate::chip::{REGISTERS, RegisterFile, address as register};
+use crate::protocol::strata::{
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, Protocol, SpiWord,
+    Status, text,
+};
+
+/// Digital and RF id of the BGT60TR13C.
+pub(crate) const CHIP_ID_BGT60TR13C: u32 = 0x0303;
+/// SFCTL as the vendor's client sets it before it reads anything. A reset sets `MISO_HF_READ`, which moves the edge on which
+/// the chip answers.
+const SFCTL_READABLE: u32 = 0x10_0000;
+
+/// Name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
+pub(super) fn chip_name(chip_id: u32) -> &'static str {
+    match (chip_id >> 8, chip_id & 0xFF) {
+        (3, 3) => "BGT60TR13C",
+        (5, 4) => "BGT60ATR24C",
+        (6, 6 | 11) => "BGT60UTR13D",
+        (7, 7 | 9 | 12) | (8, 12) => "BGT60UTR11AIP",
+        _ => "unknown",
+    }
+}
+
+/// What a board's firmware says of itself. The board has a radar chip and sends no data; that chip has not been touched.
+pub(super) struct Greeting {
+    info: BoardInfo,
+    version: FirmwareVersion,
+}
+
+impl Greeting {
+    /// Finds the protocol that the board speaks, and stops its data.
+    pub fn exchange(link: &mut Link) -> Result<Self, BoardError> {
+        let path = link.path.clone();
+        let malformed = |source| BoardError::Malformed { path: path.clone(), source };
+        // Firmware of version 3 does not know the codes of version 4.
+        let answer = match link.request(&Command::BoardInfo)? {
+            (Status::Ok, answer) => answer,
+            (Status::RequestTypeInvalid, _) => {
+                link.protocol = Protocol::V3;
+                link.demand(&Command::BoardInfo)?
+            }
+            (status, _) => return Err(BoardError::Refused { path, command: "board info", status }),
+        };
+        let info = BoardInfo::decode(&answer).map_err(malformed)?;
+        let version = FirmwareVersion::decode(&link.demand(&Command::FirmwareVersion)?).map_err(malformed)?;
+        let [major, minor] = version.protocol;
+        if major != link.protocol.major() {
+            return Err(BoardError::Protocol { path, major, minor });
+        }
+        // Left over from a program that ended without stopping the board.
+        link.request(&Command::StopData)?;
+        let has_chip = match link.protocol {
+            Protocol::V4 => {
+                let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
+                count.first().is_some_and(|count| *count > 0)
+            }
+            Protocol::V3 => {
+                let answer = link.demand(&Command::ComponentImplementation { component: COMPONENT_RADAR })?;
+                answer.first() == Some(&IMPLEMENTATION_AVIAN)
+            }
+        };
+        if !has_chip {
+            return Err(BoardError::ChipSilent { path, chip_id: 0 });
+        }
+        Ok(Greeting { info, version })
+    }
+
+    /// The whole identity: asks for the board's further names, then for its chip's in the way given.
+    pub fn identity(
+        self,
+        link: &mut Link,
+        chip_id: fn(&mut Link) -> Result<u32, BoardError>,
+    ) -> Result<BoardIdentity, BoardError> {
+        let uuid = match link.request(&Command::Uuid)? {
+            (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
+            _ => "0".repeat(32),
+        };
+        let extended = link.request(&Command::ExtendedVersion)?.1;
+        let chip_id = chip_id(link)?;
+        let path = link.path.clone();
+        match chip_id {
+            0 | 0xFF_FFFF => return Err(BoardError::ChipSilent { path, chip_id }),
+            CHIP_ID_BGT60TR13C => {}
+            _ => return Err(BoardError::OtherChip { path, chip: chip_name(chip_id), chip_id }),
+        }
+        let Greeting { info, version } = self;
+        let ([a, b, c, _], [major, minor]) = (version.firmware, version.protocol);
+        Ok(BoardIdentity {
+            name: info.name,
+            vendor_id: info.vendor_id,
+            product_id: info.product_id,
+            firmware_version: format!("{a}.{b}.{c}"),
+            extended_version: text(&extended),
+            protocol_version: format!("{major}.{minor}"),
+            uuid,
+            chip: chip_name(chip_id).to_owned(),
+            chip_id,
+        })
+    }
+}
+
+/// What the answer to a read of one register says.
+fn content(answer: &[u8]) -> u32 {
+    answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF)
+}
+
+/// CHIP_ID of a chip that is left as it is. A chip that nobody has programmed may not be understood at once; it has nothing
+/// to lose by the setting that the vendor's client makes first, nor does a waveform stand in that register.
+pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
+    let read = Command::ReadRegisters { address: register::CHIP_ID, count: 1 };
+    match link.request(&read)? {
+        (Status::Ok, answer) if content(&answer) == CHIP_ID_BGT60TR13C => Ok(CHIP_ID_BGT60TR13C),
+        _ => {
+            set_up_spi(link)?;
+            Ok(content(&link.demand(&read)?))
+        }
+    }
+}
+
+/// CHIP_ID of a chip all of whose registers are put back.
+pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
+    link.demand(&Command::HardwareReset)?;
+    let words = vec![SpiWord::write(register::SFCTL, SFCTL_READABLE)];
+    link.demand(&Command::Execute { words, answer: false })?;
+    let words = vec![SpiWord::read(register::CHIP_ID)];
+    Ok(content(&link.demand(&Command::Execute { words, answer: true })?))
+}
+
+/// Has the chip answer as the firmware reads. After a stale FIFO overflow the board says that it failed, though it has not.
+pub(super) fn set_up_spi(link: &mut Link) -> Result<(), BoardError> {
+    link.request(&Command::WriteRegisters { address: register::SFCTL, values: vec![SFCTL_READABLE] })?;
+    Ok(())
+}
+
+/// Every register, as the chip was left.
+pub(super) fn read_every_register(link: &mut Link) -> Result<RegisterFile, BoardError> {
+    let mut registers = RegisterFile::default();
+    let addresses = REGISTERS.iter().map(|register| register.address);
+    let words = addresses.clone().map(SpiWord::read).collect();
+    let answer = link.demand(&Command::Execute { words, answer: true })?;
+    let values = answer.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word));
+    addresses.zip(values).for_each(|(address, value)| registers.set(address, value));
+    Ok(registers)
+}
