@@ -1,5 +1,6 @@
 //! Echoes of people: highlights of their segments by every audible pair of images, at key times.
 
+pub mod chirp_sum;
 pub mod dense;
 pub mod self_shadow;
 pub mod skin;
@@ -69,6 +70,8 @@ impl Snapshot {
 pub struct EchoReport {
     /// Paths (segments times image pairs) that were evaluated.
     pub paths: usize,
+    /// Patches of skins that are strong enough to be heard, and so were synthesised.
+    pub synthesised: usize,
     /// Amplitudes whose distance was clamped, or whose antenna lay inside a body.
     pub clamped: usize,
 }
@@ -92,6 +95,30 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
         lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
     };
     stage.body_pairs.iter().filter(|pair| audible(pair)).copied().collect()
+}
+
+/// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest
+/// first, each with that strength, LSB.
+pub fn loud_pairs(
+    stage: &Stage,
+    motion: &Motion,
+    people: &[Snapshot],
+    me: usize,
+    pairs: &[(ImageIndex, ImageIndex)],
+) -> Vec<((ImageIndex, ImageIndex), f64)> {
+    let (mut keys, mut report) = (Vec::new(), EchoReport::default());
+    let mut loud: Vec<_> = pairs
+        .iter()
+        .map(|&pair| {
+            keys.clear();
+            echoes(stage, motion, people, me, &[pair], &mut keys, &mut report);
+            let power: f64 = keys.iter().step_by(stage.rx.len().max(1)).map(|k| k.amplitude.norm_sqr()).sum();
+            (pair, power.sqrt())
+        })
+        .filter(|(_, strength)| *strength > stage.threshold_lsb)
+        .collect();
+    loud.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    loud
 }
 
 /// Which segment may hide a limb: the same limb of the other side.

@@ -13,8 +13,8 @@ use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
 use crate::echo::dense;
-use crate::echo::skin::{Fineness, SkinPaths, SkinnedPerson};
-use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
+use crate::echo::skin::{Fineness, FrameTimes, SkinnedPerson};
+use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes, loud_pairs};
 use crate::field::curved_triangle::Integrator;
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
@@ -24,9 +24,9 @@ use crate::scene::Scene;
 use crate::scene::file::BodyFile;
 use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
-use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches, stretches_with};
+use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches};
 use crate::stage::{Stage, threshold_lsb};
-use crate::synthesis::{CHIRPS, Grid, SynthesisScratch, Synthesiser, Tone};
+use crate::synthesis::{CHIRPS, ChirpGrids, Grid, SynthesisScratch, Synthesiser, Tone};
 
 /// Keys of a frame to begin with; doubled (3, 5, 9) while delays between them are not predicted well enough.
 const FIRST_KEYS: usize = 3;
@@ -68,19 +68,16 @@ struct Scratch {
     chirp: Vec<f32>,
 }
 
-/// Paths of one person at the keys.
-struct KeyedEchoes {
-    /// `[key][path * rx + rx]`.
-    keys: Vec<Vec<Key>>,
-    /// Rates of amplitudes, LSB/s, likewise; empty where they are taken from neighbouring keys.
-    rates: Vec<Vec<Complex64>>,
-}
+/// Paths of one person at the keys: `[key][path * rx + rx]`.
+type KeyedEchoes = Vec<Vec<Key>>;
 
 /// Everybody's paths in a frame.
 struct Traced {
     /// `[key][person]`.
     snapshots: Vec<Vec<Snapshot>>,
     keyed: Vec<KeyedEchoes>,
+    /// Echoes of those who have a skin.
+    skins: Option<ChirpGrids>,
     /// Those of each person's paths that are strong enough to be heard.
     audible: Vec<Vec<usize>>,
     /// Between keys, s.
@@ -218,7 +215,9 @@ impl Renderer {
         start_s: f64,
         count: usize,
         report: &mut EchoReport,
-    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>) {
+    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>, Option<ChirpGrids>, f64) {
+        let shape = self.waveform().shape();
+        let (mut skins, mut missed_most) = (None, 0.0f64);
         let step_s = self.active_s() / (count - 1) as f64;
         let middle_s = start_s + 0.5 * self.active_s();
         let snapshots: Vec<Vec<Snapshot>> = (0..count)
@@ -230,26 +229,35 @@ impl Renderer {
             .map(|(me, motion)| {
                 let pairs = audible_pairs(&self.stage, motion, middle_s);
                 if let Some(skin) = self.skin(motion) {
-                    let times: Vec<f64> = (0..count).map(|k| start_s + k as f64 * step_s).collect();
-                    let people: Vec<&[Snapshot]> = snapshots.iter().map(Vec::as_slice).collect();
+                    let now = snapshots.get(count / 2).map(Vec::as_slice).unwrap_or_default();
+                    let loud = loud_pairs(&self.stage, motion, now, me, &pairs);
+                    let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
+                    if std::env::var("DBG").is_ok() { for (p, l) in &loud { eprintln!("{:?} {:.1} dB over threshold", p, 20.0 * (l / self.stage.threshold_lsb).log10()); } }
+                    let pairs: Vec<_> = loud.into_iter().map(|(pair, _)| pair).collect();
+                    let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
+                    let times = FrameTimes {
+                        keys_s: (0..count).map(|k| start_s + k as f64 * step_s).collect(),
+                        chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect(),
+                    };
                     let fineness = Fineness::for_tolerance(self.options.tolerance_db);
                     let (stage, integrator) = (&self.stage, &self.integrator);
-                    let SkinPaths { keys, rates } =
-                        skin.paths(stage, integrator, &fineness, &times, &people, me, &pairs, report);
-                    return KeyedEchoes { keys, rates };
+                    let grids = skins.get_or_insert_with(|| ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps));
+                    let missed =
+                        skin.add_echoes(stage, integrator, &fineness, &times, &snapshots, me, &pairs, grids, report);
+                    missed_most = missed_most.max(missed);
+                    return Vec::new();
                 }
-                let keys = snapshots
+                snapshots
                     .iter()
                     .map(|people| {
                         let mut keys = Vec::with_capacity(pairs.len() * SEGMENTS * self.stage.rx.len());
                         echoes(&self.stage, motion, people, me, &pairs, &mut keys, report);
                         keys
                     })
-                    .collect();
-                KeyedEchoes { keys, rates: Vec::new() }
+                    .collect()
             })
             .collect();
-        (snapshots, keyed)
+        (snapshots, keyed, skins, missed_most)
     }
 
     /// Power-weighted rms phase error of leaving out every second key, divided by 16: Hermite interpolation errs with the
@@ -258,7 +266,7 @@ impl Renderer {
         let (mut error, mut power) = (0.0, 0.0);
         let to_rad = std::f64::consts::TAU * self.stage.chirp.start_hz;
         for person in keyed {
-            for triple in person.keys.windows(3).step_by(2) {
+            for triple in person.windows(3).step_by(2) {
                 let [first, middle, last] = triple else { continue };
                 for ((a, b), c) in first.iter().zip(middle).zip(last) {
                     let weight = b.amplitude.norm_sqr();
@@ -299,12 +307,13 @@ impl Renderer {
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut echo_report;
         let mut count = FIRST_KEYS;
-        let (snapshots, keyed, phase_error_rad) = loop {
+        let (snapshots, keyed, skins, phase_error_rad) = loop {
             echo_report = EchoReport::default();
-            let (snapshots, keyed) = self.trace(&motions, start_s, count, &mut echo_report);
-            let error = self.interpolation_error_rad(&keyed, self.active_s() / (count - 1) as f64);
+            let (snapshots, keyed, skins, missed) = self.trace(&motions, start_s, count, &mut echo_report);
+            let step_s = self.active_s() / (count - 1) as f64;
+            let error = self.interpolation_error_rad(&keyed, step_s).max(missed);
             if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS {
-                break (snapshots, keyed, error);
+                break (snapshots, keyed, skins, error);
             }
             count = 2 * count - 1;
         };
@@ -312,13 +321,13 @@ impl Renderer {
         let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
             traced_paths: echo_report.paths / count,
-            moving_paths: audible.iter().map(Vec::len).sum(),
+            moving_paths: audible.iter().map(Vec::len).sum::<usize>() + echo_report.synthesised,
             keys: count,
             phase_error_rad,
             clamped: echo_report.clamped,
             clipped: 0,
         };
-        Traced { snapshots, keyed, audible, step_s: self.active_s() / (count - 1) as f64, report }
+        Traced { snapshots, keyed, skins, audible, step_s: self.active_s() / (count - 1) as f64, report }
     }
 
     /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
@@ -329,7 +338,7 @@ impl Renderer {
         let mut all = Vec::with_capacity(self.waveform().shape().codes());
         for rx in 0..self.waveform().shape().rx {
             let cubics = self.cubics(rx, &traced);
-            self.each_chirp(&cubics, &[], traced.step_s, |_, grid| {
+            self.each_chirp(rx, traced.skins.as_ref(), &cubics, &[], traced.step_s, |_, grid| {
                 scratch.chirp.clear();
                 scratch.chirp.resize(samples, 0.0);
                 self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -347,6 +356,7 @@ impl Renderer {
         let mut stage = self.stage.clone();
         stage.threshold_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), margin_db);
         let middle_s = start_s + 0.5 * self.active_s();
+        let middle: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, middle_s)).collect();
         let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps)
             .into_par_iter()
             .map(|chirp| {
@@ -356,6 +366,8 @@ impl Renderer {
                 for (me, motion) in motions.iter().enumerate() {
                     let Some(skin) = self.skin(motion) else { continue };
                     let pairs = audible_pairs(&stage, motion, middle_s);
+                    let pairs = loud_pairs(&stage, motion, &middle, me, &pairs);
+                    let pairs: Vec<_> = pairs.into_iter().map(|(pair, _)| pair).collect();
                     let own = dense::chirp(&stage, &skin, &people, me, &pairs, time_s, shape.samples);
                     for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
                         *sum += own;
@@ -376,12 +388,10 @@ impl Renderer {
         keyed
             .iter()
             .map(|person| {
-                let paths = person.keys.first().map_or(0, Vec::len) / channels;
-                // Triangles are parts of one echo: none is left out for being weak alone.
-                let is_skin = !person.rates.is_empty();
+                let paths = person.first().map_or(0, Vec::len) / channels;
                 let heard = |path: usize| {
                     let range = path * channels..(path + 1) * channels;
-                    is_skin || person.keys.iter().any(|at| at.get(range.clone()).is_some_and(loud))
+                    person.iter().any(|at| at.get(range.clone()).is_some_and(loud))
                 };
                 (0..paths).filter(|&path| heard(path)).collect()
             })
@@ -445,7 +455,7 @@ impl Renderer {
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
-        self.each_chirp(&cubics, &static_grids, traced.step_s, |chirp, grid| {
+        self.each_chirp(rx, traced.skins.as_ref(), &cubics, &static_grids, traced.step_s, |chirp, grid| {
             scratch.chirp.clear();
             scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -470,15 +480,9 @@ impl Renderer {
         for (person, paths) in traced.keyed.iter().zip(&traced.audible) {
             for path in paths {
                 keys.clear();
-                keys.extend(person.keys.iter().filter_map(|at| at.get(path * channels + rx).copied()));
+                keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
                 of_path.clear();
-                if person.rates.is_empty() {
-                    stretches(&keys, step_s, &mut of_path);
-                } else {
-                    let rate = |key: usize| person.rates.get(key).and_then(|at| at.get(path * channels + rx));
-                    let slope = |key: usize| rate(key).map_or(Complex64::ZERO, |r| r * step_s);
-                    stretches_with(&keys, step_s, slope, &mut of_path);
-                }
+                stretches(&keys, step_s, &mut of_path);
                 for (all, stretch) in cubics.iter_mut().zip(&of_path) {
                     all.push(*stretch);
                 }
@@ -487,9 +491,11 @@ impl Renderer {
         cubics
     }
 
-    /// The frequency grid of every chirp in turn: static grids at the keys, blended, and paths.
+    /// The frequency grid of every chirp in turn: static grids at the keys, blended, paths, and skins.
     fn each_chirp(
         &self,
+        rx: usize,
+        skins: Option<&ChirpGrids>,
         cubics: &[Vec<Stretch>],
         static_grids: &[Grid],
         step_s: f64,
@@ -525,6 +531,9 @@ impl Renderer {
             self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
             for (lane, chirp) in (begin..end).enumerate() {
                 grids.extract(lane, &mut grid);
+                if let Some(skins) = skins {
+                    skins.add_to(rx, chirp, &mut grid);
+                }
                 visit(chirp, &grid);
             }
             begin = end;

@@ -17,6 +17,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 mod spread;
 
 pub(crate) use spread::CHIRPS;
+pub use spread::ChirpGrids;
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -230,7 +231,7 @@ fn nearest_integer(x: f64) -> f64 {
 
 /// `exp(j 2 pi cycles)` to f32 precision: the fraction in f64, then Taylor series of half the angle and its doubling.
 #[inline(always)]
-fn phasor(cycles: f64) -> Complex<f32> {
+pub(crate) fn phasor(cycles: f64) -> Complex<f32> {
     let y = ((cycles - nearest_integer(cycles)) * std::f64::consts::PI) as f32;
     let z = y * y;
     let sine = y

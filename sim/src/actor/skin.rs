@@ -25,6 +25,8 @@ const REACH_M: f64 = 0.085;
 /// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
 const ARM_APART_RAD: f64 = 0.5;
 const LEG_APART_RAD: f64 = 0.10;
+/// Reach of a patch from where it began, m: over it a chirp's tones differ by a tenth of a cell.
+const PATCH_M: f64 = 0.05;
 /// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
 const RATE_STEP_S: f64 = 5e-4;
 
@@ -77,6 +79,8 @@ pub struct Skin {
     sides: Vec<[u32; 3]>,
     bindings: Vec<Binding>,
     influences: Vec<(usize, f64, DVec3)>,
+    /// Small connected patch of each triangle; patches are numbered from 0.
+    patches: Vec<u32>,
 }
 
 /// An edge of a closed skin.
@@ -153,7 +157,8 @@ impl Skin {
                 SkinEdge { vertices: edge.vertices, triangles }
             })
             .collect();
-        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new() };
+        let patches = patches(&rest, &edges);
+        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new(), patches };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -188,6 +193,11 @@ impl Skin {
         &self.sides
     }
 
+    /// Small connected patch of each triangle, numbered from 0.
+    pub fn patches(&self) -> &[u32] {
+        &self.patches
+    }
+
     /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
     pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
         self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_segment[s]).sum()).collect()
@@ -217,6 +227,38 @@ impl Skin {
             .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
             .sum()
     }
+}
+
+/// Patches of triangles that hang together, each grown over its neighbours as far as [`PATCH_M`] from where it began.
+fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
+    let mut beside: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
+    for edge in edges {
+        let [left, right] = edge.triangles;
+        beside[left as usize].push(right);
+        beside[right as usize].push(left);
+    }
+    let middle = |t: u32| mesh.corners(t as usize).map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0);
+    let mut patches = vec![u32::MAX; mesh.triangles.len()];
+    let mut count = 0;
+    for start in 0..mesh.triangles.len() as u32 {
+        if patches[start as usize] != u32::MAX {
+            continue;
+        }
+        let centre = middle(start);
+        patches[start as usize] = count;
+        let (mut members, mut next) = (vec![start], 0);
+        while let Some(&triangle) = members.get(next) {
+            next += 1;
+            for &other in &beside[triangle as usize] {
+                if patches[other as usize] == u32::MAX && middle(other).distance(centre) < PATCH_M {
+                    patches[other as usize] = count;
+                    members.push(other);
+                }
+            }
+        }
+        count += 1;
+    }
+    patches
 }
 
 /// From the unit sphere to an ellipsoid; or the rate of that.

@@ -3,7 +3,6 @@
 //! The same surface, fields and shadows as [`super::skin`] has, but nothing of its short cuts: no window, no key times, no
 //! choice of cuts; strengths are computed wherever a flat piece has a corner, and every piece is a path of its own.
 
-use std::collections::HashMap;
 use std::f64::consts::TAU;
 
 use glam::DVec3;
@@ -24,9 +23,12 @@ use crate::stage::Stage;
 /// An edge is cut into this many: pieces of 5 mm.
 const PIECES: usize = 4;
 /// Pieces whose paths differ by less than this are one tone in fast time, m; at the carrier each has its own phase.
-const BIN_M: f64 = 2.5e-4;
+const BIN_M: f64 = 1e-3;
 /// And whose rates do by less than this, m/s.
-const BIN_M_PER_S: f64 = 0.05;
+const BIN_M_PER_S: f64 = 0.2;
+/// Bins of rates, and of lengths either way of the first piece's.
+const RATES: i64 = 160;
+const ROOM: i64 = 5000;
 
 /// Samples of one chirp at every receiver, LSB: `[receiver][sample]`.
 pub fn chirp(
@@ -61,13 +63,15 @@ pub fn chirp(
         })
         .collect();
     let mut bins = Bins::new(stage, samples);
+    let mut out = vec![vec![0.0; samples]; stage.rx.len()];
     for &(p, q) in pairs {
         let at = |index: ImageIndex| {
             indices.binary_search(&index).ok().and_then(|i| weights.get(i)).map(Vec::as_slice).unwrap_or_default()
         };
         pair(stage, person, &posed, (p, q), (at(p), at(q)), &mut bins);
+        bins.flush(&mut out);
     }
-    bins.samples()
+    out
 }
 
 /// Corner of a piece.
@@ -151,13 +155,15 @@ struct Tone {
 struct Bins<'a> {
     stage: &'a Stage,
     samples: usize,
-    /// `[receiver]`, by bin.
-    tones: Vec<HashMap<(i32, i32), Tone>>,
+    /// Path length of the first bin, in bins, once there is a piece.
+    first: Option<i64>,
+    /// `[receiver][path * RATES + rate]`.
+    tones: Vec<Vec<Tone>>,
 }
 
 impl<'a> Bins<'a> {
     fn new(stage: &'a Stage, samples: usize) -> Self {
-        Bins { stage, samples, tones: stage.rx.iter().map(|_| HashMap::new()).collect() }
+        Bins { stage, samples, first: None, tones: stage.rx.iter().map(|_| Vec::new()).collect() }
     }
 
     /// A flat piece: linear phase and strength, and what its path is at its middle.
@@ -181,37 +187,43 @@ impl<'a> Bins<'a> {
             let beat_hz = chirp.beat_hz(delay_s, delay_rate);
             let phase = TAU * chirp.phase_cycles(delay_s).rem_euclid(1.0);
             let amplitude = self.stage.at_adc(rx, strength, beat_hz) * Complex64::from_polar(1.0, phase);
-            // Bins of path by bins of speed: nothing in one differs visibly within a chirp.
-            let bin = ((length_m / BIN_M).round() as i32, (rate / BIN_M_PER_S).round() as i32);
+            let path = (length_m / BIN_M).floor() as i64;
+            let first = *self.first.get_or_insert(path);
+            // A body reaches a metre or two either way of any of its pieces.
+            let path = (path - first + ROOM).clamp(0, 2 * ROOM) as usize;
+            let rate = ((rate / BIN_M_PER_S).round() as i64 + RATES / 2).clamp(0, RATES - 1) as usize;
+            let bin = path * RATES as usize + rate;
             if let Some(tones) = self.tones.get_mut(rx) {
-                let tone = tones.entry(bin).or_default();
-                tone.amplitude += amplitude;
-                tone.beats_hz += beat_hz;
-                tone.pieces += 1.0;
+                if tones.len() <= bin {
+                    tones.resize_with(bin + 1, Tone::default);
+                }
+                if let Some(tone) = tones.get_mut(bin) {
+                    tone.amplitude += amplitude;
+                    tone.beats_hz += beat_hz;
+                    tone.pieces += 1.0;
+                }
             }
         }
     }
 
-    fn samples(self) -> Vec<Vec<f64>> {
+    /// Adds what is in the bins to samples, and empties them.
+    fn flush(&mut self, out: &mut [Vec<f64>]) {
+        self.first = None;
         let middle = (self.samples / 2) as f64;
-        self.tones
-            .iter()
-            .map(|tones| {
-                let mut out = vec![0.0; self.samples];
-                let mut bins: Vec<_> = tones.iter().collect();
-                // One order of summation.
-                bins.sort_unstable_by_key(|(bin, _)| **bin);
-                for (_, tone) in bins {
-                    let beat_hz = tone.beats_hz / tone.pieces;
-                    let step = Complex64::from_polar(1.0, TAU * beat_hz / self.stage.chirp.sample_rate_hz);
-                    let mut value = tone.amplitude * step.powf(-middle);
-                    for x in &mut out {
+        for (tones, out) in self.tones.iter_mut().zip(out) {
+            for tone in tones.drain(..).filter(|tone| tone.pieces > 0.0) {
+                let cycles = tone.beats_hz / tone.pieces / self.stage.chirp.sample_rate_hz;
+                let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
+                // Four samples side by side.
+                let mut four: [Complex64; 4] = std::array::from_fn(|i| tone.amplitude * turn(i as f64 - middle));
+                let step = turn(4.0);
+                for chunk in out.chunks_mut(4) {
+                    for (x, value) in chunk.iter_mut().zip(&mut four) {
                         *x += value.re;
-                        value *= step;
+                        *value *= step;
                     }
                 }
-                out
-            })
-            .collect()
+            }
+        }
     }
 }

@@ -1,18 +1,22 @@
-//! Echoes of somebody whose body is a mesh: every triangle near a highlight is a path.
+//! Echoes of somebody whose body is a mesh: physical optics near its highlights, patch by patch.
 //!
 //! Physical optics over the skin needs only where the path hardly changes: a smooth window over the angle between normal and
 //! bisector keeps highlights with several Fresnel zones around them and lets go of the rest, which cancels. Inside the window
-//! each triangle is integrated in closed form ([`crate::field::curved_triangle`]) relative to its middle, and is from then on
-//! a path: a point of the body with an exact delay, whose strength changes slowly. Nothing has to be found, followed or
-//! matched between key times; highlights that are born, merge and die do so in the sum.
+//! each triangle is integrated in closed form ([`crate::field::curved_triangle`]) at the key times, and is between them a point
+//! of the body with an exact delay whose strength changes slowly. Triangles of one small patch are summed chirp by chirp
+//! ([`super::chirp_sum`]) into one tone: nothing has to be found, followed or matched between key times, and highlights that
+//! are born, merge and die do so in the sum.
+//!
+//! A way and its reverse differ by the few millimetres between transmitter and receivers: they are integrated once.
 //!
 //! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
 use glam::DVec3;
-use num_complex::Complex64;
+use num_complex::{Complex, Complex64};
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
+use super::chirp_sum::{ChirpSums, Track};
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, inside_room, past_people, self_shadow};
 use crate::actor::body::SEGMENTS;
 use crate::actor::skin::{PosedSkin, WalkingMesh};
@@ -20,11 +24,11 @@ use crate::actor::track::smooth_step;
 use crate::field::Phasor3;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
-use crate::field::curved_triangle::{CurvedTriangle, Integrator, View};
+use crate::field::curved_triangle::{CurvedTriangle, Integrator, MOST_CUTS, View};
 use crate::field::image::{Element, ImageIndex};
 use crate::scene::material::SKIN_PERMITTIVITY;
-use crate::slow_time::Key;
 use crate::stage::Stage;
+use crate::synthesis::{ChirpGrids, phasor};
 use crate::trace::World;
 
 /// How finely a skin is integrated.
@@ -39,6 +43,7 @@ pub struct Fineness {
 impl Fineness {
     /// For an error of this many decibels.
     pub fn for_tolerance(tolerance_db: f64) -> Self {
+        if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
         let part = (tolerance_db / 0.5).clamp(0.02, 8.0);
         let inner = (0.3 * part.powf(-0.3)).clamp(0.12, 0.7);
         Fineness { window: [inner, (inner + 0.2 + 0.05 * part.powf(-0.5)).min(0.95)], bend_rad: (0.8 * part).min(2.5) }
@@ -62,16 +67,7 @@ pub struct SkinnedPerson {
     world: World,
 }
 
-/// Paths of somebody at key times.
-#[derive(Debug, Clone, Default)]
-pub struct SkinPaths {
-    /// `[key][path * receivers + receiver]`.
-    pub keys: Vec<Vec<Key>>,
-    /// Rates of the amplitudes, LSB/s, likewise.
-    pub rates: Vec<Vec<Complex64>>,
-}
-
-/// What an image antenna does at a vertex.
+/// What an image of the antennas' middle does at a vertex.
 #[derive(Debug, Clone, Copy)]
 struct Lit {
     field: Phasor3,
@@ -80,25 +76,44 @@ struct Lit {
     distance_m: f64,
 }
 
-/// One of an antenna's images at a key time.
+/// The antennas behind one image at a key time.
 struct Image {
-    index: ImageIndex,
+    /// Middle of transmitter and receivers.
+    middle: DVec3,
     tx: DVec3,
-    /// Middle of the receivers' images.
-    rx: DVec3,
+    rx: Vec<DVec3>,
     /// By vertex; only where wanted.
-    out: Vec<Option<Lit>>,
-    back: Vec<Option<Lit>>,
+    lit: Vec<Option<Lit>>,
     /// What people and limbs leave of a field from there.
     weights: Vec<f64>,
 }
 
-/// Triangles of a pair of images.
+/// Triangles that shine between two images, with their cuts.
 struct Pair {
-    out: usize,
-    back: usize,
+    images: [usize; 2],
     triangles: Vec<(u32, usize)>,
-    wanted: Vec<bool>,
+    vertices: Vec<u32>,
+}
+
+/// When a frame's keys and chirps are, s.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameTimes {
+    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's.
+    pub keys_s: Vec<f64>,
+    /// Middles of the chirps.
+    pub chirps_s: Vec<f64>,
+}
+
+/// A triangle at a key.
+#[derive(Debug, Clone, Copy, Default)]
+struct TriangleKey {
+    middle: DVec3,
+    /// Path by the antennas' middles, m, and its rate, m/s.
+    length_m: f64,
+    rate_m_per_s: f64,
+    /// Integral of the field relative to the path by the middle, and its rate.
+    field: Complex64,
+    field_rate: Complex64,
 }
 
 impl SkinnedPerson {
@@ -139,43 +154,55 @@ impl SkinnedPerson {
         &self.mesh
     }
 
-    /// All paths at key times. `people` are everybody's snapshots then, of whom this is number `me`.
-    pub fn paths(
+    /// Adds somebody's echoes in a frame to grids. `people` are everybody's snapshots at the keys, of whom this is number `me`;
+    /// of `pairs`, the loudest first, each way and its reverse count as one. Returns what interpolation between keys misses of
+    /// the loudest pair's field, relative to it.
+    #[allow(clippy::too_many_arguments)]
+    pub fn add_echoes(
         &self,
         stage: &Stage,
         integrator: &Integrator,
         fineness: &Fineness,
-        times_s: &[f64],
-        people: &[&[Snapshot]],
+        times: &FrameTimes,
+        people: &[Vec<Snapshot>],
         me: usize,
         pairs: &[(ImageIndex, ImageIndex)],
+        grids: &mut ChirpGrids,
         report: &mut EchoReport,
-    ) -> SkinPaths {
+    ) -> f64 {
+        let times_s = &times.keys_s;
         let posed: Vec<PosedSkin> = times_s.iter().map(|&t| self.mesh.posed(t)).collect();
-        let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
+        let mut ways: Vec<[ImageIndex; 2]> = Vec::new();
+        for way in pairs.iter().map(|&(p, q)| [p.min(q), p.max(q)]) {
+            if !ways.contains(&way) {
+                ways.push(way);
+            }
+        }
+        let mut indices: Vec<ImageIndex> = ways.iter().flatten().copied().collect();
         indices.sort_unstable();
         indices.dedup();
-        let number = |index: ImageIndex| indices.binary_search(&index).unwrap_or(0);
-        let places = |index: ImageIndex| {
-            let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
-            (stage.room.image_position(index, stage.tx.position), stage.room.image_position(index, rx))
-        };
+        let antennas = Antennas::new(stage);
         // What is near a highlight at the beginning, in the middle or at the end.
         let middle = posed.len() / 2;
-        let ends = [0, middle, posed.len().saturating_sub(1)];
-        let pairs: Vec<Pair> = pairs
+        let ends: Vec<&PosedSkin> = [0, middle, posed.len().saturating_sub(1)].map(|i| &posed[i]).to_vec();
+        let directions: Vec<Vec<Vec<DVec3>>> = ends
             .iter()
-            .map(|&(p, q)| {
-                let (tx, rx) = (places(p).0, places(q).1);
-                let near = ends.iter().filter_map(|&i| posed.get(i));
-                self.select(near, posed.get(middle), tx, rx, fineness, stage, (number(p), number(q)))
+            .map(|posed| indices.iter().map(|&i| towards(posed, antennas.middle_of(stage, i))).collect())
+            .collect();
+        let pairs: Vec<Pair> = ways
+            .iter()
+            .map(|way| {
+                let images = way.map(|index| indices.binary_search(&index).unwrap_or(0));
+                let near = ends.iter().zip(&directions).map(|(posed, d)| (*posed, images.map(|i| d[i].as_slice())));
+                let of = way.map(|index| antennas.middle_of(stage, index));
+                self.select(near, &posed[middle], of, images, fineness, stage)
             })
             .collect();
         let mut wanted = vec![vec![false; self.cloth.len()]; indices.len()];
         for pair in &pairs {
-            for image in [pair.out, pair.back] {
-                for (all, of) in wanted[image].iter_mut().zip(&pair.wanted) {
-                    *all |= of;
+            for image in pair.images {
+                for &v in &pair.vertices {
+                    wanted[image][v as usize] = true;
                 }
             }
         }
@@ -184,80 +211,78 @@ impl SkinnedPerson {
             .iter()
             .zip(people)
             .map(|(posed, people)| {
-                let refitted = world.refit(0, &posed.vertices).is_ok();
-                let of_image = |(&index, wanted): (&ImageIndex, &Vec<bool>)| {
-                    let (tx, rx) = places(index);
-                    let shadow = refitted.then_some(&world);
-                    self.image(stage, posed, shadow, people, me, (index, tx, rx), wanted)
-                };
-                indices.iter().zip(&wanted).map(of_image).collect()
+                let shadow = world.refit(0, &posed.vertices).is_ok().then_some(&world);
+                let each = indices.iter().zip(&wanted);
+                each.map(|(&i, wanted)| self.image(stage, &antennas, posed, shadow, people, me, i, wanted)).collect()
             })
             .collect();
 
-        let mut paths = SkinPaths::default();
-        paths.keys.resize(times_s.len(), Vec::new());
-        paths.rates.resize(times_s.len(), Vec::new());
+        let mut missed = None;
+        let mut sums = ChirpSums::new(integrator.level());
         for pair in &pairs {
-            report.paths += pair.triangles.len() * times_s.len();
+            report.paths += pair.triangles.len();
             let strengths: Vec<Vec<Complex64>> = posed
                 .iter()
                 .zip(&images)
                 .map(|(posed, images)| self.strengths(stage, posed, images, pair, fineness, report))
                 .collect();
-            for (i, (posed, images)) in posed.iter().zip(&images).enumerate() {
-                let slopes = Slopes::new(&strengths, times_s, i);
-                let (keys, rates) = (&mut paths.keys[i], &mut paths.rates[i]);
-                let (Some(out), Some(back)) = (images.get(pair.out), images.get(pair.back)) else { continue };
-                self.integrate(stage, integrator, posed, (out, back), &pair.triangles, &slopes, keys, rates);
-            }
+            let keys: Vec<Vec<TriangleKey>> = posed
+                .iter()
+                .zip(&images)
+                .enumerate()
+                .map(|(i, (posed, images))| {
+                    let slopes = Slopes::new(&strengths, times_s, i);
+                    self.integrate(stage, integrator, posed, images, pair, &slopes)
+                })
+                .collect();
+            missed.get_or_insert_with(|| missed_between_keys(&keys, times_s, stage.wavelength_m));
+            self.add_pair(stage, pair, &images, &keys, times, &mut sums, grids, report);
         }
-        paths
+        missed.unwrap_or(0.0)
     }
 
     /// Triangles near a highlight, with the cuts that they need.
     fn select<'a>(
         &self,
-        near: impl Iterator<Item = &'a PosedSkin>,
-        middle: Option<&PosedSkin>,
-        tx: DVec3,
-        rx: DVec3,
+        near: impl Iterator<Item = (&'a PosedSkin, [&'a [DVec3]; 2])>,
+        middle: &PosedSkin,
+        antennas: [DVec3; 2],
+        images: [usize; 2],
         fineness: &Fineness,
         stage: &Stage,
-        (out, back): (usize, usize),
     ) -> Pair {
         let mut shines = vec![false; self.cloth.len()];
-        for posed in near {
-            for ((shines, v), normal) in shines.iter_mut().zip(&posed.vertices).zip(&posed.normals) {
-                if !*shines {
-                    let (t, r) = ((tx - *v).normalize_or_zero(), (rx - *v).normalize_or_zero());
-                    let bisector = t + r;
-                    let cosine = normal.dot(bisector);
-                    // As the window's weight, without its roots.
-                    let least = 1.0 - fineness.window[1] * fineness.window[1];
-                    *shines = cosine > 0.0
-                        && cosine * cosine > least * bisector.length_squared()
-                        && normal.dot(t) > 0.0
-                        && normal.dot(r) > 0.0
-                        && bisector.length_squared() > 0.16;
-                }
+        // As the window's weight, without its roots.
+        let least = 1.0 - fineness.window[1] * fineness.window[1];
+        for (posed, [there, home]) in near {
+            for (((shines, t), r), normal) in shines.iter_mut().zip(there).zip(home).zip(&posed.normals) {
+                let bisector = *t + *r;
+                let (square, cosine) = (bisector.length_squared(), normal.dot(bisector));
+                *shines |= cosine > 0.0
+                    && cosine * cosine > least * square
+                    && normal.dot(*t) > 0.0
+                    && normal.dot(*r) > 0.0
+                    && square > 0.16;
             }
         }
-        let mut pair = Pair { out, back, triangles: Vec::new(), wanted: vec![false; self.cloth.len()] };
-        let Some(middle) = middle else { return pair };
+        let mut pair = Pair { images, triangles: Vec::new(), vertices: Vec::new() };
+        let mut wanted = vec![false; self.cloth.len()];
         let k = std::f64::consts::TAU / stage.wavelength_m;
         for (number, corners) in self.mesh.skin().rest().triangles.iter().enumerate() {
             if !corners.iter().any(|&v| shines.get(v as usize) == Some(&true)) {
                 continue;
             }
             for &v in corners {
-                if let Some(wanted) = pair.wanted.get_mut(v as usize) {
-                    *wanted = true;
-                }
+                wanted[v as usize] = true;
             }
             let triangle = self.triangle(middle, number);
-            let (t, r) = (View::new(tx, triangle.middle), View::new(rx, triangle.middle));
+            let [t, r] = antennas.map(|a| View::new(a, triangle.middle));
             pair.triangles.push((number as u32, triangle.cuts(&t, &r, k, fineness.bend_rad)));
         }
+        // Patch by patch.
+        let patches = self.mesh.skin().patches();
+        pair.triangles.sort_by_key(|&(number, _)| patches.get(number as usize).copied());
+        pair.vertices = (0..wanted.len() as u32).filter(|&v| wanted[v as usize]).collect();
         pair
     }
 
@@ -269,28 +294,28 @@ impl SkinnedPerson {
         CurvedTriangle::new(corners.map(|v| at(&posed.vertices, v)), sides.map(|e| at(&posed.bulges, e)))
     }
 
+    #[allow(clippy::too_many_arguments)]
     fn image(
         &self,
         stage: &Stage,
+        antennas: &Antennas,
         posed: &PosedSkin,
         world: Option<&World>,
         people: &[Snapshot],
         me: usize,
-        (index, tx, rx): (ImageIndex, DVec3, DVec3),
+        index: ImageIndex,
         wanted: &[bool],
     ) -> Image {
-        let light = |element: &Element| -> Vec<Option<Lit>> {
-            let lit = |(&v, &wanted): (&DVec3, &bool)| {
-                wanted.then(|| {
-                    let i = stage.room.illuminate(element, index, v);
-                    Lit { field: i.field, direction: i.direction, distance_m: i.distance_m }
-                })
-            };
-            posed.vertices.iter().zip(wanted).map(lit).collect()
+        let middle = antennas.middle_of(stage, index);
+        let lit = |(&v, &wanted): (&DVec3, &bool)| {
+            wanted.then(|| {
+                let i = stage.room.illuminate(&antennas.middle, index, v);
+                Lit { field: i.field, direction: i.direction, distance_m: i.distance_m }
+            })
         };
+        let lit = posed.vertices.iter().zip(wanted).map(lit).collect();
         let mut weights = match world {
             Some(world) => {
-                let middle = 0.5 * (tx + rx);
                 self_shadow::weights(self.mesh.skin(), posed, world, middle, stage.wavelength_m, wanted)
             }
             None => vec![1.0; posed.vertices.len()],
@@ -298,8 +323,9 @@ impl SkinnedPerson {
         for (weight, past) in weights.iter_mut().zip(self.past_people(stage, people, me, index)) {
             *weight *= past;
         }
-        let back = stage.rx.first().map_or_else(Vec::new, light);
-        Image { index, tx, rx, out: light(&stage.tx), back, weights }
+        let place = |position: DVec3| stage.room.image_position(index, position);
+        let rx = stage.rx.iter().map(|rx| place(rx.position)).collect();
+        Image { middle, tx: place(stage.tx.position), rx, lit, weights }
     }
 
     /// Strength at every vertex, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
@@ -318,12 +344,10 @@ impl SkinnedPerson {
         let factor = Complex64::new(0.0, -k * aperture / std::f64::consts::TAU);
         let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
         let mut all = vec![Complex64::ZERO; self.cloth.len()];
-        let (Some(out), Some(back)) = (images.get(pair.out), images.get(pair.back)) else { return all };
-        for (i, strength) in all.iter_mut().enumerate() {
-            if !pair.wanted[i] {
-                continue;
-            }
-            let (Some(there), Some(home)) = (out.out[i], back.back[i]) else { continue };
+        let [Some(out), Some(back)] = pair.images.map(|i| images.get(i)) else { return all };
+        for &v in &pair.vertices {
+            let i = v as usize;
+            let (Some(there), Some(home)) = (out.lit[i], back.lit[i]) else { continue };
             let (normal, point) = (posed.normals[i], posed.vertices[i]);
             let bisector = there.direction + home.direction;
             let length = bisector.length();
@@ -342,65 +366,264 @@ impl SkinnedPerson {
             let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
             let arrival = Arrival { field: there.field, direction: there.direction };
             let heard = heard_by(&arrival, normal, &skin, k, -home.direction, home.field);
-            *strength = factor * heard * (spreading * weight * inside_room(stage, point));
+            all[i] = factor * heard * (spreading * weight * inside_room(stage, point));
         }
         all
     }
 
-    #[allow(clippy::too_many_arguments)]
+    /// Every triangle of a pair at a key.
     fn integrate(
         &self,
         stage: &Stage,
         integrator: &Integrator,
         posed: &PosedSkin,
-        (out, back): (&Image, &Image),
-        triangles: &[(u32, usize)],
+        images: &[Image],
+        pair: &Pair,
         slopes: &Slopes,
-        keys: &mut Vec<Key>,
-        rates: &mut Vec<Complex64>,
-    ) {
+    ) -> Vec<TriangleKey> {
         let k = std::f64::consts::TAU / stage.wavelength_m;
-        let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(back.index, rx.position)).collect();
+        let mut keys = vec![TriangleKey::default(); pair.triangles.len()];
+        let [Some(first), Some(second)] = pair.images.map(|i| images.get(i)) else { return keys };
         let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
-        for &(number, cuts) in triangles {
-            let corners = self.mesh.skin().rest().triangles.get(number as usize).copied().unwrap_or_default();
-            let triangle = self.triangle(posed, number as usize);
-            let (t, r) = (View::new(out.tx, triangle.middle), View::new(back.rx, triangle.middle));
-            let strengths = corners.map(|v| slopes.at(v));
-            let velocities = corners.map(|v| at(&posed.velocities_m_per_s, v));
-            let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
-            let (mut amplitude, mut rate) = (Complex64::ZERO, Complex64::ZERO);
-            if strengths.iter().any(|(s, _)| *s != Complex64::ZERO) {
-                let moments = integrator.moments(&triangle, &t, &r, k, cuts);
-                for (i, (moment, (strength, slope))) in moments.into_iter().zip(strengths).enumerate() {
-                    let moment = Complex64::new(moment.re.into(), moment.im.into());
-                    // How fast the path by the corner grows against that by the middle.
-                    let (d, against) = (triangle.corners[i].as_dvec3(), velocities[i] - velocity);
-                    let grows = |view: &View| {
-                        let away = view.offset / view.distance_m;
-                        away.dot(against) + (d.dot(velocity) - away.dot(d) * away.dot(velocity)) / view.distance_m
-                    };
-                    amplitude += strength * moment;
-                    rate += (slope - Complex64::new(0.0, k * (grows(&t) + grows(&r))) * strength) * moment;
-                }
+        // Those that are cut alike go together.
+        let mut alike: [Vec<u32>; MOST_CUTS] = Default::default();
+        for (i, &(_, cuts)) in pair.triangles.iter().enumerate() {
+            alike[cuts.clamp(1, MOST_CUTS) - 1].push(i as u32);
+        }
+        let (mut views, mut moments) = (Vec::new(), Vec::new());
+        for (cuts, members) in alike.iter().enumerate() {
+            views.clear();
+            moments.clear();
+            for &i in members {
+                let triangle = self.triangle(posed, pair.triangles[i as usize].0 as usize);
+                let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.middle));
+                views.push((triangle, t, r));
             }
-            let rate_t = -t.towards().dot(velocity);
-            let beat_hz = stage.chirp.beat_hz(
-                (t.distance_m + r.distance_m) / SPEED_OF_LIGHT_M_PER_S,
-                (rate_t - r.towards().dot(velocity)) / SPEED_OF_LIGHT_M_PER_S,
-            );
-            for (rx, sink) in sinks.iter().enumerate() {
-                let to_rx = *sink - triangle.middle;
-                let distance_m = to_rx.length().max(1e-6);
-                let rate_r = -to_rx.dot(velocity) / distance_m;
-                keys.push(Key {
-                    delay_s: (t.distance_m + distance_m) / SPEED_OF_LIGHT_M_PER_S,
-                    delay_rate: (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S,
-                    amplitude: stage.at_adc(rx, amplitude, beat_hz),
-                });
-                rates.push(stage.at_adc(rx, rate, beat_hz));
+            integrator.moments(&views, k, cuts + 1, &mut moments);
+            for ((&i, (triangle, t, r)), moments) in members.iter().zip(&views).zip(&moments) {
+                let number = pair.triangles[i as usize].0 as usize;
+                let corners = self.mesh.skin().rest().triangles.get(number).copied().unwrap_or_default();
+                let velocities = corners.map(|v| at(&posed.velocities_m_per_s, v));
+                let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
+                let [away_t, away_r] = [t, r].map(|view| view.offset / view.distance_m);
+                let mut key = TriangleKey {
+                    middle: triangle.middle,
+                    length_m: t.distance_m + r.distance_m,
+                    rate_m_per_s: (away_t + away_r).dot(velocity),
+                    ..TriangleKey::default()
+                };
+                for ((v, moment), (d, own)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(velocities)) {
+                    let moment = Complex64::new(moment.re.into(), moment.im.into());
+                    let (strength, slope) = slopes.at(*v);
+                    // How fast the path by the corner grows against that by the middle.
+                    let (d, against) = (d.as_dvec3(), own - velocity);
+                    let grows = |away: DVec3, distance_m: f64| {
+                        away.dot(against) + (d.dot(velocity) - away.dot(d) * away.dot(velocity)) / distance_m
+                    };
+                    let rate = grows(away_t, t.distance_m) + grows(away_r, r.distance_m);
+                    key.field += strength * moment;
+                    key.field_rate += (slope - Complex64::new(0.0, k * rate) * strength) * moment;
+                }
+                keys[i as usize] = key;
             }
         }
+        keys
+    }
+
+    /// Adds what a pair's patches send back in every chirp.
+    #[allow(clippy::too_many_arguments)]
+    fn add_pair(
+        &self,
+        stage: &Stage,
+        pair: &Pair,
+        images: &[Vec<Image>],
+        keys: &[Vec<TriangleKey>],
+        times: &FrameTimes,
+        sums: &mut ChirpSums,
+        grids: &mut ChirpGrids,
+        report: &mut EchoReport,
+    ) {
+        let ways: &[[usize; 2]] = match pair.images {
+            [p, q] if p == q => &[[p, q]],
+            [p, q] => &[[p, q], [q, p]],
+        };
+        let patches = self.mesh.skin().patches();
+        let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
+        let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
+        // Patches add up: one alone this far below what can be seen is not missed.
+        let least = (0.2 * stage.threshold_lsb / loudest.max(1e-300)) as f32;
+        let mut begin = 0;
+        while begin < pair.triangles.len() {
+            let end = (begin..pair.triangles.len()).find(|&i| patch_of(i) != patch_of(begin));
+            let members = begin..end.unwrap_or(pair.triangles.len());
+            begin = members.end;
+            let Some(patch) = Patch::new(keys, members, times, stage.wavelength_m, sums) else { continue };
+            if sums.loudest() < least {
+                continue;
+            }
+            report.synthesised += 1;
+            for &[out, back] in ways {
+                for rx in 0..stage.rx.len() {
+                    patch.add(stage, images, [out, back], rx, times, sums, grids);
+                }
+            }
+        }
+    }
+}
+
+/// Triangles that hang together, as one moving place.
+struct Patch {
+    /// At each key: mean place by power, path there, m, and its rate, m/s.
+    places: Vec<(DVec3, f64, f64)>,
+    /// Paths are counted from here, m.
+    base_m: f64,
+}
+
+impl Patch {
+    /// Sums the triangles in every chirp; `None` where there is nothing.
+    fn new(
+        keys: &[Vec<TriangleKey>],
+        members: std::ops::Range<usize>,
+        times: &FrameTimes,
+        wavelength_m: f64,
+        sums: &mut ChirpSums,
+    ) -> Option<Self> {
+        let of: Vec<&[TriangleKey]> = keys.iter().filter_map(|key| key.get(members.clone())).collect();
+        // The same weights at all keys, so that the place moves smoothly.
+        let weights: Vec<f64> =
+            (0..members.len()).map(|i| of.iter().map(|key| key[i].field.norm_sqr()).sum()).collect();
+        let total: f64 = weights.iter().sum();
+        if !(total > 0.0 && total.is_finite()) {
+            return None;
+        }
+        let place = |key: &&[TriangleKey]| {
+            let (mut middle, mut length_m, mut rate) = (DVec3::ZERO, 0.0, 0.0);
+            for (triangle, weight) in key.iter().zip(&weights) {
+                middle += triangle.middle * (weight / total);
+                length_m += triangle.length_m * (weight / total);
+                rate += triangle.rate_m_per_s * (weight / total);
+            }
+            (middle, length_m, rate)
+        };
+        let places: Vec<_> = of.iter().map(place).collect();
+        let base_m = places.get(places.len() / 2)?.1;
+        sums.clear(times.chirps_s.len());
+        let step_s = times.keys_s.get(1)? - times.keys_s.first()?;
+        for (stretch, pair) in of.windows(2).enumerate() {
+            let [first, second] = pair else { continue };
+            let end = |t: &TriangleKey| Track {
+                length: (t.length_m - base_m) / wavelength_m,
+                length_slope: t.rate_m_per_s * step_s / wavelength_m,
+                field: t.field,
+                field_slope: t.field_rate * step_s,
+            };
+            let tracks = first.iter().zip(*second).filter(|(a, b)| {
+                a.field != Complex64::ZERO || b.field != Complex64::ZERO
+            });
+            sums.load(tracks.map(|(a, b)| (end(a), end(b))));
+            let from_s = times.keys_s.first()? + stretch as f64 * step_s;
+            let last = stretch + 2 == of.len();
+            sums.add(times.chirps_s.iter().map(|t| (t - from_s) / step_s).enumerate().filter(|&(_, u)| {
+                (stretch == 0 || u >= 0.0) && (last || u < 1.0)
+            }));
+        }
+        Some(Patch { places, base_m })
+    }
+
+    /// Lays it down between a transmitter's and a receiver's image.
+    #[allow(clippy::too_many_arguments)]
+    fn add(
+        &self,
+        stage: &Stage,
+        images: &[Vec<Image>],
+        [out, back]: [usize; 2],
+        rx: usize,
+        times: &FrameTimes,
+        sums: &mut ChirpSums,
+        grids: &mut ChirpGrids,
+    ) {
+        // What the way by transmitter and receiver is longer than that by their middles.
+        let detours: Vec<f64> = self
+            .places
+            .iter()
+            .zip(images)
+            .filter_map(|((place, ..), images)| {
+                let (out, back) = (images.get(out)?, images.get(back)?);
+                let by_middles = out.middle.distance(*place) + back.middle.distance(*place);
+                Some(out.tx.distance(*place) + back.rx.get(rx)?.distance(*place) - by_middles)
+            })
+            .collect();
+        let (Some(&first_s), Some(&second_s)) = (times.keys_s.first(), times.keys_s.get(1)) else { return };
+        let (chirp, step_s) = (&stage.chirp, second_s - first_s);
+        let between = |of: &dyn Fn(usize) -> f64, time_s: f64| {
+            let keys_in = (time_s - first_s) / step_s;
+            let stretch = (keys_in.max(0.0) as usize).min(self.places.len().saturating_sub(2));
+            let u = keys_in - stretch as f64;
+            of(stretch) * (1.0 - u) + of(stretch + 1) * u
+        };
+        let detour = |i: usize| detours.get(i).copied().unwrap_or_default();
+        let rate = |i: usize| self.places.get(i).map_or(0.0, |p| p.2) / SPEED_OF_LIGHT_M_PER_S;
+        let response = |place: Option<&(DVec3, f64, f64)>| {
+            let beat_hz = place.map_or(0.0, |p| {
+                chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S)
+            });
+            let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
+            Complex::new(a.re as f32, a.im as f32)
+        };
+        let (begins, ends) = (response(self.places.first()), response(self.places.last()));
+        let count = times.chirps_s.len();
+        let each = times.chirps_s.iter().enumerate().map(|(i, &time_s)| {
+            let (field, beside_cycles) = sums.at(i);
+            let detour_m = between(&detour, time_s);
+            let length_m = self.base_m + beside_cycles * stage.wavelength_m + detour_m;
+            let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
+            // The sums hold the carrier's phase but for base and detour, at one frequency; the chirp's own is this much else.
+            let cycles = chirp.phase_cycles(delay_s) - beside_cycles;
+            let amplitude = field.conj() * phasor(cycles) * (begins + (ends - begins) * (i as f32 / count as f32));
+            (amplitude, chirp.beat_hz(delay_s, between(&rate, time_s)) / chirp.sample_rate_hz)
+        });
+        grids.add(rx, each);
+    }
+}
+
+/// What cubics between keys miss of a field, relative to it: by leaving out every second key, over 16.
+fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> f64 {
+    let k = std::f64::consts::TAU / wavelength_m;
+    let [first_s, second_s, ..] = times_s else { return 0.0 };
+    let span_s = 2.0 * (second_s - first_s);
+    let (mut missed, mut power) = (0.0, 0.0);
+    for triple in keys.windows(3).step_by(2) {
+        let [first, middle, last] = triple else { continue };
+        for ((a, b), c) in first.iter().zip(middle).zip(last) {
+            let length_m =
+                0.5 * (a.length_m + c.length_m) + 0.125 * span_s * (a.rate_m_per_s - c.rate_m_per_s) - b.length_m;
+            let field = 0.5 * (a.field + c.field) + 0.125 * span_s * (a.field_rate - c.field_rate);
+            missed += (field * Complex64::from_polar(1.0, -k * length_m) - b.field).norm_sqr();
+            power += b.field.norm_sqr();
+        }
+    }
+    if power > 0.0 { (missed / power).sqrt() / 16.0 } else { 0.0 }
+}
+
+/// Unit vectors from the vertices to an antenna.
+fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<DVec3> {
+    posed.vertices.iter().map(|v| (antenna - *v).normalize_or_zero()).collect()
+}
+
+/// The transmitter and the receivers as one place: what they are lit by and what hides them is the same.
+struct Antennas {
+    middle: Element,
+}
+
+impl Antennas {
+    fn new(stage: &Stage) -> Self {
+        let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
+        let position = if stage.rx.is_empty() { stage.tx.position } else { 0.5 * (stage.tx.position + rx) };
+        Antennas { middle: Element { position, ..stage.tx } }
+    }
+
+    fn middle_of(&self, stage: &Stage, index: ImageIndex) -> DVec3 {
+        stage.room.image_position(index, self.middle.position)
     }
 }
 

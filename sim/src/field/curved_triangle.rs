@@ -7,7 +7,7 @@
 //! there neighbours cancel and bending does not matter ([`super::facet`] cuts by the same rule, edge by edge).
 //!
 //! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
-//! precision does: [`moments`] is held to [`exact_moments`] by test.
+//! precision does: [`Integrator::moments`] is held to [`exact_moments`] by test.
 
 use glam::{DVec3, Vec3};
 use num_complex::{Complex, Complex64};
@@ -18,7 +18,7 @@ use super::triangle;
 /// Cuts of an edge in two, at most.
 pub const MOST_CUTS: usize = 6;
 /// Triangles side by side.
-const LANES: usize = 8;
+const LANES: usize = 16;
 /// Phase difference along an edge beyond which bending matters less, by the square of the ratio, rad.
 const STATIONARY_RAD: f64 = 10.0;
 /// Nodes of a triangle whose edges are cut [`MOST_CUTS`] times in two.
@@ -107,38 +107,39 @@ fn longer_m(view: &View, place: DVec3) -> f64 {
 struct Cut {
     /// Weights of the corners.
     nodes: Vec<[f32; 3]>,
-    /// The four triangles in each of the parts: `[node; 3]`, and weights of their middle.
-    quarters: Vec<([u16; 3], [f32; 3])>,
-    /// Corners and middles of edges of each part.
-    parts: Vec<[u16; 6]>,
+    parts: Vec<Part>,
 }
+
+/// A part that is cut in four.
+struct Part {
+    /// Its corners, then the middles of its edges.
+    six: [usize; 6],
+    /// Weights of the middles of its four triangles.
+    weights: [[f32; 3]; 4],
+}
+
+/// Corners of the four triangles of a part, by their places in [`Part::six`].
+const QUARTERS: [[usize; 3]; 4] = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]];
 
 impl Cut {
     fn new(cuts: usize) -> Self {
         let n = 2 * cuts;
-        let index = |i: usize, j: usize| (i * (n + 1) - i * i.saturating_sub(1) / 2 + j) as u16;
+        let index = |i: usize, j: usize| i * (n + 1) - i * i.saturating_sub(1) / 2 + j;
         let mut nodes = vec![[0.0; 3]; (n + 1) * (n + 2) / 2];
         for i in 0..=n {
             for j in 0..=n - i {
-                let weights = [(n - i - j) as f32, j as f32, i as f32].map(|w| w / n as f32);
-                nodes[usize::from(index(i, j))] = weights;
+                nodes[index(i, j)] = [(n - i - j) as f32, j as f32, i as f32].map(|w| w / n as f32);
             }
         }
-        let (mut quarters, mut parts) = (Vec::new(), Vec::new());
+        let mut parts = Vec::new();
         let mut part = |a: [usize; 2], b: [usize; 2], c: [usize; 2]| {
             let middle = |p: [usize; 2], q: [usize; 2]| [(p[0] + q[0]) / 2, (p[1] + q[1]) / 2];
             let six = [a, b, c, middle(a, b), middle(b, c), middle(c, a)].map(|[i, j]| index(i, j));
-            let [a, b, c, ab, bc, ca] = six;
-            for corners in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
-                let mut mean = [0.0; 3];
-                for node in corners {
-                    for (m, w) in mean.iter_mut().zip(nodes[usize::from(node)]) {
-                        *m += w / 3.0;
-                    }
-                }
-                quarters.push((corners, mean));
-            }
-            parts.push(six);
+            let weights = QUARTERS.map(|corners| {
+                let of = corners.map(|corner| nodes[six[corner]]);
+                std::array::from_fn(|i| (of[0][i] + of[1][i] + of[2][i]) / 3.0)
+            });
+            parts.push(Part { six, weights });
         };
         for i in (0..n).step_by(2) {
             for j in (0..n - i).step_by(2) {
@@ -148,7 +149,7 @@ impl Cut {
                 }
             }
         }
-        Cut { nodes, quarters, parts }
+        Cut { nodes, parts }
     }
 }
 
@@ -170,105 +171,128 @@ impl Default for Integrator {
     }
 }
 
+/// `int l_i exp(-j k (L - L_middle)) dS` over a triangle for the weights `l_i` of its three corners, m^2: what a strength
+/// linear between the corners integrates to is their sum weighted by it.
+pub type Moments = [Complex<f32>; 3];
+
 impl Integrator {
-    /// `int l_i exp(-j k (L - L_middle)) dS` over a triangle for the weights `l_i` of its three corners, m^2: what a strength
-    /// linear between the corners integrates to is their sum weighted by it.
+    /// The instructions that it uses.
+    pub fn level(&self) -> KernelLevel {
+        self.level
+    }
+
+    /// Moments of triangles that are all cut alike, each between its own views of transmitter and receiver.
     pub fn moments(
         &self,
-        triangle: &CurvedTriangle,
-        tx: &View,
-        rx: &View,
+        triangles: &[(CurvedTriangle, View, View)],
         wavenumber_per_m: f64,
         cuts: usize,
-    ) -> [Complex<f32>; 3] {
-        let Some(cut) = self.cuts.get(cuts.clamp(1, MOST_CUTS) - 1) else { return Default::default() };
-        match self.level {
-            KernelLevel::Portable => body(cut, triangle, tx, rx, wavenumber_per_m),
-            // SAFETY: `level` is only ever one that the processor has.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => unsafe { body_avx2(cut, triangle, tx, rx, wavenumber_per_m) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => unsafe { body_avx512(cut, triangle, tx, rx, wavenumber_per_m) },
-            #[cfg(not(target_arch = "x86_64"))]
-            KernelLevel::Avx2 | KernelLevel::Avx512 => body(cut, triangle, tx, rx, wavenumber_per_m),
+        out: &mut Vec<Moments>,
+    ) {
+        let Some(cut) = self.cuts.get(cuts.clamp(1, MOST_CUTS) - 1) else { return };
+        for some in triangles.chunks(LANES) {
+            let moments = match self.level {
+                KernelLevel::Portable => body(cut, some, wavenumber_per_m),
+                // SAFETY: `level` is only ever one that the processor has.
+                #[cfg(target_arch = "x86_64")]
+                KernelLevel::Avx2 => unsafe { body_avx2(cut, some, wavenumber_per_m) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                KernelLevel::Avx512 => unsafe { body_avx512(cut, some, wavenumber_per_m) },
+                #[cfg(not(target_arch = "x86_64"))]
+                KernelLevel::Avx2 | KernelLevel::Avx512 => body(cut, some, wavenumber_per_m),
+            };
+            out.extend(moments.iter().take(some.len()));
         }
     }
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn body_avx2(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
-    body(cut, triangle, tx, rx, k)
+fn body_avx2(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Moments; LANES] {
+    body(cut, triangles, k)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
-fn body_avx512(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
-    body(cut, triangle, tx, rx, k)
+fn body_avx512(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Moments; LANES] {
+    body(cut, triangles, k)
 }
 
-/// Nodes rounded up to whole vectors.
-const ROOM: usize = MOST_NODES.next_multiple_of(LANES);
-
+/// Every step in as many triangles as there are lanes.
 #[inline(always)]
-fn body(cut: &Cut, triangle: &CurvedTriangle, tx: &View, rx: &View, k: f64) -> [Complex<f32>; 3] {
-    let mut place = [[0f32; ROOM]; 3];
-    let mut phase = [0f32; ROOM];
-    let k = k as f32;
-    let views = [tx, rx].map(|v| (v.offset.as_vec3(), v.distance_m as f32));
-    for (i, weights) in cut.nodes.iter().enumerate() {
-        let p = triangle.place(*weights);
-        (place[0][i], place[1][i], place[2][i]) = (p.x, p.y, p.z);
-    }
-    for i in 0..cut.nodes.len().next_multiple_of(LANES) {
-        let (x, y, z) = (place[0][i], place[1][i], place[2][i]);
-        let square = x * x + y * y + z * z;
-        let mut longer = 0.0;
-        for (offset, distance) in views {
-            let more = square + 2.0 * (x * offset.x + y * offset.y + z * offset.z);
-            longer += more / (distance + (distance * distance + more).max(0.0).sqrt());
-        }
-        phase[i] = -k * longer;
-    }
-    let mut sums = [Complex::<f32>::default(); 3];
-    // Two parts of four triangles at a time.
-    for (parts, quarters) in cut.parts.chunks(LANES / 4).zip(cut.quarters.chunks(LANES)) {
-        let mut shift: Row = [0.0; LANES];
-        for (i, six) in parts.iter().enumerate() {
-            let [a, b, c, ab, bc, ca] = six.map(|node| phase[usize::from(node)]);
-            // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
-            shift[4 * i..4 * i + 4].fill(((ab + bc + ca) - (a + b + c)) / 12.0);
-        }
-        let (mut a, mut b, mut c): (Row, Row, Row) = Default::default();
-        let mut twice_area: Row = [0.0; LANES];
-        let (mut u, mut v): ([Row; 3], [Row; 3]) = Default::default();
-        for (i, (nodes, _)) in quarters.iter().enumerate() {
-            let [p, q, r] = nodes.map(usize::from);
-            (a[i], b[i], c[i]) = (phase[p] + shift[i], phase[q] + shift[i], phase[r] + shift[i]);
+fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Moments; LANES] {
+    let zero: Row = [0.0; LANES];
+    let (mut corners, mut bulges) = ([[zero; 3]; 3], [[zero; 3]; 3]);
+    let (mut offsets, mut distances) = ([[zero; 3]; 2], [[1.0; LANES]; 2]);
+    for (lane, (triangle, tx, rx)) in triangles.iter().take(LANES).enumerate() {
+        for i in 0..3 {
             for axis in 0..3 {
-                u[axis][i] = place[axis][q] - place[axis][p];
-                v[axis][i] = place[axis][r] - place[axis][p];
+                corners[i][axis][lane] = triangle.corners[i][axis];
+                bulges[i][axis][lane] = 4.0 * triangle.bulges[i][axis];
             }
         }
-        for i in 0..LANES {
-            let x = u[1][i] * v[2][i] - u[2][i] * v[1][i];
-            let y = u[2][i] * v[0][i] - u[0][i] * v[2][i];
-            let z = u[0][i] * v[1][i] - u[1][i] * v[0][i];
-            twice_area[i] = (x * x + y * y + z * z).sqrt();
+        for (i, view) in [tx, rx].into_iter().enumerate() {
+            for axis in 0..3 {
+                offsets[i][axis][lane] = view.offset[axis] as f32;
+            }
+            distances[i][lane] = view.distance_m as f32;
         }
-        let (re, im) = integrals(&a, &b, &c);
-        for (i, (_, weights)) in quarters.iter().enumerate() {
-            let value = Complex::new(re[i], im[i]) * twice_area[i];
-            for (sum, w) in sums.iter_mut().zip(weights) {
-                *sum += value * *w;
+    }
+    let k = k as f32;
+    let mut place = [[zero; 3]; MOST_NODES];
+    let mut phase = [zero; MOST_NODES];
+    for ((place, phase), &[a, b, c]) in place.iter_mut().zip(&mut phase).zip(&cut.nodes) {
+        let (ab, bc, ca) = (a * b, b * c, c * a);
+        for axis in 0..3 {
+            for l in 0..LANES {
+                let flat = corners[0][axis][l] * a + corners[1][axis][l] * b + corners[2][axis][l] * c;
+                let bulge = bulges[0][axis][l] * ab + bulges[1][axis][l] * bc + bulges[2][axis][l] * ca;
+                place[axis][l] = flat + bulge;
+            }
+        }
+        for l in 0..LANES {
+            let (x, y, z) = (place[0][l], place[1][l], place[2][l]);
+            let square = x * x + y * y + z * z;
+            let mut longer = 0.0;
+            for (offset, distance) in offsets.iter().zip(&distances) {
+                let more = square + 2.0 * (x * offset[0][l] + y * offset[1][l] + z * offset[2][l]);
+                longer += more / (distance[l] + (distance[l] * distance[l] + more).max(0.0).sqrt());
+            }
+            phase[l] = -k * longer;
+        }
+    }
+    let (mut re, mut im) = ([zero; 3], [zero; 3]);
+    for part in &cut.parts {
+        let mut shift = zero;
+        let six = part.six.map(|node| &phase[node]);
+        for l in 0..LANES {
+            // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
+            shift[l] = ((six[3][l] + six[4][l] + six[5][l]) - (six[0][l] + six[1][l] + six[2][l])) / 12.0;
+        }
+        for (quarter, weights) in QUARTERS.iter().zip(&part.weights) {
+            let [p, q, r] = quarter.map(|corner| part.six[corner]);
+            let (mut a, mut b, mut c, mut twice_area) = (zero, zero, zero, zero);
+            for l in 0..LANES {
+                (a[l], b[l], c[l]) = (phase[p][l] + shift[l], phase[q][l] + shift[l], phase[r][l] + shift[l]);
+                let u: [f32; 3] = std::array::from_fn(|axis| place[q][axis][l] - place[p][axis][l]);
+                let v: [f32; 3] = std::array::from_fn(|axis| place[r][axis][l] - place[p][axis][l]);
+                let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
+                twice_area[l] = (x * x + y * y + z * z).sqrt();
+            }
+            let (value_re, value_im) = integrals(&a, &b, &c);
+            for ((re, im), w) in re.iter_mut().zip(&mut im).zip(weights) {
+                for l in 0..LANES {
+                    re[l] += value_re[l] * (twice_area[l] * w);
+                    im[l] += value_im[l] * (twice_area[l] * w);
+                }
             }
         }
     }
-    sums
+    std::array::from_fn(|l| std::array::from_fn(|i| Complex::new(re[i][l], im[i][l])))
 }
 
-/// [`triangle::integral`] of eight triangles in single precision: both of its forms, and for each triangle the one that holds.
+/// [`triangle::integral`] of a vector of triangles in single precision: both of its forms, and for each triangle the one that holds.
 #[inline(always)]
 fn integrals(a: &Row, b: &Row, c: &Row) -> (Row, Row) {
     let (mut low, mut middle, mut high): (Row, Row, Row) = Default::default();
@@ -328,7 +352,7 @@ fn integrals(a: &Row, b: &Row, c: &Row) -> (Row, Row) {
     (re, im)
 }
 
-/// Sines and cosines of eight numbers to a few units of the seventh digit: by the half angle's series and its doubling.
+/// Sines and cosines of a vector to a few units of the seventh digit: by the half angle's series and its doubling.
 #[inline(always)]
 fn sin_cos(x: &Row) -> (Row, Row) {
     /// 1.5 times 2^23: adding it leaves the nearest integer in a number's last bits.
@@ -367,8 +391,8 @@ pub fn exact_moments(
     let phases: Vec<f64> =
         places.iter().map(|p| -wavenumber_per_m * (length(triangle.middle + *p) - start)).collect();
     let mut sums = [Complex64::ZERO; 3];
-    for (nodes, _) in &cut.quarters {
-        let [p, q, r] = nodes.map(usize::from);
+    let quarters = cut.parts.iter().flat_map(|part| QUARTERS.map(|corners| corners.map(|corner| part.six[corner])));
+    for [p, q, r] in quarters {
         let twice_area = (places[q] - places[p]).cross(places[r] - places[p]).length();
         let moments = triangle::moments(phases[p], phases[q], phases[r]);
         for (node, moment) in [p, q, r].into_iter().zip(moments) {
@@ -408,7 +432,9 @@ mod tests {
 
     fn moments(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel, cuts: usize) -> [Complex<f32>; 3] {
         let [tx, rx] = antennas.map(|a| View::new(a, triangle.middle));
-        Integrator { level, ..Integrator::default() }.moments(triangle, &tx, &rx, K, cuts)
+        let mut out = Vec::new();
+        Integrator { level, ..Integrator::default() }.moments(&[(*triangle, tx, rx)], K, cuts, &mut out);
+        out[0]
     }
 
     /// What is bent away inside each piece falls faster than with the square of its size.

@@ -130,38 +130,136 @@ fn body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
             // The number's last bits, where a conversion would be one lane at a time.
             first[i] = (ceiling + SHIFT).to_bits() as u32;
         }
-        // Written out tap by tap: a loop would be compiled across taps, with gathers and scatters.
-        let t0 = &tap::<0>(kernel.taps, &u);
-        let t1 = &tap::<1>(kernel.taps, &u);
-        let t2 = &tap::<2>(kernel.taps, &u);
-        let t3 = &tap::<3>(kernel.taps, &u);
-        let t4 = &tap::<4>(kernel.taps, &u);
-        let t5 = &tap::<5>(kernel.taps, &u);
-        let least = first.iter().fold(u32::MAX, |least, &f| least.min(f));
-        let beyond = first.iter().fold(0, |all, f| all | (f - least));
-        if beyond == 0 {
-            let Some([c0, c1, c2, c3, c4, c5]) = window(cells, least) else { continue };
-            c0.add(&re, &im, t0);
-            c1.add(&re, &im, t1);
-            c2.add(&re, &im, t2);
-            c3.add(&re, &im, t3);
-            c4.add(&re, &im, t4);
-            c5.add(&re, &im, t5);
-        } else if beyond == 1 {
-            // Into the next cell at some chirp, whose taps lie one row further.
-            let Some([c0, c1, c2, c3, c4, c5, c6]) = window(cells, least) else { continue };
-            let here: [bool; CHIRPS] = first.map(|f| f == least);
-            c0.add(&re, &im, &choose(&here, t0, &[0.0; CHIRPS]));
-            c1.add(&re, &im, &choose(&here, t1, t0));
-            c2.add(&re, &im, &choose(&here, t2, t1));
-            c3.add(&re, &im, &choose(&here, t3, t2));
-            c4.add(&re, &im, &choose(&here, t4, t3));
-            c5.add(&re, &im, &choose(&here, t5, t4));
-            c6.add(&re, &im, &choose(&here, &[0.0; CHIRPS], t5));
-        } else {
-            add_apart(cells, &first, &re, &im, &[t0, t1, t2, t3, t4, t5]);
+        lay(kernel.taps, cells, &re, &im, &u, &first);
+    }
+}
+
+/// Lays phasors down around the cells under them, in every chirp.
+#[inline(always)]
+fn lay(taps: &[[f32; LANES]; DEGREE], cells: &mut [Cell], re: &Row, im: &Row, u: &Row, first: &[u32; CHIRPS]) {
+    // Written out tap by tap: a loop would be compiled across taps, with gathers and scatters.
+    let t0 = &tap::<0>(taps, u);
+    let t1 = &tap::<1>(taps, u);
+    let t2 = &tap::<2>(taps, u);
+    let t3 = &tap::<3>(taps, u);
+    let t4 = &tap::<4>(taps, u);
+    let t5 = &tap::<5>(taps, u);
+    let least = first.iter().fold(u32::MAX, |least, &f| least.min(f));
+    let beyond = first.iter().fold(0, |all, f| all | (f - least));
+    if beyond == 0 {
+        let Some([c0, c1, c2, c3, c4, c5]) = window(cells, least) else { return };
+        c0.add(re, im, t0);
+        c1.add(re, im, t1);
+        c2.add(re, im, t2);
+        c3.add(re, im, t3);
+        c4.add(re, im, t4);
+        c5.add(re, im, t5);
+    } else if beyond == 1 {
+        // Into the next cell at some chirp, whose taps lie one row further.
+        let Some([c0, c1, c2, c3, c4, c5, c6]) = window(cells, least) else { return };
+        let here: [bool; CHIRPS] = first.map(|f| f == least);
+        c0.add(re, im, &choose(&here, t0, &[0.0; CHIRPS]));
+        c1.add(re, im, &choose(&here, t1, t0));
+        c2.add(re, im, &choose(&here, t2, t1));
+        c3.add(re, im, &choose(&here, t3, t2));
+        c4.add(re, im, &choose(&here, t4, t3));
+        c5.add(re, im, &choose(&here, t5, t4));
+        c6.add(re, im, &choose(&here, &[0.0; CHIRPS], t5));
+    } else {
+        add_apart(cells, first, re, im, &[t0, t1, t2, t3, t4, t5]);
+    }
+}
+
+/// First cell under the kernel, and the place in it, of a frequency in cycles per sample.
+#[inline(always)]
+fn cell_under(cycles_per_sample: f64, cells: f64) -> (u32, f32) {
+    let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
+    let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * cells;
+    let whole = nearest_integer(position);
+    let ceiling = if whole < position { whole + 1.0 } else { whole };
+    // The number's last bits, where a conversion would be one lane at a time.
+    ((ceiling + SHIFT).to_bits() as u32, (2.0 * (ceiling - position) - 1.0) as f32)
+}
+
+/// Frequency grids of every chirp of a frame, for each receiver: `[receiver][block of chirps]`.
+#[derive(Debug, Clone)]
+pub struct ChirpGrids {
+    blocks: Vec<Vec<Grids>>,
+    taps: [[f32; LANES]; DEGREE],
+    cells: usize,
+    level: KernelLevel,
+}
+
+impl ChirpGrids {
+    /// Empty grids.
+    pub fn new(synthesiser: &Synthesiser, receivers: usize, chirps: usize) -> Self {
+        let blocks = vec![vec![synthesiser.grids(); chirps.div_ceil(CHIRPS)]; receivers];
+        ChirpGrids { blocks, taps: synthesiser.taps, cells: synthesiser.cells, level: synthesiser.level }
+    }
+
+    /// Adds a tone to every chirp of a receiver: its phasor in the middle of the chirp, LSB, and its frequency, cycles per
+    /// sample.
+    pub fn add(&mut self, receiver: usize, chirps: impl Iterator<Item = (Complex<f32>, f64)>) {
+        let Some(blocks) = self.blocks.get_mut(receiver) else { return };
+        let mut chirps = chirps;
+        for block in blocks {
+            let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
+            let mut first = [u32::MAX; CHIRPS];
+            for (i, (phasor, cycles_per_sample)) in chirps.by_ref().take(CHIRPS).enumerate() {
+                (re[i], im[i]) = (phasor.re, phasor.im);
+                (first[i], u[i]) = cell_under(cycles_per_sample, self.cells as f64);
+            }
+            // Lanes beyond the last chirp hold nothing, where the first one is.
+            let lead = first[0];
+            first = first.map(|f| if f == u32::MAX { lead } else { f });
+            match self.level {
+                KernelLevel::Portable => lay(&self.taps, &mut block.cells, &re, &im, &u, &first),
+                // SAFETY: `level` is only ever one that the processor has.
+                #[cfg(target_arch = "x86_64")]
+                KernelLevel::Avx2 => unsafe { lay_avx2(&self.taps, &mut block.cells, &re, &im, &u, &first) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                KernelLevel::Avx512 => unsafe { lay_avx512(&self.taps, &mut block.cells, &re, &im, &u, &first) },
+                #[cfg(not(target_arch = "x86_64"))]
+                KernelLevel::Avx2 | KernelLevel::Avx512 => lay(&self.taps, &mut block.cells, &re, &im, &u, &first),
+            }
         }
     }
+
+    /// Adds a chirp's grid to another.
+    pub(crate) fn add_to(&self, receiver: usize, chirp: usize, grid: &mut Grid) {
+        let block = self.blocks.get(receiver).and_then(|blocks| blocks.get(chirp / CHIRPS));
+        let Some(block) = block else { return };
+        for (to, cell) in grid.cells.iter_mut().zip(&block.cells) {
+            *to += Complex::new(cell.re[chirp % CHIRPS], cell.im[chirp % CHIRPS]);
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn lay_avx2(
+    taps: &[[f32; LANES]; DEGREE],
+    cells: &mut [Cell],
+    re: &Row,
+    im: &Row,
+    u: &Row,
+    first: &[u32; CHIRPS],
+) {
+    lay(taps, cells, re, im, u, first);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
+fn lay_avx512(
+    taps: &[[f32; LANES]; DEGREE],
+    cells: &mut [Cell],
+    re: &Row,
+    im: &Row,
+    u: &Row,
+    first: &[u32; CHIRPS],
+) {
+    lay(taps, cells, re, im, u, first);
 }
 
 /// One tap of the kernel at places within a cell.
