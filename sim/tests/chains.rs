@@ -6,10 +6,13 @@ mod common;
 
 use std::f64::consts::{PI, TAU};
 
+use common::{hall, parse};
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
-use radome_sim::echo::reflect_at_skin;
+use radome_sim::actor::body::CHEST;
+use radome_sim::actor::motion::{MotionBuilder, Person};
+use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
 use radome_sim::field::boundary::Boundary;
 use radome_sim::field::current::{Arrival, Listener, heard};
 use radome_sim::field::highlight::Ellipsoid;
@@ -17,10 +20,27 @@ use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
 use radome_sim::slow_time::{Key, stretches};
+use radome_sim::stage::Stage;
 use rayon::prelude::*;
 
 const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
 const FRAME_S: f64 = 0.064;
+
+/// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the highlight's closed form.
+fn bounce(
+    room: &BoxRoom,
+    (tx, p): (&Element, ImageIndex),
+    (rx, q): (&Element, ImageIndex),
+    body: &Ellipsoid,
+) -> (Complex64, f64) {
+    let (source, sink) = (room.image_position(p, tx.position), room.image_position(q, rx.position));
+    let h = body.highlight(source, sink, None).expect("visible");
+    let there = room.illuminate(tx, p, h.point);
+    let back = room.illuminate(rx, q, h.point);
+    let (r_t, r_r) = h.distances_m;
+    let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
+    (reflected.received_by(back.field) * (0.5 * h.cosine / (h.det_j.sqrt() * r_t * r_r)), r_t + r_r)
+}
 
 /// A radar 0.9 m beside a wall, and a body that moves and turns before it.
 struct Chain {
@@ -57,16 +77,9 @@ impl Chain {
         Ellipsoid { centre: joint - axes * DVec3::Z * (0.6 * self.semi_axes_m.z), axes, semi_axes_m: self.semi_axes_m }
     }
 
-    /// Field at the receiver over the transmitted field, phase left out, and the path's length: the highlight's closed form.
+    /// See [`bounce`].
     fn highlight(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> (Complex64, f64) {
-        let (source, sink) =
-            (self.room.image_position(p, self.tx.position), self.room.image_position(q, self.rx.position));
-        let h = self.body(time_s).highlight(source, sink, None).expect("visible");
-        let there = self.room.illuminate(&self.tx, p, h.point);
-        let back = self.room.illuminate(&self.rx, q, h.point);
-        let (r_t, r_r) = h.distances_m;
-        let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
-        (reflected.received_by(back.field) * (0.5 * h.cosine / (h.det_j.sqrt() * r_t * r_r)), r_t + r_r)
+        bounce(&self.room, (&self.tx, p), (&self.rx, q), &self.body(time_s))
     }
 
     /// The same by three keys of the frame, with phase, as the simulator has it at a chirp.
@@ -178,5 +191,27 @@ fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
             eprintln!("{body} by {name}, both orders, Doppler peak: {error_db:.3} dB");
             assert!(error_db.abs() < 0.1, "{body} by {name}: {error_db} dB");
         }
+    }
+}
+
+/// What the simulator makes of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
+#[test]
+fn the_simulators_echoes_are_the_closed_form() {
+    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+        .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
+        .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");
+    let stage = Stage::new(&parse(&text), 0, 20.0);
+    let motion = MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, [4.0, 1.0], 3.0).stand(9.0).stay();
+    let people = [Snapshot::new(&motion, 1.0)];
+    let (tx, rx) = (stage.tx, stage.rx[0]);
+    for pair in [([0; 3], [0, -1, 0]), ([0, -1, 0], [0; 3]), ([0, -1, 0], [0, -1, 0]), ([0; 3], [0; 3])] {
+        let mut keys = Vec::new();
+        echoes(&stage, &motion, &people, 0, &[pair], &mut keys, &mut EchoReport::default());
+        let key = keys[CHEST * stage.rx.len()];
+        let (field, length_m) = bounce(&stage.room, (&tx, pair.0), (&rx, pair.1), &people[0].body[CHEST]);
+        let aperture = stage.wavelength_m / (4.0 * PI) * motion.person.cloth[CHEST];
+        let expected = stage.at_adc(0, field * aperture, stage.chirp.beat_hz(key.delay_s, key.delay_rate));
+        assert!((key.amplitude / expected - 1.0).norm() < 1e-6, "{pair:?}: {} {expected}", key.amplitude);
+        assert!((key.delay_s * SPEED_OF_LIGHT_M_PER_S - length_m).abs() < 1e-9, "{pair:?}");
     }
 }
