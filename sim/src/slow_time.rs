@@ -1,5 +1,6 @@
 //! From a few key times to every chirp: cubic Hermite in delay (values and rates) and in complex amplitude, or a quintic in
-//! delay where its acceleration is known too. On a walker a quintic's two keys do what three of the cubic do, and better.
+//! delay where its acceleration is known too. On a walker a quintic's two keys do about what three of the cubic do
+//! (`tests/slow_time.rs`).
 
 use num_complex::{Complex, Complex64};
 
