@@ -308,8 +308,12 @@ fn body_points(stage: &Stage, desk: &AtDesk, people: &[Snapshot], me: usize, dir
     }
 }
 
-/// 1 in the room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall.
+/// 1 in the room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall, unless
+/// walls let waves through: then the field at the point has the wall in it.
 fn inside_room(stage: &Stage, point: DVec3) -> f64 {
+    if stage.room.transmission {
+        return 1.0;
+    }
     let size = stage.room.size_m;
     let depth = point.x.min(size.x - point.x).min(point.y).min(size.y - point.y);
     smooth_step((depth + 0.05) / 0.05)

@@ -129,7 +129,21 @@ mod tests {
         }
     }
 
-    /// Beyond the critical angle (seen from inside a denser body) the branch that decays is taken, and all comes back.
+    /// No wall, no change: not even of phase.
+    #[test]
+    fn air_is_no_wall() {
+        let air = straight_through(Complex64::ONE, 0.3, K, 0.4);
+        assert!((air.te - 1.0).norm() < 1e-9 && (air.tm - 1.0).norm() < 1e-9);
+    }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::*;
+
+    const K: f64 = 1_257.507_013_171_009;
+
+    /// Total internal reflection: beyond the critical angle (seen from inside a denser body) the branch that decays is taken, and all comes back.
     #[test]
     fn total_reflection_takes_the_branch_that_decays() {
         let inside_out = Complex64::new(1.0 / 6.31, 0.0);
@@ -141,10 +155,34 @@ mod tests {
         }
     }
 
-    /// No wall, no change: not even of phase.
+    /// Grazing: `1 + G` is lost where G tends to -1, by more digits the nearer; what currents are made of is not: both `c (1 + G)`
+    /// and G itself keep all of theirs (`1 + G = 2 c/(c + q)` in TE, `2 eps c/(eps c + q)` in TM).
     #[test]
-    fn air_is_no_wall() {
-        let air = straight_through(Complex64::ONE, 0.3, K, 0.4);
-        assert!((air.te - 1.0).norm() < 1e-9 && (air.tm - 1.0).norm() < 1e-9);
+    fn grazing_incidence_loses_no_digit_of_what_is_used() {
+        let eps = Complex64::new(7.98, -10.9);
+        for cosine in [1e-2, 1e-4, 1e-8, 1e-12, 1e-300, 0.0] {
+            let face = half_space(eps, cosine);
+            let (q, c) = (normal_index(eps, cosine), Complex64::from(cosine));
+            for (g, sum) in [(face.te, 2.0 * c / (c + q)), (face.tm, 2.0 * eps * c / (eps * c + q))] {
+                assert!((g - (sum - 1.0)).norm() < 4e-16, "{cosine}: {g}");
+                assert!((cosine * (1.0 + g) - cosine * sum).norm() <= 4e-16 * cosine, "{cosine}: {g}");
+            }
+        }
+    }
+
+    /// Thin slabs: reflection is `-j k d (eps - 1)/2` and less, in proportion to the thickness down to a picometre and below,
+    /// where `1 - P` as a difference would have four digits left.
+    #[test]
+    fn a_foil_reflects_in_proportion_to_its_thickness() {
+        let eps = Complex64::new(5.24, -0.34);
+        for thickness_m in [1e-9, 1e-12, 1e-15, 1e-20] {
+            let foil = slab(eps, thickness_m, K, 1.0);
+            let first_order = Complex64::new(0.0, -0.5 * K * thickness_m) * (eps - 1.0);
+            for r in [foil.reflection.te, -foil.reflection.tm] {
+                let relative = (r / first_order - 1.0).norm();
+                assert!(relative < 1e-12 + 10.0 * K * thickness_m, "{thickness_m}: {r}, {relative:e}");
+            }
+            assert!((foil.transmission.te - 1.0).norm() < 10.0 * K * thickness_m);
+        }
     }
 }

@@ -4,6 +4,9 @@
 //! to a point of the room crosses the mirror planes in the order of its bounces; in the unfolded room its direction never
 //! changes, and each crossing multiplies the field by `G_te te te^T - G_tm tm tm^T` (mirroring turns `te x s'` into
 //! `-(te x s)`, hence the sign; both terms agree at normal incidence).
+//!
+//! Where walls let waves through, a point beyond an upright wall has the antenna's own field times the slab's transmission, in
+//! place of the air that the slab displaces; images carry nothing there.
 
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
@@ -11,6 +14,7 @@ use num_complex::Complex64;
 use super::fresnel::{self, Reflection};
 use super::pattern::Pattern;
 use super::{Phasor3, incidence_frame};
+use crate::actor::track::smooth_step;
 
 /// What a wall is made of.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -38,7 +42,30 @@ impl Wall {
             Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
         }
     }
+
+    /// What the wall leaves of a field that goes straight through it, over what air would.
+    fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+        match *self {
+            Wall::Slab { permittivity, thickness_m } => {
+                fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
+            }
+            Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
+            Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
+        }
+    }
+
+    /// Over how much of its outside a wall's effect grows to its whole, m: its thickness, and no less than a body takes some
+    /// chirps to pass.
+    fn depth_m(&self) -> f64 {
+        match *self {
+            Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
+            Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
+        }
+    }
 }
+
+/// Walls are at least so thick to those who pass through them, m: nothing is switched on or off between two chirps.
+const LEAST_DEPTH_M: f64 = 0.1;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
@@ -68,6 +95,8 @@ pub struct BoxRoom {
     pub walls: [Wall; 6],
     /// Wave number at which materials are evaluated, 1/m.
     pub wavenumber_per_m: f64,
+    /// Whether points behind the upright walls are lit through them. If not, points outside are lit as if there were no wall.
+    pub transmission: bool,
 }
 
 /// One antenna element in the room.
@@ -148,7 +177,38 @@ impl BoxRoom {
                 field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
             }
         }
+        if self.transmission
+            && let Some((axis, wall, weight)) = self.behind(element.position, point)
+        {
+            let rest = field.scaled(1.0 - weight);
+            field = if order(index) > 0 {
+                rest
+            } else {
+                let normal = DVec3::AXES[axis];
+                let through = self.walls[wall].transmission(self.wavenumber_per_m, direction.dot(normal).abs());
+                let (te, tm) = incidence_frame(direction, normal);
+                let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
+                Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }
+            };
+        }
         Illumination { source, distance_m, direction, field }
+    }
+
+    /// The upright wall through which the straight way from a point of the room to one outside leads: its axis, its number, and
+    /// how much of it lies between, from 0 at its inner face to 1. `None` for a point in the room.
+    fn behind(&self, from: DVec3, to: DVec3) -> Option<(usize, usize, f64)> {
+        let (from, to, size) = (from.to_array(), to.to_array(), self.size_m.to_array());
+        let crossed = [0, 1, 2, 3].map(|wall| {
+            let axis = wall / 2;
+            let plane = if wall % 2 == 0 { 0.0 } else { size[axis] };
+            let beyond = if wall % 2 == 0 { -to[axis] } else { to[axis] - plane };
+            (axis, wall, beyond, (plane - from[axis]) / (to[axis] - from[axis]))
+        });
+        // The room is convex: what leads out crosses the plane that it meets first within that wall itself.
+        let out = crossed.into_iter().filter(|&(.., beyond, _)| beyond > 0.0);
+        let (axis, wall, beyond, _) = out.min_by(|a, b| a.3.total_cmp(&b.3))?;
+        let depth_m = self.walls[wall].depth_m();
+        Some((axis, wall, smooth_step(2.0 * beyond / depth_m - 1.0)))
     }
 
     /// The way from an antenna to a point by an image, folded into the room: antenna, bounces, point.

@@ -54,6 +54,10 @@ pub struct RoomFile {
     /// Reflections that a path by way of a person or of furniture may have in all. Default 2, at most 3.
     #[serde(default = "two")]
     pub max_body_reflections: u32,
+    /// Whether people behind the upright walls are seen through them, on the straight way. Plasterboard takes some 11 dB of
+    /// their echoes, both ways, concrete all of them. Default false: who is outside is not seen.
+    #[serde(default)]
+    pub transmission: bool,
     /// Surface at x = 0.
     pub x_low: SurfaceFile,
     /// Surface at x = size.

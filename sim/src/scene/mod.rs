@@ -185,6 +185,7 @@ impl Scene {
             size_m: DVec3::from_array(room.size_m),
             walls: surfaces.map(|s| wall(s, frequency_hz)),
             wavenumber_per_m: self.wavenumber_per_m(),
+            transmission: room.transmission,
         }
     }
 

@@ -1,0 +1,217 @@
+//! By way of a body and a wall: highlights for pairs of image antennas against physical optics over the whole body, lit by
+//! one image and heard by the other, chirp by chirp.
+#![allow(clippy::print_stderr)]
+
+mod common;
+
+use std::f64::consts::{PI, TAU};
+
+use common::{hall, parse};
+use glam::{DMat3, DVec3};
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_sim::actor::body::CHEST;
+use radome_sim::actor::motion::{MotionBuilder, Person};
+use radome_sim::echo::{EchoReport, Snapshot, echoes, reflect_at_skin};
+use radome_sim::field::boundary::Boundary;
+use radome_sim::field::current::{Arrival, Listener, heard};
+use radome_sim::field::highlight::Ellipsoid;
+use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
+use radome_sim::field::pattern::Pattern;
+use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
+use radome_sim::slow_time::{Key, stretches};
+use radome_sim::stage::Stage;
+use rayon::prelude::*;
+
+const WAVENUMBER: f64 = TAU * 60e9 / 299_792_458.0;
+const FRAME_S: f64 = 0.064;
+
+/// Field at a receiver's image over the transmitted field, phase left out, and the path's length: the highlight's closed form.
+fn bounce(
+    room: &BoxRoom,
+    (tx, p): (&Element, ImageIndex),
+    (rx, q): (&Element, ImageIndex),
+    body: &Ellipsoid,
+) -> (Complex64, f64) {
+    let (source, sink) = (room.image_position(p, tx.position), room.image_position(q, rx.position));
+    let h = body.highlight(source, sink, None).expect("visible");
+    let there = room.illuminate(tx, p, h.point);
+    let back = room.illuminate(rx, q, h.point);
+    let (r_t, r_r) = h.distances_m;
+    let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
+    (reflected.received_by(back.field) * (0.5 * h.cosine / (h.det_j.sqrt() * r_t * r_r)), r_t + r_r)
+}
+
+/// A radar 0.9 m beside a wall, and a body that moves and turns before it.
+struct Chain {
+    room: BoxRoom,
+    tx: Element,
+    rx: Element,
+    semi_axes_m: DVec3,
+}
+
+impl Chain {
+    fn new(wall: Wall, semi_axes_m: DVec3) -> Self {
+        let mut walls = [Wall::Open; 6];
+        walls[2] = wall;
+        let size_m = DVec3::new(6.0, 4.0, 3.0);
+        let element = |position| Element {
+            position,
+            // Aslant, so that both polarisations take part at the wall and at the body.
+            polarisation: DVec3::new(0.0, 0.6, 0.8),
+            radar_from_world: DMat3::IDENTITY,
+            pattern: Pattern::isotropic(),
+        };
+        Chain {
+            room: BoxRoom { size_m, walls, wavenumber_per_m: WAVENUMBER, transmission: false },
+            tx: element(DVec3::new(0.3, 0.9, 1.4)),
+            rx: element(DVec3::new(0.3, 0.9075, 1.4)),
+            semi_axes_m,
+        }
+    }
+
+    /// The body at a time of the frame: it comes at 1.1 m/s and swings by 3 rad/s about an axis through one end.
+    fn body(&self, time_s: f64) -> Ellipsoid {
+        let axes = DMat3::from_rotation_z(0.2) * DMat3::from_rotation_y(0.15 + 3.0 * time_s);
+        let joint = DVec3::new(2.4, 1.3, 1.4) + DVec3::new(-1.1, 0.2, 0.0) * time_s;
+        Ellipsoid { centre: joint - axes * DVec3::Z * (0.6 * self.semi_axes_m.z), axes, semi_axes_m: self.semi_axes_m }
+    }
+
+    /// See [`bounce`].
+    fn highlight(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> (Complex64, f64) {
+        bounce(&self.room, (&self.tx, p), (&self.rx, q), &self.body(time_s))
+    }
+
+    /// The same by three keys of the frame, with phase, as the simulator has it at a chirp.
+    fn at_keys(&self, p: ImageIndex, q: ImageIndex) -> impl Fn(f64) -> Complex64 {
+        let (step_s, h) = (0.5 * FRAME_S, 1e-4);
+        let keys: Vec<Key> = (0..3)
+            .map(|i| {
+                let t = f64::from(i) * step_s;
+                let (amplitude, length_m) = self.highlight(p, q, t);
+                let rate = (self.highlight(p, q, t + h).1 - self.highlight(p, q, t - h).1) / (2.0 * h);
+                let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
+                Key { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
+            })
+            .collect();
+        let mut found = Vec::new();
+        stretches(&keys, step_s, &mut found);
+        move |time_s| {
+            let stretch = usize::from(time_s >= step_s);
+            let u = time_s / step_s - stretch as f64;
+            let (delay_s, _) = found[stretch].delay(u);
+            let a = found[stretch].amplitude(u);
+            Complex64::new(a.re.into(), a.im.into())
+                * Complex64::from_polar(1.0, -WAVENUMBER * delay_s * SPEED_OF_LIGHT_M_PER_S)
+        }
+    }
+
+    /// Physical optics, summed densely over all that the transmitter lights: `-jk/(2 pi) int heard e^{-jk(R_t + R_r)}/(R_t R_r)
+    /// dS`. Currents radiate wherever they flow: cut off at the receiver's horizon, where they are not yet zero, the sum would
+    /// have an edge there that nothing has (half a decibel on the limb).
+    fn physical_optics(&self, p: ImageIndex, q: ImageIndex, time_s: f64) -> Complex64 {
+        let e = self.body(time_s);
+        let b = e.semi_axes_m;
+        // A fifth of the wave that the path length makes on the surface.
+        let step_m = 0.5e-3;
+        let rows = (PI * b.max_element() / step_m) as usize;
+        let columns = (TAU * b.x.max(b.y) / step_m) as usize;
+        let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+        let row = |i: usize| {
+            let theta = PI * (i as f64 + 0.5) / rows as f64;
+            let mut sum = Complex64::ZERO;
+            for j in 0..columns {
+                let phi = TAU * (j as f64 + 0.5) / columns as f64;
+                let unit = DVec3::new(theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos());
+                let point = e.surface(unit);
+                let gradient = unit / b;
+                let normal = e.axes * gradient.normalize();
+                let there = self.room.image_position(p, self.tx.position) - point;
+                if normal.dot(there) <= 0.0 {
+                    continue;
+                }
+                let there = self.room.illuminate(&self.tx, p, point);
+                let back = self.room.illuminate(&self.rx, q, point);
+                let arrival = Arrival { field: there.field, direction: there.direction };
+                let hears = |polarisation: DVec3| {
+                    let listener = Listener { towards: -back.direction, polarisation };
+                    heard(&arrival, normal, &skin, WAVENUMBER, &listener)
+                };
+                // The receiver's polarisation is complex where a lossy wall has turned it.
+                let current = hears(back.field.re) + Complex64::I * hears(back.field.im);
+                let area =
+                    theta.sin() * b.element_product() * gradient.length() * (PI / rows as f64) * (TAU / columns as f64);
+                let phase = -WAVENUMBER * (there.distance_m + back.distance_m);
+                sum += current * Complex64::from_polar(area / (there.distance_m * back.distance_m), phase);
+            }
+            sum
+        };
+        let rows: Vec<Complex64> = (0..rows).into_par_iter().map(row).collect();
+        rows.into_iter().sum::<Complex64>() * Complex64::new(0.0, -WAVENUMBER / TAU)
+    }
+}
+
+/// Limb and torso, wall of concrete and of metal, there by the wall and back by it: each chirp's echo, by three keys, within
+/// a tenth of a decibel of physical optics at that chirp (half of one is asked), and so is the sum of both orders as the
+/// frame's Doppler spectrum has it.
+#[test]
+fn a_body_by_way_of_a_wall_is_physical_optics_at_every_chirp() {
+    let concrete =
+        Wall::Slab { permittivity: Material::Concrete.permittivity(60e9).expect("dielectric"), thickness_m: 0.1 };
+    let (here, by_wall): (ImageIndex, ImageIndex) = ([0; 3], [0, -1, 0]);
+    let limb = (DVec3::new(0.05, 0.05, 0.2), "limb", 12);
+    let torso = (DVec3::new(0.115, 0.165, 0.22), "torso", 3);
+    for (semi_axes_m, body, chirps) in [limb, torso] {
+        for (wall, name) in [(concrete, "concrete"), (Wall::Conductor, "metal")] {
+            let chain = Chain::new(wall, semi_axes_m);
+            let (mut ours, mut exact) = (vec![Complex64::ZERO; chirps], vec![Complex64::ZERO; chirps]);
+            for (p, q) in [(here, by_wall), (by_wall, here)] {
+                let at_keys = chain.at_keys(p, q);
+                let (mut worst_db, mut worst_rad): (f64, f64) = (0.0, 0.0);
+                for i in 0..chirps {
+                    let time_s = FRAME_S * (i as f64 + 0.5) / chirps as f64;
+                    let (a, b) = (at_keys(time_s), chain.physical_optics(p, q, time_s));
+                    worst_db = worst_db.max((20.0 * (a / b).norm().log10()).abs());
+                    worst_rad = worst_rad.max((a / b).arg().abs());
+                    ours[i] += a;
+                    exact[i] += b;
+                }
+                eprintln!("{body} by {name}, {p:?} to {q:?}: {worst_db:.3} dB, {worst_rad:.3} rad");
+                assert!(worst_db < 0.1 && worst_rad < 0.02, "{body} by {name}, {p:?} to {q:?}: {worst_db} dB");
+            }
+            let spectrum = |x: &[Complex64], bin: usize| {
+                let terms = x.iter().enumerate();
+                terms
+                    .map(|(i, v)| v * Complex64::from_polar(1.0, TAU * (i * bin) as f64 / chirps as f64))
+                    .sum::<Complex64>()
+            };
+            let peak = (0..chirps).max_by(|&a, &b| spectrum(&exact, a).norm().total_cmp(&spectrum(&exact, b).norm()));
+            let bin = peak.expect("bins");
+            let error_db = 20.0 * (spectrum(&ours, bin) / spectrum(&exact, bin)).norm().log10();
+            eprintln!("{body} by {name}, both orders, Doppler peak: {error_db:.3} dB");
+            assert!(error_db.abs() < 0.1, "{body} by {name}: {error_db} dB");
+        }
+    }
+}
+
+/// What the simulator makes of a chest by way of a wall is that closed form: field times aperture, link budget and filter.
+#[test]
+fn the_simulators_echoes_are_the_closed_form() {
+    let text = hall("[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n")
+        .replace("y_low = { material = \"open\" }", "y_low = { material = \"concrete\" }")
+        .replace("position_m = [1.0, 10.0, 1.2]", "position_m = [1.0, 1.5, 1.2]");
+    let stage = Stage::new(&parse(&text), 0, 20.0);
+    let motion = MotionBuilder::new(Person::draw(1, [0, 0], 1.75), 0.0, [4.0, 1.0], 3.0).stand(9.0).stay();
+    let people = [Snapshot::new(&motion, 1.0)];
+    let (tx, rx) = (stage.tx, stage.rx[0]);
+    for pair in [([0; 3], [0, -1, 0]), ([0, -1, 0], [0; 3]), ([0, -1, 0], [0, -1, 0]), ([0; 3], [0; 3])] {
+        let mut keys = Vec::new();
+        echoes(&stage, &motion, &people, 0, &[pair], &mut keys, &mut EchoReport::default());
+        let key = keys[CHEST * stage.rx.len()];
+        let (field, length_m) = bounce(&stage.room, (&tx, pair.0), (&rx, pair.1), &people[0].body[CHEST]);
+        let aperture = stage.wavelength_m / (4.0 * PI) * motion.person.cloth[CHEST];
+        let expected = stage.at_adc(0, field * aperture, stage.chirp.beat_hz(key.delay_s, key.delay_rate));
+        assert!((key.amplitude / expected - 1.0).norm() < 1e-6, "{pair:?}: {} {expected}", key.amplitude);
+        assert!((key.delay_s * SPEED_OF_LIGHT_M_PER_S - length_m).abs() < 1e-9, "{pair:?}");
+    }
+}
