@@ -17,7 +17,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 mod spread;
 
 pub(crate) use spread::CHIRPS;
-pub use spread::ChirpGrids;
+pub use spread::{ChirpGrids, EchoChirps, EchoWay};
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -7,6 +7,8 @@
 use num_complex::{Complex, Complex64};
 use radome_dsp::KernelLevel;
 
+use crate::synthesis::{CHIRPS, EchoChirps};
+
 /// Chirps side by side.
 const LANES: usize = 16;
 
@@ -110,12 +112,25 @@ impl ChirpSums {
 
     /// Field in a chirp, and where along the path it comes from: the mean length weighted by field, in wavelengths from the
     /// base. That is the stationary point's where there is one; within the patch in any case.
-    pub fn at(&self, chirp: usize) -> (Complex<f32>, f64) {
+    pub fn at(&self, chirp: usize) -> (Complex<f32>, f32) {
         /// Patches reach no farther, wavelengths.
         const REACH: f32 = 40.0;
         let (field, moment) = self.sums.get(chirp).copied().unwrap_or_default();
         let length = (moment * field.conj()).re / field.norm_sqr();
-        (field, if length.is_finite() { f64::from(length.clamp(-REACH, REACH)) } else { 0.0 })
+        (field, if length.is_finite() { length.clamp(-REACH, REACH) } else { 0.0 })
+    }
+
+    /// The same for all chirps, side by side.
+    pub fn chirps(&self, out: &mut Vec<EchoChirps>) {
+        out.clear();
+        for begin in (0..self.sums.len()).step_by(CHIRPS) {
+            let mut some = EchoChirps::default();
+            for i in 0..CHIRPS.min(self.sums.len() - begin) {
+                let (field, beside) = self.at(begin + i);
+                (some.re[i], some.im[i], some.beside[i]) = (field.re, field.im, beside);
+            }
+            out.push(some);
+        }
     }
 }
 
@@ -211,7 +226,7 @@ mod tests {
                 let (got, length) = sums.at(i);
                 let got = Complex64::new(got.re.into(), got.im.into());
                 assert!((got - field).norm() < 2e-3, "{level}, chirp {i}: {got} {field}");
-                let expected = (moment / field).re.clamp(-40.0, 40.0);
+                let (length, expected) = (f64::from(length), (moment / field).re.clamp(-40.0, 40.0));
                 assert!((length - expected).abs() < 0.02 * (1.0 + expected.abs()), "{level}, chirp {i}");
             }
         }

@@ -20,9 +20,6 @@ const CELL_M: f64 = 0.04;
 const BESIDE_M: f64 = 1e-4;
 /// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
 const BEHIND_M: f64 = 0.02;
-/// A ray leaves the skin this far above it, m: further than triangles lie below the skin that they stand for.
-const ABOVE_M: f64 = 1.5e-3;
-
 /// An outline's piece on the plane.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
@@ -98,15 +95,12 @@ pub fn weights(
         .filter(|(i, (v, normal))| wanted.get(*i) == Some(&true) && normal.dot(antenna - **v) > 0.0)
         .map(|(i, _)| i)
         .collect();
-    let ray = |&i: &usize| {
-        let from = posed.vertices[i] + posed.normals[i] * ABOVE_M;
-        Ray::between(from, antenna)
-    };
-    let rays: Vec<Ray> = indices.iter().map(ray).collect();
+    // From the antenna, so that neighbours' rays go the same way.
+    let rays: Vec<Ray> = indices.iter().map(|&i| Ray::between(antenna, posed.vertices[i])).collect();
     world.closest_each(&rays, |i, hit| {
         let Some(&index) = indices.get(i) else { return };
         let (at, depth_m) = plane.seen(posed.vertices[index]);
-        let shaded = hit.is_some_and(|hit| hit.distance_m > BEHIND_M);
+        let shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - BEHIND_M);
         all[index] = outlines.weight(at, depth_m, shaded, wavelength_m);
     });
     all

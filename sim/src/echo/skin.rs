@@ -28,7 +28,7 @@ use crate::field::curved_triangle::{CurvedTriangle, Integrator, MOST_CUTS, View}
 use crate::field::image::{Element, ImageIndex};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, phasor};
+use crate::synthesis::{ChirpGrids, EchoWay};
 use crate::trace::World;
 
 /// How finely a skin is integrated.
@@ -43,6 +43,7 @@ pub struct Fineness {
 impl Fineness {
     /// For an error of this many decibels.
     pub fn for_tolerance(tolerance_db: f64) -> Self {
+        if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
         if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
         let part = (tolerance_db / 0.5).clamp(0.02, 8.0);
         let inner = (0.3 * part.powf(-0.3)).clamp(0.12, 0.7);
@@ -452,7 +453,7 @@ impl SkinnedPerson {
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up: one alone this far below what can be seen is not missed.
         let least = (0.2 * stage.threshold_lsb / loudest.max(1e-300)) as f32;
-        let mut begin = 0;
+        let (mut begin, mut chirps) = (0, Vec::new());
         while begin < pair.triangles.len() {
             let end = (begin..pair.triangles.len()).find(|&i| patch_of(i) != patch_of(begin));
             let members = begin..end.unwrap_or(pair.triangles.len());
@@ -462,9 +463,11 @@ impl SkinnedPerson {
                 continue;
             }
             report.synthesised += 1;
+            sums.chirps(&mut chirps);
             for &[out, back] in ways {
                 for rx in 0..stage.rx.len() {
-                    patch.add(stage, images, [out, back], rx, times, sums, grids);
+                    let way = patch.way(stage, images, [out, back], rx, times.chirps_s.len());
+                    grids.add(rx, &stage.chirp, &way, &chirps);
                 }
             }
         }
@@ -531,59 +534,42 @@ impl Patch {
     }
 
     /// Lays it down between a transmitter's and a receiver's image.
-    #[allow(clippy::too_many_arguments)]
-    fn add(
-        &self,
-        stage: &Stage,
-        images: &[Vec<Image>],
-        [out, back]: [usize; 2],
-        rx: usize,
-        times: &FrameTimes,
-        sums: &mut ChirpSums,
-        grids: &mut ChirpGrids,
-    ) {
+    fn way(&self, stage: &Stage, images: &[Vec<Image>], [out, back]: [usize; 2], rx: usize, chirps: usize) -> EchoWay {
         // What the way by transmitter and receiver is longer than that by their middles.
-        let detours: Vec<f64> = self
-            .places
-            .iter()
-            .zip(images)
-            .filter_map(|((place, ..), images)| {
-                let (out, back) = (images.get(out)?, images.get(back)?);
-                let by_middles = out.middle.distance(*place) + back.middle.distance(*place);
-                Some(out.tx.distance(*place) + back.rx.get(rx)?.distance(*place) - by_middles)
-            })
-            .collect();
-        let (Some(&first_s), Some(&second_s)) = (times.keys_s.first(), times.keys_s.get(1)) else { return };
-        let (chirp, step_s) = (&stage.chirp, second_s - first_s);
-        let between = |of: &dyn Fn(usize) -> f64, time_s: f64| {
-            let keys_in = (time_s - first_s) / step_s;
-            let stretch = (keys_in.max(0.0) as usize).min(self.places.len().saturating_sub(2));
-            let u = keys_in - stretch as f64;
-            of(stretch) * (1.0 - u) + of(stretch + 1) * u
+        let detour = |key: usize| {
+            let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.0);
+            let of = |image: usize| images.get(key).and_then(|images| images.get(image));
+            let (Some(out), Some(back)) = (of(out), of(back)) else { return 0.0 };
+            let by_middles = out.middle.distance(place) + back.middle.distance(place);
+            out.tx.distance(place) + back.rx.get(rx).map_or(0.0, |sink| sink.distance(place)) - by_middles
         };
-        let detour = |i: usize| detours.get(i).copied().unwrap_or_default();
-        let rate = |i: usize| self.places.get(i).map_or(0.0, |p| p.2) / SPEED_OF_LIGHT_M_PER_S;
+        let rate = |key: usize| self.places.get(key).map_or(0.0, |p| p.2);
+        let [base, slope, bend] = parabola(&detour, self.places.len(), chirps);
         let response = |place: Option<&(DVec3, f64, f64)>| {
             let beat_hz = place.map_or(0.0, |p| {
-                chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S)
+                stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S)
             });
             let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
             Complex::new(a.re as f32, a.im as f32)
         };
         let (begins, ends) = (response(self.places.first()), response(self.places.last()));
-        let count = times.chirps_s.len();
-        let each = times.chirps_s.iter().enumerate().map(|(i, &time_s)| {
-            let (field, beside_cycles) = sums.at(i);
-            let detour_m = between(&detour, time_s);
-            let length_m = self.base_m + beside_cycles * stage.wavelength_m + detour_m;
-            let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
-            // The sums hold the carrier's phase but for base and detour, at one frequency; the chirp's own is this much else.
-            let cycles = chirp.phase_cycles(delay_s) - beside_cycles;
-            let amplitude = field.conj() * phasor(cycles) * (begins + (ends - begins) * (i as f32 / count as f32));
-            (amplitude, chirp.beat_hz(delay_s, between(&rate, time_s)) / chirp.sample_rate_hz)
-        });
-        grids.add(rx, each);
+        EchoWay {
+            length_m: [self.base_m + base, slope, bend],
+            rate_m_per_s: parabola(&rate, self.places.len(), chirps),
+            wavelength_m: stage.wavelength_m,
+            response: [begins, (ends - begins) / chirps as f32],
+        }
     }
+}
+
+/// Through the first, the middle and the last key, as powers of the chirp's number: keys span the chirps.
+fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
+    let (last, n) = (keys.saturating_sub(1), chirps as f64);
+    let [a, b, c] = [of(0), of(last / 2), of(last)];
+    if last < 2 {
+        return [a, (c - a) / n, 0.0];
+    }
+    [a, (4.0 * b - 3.0 * a - c) / n, 2.0 * (a + c - 2.0 * b) / (n * n)]
 }
 
 /// What cubics between keys miss of a field, relative to it: by leaving out every second key, over 16.

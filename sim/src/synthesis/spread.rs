@@ -6,7 +6,7 @@
 //! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
 
 use num_complex::Complex;
-use radome_dsp::KernelLevel;
+use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, phasor};
 use crate::chirp::Chirp;
@@ -170,17 +170,6 @@ fn lay(taps: &[[f32; LANES]; DEGREE], cells: &mut [Cell], re: &Row, im: &Row, u:
     }
 }
 
-/// First cell under the kernel, and the place in it, of a frequency in cycles per sample.
-#[inline(always)]
-fn cell_under(cycles_per_sample: f64, cells: f64) -> (u32, f32) {
-    let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
-    let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * cells;
-    let whole = nearest_integer(position);
-    let ceiling = if whole < position { whole + 1.0 } else { whole };
-    // The number's last bits, where a conversion would be one lane at a time.
-    ((ceiling + SHIFT).to_bits() as u32, (2.0 * (ceiling - position) - 1.0) as f32)
-}
-
 /// Frequency grids of every chirp of a frame, for each receiver: `[receiver][block of chirps]`.
 #[derive(Debug, Clone)]
 pub struct ChirpGrids {
@@ -197,32 +186,20 @@ impl ChirpGrids {
         ChirpGrids { blocks, taps: synthesiser.taps, cells: synthesiser.cells, level: synthesiser.level }
     }
 
-    /// Adds a tone to every chirp of a receiver: its phasor in the middle of the chirp, LSB, and its frequency, cycles per
-    /// sample.
-    pub fn add(&mut self, receiver: usize, chirps: impl Iterator<Item = (Complex<f32>, f64)>) {
+    /// Adds a moving echo to every chirp of a receiver.
+    pub fn add(&mut self, receiver: usize, chirp: &Chirp, way: &EchoWay, chirps: &[EchoChirps]) {
         let Some(blocks) = self.blocks.get_mut(receiver) else { return };
-        let mut chirps = chirps;
-        for block in blocks {
-            let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
-            let mut first = [u32::MAX; CHIRPS];
-            for (i, (phasor, cycles_per_sample)) in chirps.by_ref().take(CHIRPS).enumerate() {
-                (re[i], im[i]) = (phasor.re, phasor.im);
-                (first[i], u[i]) = cell_under(cycles_per_sample, self.cells as f64);
-            }
-            // Lanes beyond the last chirp hold nothing, where the first one is.
-            let lead = first[0];
-            first = first.map(|f| if f == u32::MAX { lead } else { f });
-            match self.level {
-                KernelLevel::Portable => lay(&self.taps, &mut block.cells, &re, &im, &u, &first),
-                // SAFETY: `level` is only ever one that the processor has.
-                #[cfg(target_arch = "x86_64")]
-                KernelLevel::Avx2 => unsafe { lay_avx2(&self.taps, &mut block.cells, &re, &im, &u, &first) },
-                // SAFETY: as above.
-                #[cfg(target_arch = "x86_64")]
-                KernelLevel::Avx512 => unsafe { lay_avx512(&self.taps, &mut block.cells, &re, &im, &u, &first) },
-                #[cfg(not(target_arch = "x86_64"))]
-                KernelLevel::Avx2 | KernelLevel::Avx512 => lay(&self.taps, &mut block.cells, &re, &im, &u, &first),
-            }
+        let (taps, cells) = (&self.taps, self.cells as f64);
+        match self.level {
+            KernelLevel::Portable => echo(taps, cells, chirp, way, chirps, blocks),
+            // SAFETY: `level` is only ever one that the processor has.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx2 => unsafe { echo_avx2(taps, cells, chirp, way, chirps, blocks) },
+            // SAFETY: as above.
+            #[cfg(target_arch = "x86_64")]
+            KernelLevel::Avx512 => unsafe { echo_avx512(taps, cells, chirp, way, chirps, blocks) },
+            #[cfg(not(target_arch = "x86_64"))]
+            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(taps, cells, chirp, way, chirps, blocks),
         }
     }
 
@@ -236,30 +213,94 @@ impl ChirpGrids {
     }
 }
 
+/// A moving echo in eight consecutive chirps, whichever antennas hear it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct EchoChirps {
+    /// Field but for the phase of the path's base, as it multiplies `exp(-j ...)`.
+    pub re: [f32; CHIRPS],
+    /// Its imaginary part.
+    pub im: [f32; CHIRPS],
+    /// Where it comes from, in wavelengths of path from the base; the field's phase holds it already.
+    pub beside: [f32; CHIRPS],
+}
+
+/// The way of a moving echo between one transmitter and one receiver. Polynomials are in the number of the chirp.
+#[derive(Debug, Clone, Copy)]
+pub struct EchoWay {
+    /// Path to where phases are counted from, m.
+    pub length_m: [f64; 3],
+    /// Rate of the path, m/s.
+    pub rate_m_per_s: [f64; 3],
+    /// Wavelength at which the field was computed, m.
+    pub wavelength_m: f64,
+    /// Factor from field to LSB, and its change from chirp to chirp.
+    pub response: [Complex<f32>; 2],
+}
+
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn lay_avx2(
+fn echo_avx2(
     taps: &[[f32; LANES]; DEGREE],
-    cells: &mut [Cell],
-    re: &Row,
-    im: &Row,
-    u: &Row,
-    first: &[u32; CHIRPS],
+    cells: f64,
+    chirp: &Chirp,
+    way: &EchoWay,
+    chirps: &[EchoChirps],
+    blocks: &mut [Grids],
 ) {
-    lay(taps, cells, re, im, u, first);
+    echo(taps, cells, chirp, way, chirps, blocks);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
-fn lay_avx512(
+fn echo_avx512(
     taps: &[[f32; LANES]; DEGREE],
-    cells: &mut [Cell],
-    re: &Row,
-    im: &Row,
-    u: &Row,
-    first: &[u32; CHIRPS],
+    cells: f64,
+    chirp: &Chirp,
+    way: &EchoWay,
+    chirps: &[EchoChirps],
+    blocks: &mut [Grids],
 ) {
-    lay(taps, cells, re, im, u, first);
+    echo(taps, cells, chirp, way, chirps, blocks);
+}
+
+#[inline(always)]
+fn echo(
+    taps: &[[f32; LANES]; DEGREE],
+    cells: f64,
+    chirp: &Chirp,
+    way: &EchoWay,
+    chirps: &[EchoChirps],
+    blocks: &mut [Grids],
+) {
+    let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
+    let cells_per_hz = cells / chirp.sample_rate_hz;
+    let [length, rate] = [way.length_m, way.rate_m_per_s].map(|p| p.map(|c| c * per_m));
+    let (beside_s, [begin, step]) = (way.wavelength_m * per_m, way.response);
+    for ((number, echo), block) in (0..).step_by(CHIRPS).zip(chirps).zip(blocks) {
+        let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
+        let mut first = [0u32; CHIRPS];
+        for i in 0..CHIRPS {
+            let n = f64::from(number + i as u32);
+            let beside = f64::from(echo.beside[i]);
+            let delay_s = length[0] + n * (length[1] + n * length[2]) + beside * beside_s;
+            let delay_rate = rate[0] + n * (rate[1] + n * rate[2]);
+            // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
+            let turn = phasor(chirp.phase_cycles(delay_s) - beside);
+            let (n, x, y) = (n as f32, echo.re[i], -echo.im[i]);
+            let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
+            let (x, y) = (x * turn.re - y * turn.im, x * turn.im + y * turn.re);
+            (re[i], im[i]) = (x * a - y * b, x * b + y * a);
+            let position = chirp.beat_hz(delay_s, delay_rate) * cells_per_hz;
+            let turns = position / cells;
+            let nearest = turns - nearest_integer(turns);
+            let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * cells;
+            let whole = nearest_integer(position);
+            let ceiling = if whole < position { whole + 1.0 } else { whole };
+            u[i] = (2.0 * (ceiling - position) - 1.0) as f32;
+            first[i] = (ceiling + SHIFT).to_bits() as u32;
+        }
+        lay(taps, &mut block.cells, &re, &im, &u, &first);
+    }
 }
 
 /// One tap of the kernel at places within a cell.
