@@ -135,7 +135,7 @@ impl Renderer {
             skins.push(kept);
             return Some(skin);
         }
-        let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M))?);
+        let skin = Arc::new(SkinnedPerson::new(WalkingMesh::new(Arc::clone(motion), EDGE_M)));
         if skins.len() >= MOST_SKINS {
             skins.remove(0);
         }
@@ -230,7 +230,11 @@ impl Renderer {
                 let pairs = audible_pairs(&self.stage, motion, middle_s);
                 if let Some(skin) = self.skin(motion) {
                     let now = snapshots.get(count / 2).map(Vec::as_slice).unwrap_or_default();
-                    let loud = loud_pairs(&self.stage, motion, now, me, &pairs);
+                    // What all of a body sends back is spread over many cells.
+                    let least = 10f64.powf(0.5) * self.stage.threshold_lsb;
+                    let mut loud = loud_pairs(&self.stage, motion, now, me, &pairs);
+                    loud.retain(|(_, strength)| *strength > least);
+                    let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
                     let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
                     if std::env::var("DBG").is_ok() { for (p, l) in &loud { eprintln!("{:?} {:.1} dB over threshold", p, 20.0 * (l / self.stage.threshold_lsb).log10()); } }
                     let pairs: Vec<_> = loud.into_iter().map(|(pair, _)| pair).collect();
@@ -306,13 +310,13 @@ impl Renderer {
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut echo_report;
-        let mut count = FIRST_KEYS;
+        let mut count = std::env::var("KEYS").map_or(FIRST_KEYS, |k| k.parse().unwrap());
         let (snapshots, keyed, skins, phase_error_rad) = loop {
             echo_report = EchoReport::default();
             let (snapshots, keyed, skins, missed) = self.trace(&motions, start_s, count, &mut echo_report);
             let step_s = self.active_s() / (count - 1) as f64;
             let error = self.interpolation_error_rad(&keyed, step_s).max(missed);
-            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS {
+            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS || std::env::var("KEYS").is_ok() {
                 break (snapshots, keyed, skins, error);
             }
             count = 2 * count - 1;

@@ -21,7 +21,7 @@ use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 
 /// An edge is cut into this many: pieces of 5 mm.
-const PIECES: usize = 4;
+const PIECES: usize = 6;
 /// Pieces whose paths differ by less than this are one tone in fast time, m; at the carrier each has its own phase.
 const BIN_M: f64 = 1e-3;
 /// And whose rates do by less than this, m/s.
@@ -46,18 +46,12 @@ pub fn chirp(
     let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
     indices.sort_unstable();
     indices.dedup();
-    let world = person.refitted(&posed);
     let weights: Vec<Vec<f64>> = indices
         .iter()
         .map(|&index| {
             let [tx, rx] = [stage.tx.position, rx_middle].map(|a| stage.room.image_position(index, a));
-            let own = match &world {
-                Some(world) => {
-                    let middle = 0.5 * (tx + rx);
-                    self_shadow::weights(person.mesh().skin(), &posed, world, middle, stage.wavelength_m, &all)
-                }
-                None => vec![1.0; posed.vertices.len()],
-            };
+            let middle = 0.5 * (tx + rx);
+            let own = self_shadow::weights(person.mesh().skin(), &posed, middle, stage.wavelength_m, &all);
             let past = person.past_people(stage, people, me, index);
             own.iter().zip(past).map(|(a, b)| a * b).collect()
         })
@@ -110,10 +104,18 @@ fn pair(
         if !(0..3).any(faces) || weights.iter().all(|w| *w == 0.0) {
             continue;
         }
+        let place = |[a, b, c]: [f64; 3]| {
+            let flat = points[0] * a + points[1] * b + points[2] * c;
+            flat + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a))
+        };
+        // Half-way between two nodes.
+        let between = |[i, j]: [usize; 2], [k, l]: [usize; 2]| {
+            let (i, j) = ((i + k) as f64 / (2 * PIECES) as f64, (j + l) as f64 / (2 * PIECES) as f64);
+            place([1.0 - i - j, j, i])
+        };
         let node = |i: usize, j: usize| {
             let [a, b, c] = [PIECES - i - j, j, i].map(|n| n as f64 / PIECES as f64);
-            let flat = points[0] * a + points[1] * b + points[2] * c;
-            let point = flat + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a));
+            let point = place([a, b, c]);
             let normal = (normals[0] * a + normals[1] * b + normals[2] * c).normalize_or_zero();
             let velocity = velocities[0] * a + velocities[1] * b + velocities[2] * c;
             let there = stage.room.illuminate(&stage.tx, p, point);
@@ -130,11 +132,16 @@ fn pair(
             Node { point, velocity, strength }
         };
         let rows: Vec<Vec<Node>> = (0..=PIECES).map(|i| (0..=PIECES - i).map(|j| node(i, j)).collect()).collect();
+        let mut piece = |corners: [[usize; 2]; 3]| {
+            let [a, b, c] = corners;
+            let middles = [between(a, b), between(b, c), between(c, a)];
+            bins.add_piece(corners.map(|[i, j]| rows[i][j]), middles, source, &sinks);
+        };
         for i in 0..PIECES {
             for j in 0..PIECES - i {
-                bins.add_piece([rows[i][j], rows[i][j + 1], rows[i + 1][j]], source, &sinks);
+                piece([[i, j], [i, j + 1], [i + 1, j]]);
                 if i + j + 2 <= PIECES {
-                    bins.add_piece([rows[i + 1][j + 1], rows[i + 1][j], rows[i][j + 1]], source, &sinks);
+                    piece([[i + 1, j + 1], [i + 1, j], [i, j + 1]]);
                 }
             }
         }
@@ -166,8 +173,8 @@ impl<'a> Bins<'a> {
         Bins { stage, samples, first: None, tones: stage.rx.iter().map(|_| Vec::new()).collect() }
     }
 
-    /// A flat piece: linear phase and strength, and what its path is at its middle.
-    fn add_piece(&mut self, [a, b, c]: [Node; 3], source: DVec3, sinks: &[DVec3]) {
+    /// A piece between its corners: strength is linear over it, and its path but for a mean.
+    fn add_piece(&mut self, [a, b, c]: [Node; 3], middles: [DVec3; 3], source: DVec3, sinks: &[DVec3]) {
         if [a, b, c].iter().all(|n| n.strength == Complex64::ZERO) {
             return;
         }
@@ -175,18 +182,25 @@ impl<'a> Bins<'a> {
         let twice_area = (b.point - a.point).cross(c.point - a.point).length();
         let middle = (a.point + b.point + c.point) / 3.0;
         let velocity = (a.velocity + b.velocity + c.velocity) / 3.0;
+        let Some(first) = sinks.first() else { return };
+        let length = |p: DVec3, sink: DVec3| source.distance(p) + sink.distance(p);
+        // Within millimetres all receivers see the same differences.
+        let lengths = [a, b, c].map(|n| length(n.point, *first) - length(middle, *first));
+        // What the curved path is longer than the linear one, on the mean over the piece.
+        let beside: f64 = middles.iter().map(|m| length(*m, *first) - length(middle, *first)).sum();
+        let longer = (beside - (lengths[0] + lengths[1] + lengths[2])) / 3.0;
+        let phases = lengths.map(|l| -k * (l + longer));
+        let [x, y, z] = triangle::moments(phases[0], phases[1], phases[2]);
+        let strength = (x * a.strength + y * b.strength + z * c.strength) * twice_area;
         for (rx, sink) in sinks.iter().enumerate() {
-            let length = |p: DVec3| source.distance(p) + sink.distance(p);
-            let length_m = length(middle);
-            let phases = [a, b, c].map(|n| -k * (length(n.point) - length_m));
-            let [x, y, z] = triangle::moments(phases[0], phases[1], phases[2]);
-            let strength = (x * a.strength + y * b.strength + z * c.strength) * twice_area;
+            let length_m = length(middle, *sink);
             let rate = ((middle - source).normalize_or_zero() + (middle - *sink).normalize_or_zero()).dot(velocity);
             let (delay_s, delay_rate) = (length_m / SPEED_OF_LIGHT_M_PER_S, rate / SPEED_OF_LIGHT_M_PER_S);
             let chirp = &self.stage.chirp;
             let beat_hz = chirp.beat_hz(delay_s, delay_rate);
             let phase = TAU * chirp.phase_cycles(delay_s).rem_euclid(1.0);
-            let amplitude = self.stage.at_adc(rx, strength, beat_hz) * Complex64::from_polar(1.0, phase);
+            // As the ADC has it: conjugated, with the filters at the bin's beat.
+            let amplitude = strength.conj() * Complex64::from_polar(1.0, phase);
             let path = (length_m / BIN_M).floor() as i64;
             let first = *self.first.get_or_insert(path);
             // A body reaches a metre or two either way of any of its pieces.
@@ -210,12 +224,14 @@ impl<'a> Bins<'a> {
     fn flush(&mut self, out: &mut [Vec<f64>]) {
         self.first = None;
         let middle = (self.samples / 2) as f64;
-        for (tones, out) in self.tones.iter_mut().zip(out) {
+        for (rx, (tones, out)) in self.tones.iter_mut().zip(out).enumerate() {
             for tone in tones.drain(..).filter(|tone| tone.pieces > 0.0) {
-                let cycles = tone.beats_hz / tone.pieces / self.stage.chirp.sample_rate_hz;
+                let beat_hz = tone.beats_hz / tone.pieces;
+                let cycles = beat_hz / self.stage.chirp.sample_rate_hz;
+                let amplitude = tone.amplitude * self.stage.at_adc(rx, Complex64::ONE, beat_hz);
                 let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
                 // Four samples side by side.
-                let mut four: [Complex64; 4] = std::array::from_fn(|i| tone.amplitude * turn(i as f64 - middle));
+                let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * turn(i as f64 - middle));
                 let step = turn(4.0);
                 for chunk in out.chunks_mut(4) {
                     for (x, value) in chunk.iter_mut().zip(&mut four) {

@@ -29,7 +29,6 @@ use crate::field::image::{Element, ImageIndex};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{ChirpGrids, EchoWay};
-use crate::trace::World;
 
 /// How finely a skin is integrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,8 +63,6 @@ pub struct SkinnedPerson {
     mesh: WalkingMesh,
     /// Factor of clothes on amplitude at each vertex.
     cloth: Vec<f64>,
-    /// The mesh alone, to be refitted.
-    world: World,
 }
 
 /// What an image of the antennas' middle does at a vertex.
@@ -118,24 +115,15 @@ struct TriangleKey {
 }
 
 impl SkinnedPerson {
-    /// Makes room for refitting.
-    pub fn new(mesh: WalkingMesh) -> Option<Self> {
-        let body = crate::trace::Body::new(mesh.skin().rest().clone(), crate::trace::Build::Moving).ok()?;
-        let world = World::new(vec![body]).ok()?;
+    /// Somebody who moves as a mesh.
+    pub fn new(mesh: WalkingMesh) -> Self {
         let cloth = mesh.skin().blend(&mesh.motion().person.cloth);
-        Some(SkinnedPerson { mesh, cloth, world })
+        SkinnedPerson { mesh, cloth }
     }
 
     /// Factor of clothes on amplitude at each vertex.
     pub fn cloth(&self) -> &[f64] {
         &self.cloth
-    }
-
-    /// The mesh alone, as rays meet it in a pose.
-    pub fn refitted(&self, posed: &PosedSkin) -> Option<World> {
-        let mut world = self.world.clone();
-        world.refit(0, &posed.vertices).ok()?;
-        Some(world)
     }
 
     /// What other people, and the body itself before the last wall, leave of an image antenna's field at each vertex: by
@@ -207,14 +195,12 @@ impl SkinnedPerson {
                 }
             }
         }
-        let mut world = self.world.clone();
         let images: Vec<Vec<Image>> = posed
             .iter()
             .zip(people)
             .map(|(posed, people)| {
-                let shadow = world.refit(0, &posed.vertices).is_ok().then_some(&world);
                 let each = indices.iter().zip(&wanted);
-                each.map(|(&i, wanted)| self.image(stage, &antennas, posed, shadow, people, me, i, wanted)).collect()
+                each.map(|(&i, wanted)| self.image(stage, &antennas, posed, people, me, i, wanted)).collect()
             })
             .collect();
 
@@ -292,7 +278,8 @@ impl SkinnedPerson {
         let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
         let corners = skin.rest().triangles.get(number).copied().unwrap_or_default();
         let sides = skin.sides().get(number).copied().unwrap_or_default();
-        CurvedTriangle::new(corners.map(|v| at(&posed.vertices, v)), sides.map(|e| at(&posed.bulges, e)))
+        let [points, normals] = [&posed.vertices, &posed.normals].map(|of| corners.map(|v| at(of, v)));
+        CurvedTriangle::new(points, normals, sides.map(|e| at(&posed.bulges, e)))
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -301,7 +288,6 @@ impl SkinnedPerson {
         stage: &Stage,
         antennas: &Antennas,
         posed: &PosedSkin,
-        world: Option<&World>,
         people: &[Snapshot],
         me: usize,
         index: ImageIndex,
@@ -315,12 +301,7 @@ impl SkinnedPerson {
             })
         };
         let lit = posed.vertices.iter().zip(wanted).map(lit).collect();
-        let mut weights = match world {
-            Some(world) => {
-                self_shadow::weights(self.mesh.skin(), posed, world, middle, stage.wavelength_m, wanted)
-            }
-            None => vec![1.0; posed.vertices.len()],
-        };
+        let mut weights = self_shadow::weights(self.mesh.skin(), posed, middle, stage.wavelength_m, wanted);
         for (weight, past) in weights.iter_mut().zip(self.past_people(stage, people, me, index)) {
             *weight *= past;
         }

@@ -35,6 +35,9 @@ pub struct CurvedTriangle {
     pub corners: [Vec3; 3],
     /// How far the surface lies beside the middles of the edges (first to second corner, second to third, third to first), m.
     pub bulges: [Vec3; 3],
+    /// Half of the squared differences of unit normals along the edges: by these, times both weights, the strength between
+    /// corners is above the linear one, since normals in between are as long as they.
+    pub turns: [f32; 3],
 }
 
 /// An antenna as the middle of a triangle sees it.
@@ -60,13 +63,14 @@ impl View {
 }
 
 impl CurvedTriangle {
-    /// From corners and bulges, in the room.
-    pub fn new(corners: [DVec3; 3], bulges: [DVec3; 3]) -> Self {
+    /// From corners, unit normals there and bulges, in the room.
+    pub fn new(corners: [DVec3; 3], normals: [DVec3; 3], bulges: [DVec3; 3]) -> Self {
         let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
         CurvedTriangle {
             middle,
             corners: corners.map(|c| (c - middle).as_vec3()),
             bulges: bulges.map(|b| b.as_vec3()),
+            turns: [0, 1, 2].map(|i| 0.5 * normals[i].distance_squared(normals[(i + 1) % 3]) as f32),
         }
     }
 
@@ -223,10 +227,11 @@ fn body_avx512(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) ->
 #[inline(always)]
 fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Moments; LANES] {
     let zero: Row = [0.0; LANES];
-    let (mut corners, mut bulges) = ([[zero; 3]; 3], [[zero; 3]; 3]);
+    let (mut corners, mut bulges, mut turns) = ([[zero; 3]; 3], [[zero; 3]; 3], [zero; 3]);
     let (mut offsets, mut distances) = ([[zero; 3]; 2], [[1.0; LANES]; 2]);
     for (lane, (triangle, tx, rx)) in triangles.iter().take(LANES).enumerate() {
         for i in 0..3 {
+            turns[i][lane] = triangle.turns[i];
             for axis in 0..3 {
                 corners[i][axis][lane] = triangle.corners[i][axis];
                 bulges[i][axis][lane] = 4.0 * triangle.bulges[i][axis];
@@ -281,6 +286,10 @@ fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Momen
                 twice_area[l] = (x * x + y * y + z * z).sqrt();
             }
             let (value_re, value_im) = integrals(&a, &b, &c);
+            let [wa, wb, wc] = *weights;
+            for l in 0..LANES {
+                twice_area[l] *= 1.0 + turns[0][l] * (wa * wb) + turns[1][l] * (wb * wc) + turns[2][l] * (wc * wa);
+            }
             for ((re, im), w) in re.iter_mut().zip(&mut im).zip(weights) {
                 for l in 0..LANES {
                     re[l] += value_re[l] * (twice_area[l] * w);
@@ -396,8 +405,11 @@ pub fn exact_moments(
         let twice_area = (places[q] - places[p]).cross(places[r] - places[p]).length();
         let moments = triangle::moments(phases[p], phases[q], phases[r]);
         for (node, moment) in [p, q, r].into_iter().zip(moments) {
-            for (sum, w) in sums.iter_mut().zip(cut.nodes[node]) {
-                *sum += moment * twice_area * f64::from(w);
+            let [a, b, c] = cut.nodes[node];
+            let [ab, bc, ca] = triangle.turns;
+            let above = f64::from(1.0 + ab * a * b + bc * b * c + ca * c * a);
+            for (sum, w) in sums.iter_mut().zip([a, b, c]) {
+                *sum += moment * twice_area * above * f64::from(w);
             }
         }
     }
@@ -424,8 +436,9 @@ mod tests {
                 let middle = DVec3::new(3.0, 0.5, 1.0) + vector(0.5);
                 let corners = [0; 3].map(|_| middle + vector(0.012));
                 let bulges = [0; 3].map(|_| vector(6e-4));
+                let normals = [0; 3].map(|_| (DVec3::X + vector(0.2)).normalize());
                 let antenna = vector(0.5);
-                (CurvedTriangle::new(corners, bulges), [antenna, antenna + vector(0.003)])
+                (CurvedTriangle::new(corners, normals, bulges), [antenna, antenna + vector(0.003)])
             })
             .collect()
     }
@@ -490,7 +503,7 @@ mod tests {
             let antennas = [DVec3::ZERO, DVec3::Y * 0.003];
             let corner = DVec3::new(2.0, 0.0, 0.0);
             for corners in [[corner; 3], [corner, corner + DVec3::Z * 0.02, corner + DVec3::Z * 0.01]] {
-                let triangle = CurvedTriangle::new(corners, [DVec3::ZERO; 3]);
+                let triangle = CurvedTriangle::new(corners, [DVec3::X; 3], [DVec3::ZERO; 3]);
                 for moment in moments(&triangle, antennas, KernelLevel::detect(), 2) {
                     assert!(moment.norm() < 1e-9, "{moment}");
                 }
