@@ -13,7 +13,7 @@ use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
 use crate::echo::dense;
-use crate::echo::skin::{Fineness, FrameTimes, SkinnedPerson};
+use crate::echo::skin::{Demand, FrameTimes, Missed, SkinnedPerson};
 use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes, loud_pairs};
 use crate::field::curved_triangle::Integrator;
 use crate::random::{Purpose, generator};
@@ -215,9 +215,9 @@ impl Renderer {
         start_s: f64,
         count: usize,
         report: &mut EchoReport,
-    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>, Option<ChirpGrids>, f64) {
+    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>, Option<ChirpGrids>, Missed) {
         let shape = self.waveform().shape();
-        let (mut skins, mut missed_most) = (None, 0.0f64);
+        let (mut skins, mut missed_most) = (None, Missed::default());
         let step_s = self.active_s() / (count - 1) as f64;
         let middle_s = start_s + 0.5 * self.active_s();
         let snapshots: Vec<Vec<Snapshot>> = (0..count)
@@ -237,18 +237,19 @@ impl Renderer {
                     let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
                     let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
                     if std::env::var("DBG").is_ok() { for (p, l) in &loud { eprintln!("{:?} {:.1} dB over threshold", p, 20.0 * (l / self.stage.threshold_lsb).log10()); } }
-                    let pairs: Vec<_> = loud.into_iter().map(|(pair, _)| pair).collect();
                     let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
                     let times = FrameTimes {
                         keys_s: (0..count).map(|k| start_s + k as f64 * step_s).collect(),
                         chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect(),
                     };
-                    let fineness = Fineness::for_tolerance(self.options.tolerance_db);
                     let (stage, integrator) = (&self.stage, &self.integrator);
+                    let noise_lsb = stage.threshold_lsb * 10f64.powf(0.05 * margin_db(self.options.tolerance_db));
+                    let demand = Demand { tolerance_db: self.options.tolerance_db, noise_lsb };
                     let grids = skins.get_or_insert_with(|| ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps));
                     let missed =
-                        skin.add_echoes(stage, integrator, &fineness, &times, &snapshots, me, &pairs, grids, report);
-                    missed_most = missed_most.max(missed);
+                        skin.add_echoes(stage, integrator, &demand, &times, &snapshots, me, &loud, grids, report);
+                    missed_most.between_keys = missed_most.between_keys.max(missed.between_keys);
+                    missed_most.by_integration = missed_most.by_integration.max(missed.by_integration);
                     return Vec::new();
                 }
                 snapshots
@@ -311,13 +312,13 @@ impl Renderer {
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut echo_report;
         let mut count = std::env::var("KEYS").map_or(FIRST_KEYS, |k| k.parse().unwrap());
-        let (snapshots, keyed, skins, phase_error_rad) = loop {
+        let (snapshots, keyed, skins, phase_error_rad, missed) = loop {
             echo_report = EchoReport::default();
             let (snapshots, keyed, skins, missed) = self.trace(&motions, start_s, count, &mut echo_report);
             let step_s = self.active_s() / (count - 1) as f64;
-            let error = self.interpolation_error_rad(&keyed, step_s).max(missed);
+            let error = self.interpolation_error_rad(&keyed, step_s).max(missed.between_keys);
             if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS || std::env::var("KEYS").is_ok() {
-                break (snapshots, keyed, skins, error);
+                break (snapshots, keyed, skins, error, missed);
             }
             count = 2 * count - 1;
         };
@@ -328,6 +329,7 @@ impl Renderer {
             moving_paths: audible.iter().map(Vec::len).sum::<usize>() + echo_report.synthesised,
             keys: count,
             phase_error_rad,
+            estimate_db: skins.is_some().then(|| missed.db()),
             clamped: echo_report.clamped,
             clipped: 0,
         };

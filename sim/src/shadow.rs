@@ -23,8 +23,8 @@ pub fn knife_edge(nu: f64) -> f64 {
         return 1.0;
     }
     let x = nu - 0.1;
-    let loss_db = 6.9 + 20.0 * ((x * x + 1.0).sqrt() + x).log10();
-    10f64.powf(-0.05 * loss_db.max(0.0))
+    // 10^(-6.9/20), and the logarithm undone.
+    (0.451_855_944_374_922_4 / ((x * x + 1.0).sqrt() + x)).min(1.0)
 }
 
 /// Field left on the straight leg from `a` to `b` past a column.

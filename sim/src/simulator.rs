@@ -85,6 +85,9 @@ pub struct FrameReport {
     pub keys: usize,
     /// Estimated power-weighted phase error of interpolation between keys, rad.
     pub phase_error_rad: f64,
+    /// Estimated error of the strongest way's echoes where people have skins, dB; `None` where they are ellipsoids, whose
+    /// highlights are closed forms.
+    pub estimate_db: Option<f64>,
     /// Amplitudes clamped because an antenna was nearer than 10 cm, or inside a body.
     pub clamped: usize,
     /// Codes at either end of the ADC.
@@ -99,14 +102,15 @@ pub struct Simulator {
     /// The stream's next frame.
     next: u64,
     /// Frames from that one on.
-    ahead: VecDeque<Ahead<Frame>>,
+    ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
     spare: Vec<Frame>,
+    last_report: Option<FrameReport>,
 }
 
 impl Clone for Simulator {
     /// The same stream at the same place.
     fn clone(&self) -> Self {
-        Simulator { inner: Arc::clone(&self.inner), next: self.next, ahead: VecDeque::new(), spare: Vec::new() }
+        Simulator { inner: Arc::clone(&self.inner), next: self.next, ahead: VecDeque::new(), spare: Vec::new(), last_report: None }
     }
 }
 
@@ -124,7 +128,7 @@ impl Simulator {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
         let inner = Renderer::new(scene, options);
-        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead: VecDeque::new(), spare: Vec::new() })
+        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead: VecDeque::new(), spare: Vec::new(), last_report: None })
     }
 
     /// One frame, whichever came before.
@@ -151,6 +155,11 @@ impl Simulator {
     /// of images louder than this far below the noise of a cell. Minutes a frame; people who are ellipsoids have none.
     pub fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
         self.inner.dense_echo_samples(index, margin_db)
+    }
+
+    /// What it took to make the stream's last frame.
+    pub fn last_report(&self) -> Option<&FrameReport> {
+        self.last_report.as_ref()
     }
 
     /// What is true of a frame.
@@ -182,8 +191,8 @@ impl Simulator {
             let (inner, index) = (Arc::clone(&self.inner), self.next.saturating_add(i));
             let mut frame = self.spare.pop().unwrap_or_else(|| Frame::zeroed(self.waveform().shape()));
             self.ahead.push_back(Ahead::new(move || {
-                inner.render_into(index, &mut frame);
-                frame
+                let report = inner.render_into(index, &mut frame);
+                (frame, report)
             }));
         }
     }
@@ -200,10 +209,11 @@ impl FrameSource for Simulator {
         let index = self.next;
         self.next = index.saturating_add(1);
         match ahead.wait() {
-            Some(rendered) => self.spare.push(std::mem::replace(frame, rendered)),
-            None => {
-                self.inner.render_into(index, frame);
+            Some((rendered, report)) => {
+                self.last_report = Some(report);
+                self.spare.push(std::mem::replace(frame, rendered));
             }
+            None => self.last_report = Some(self.inner.render_into(index, frame)),
         }
         Ok(SourceEvent::Frame)
     }

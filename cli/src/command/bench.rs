@@ -1,3 +1,4 @@
+mod scene;
 mod solver;
 
 use std::time::Instant;
@@ -28,6 +29,8 @@ enum Stage {
     },
     /// Cross-sections of canonical targets by every method that suits them, beside plain sums over patches
     Solver(solver::Arguments),
+    /// People with skins in a scene at several tolerances, beside dense physical optics in every chirp
+    Scene(scene::Arguments),
 }
 
 /// One way to make the maps of a frame.
@@ -44,6 +47,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.stage {
         Stage::Rdm { json, rounds } => rdm(*json, *rounds),
         Stage::Solver(arguments) => solver::run(arguments),
+        Stage::Scene(arguments) => scene::run(arguments),
     }
 }
 

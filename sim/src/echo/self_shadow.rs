@@ -44,7 +44,6 @@ struct Cells {
 /// What an antenna sees of a body.
 struct View<'a> {
     skin: &'a Skin,
-    plane: Plane,
     /// Each vertex on the plane, and how far away it is, m.
     seen: Vec<(DVec2, f64)>,
     /// Whether each triangle faces the antenna.
@@ -185,7 +184,7 @@ impl<'a> View<'a> {
             *member = numbers.get(*member as usize).copied().unwrap_or(u32::MAX);
         }
         let outlines = Cells::new(&[], CELL_M);
-        let mut view = View { skin, plane, seen, facing, triangles, pieces: Vec::new(), outlines };
+        let mut view = View { skin, seen, facing, triangles, pieces: Vec::new(), outlines };
         view.find_outlines();
         view
     }

@@ -28,7 +28,7 @@ use crate::field::curved_triangle::{CurvedTriangle, Integrator, MOST_CUTS, View}
 use crate::field::image::{Element, ImageIndex};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, EchoWay};
+use crate::synthesis::{ChirpGrids, EchoWay, phasor};
 
 /// How finely a skin is integrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -57,6 +57,41 @@ impl Fineness {
     }
 }
 
+/// What is asked of a frame's echoes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Demand {
+    /// Error, dB, rms over the cells of the map in which they stand above noise.
+    pub tolerance_db: f64,
+    /// Amplitude of a path that is as strong as the noise of a cell, LSB.
+    pub noise_lsb: f64,
+}
+
+impl Demand {
+    /// For a pair of images that is this loud, LSB: one that hardly rises above noise may err by more.
+    fn fineness(&self, loudness_lsb: f64) -> Fineness {
+        /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
+        const LOUD: f64 = 18.0;
+        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, 4.0);
+        Fineness::for_tolerance(self.tolerance_db * relaxed)
+    }
+}
+
+/// What is missed of a field, relative to it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Missed {
+    /// By cubics between keys: what leaving out every second key misses, over 16.
+    pub between_keys: f64,
+    /// By window and cuts: how far the field is from that at twice the tolerance, patch by patch.
+    pub by_integration: f64,
+}
+
+impl Missed {
+    /// As an error, dB.
+    pub fn db(&self) -> f64 {
+        20.0 * self.between_keys.hypot(self.by_integration).ln_1p() / std::f64::consts::LN_10
+    }
+}
+
 /// Somebody with a skin.
 #[derive(Debug, Clone)]
 pub struct SkinnedPerson {
@@ -65,30 +100,29 @@ pub struct SkinnedPerson {
     cloth: Vec<f64>,
 }
 
-/// What an image of the antennas' middle does at a vertex.
+/// Where the antennas behind an image are.
+struct Place {
+    /// Middle of transmitter and receivers: what they are lit by and what hides them is taken to be the same.
+    middle: DVec3,
+    tx: DVec3,
+    rx: Vec<DVec3>,
+}
+
+/// What an image antenna throws on a vertex.
 #[derive(Debug, Clone, Copy)]
-struct Lit {
+struct Light {
     field: Phasor3,
+    /// What people and limbs leave of it.
+    weight: f64,
     /// From the antenna to the vertex.
     direction: DVec3,
     distance_m: f64,
 }
 
-/// The antennas behind one image at a key time.
-struct Image {
-    /// Middle of transmitter and receivers.
-    middle: DVec3,
-    tx: DVec3,
-    rx: Vec<DVec3>,
-    /// By vertex; only where wanted.
-    lit: Vec<Option<Lit>>,
-    /// What people and limbs leave of a field from there.
-    weights: Vec<f64>,
-}
-
 /// Triangles that shine between two images, with their cuts.
 struct Pair {
     images: [usize; 2],
+    fineness: Fineness,
     triangles: Vec<(u32, usize)>,
     vertices: Vec<u32>,
 }
@@ -100,6 +134,15 @@ pub struct FrameTimes {
     pub keys_s: Vec<f64>,
     /// Middles of the chirps.
     pub chirps_s: Vec<f64>,
+}
+
+/// A triangle in a pose, whoever looks at it.
+#[derive(Debug, Clone, Copy)]
+struct PosedTriangle {
+    curved: CurvedTriangle,
+    /// Of the middle, m/s, and of the corners against it.
+    velocity: DVec3,
+    against: [DVec3; 3],
 }
 
 /// A triangle at a key.
@@ -143,64 +186,72 @@ impl SkinnedPerson {
         &self.mesh
     }
 
-    /// Adds somebody's echoes in a frame to grids. `people` are everybody's snapshots at the keys, of whom this is number `me`;
-    /// of `pairs`, the loudest first, each way and its reverse count as one. Returns what interpolation between keys misses of
-    /// the loudest pair's field, relative to it.
+    /// Adds somebody's echoes in a frame to grids. `people` are everybody's snapshots at the keys, of whom this is number `me`.
+    /// `pairs` are those that can be heard and how loud, the loudest first; each way and its reverse count as one. Returns what
+    /// is missed of the loudest pair's field.
     #[allow(clippy::too_many_arguments)]
     pub fn add_echoes(
         &self,
         stage: &Stage,
         integrator: &Integrator,
-        fineness: &Fineness,
+        demand: &Demand,
         times: &FrameTimes,
         people: &[Vec<Snapshot>],
         me: usize,
-        pairs: &[(ImageIndex, ImageIndex)],
+        pairs: &[((ImageIndex, ImageIndex), f64)],
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
-    ) -> f64 {
+    ) -> Missed {
         let times_s = &times.keys_s;
         let posed: Vec<PosedSkin> = times_s.iter().map(|&t| self.mesh.posed(t)).collect();
-        let mut ways: Vec<[ImageIndex; 2]> = Vec::new();
-        for way in pairs.iter().map(|&(p, q)| [p.min(q), p.max(q)]) {
-            if !ways.contains(&way) {
-                ways.push(way);
+        let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
+        for &((p, q), loudness) in pairs {
+            let way = [p.min(q), p.max(q)];
+            if !ways.iter().any(|(known, _)| *known == way) {
+                ways.push((way, loudness));
             }
         }
-        let mut indices: Vec<ImageIndex> = ways.iter().flatten().copied().collect();
+        let mut indices: Vec<ImageIndex> = ways.iter().flat_map(|(way, _)| *way).collect();
         indices.sort_unstable();
         indices.dedup();
-        let antennas = Antennas::new(stage);
+        let antenna = middle_antenna(stage);
+        let places: Vec<Place> = indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect();
         // What is near a highlight at the beginning, in the middle or at the end.
         let middle = posed.len() / 2;
-        let ends: Vec<&PosedSkin> = [0, middle, posed.len().saturating_sub(1)].map(|i| &posed[i]).to_vec();
-        let directions: Vec<Vec<Vec<DVec3>>> = ends
-            .iter()
-            .map(|posed| indices.iter().map(|&i| towards(posed, antennas.middle_of(stage, i))).collect())
-            .collect();
+        let Some(last) = posed.len().checked_sub(1) else { return Missed::default() };
+        let ends: Vec<(&PosedSkin, Vec<Vec<DVec3>>)> = [0, middle, last]
+            .map(|i| (&posed[i], places.iter().map(|place| towards(&posed[i], place.middle)).collect()))
+            .to_vec();
         let pairs: Vec<Pair> = ways
             .iter()
-            .map(|way| {
+            .map(|(way, loudness)| {
                 let images = way.map(|index| indices.binary_search(&index).unwrap_or(0));
-                let near = ends.iter().zip(&directions).map(|(posed, d)| (*posed, images.map(|i| d[i].as_slice())));
-                let of = way.map(|index| antennas.middle_of(stage, index));
-                self.select(near, &posed[middle], of, images, fineness, stage)
+                let near = ends.iter().map(|(posed, d)| (*posed, images.map(|i| d[i].as_slice())));
+                let of = images.map(|i| places[i].middle);
+                self.select(near, &posed[middle], of, images, demand.fineness(*loudness), stage)
             })
             .collect();
         let mut wanted = vec![vec![false; self.cloth.len()]; indices.len()];
+        let mut used = vec![false; self.mesh.skin().rest().triangles.len()];
         for pair in &pairs {
-            for image in pair.images {
-                for &v in &pair.vertices {
+            for &v in &pair.vertices {
+                for image in pair.images {
                     wanted[image][v as usize] = true;
                 }
             }
+            for &(triangle, _) in &pair.triangles {
+                used[triangle as usize] = true;
+            }
         }
-        let images: Vec<Vec<Image>> = posed
-            .iter()
-            .zip(people)
-            .map(|(posed, people)| {
+        let triangles: Vec<Vec<Option<PosedTriangle>>> =
+            posed.iter().map(|posed| self.pose_triangles(posed, &used)).collect();
+        // Strengths change less than phases: they are found at every second key, and are half-way in between.
+        let exact = |i: usize| i.is_multiple_of(2) || i == last;
+        let lights: Vec<Vec<Vec<Option<Light>>>> = (0..posed.len())
+            .map(|i| {
+                let Some(people) = people.get(i).filter(|_| exact(i)) else { return Vec::new() };
                 let each = indices.iter().zip(&wanted);
-                each.map(|(&i, wanted)| self.image(stage, &antennas, posed, people, me, i, wanted)).collect()
+                each.map(|(&index, wanted)| self.light(stage, &antenna, &posed[i], people, me, index, wanted)).collect()
             })
             .collect();
 
@@ -208,24 +259,81 @@ impl SkinnedPerson {
         let mut sums = ChirpSums::new(integrator.level());
         for pair in &pairs {
             report.paths += pair.triangles.len();
-            let strengths: Vec<Vec<Complex64>> = posed
+            let mut strengths: Vec<Vec<Complex64>> = posed
                 .iter()
-                .zip(&images)
-                .map(|(posed, images)| self.strengths(stage, posed, images, pair, fineness, report))
+                .zip(&lights)
+                .map(|(posed, lights)| self.strengths(stage, posed, lights, pair, report))
                 .collect();
-            let keys: Vec<Vec<TriangleKey>> = posed
+            for i in (0..posed.len()).filter(|&i| !exact(i)) {
+                let (before, after) = (&strengths[i - 1], &strengths[i + 1]);
+                strengths[i] = before.iter().zip(after).map(|(a, b)| 0.5 * (a + b)).collect();
+            }
+            let between = pair.images.map(|i| &places[i]);
+            let keys: Vec<Vec<TriangleKey>> = triangles
                 .iter()
-                .zip(&images)
                 .enumerate()
-                .map(|(i, (posed, images))| {
+                .map(|(i, posed)| {
                     let slopes = Slopes::new(&strengths, times_s, i);
-                    self.integrate(stage, integrator, posed, images, pair, &slopes)
+                    self.integrate(stage, integrator, posed, between, pair, &slopes)
                 })
                 .collect();
-            missed.get_or_insert_with(|| missed_between_keys(&keys, times_s, stage.wavelength_m));
-            self.add_pair(stage, pair, &images, &keys, times, &mut sums, grids, report);
+            missed.get_or_insert_with(|| Missed {
+                between_keys: missed_between_keys(&keys, times_s, stage.wavelength_m),
+                by_integration: {
+                    let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
+                    let coarse = Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
+                    let strengths = [self.strengths(stage, &posed[0], &lights[0], &coarse, report)];
+                    let slopes = Slopes::new(&strengths, &times_s[..1], 0);
+                    let of_coarse = self.integrate(stage, integrator, &triangles[0], between, &coarse, &slopes);
+                    self.difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
+                },
+            });
+            self.add_pair(stage, pair, between, &keys, times, &mut sums, grids, report);
         }
-        missed.unwrap_or(0.0)
+        missed.unwrap_or_default()
+    }
+
+    /// The same triangles with other cuts.
+    fn select_again(
+        &self,
+        pair: &Pair,
+        posed: &PosedSkin,
+        between: [&Place; 2],
+        fineness: Fineness,
+        stage: &Stage,
+    ) -> Pair {
+        let k = std::f64::consts::TAU / stage.wavelength_m;
+        let cut = |&(number, _): &(u32, usize)| {
+            let curved = self.curved(posed, number as usize);
+            let [t, r] = between.map(|place| View::new(place.middle, curved.middle));
+            (number, curved.cuts(&t, &r, k, fineness.bend_rad))
+        };
+        Pair {
+            images: pair.images,
+            fineness,
+            triangles: pair.triangles.iter().map(cut).collect(),
+            vertices: pair.vertices.clone(),
+        }
+    }
+
+    /// How far two integrations of the same triangles are apart, patch by patch, relative to the first.
+    fn difference(&self, pair: &Pair, a: &[TriangleKey], b: &[TriangleKey], wavelength_m: f64) -> f64 {
+        let patches = self.mesh.skin().patches();
+        let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
+        let (mut apart, mut power) = (0.0, 0.0);
+        let (mut sum, mut difference) = (Complex64::ZERO, Complex64::ZERO);
+        for (i, (a, b)) in a.iter().zip(b).enumerate() {
+            let turn = phasor(-a.length_m / wavelength_m);
+            let turn = Complex64::new(turn.re.into(), turn.im.into());
+            sum += a.field * turn;
+            difference += (a.field - b.field) * turn;
+            if patch_of(i) != patch_of(i + 1) {
+                apart += difference.norm_sqr();
+                power += sum.norm_sqr();
+                (sum, difference) = (Complex64::ZERO, Complex64::ZERO);
+            }
+        }
+        if power > 0.0 { (apart / power).sqrt() } else { 0.0 }
     }
 
     /// Triangles near a highlight, with the cuts that they need.
@@ -235,7 +343,7 @@ impl SkinnedPerson {
         middle: &PosedSkin,
         antennas: [DVec3; 2],
         images: [usize; 2],
-        fineness: &Fineness,
+        fineness: Fineness,
         stage: &Stage,
     ) -> Pair {
         let mut shines = vec![false; self.cloth.len()];
@@ -252,7 +360,7 @@ impl SkinnedPerson {
                     && square > 0.16;
             }
         }
-        let mut pair = Pair { images, triangles: Vec::new(), vertices: Vec::new() };
+        let mut pair = Pair { images, fineness, triangles: Vec::new(), vertices: Vec::new() };
         let mut wanted = vec![false; self.cloth.len()];
         let k = std::f64::consts::TAU / stage.wavelength_m;
         for (number, corners) in self.mesh.skin().rest().triangles.iter().enumerate() {
@@ -262,9 +370,9 @@ impl SkinnedPerson {
             for &v in corners {
                 wanted[v as usize] = true;
             }
-            let triangle = self.triangle(middle, number);
-            let [t, r] = antennas.map(|a| View::new(a, triangle.middle));
-            pair.triangles.push((number as u32, triangle.cuts(&t, &r, k, fineness.bend_rad)));
+            let curved = self.curved(middle, number);
+            let [t, r] = antennas.map(|a| View::new(a, curved.middle));
+            pair.triangles.push((number as u32, curved.cuts(&t, &r, k, fineness.bend_rad)));
         }
         // Patch by patch.
         let patches = self.mesh.skin().patches();
@@ -273,7 +381,7 @@ impl SkinnedPerson {
         pair
     }
 
-    fn triangle(&self, posed: &PosedSkin, number: usize) -> CurvedTriangle {
+    fn curved(&self, posed: &PosedSkin, number: usize) -> CurvedTriangle {
         let skin = self.mesh.skin();
         let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
         let corners = skin.rest().triangles.get(number).copied().unwrap_or_default();
@@ -282,32 +390,39 @@ impl SkinnedPerson {
         CurvedTriangle::new(points, normals, sides.map(|e| at(&posed.bulges, e)))
     }
 
+    /// The triangles that are wanted, in a pose.
+    fn pose_triangles(&self, posed: &PosedSkin, wanted: &[bool]) -> Vec<Option<PosedTriangle>> {
+        let pose = |(number, corners): (usize, &[u32; 3])| {
+            wanted.get(number).filter(|w| **w)?;
+            let velocities = corners.map(|v| posed.velocities_m_per_s.get(v as usize).copied().unwrap_or_default());
+            let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
+            let against = velocities.map(|v| v - velocity);
+            Some(PosedTriangle { curved: self.curved(posed, number), velocity, against })
+        };
+        self.mesh.skin().rest().triangles.iter().enumerate().map(pose).collect()
+    }
+
+    /// What an image antenna throws on every vertex that is wanted.
     #[allow(clippy::too_many_arguments)]
-    fn image(
+    fn light(
         &self,
         stage: &Stage,
-        antennas: &Antennas,
+        antenna: &Element,
         posed: &PosedSkin,
         people: &[Snapshot],
         me: usize,
         index: ImageIndex,
         wanted: &[bool],
-    ) -> Image {
-        let middle = antennas.middle_of(stage, index);
-        let lit = |(&v, &wanted): (&DVec3, &bool)| {
-            wanted.then(|| {
-                let i = stage.room.illuminate(&antennas.middle, index, v);
-                Lit { field: i.field, direction: i.direction, distance_m: i.distance_m }
-            })
+    ) -> Vec<Option<Light>> {
+        let middle = stage.room.image_position(index, antenna.position);
+        let own = self_shadow::weights(self.mesh.skin(), posed, middle, stage.wavelength_m, wanted);
+        let past = self.past_people(stage, people, me, index);
+        let lit = |(v, weight): (usize, f64)| {
+            wanted.get(v).filter(|w| **w)?;
+            let i = stage.room.illuminate(antenna, index, *posed.vertices.get(v)?);
+            Some(Light { field: i.field, weight, direction: i.direction, distance_m: i.distance_m })
         };
-        let lit = posed.vertices.iter().zip(wanted).map(lit).collect();
-        let mut weights = self_shadow::weights(self.mesh.skin(), posed, middle, stage.wavelength_m, wanted);
-        for (weight, past) in weights.iter_mut().zip(self.past_people(stage, people, me, index)) {
-            *weight *= past;
-        }
-        let place = |position: DVec3| stage.room.image_position(index, position);
-        let rx = stage.rx.iter().map(|rx| place(rx.position)).collect();
-        Image { middle, tx: place(stage.tx.position), rx, lit, weights }
+        own.iter().zip(past).map(|(a, b)| a * b).enumerate().map(lit).collect()
     }
 
     /// Strength at every vertex, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
@@ -316,9 +431,8 @@ impl SkinnedPerson {
         &self,
         stage: &Stage,
         posed: &PosedSkin,
-        images: &[Image],
+        lights: &[Vec<Option<Light>>],
         pair: &Pair,
-        fineness: &Fineness,
         report: &mut EchoReport,
     ) -> Vec<Complex64> {
         let k = std::f64::consts::TAU / stage.wavelength_m;
@@ -326,10 +440,10 @@ impl SkinnedPerson {
         let factor = Complex64::new(0.0, -k * aperture / std::f64::consts::TAU);
         let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
         let mut all = vec![Complex64::ZERO; self.cloth.len()];
-        let [Some(out), Some(back)] = pair.images.map(|i| images.get(i)) else { return all };
+        let [Some(out), Some(back)] = pair.images.map(|i| lights.get(i)) else { return all };
         for &v in &pair.vertices {
             let i = v as usize;
-            let (Some(there), Some(home)) = (out.lit[i], back.lit[i]) else { continue };
+            let (Some(Some(there)), Some(Some(home))) = (out.get(i), back.get(i)) else { continue };
             let (normal, point) = (posed.normals[i], posed.vertices[i]);
             let bisector = there.direction + home.direction;
             let length = bisector.length();
@@ -338,8 +452,8 @@ impl SkinnedPerson {
                 continue;
             }
             // Grazing highlights fade: forward scattering is not theirs to tell.
-            let window = fineness.weight(cosine) * smooth_step((0.5 * length - 0.2) / 0.1);
-            let weight = window * out.weights[i] * back.weights[i] * self.cloth[i];
+            let window = pair.fineness.weight(cosine) * smooth_step((0.5 * length - 0.2) / 0.1);
+            let weight = window * there.weight * home.weight * self.cloth[i];
             if weight <= 0.0 {
                 continue;
             }
@@ -358,15 +472,13 @@ impl SkinnedPerson {
         &self,
         stage: &Stage,
         integrator: &Integrator,
-        posed: &PosedSkin,
-        images: &[Image],
+        posed: &[Option<PosedTriangle>],
+        [first, second]: [&Place; 2],
         pair: &Pair,
         slopes: &Slopes,
     ) -> Vec<TriangleKey> {
         let k = std::f64::consts::TAU / stage.wavelength_m;
         let mut keys = vec![TriangleKey::default(); pair.triangles.len()];
-        let [Some(first), Some(second)] = pair.images.map(|i| images.get(i)) else { return keys };
-        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
         // Those that are cut alike go together.
         let mut alike: [Vec<u32>; MOST_CUTS] = Default::default();
         for (i, &(_, cuts)) in pair.triangles.iter().enumerate() {
@@ -377,16 +489,16 @@ impl SkinnedPerson {
             views.clear();
             moments.clear();
             for &i in members {
-                let triangle = self.triangle(posed, pair.triangles[i as usize].0 as usize);
-                let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.middle));
-                views.push((triangle, t, r));
+                let Some(Some(triangle)) = posed.get(pair.triangles[i as usize].0 as usize) else { continue };
+                let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.curved.middle));
+                views.push((triangle.curved, t, r));
             }
             integrator.moments(&views, k, cuts + 1, &mut moments);
             for ((&i, (triangle, t, r)), moments) in members.iter().zip(&views).zip(&moments) {
                 let number = pair.triangles[i as usize].0 as usize;
                 let corners = self.mesh.skin().rest().triangles.get(number).copied().unwrap_or_default();
-                let velocities = corners.map(|v| at(&posed.velocities_m_per_s, v));
-                let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
+                let Some(Some(PosedTriangle { velocity, against, .. })) = posed.get(number) else { continue };
+                let velocity = *velocity;
                 let [away_t, away_r] = [t, r].map(|view| view.offset / view.distance_m);
                 let mut key = TriangleKey {
                     middle: triangle.middle,
@@ -394,15 +506,16 @@ impl SkinnedPerson {
                     rate_m_per_s: (away_t + away_r).dot(velocity),
                     ..TriangleKey::default()
                 };
-                for ((v, moment), (d, own)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(velocities)) {
+                let speeds = [away_t.dot(velocity), away_r.dot(velocity)];
+                for ((v, moment), (d, against)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(against)) {
                     let moment = Complex64::new(moment.re.into(), moment.im.into());
                     let (strength, slope) = slopes.at(*v);
                     // How fast the path by the corner grows against that by the middle.
-                    let (d, against) = (d.as_dvec3(), own - velocity);
-                    let grows = |away: DVec3, distance_m: f64| {
-                        away.dot(against) + (d.dot(velocity) - away.dot(d) * away.dot(velocity)) / distance_m
-                    };
-                    let rate = grows(away_t, t.distance_m) + grows(away_r, r.distance_m);
+                    let d = d.as_dvec3();
+                    let (sideways, turning) = ((away_t + away_r).dot(*against), d.dot(velocity));
+                    let rate = sideways
+                        + (turning - away_t.dot(d) * speeds[0]) / t.distance_m
+                        + (turning - away_r.dot(d) * speeds[1]) / r.distance_m;
                     key.field += strength * moment;
                     key.field_rate += (slope - Complex64::new(0.0, k * rate) * strength) * moment;
                 }
@@ -418,17 +531,15 @@ impl SkinnedPerson {
         &self,
         stage: &Stage,
         pair: &Pair,
-        images: &[Vec<Image>],
+        between: [&Place; 2],
         keys: &[Vec<TriangleKey>],
         times: &FrameTimes,
         sums: &mut ChirpSums,
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
     ) {
-        let ways: &[[usize; 2]] = match pair.images {
-            [p, q] if p == q => &[[p, q]],
-            [p, q] => &[[p, q], [q, p]],
-        };
+        let both = [between, [between[1], between[0]]];
+        let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
         let patches = self.mesh.skin().patches();
         let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
@@ -445,9 +556,9 @@ impl SkinnedPerson {
             }
             report.synthesised += 1;
             sums.chirps(&mut chirps);
-            for &[out, back] in ways {
+            for way in ways {
                 for rx in 0..stage.rx.len() {
-                    let way = patch.way(stage, images, [out, back], rx, times.chirps_s.len());
+                    let way = patch.way(stage, *way, rx, times.chirps_s.len());
                     grids.add(rx, &stage.chirp, &way, &chirps);
                 }
             }
@@ -515,12 +626,10 @@ impl Patch {
     }
 
     /// Lays it down between a transmitter's and a receiver's image.
-    fn way(&self, stage: &Stage, images: &[Vec<Image>], [out, back]: [usize; 2], rx: usize, chirps: usize) -> EchoWay {
+    fn way(&self, stage: &Stage, [out, back]: [&Place; 2], rx: usize, chirps: usize) -> EchoWay {
         // What the way by transmitter and receiver is longer than that by their middles.
         let detour = |key: usize| {
             let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.0);
-            let of = |image: usize| images.get(key).and_then(|images| images.get(image));
-            let (Some(out), Some(back)) = (of(out), of(back)) else { return 0.0 };
             let by_middles = out.middle.distance(place) + back.middle.distance(place);
             out.tx.distance(place) + back.rx.get(rx).map_or(0.0, |sink| sink.distance(place)) - by_middles
         };
@@ -577,20 +686,18 @@ fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<DVec3> {
     posed.vertices.iter().map(|v| (antenna - *v).normalize_or_zero()).collect()
 }
 
-/// The transmitter and the receivers as one place: what they are lit by and what hides them is the same.
-struct Antennas {
-    middle: Element,
+/// An antenna in the middle of transmitter and receivers.
+fn middle_antenna(stage: &Stage) -> Element {
+    let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
+    let position = if stage.rx.is_empty() { stage.tx.position } else { 0.5 * (stage.tx.position + rx) };
+    Element { position, ..stage.tx }
 }
 
-impl Antennas {
-    fn new(stage: &Stage) -> Self {
-        let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
-        let position = if stage.rx.is_empty() { stage.tx.position } else { 0.5 * (stage.tx.position + rx) };
-        Antennas { middle: Element { position, ..stage.tx } }
-    }
-
-    fn middle_of(&self, stage: &Stage, index: ImageIndex) -> DVec3 {
-        stage.room.image_position(index, self.middle.position)
+impl Place {
+    fn new(stage: &Stage, middle: &Element, index: ImageIndex) -> Self {
+        let place = |position: DVec3| stage.room.image_position(index, position);
+        let rx = stage.rx.iter().map(|rx| place(rx.position)).collect();
+        Place { middle: place(middle.position), tx: place(stage.tx.position), rx }
     }
 }
 

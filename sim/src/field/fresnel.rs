@@ -26,8 +26,17 @@ pub struct Slab {
 
 /// Normal component of the wave vector inside, over k.
 fn normal_index(permittivity: Complex64, cosine: f64) -> Complex64 {
-    let q = (permittivity - (1.0 - cosine * cosine)).sqrt();
-    if q.im > 0.0 { -q } else { q }
+    let square = permittivity - (1.0 - cosine * cosine);
+    // The root by real roots, whichever part is the larger first: no angles, and no cancellation.
+    let modulus = square.norm_sqr().sqrt();
+    if square.re >= 0.0 {
+        let re = (0.5 * (modulus + square.re)).sqrt();
+        let im = if re > 0.0 { 0.5 * square.im / re } else { 0.0 };
+        if im > 0.0 { Complex64::new(-re, -im) } else { Complex64::new(re, im) }
+    } else {
+        let im = -(0.5 * (modulus - square.re)).sqrt();
+        Complex64::new(0.5 * square.im / im, im)
+    }
 }
 
 /// Reflection of a half-space at the cosine of the angle of incidence.

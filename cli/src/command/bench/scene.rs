@@ -1,0 +1,179 @@
+//! `radome bench scene`: error against time of people with skins in a scene, over tolerances.
+
+use std::f64::consts::TAU;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use radome_dsp::{FrameShape, Window};
+use radome_sim::receiver::noise::density_lsb2;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use rustfft::FftPlanner;
+use rustfft::num_complex::Complex64;
+use serde::Serialize;
+
+use crate::output;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene file, with `body = "mesh"`
+    scene: PathBuf,
+    /// Frames that are also computed the slow way: minutes each
+    #[arg(long, value_delimiter = ',', default_value = "10,30,50")]
+    frames: Vec<u64>,
+    /// Tolerances, dB
+    #[arg(long, value_delimiter = ',', default_value = "2,0.5,0.2")]
+    tolerances_db: Vec<f64>,
+    /// People
+    #[arg(long)]
+    people: Option<usize>,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The slow way takes all ways by walls that are louder than this far below noise, dB
+    #[arg(long, default_value_t = 10.0)]
+    dense_margin_db: f64,
+    /// A list of objects
+    #[arg(long)]
+    json: bool,
+}
+
+/// A frame at a tolerance.
+#[derive(Serialize)]
+struct Row {
+    frame: u64,
+    tolerance_db: f64,
+    /// One thread.
+    milliseconds: f64,
+    dense_over_this: f64,
+    /// Rms over the cells of the map in which the slow way's echoes are above the receiver's noise.
+    error_db: f64,
+    estimate_db: Option<f64>,
+    /// Those cells, and the part of them that is more than 1 dB off.
+    cells: usize,
+    beyond_1_db: f64,
+}
+
+/// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let scene = Scene::load(&arguments.scene)?;
+    let simulator = |tolerance_db: f64| {
+        let options = SimulateOptions {
+            seed: arguments.seed,
+            people: arguments.people,
+            tolerance_db,
+            ..SimulateOptions::default()
+        };
+        Simulator::new(&scene, options)
+    };
+    let shape = scene.waveform().shape();
+    let floor = noise_floor(&density_lsb2(scene.receiver(), scene.waveform()), shape);
+    let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
+    let bar = output::progress(arguments.frames.len() as u64, "frames the slow way");
+    let mut rows = Vec::new();
+    for &frame in &arguments.frames {
+        let started = Instant::now();
+        let dense = simulator(0.5)?.dense_echo_samples(frame, arguments.dense_margin_db);
+        // Of all threads, as if one.
+        let dense_ms = started.elapsed().as_secs_f64() * 1e3 * rayon::current_num_threads() as f64;
+        let exact = map(&dense, shape);
+        for &tolerance_db in &arguments.tolerances_db {
+            let simulator = simulator(tolerance_db)?;
+            let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
+            let estimate_db = simulator.render_with_report(frame).1.estimate_db;
+            let milliseconds = one_thread.install(|| {
+                let time = |_| {
+                    let started = Instant::now();
+                    simulator.render(frame);
+                    started.elapsed().as_secs_f64() * 1e3
+                };
+                (0..5).map(time).fold(f64::INFINITY, f64::min)
+            });
+            let (error_db, cells, beyond_1_db) = error(&exact, &map(&samples, shape), &floor, shape);
+            let dense_over_this = dense_ms / milliseconds;
+            rows.push(Row {
+                frame,
+                tolerance_db,
+                milliseconds,
+                dense_over_this,
+                error_db,
+                estimate_db,
+                cells,
+                beyond_1_db,
+            });
+        }
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if arguments.json {
+        return output::json_line(&rows);
+    }
+    output::text_line(&format!(
+        "{:>6} {:>7} {:>9} {:>11} {:>9} {:>9} {:>7} {:>11}",
+        "frame", "tol dB", "ms", "dense/this", "error dB", "estimate", "cells", "beyond 1 dB"
+    ))?;
+    for r in rows {
+        let estimate = r.estimate_db.map_or_else(|| "-".to_owned(), |e| format!("{e:.3}"));
+        output::text_line(&format!(
+            "{:6} {:7} {:9.1} {:11.0} {:9.3} {estimate:>9} {:7} {:10.1} %",
+            r.frame,
+            r.tolerance_db,
+            r.milliseconds,
+            r.dense_over_this,
+            r.error_db,
+            r.cells,
+            100.0 * r.beyond_1_db
+        ))?;
+    }
+    Ok(())
+}
+
+/// Hann windows over both axes and Fourier sums, `[rx][doppler][range]` over half of the ranges.
+fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
+    let (chirps, length) = (shape.chirps, shape.samples);
+    let (fast, slow) = (Window::Hann.weights(length), Window::Hann.weights(chirps));
+    let mut planner = FftPlanner::new();
+    let (over_samples, over_chirps) = (planner.plan_fft_forward(length), planner.plan_fft_forward(chirps));
+    let mut cells = Vec::with_capacity(samples.len() / 2);
+    for channel in samples.chunks(chirps * length) {
+        let mut rows: Vec<Complex64> = channel
+            .iter()
+            .enumerate()
+            .map(|(i, x)| Complex64::from(x * fast[i % length] * slow[i / length]))
+            .collect();
+        over_samples.process(&mut rows);
+        let columns: Vec<Vec<Complex64>> = (0..length / 2)
+            .map(|range| {
+                let mut column: Vec<Complex64> = (0..chirps).map(|chirp| rows[chirp * length + range]).collect();
+                over_chirps.process(&mut column);
+                column
+            })
+            .collect();
+        cells.extend((0..chirps).flat_map(|doppler| columns.iter().map(move |column| column[doppler])));
+    }
+    cells
+}
+
+/// Mean power of noise in the cells of each range.
+fn noise_floor(density_lsb2: &[f64], shape: FrameShape) -> Vec<f64> {
+    let energy = |length: usize| -> f64 {
+        (0..length).map(|i| (0.5 - 0.5 * (TAU * i as f64 / length as f64).cos()).powi(2)).sum()
+    };
+    let gain = energy(shape.samples) * energy(shape.chirps);
+    density_lsb2.iter().take(shape.samples / 2).map(|d| d * gain).collect()
+}
+
+/// Rms over the cells above noise, dB; how many they are; and the part that is more than 1 dB off.
+fn error(exact: &[Complex64], found: &[Complex64], floor: &[f64], shape: FrameShape) -> (f64, usize, f64) {
+    let (mut squares, mut cells, mut beyond) = (0.0, 0, 0);
+    for (i, (exact, found)) in exact.iter().zip(found).enumerate() {
+        if exact.norm_sqr() <= floor[i % (shape.samples / 2)] {
+            continue;
+        }
+        let off_db = 20.0 * (found.norm() / exact.norm()).log10();
+        squares += off_db * off_db;
+        cells += 1;
+        beyond += usize::from(off_db.abs() > 1.0);
+    }
+    let count = f64::from(u32::try_from(cells.max(1)).unwrap_or(u32::MAX));
+    ((squares / count).sqrt(), cells, f64::from(u32::try_from(beyond).unwrap_or(u32::MAX)) / count)
+}
