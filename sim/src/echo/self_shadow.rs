@@ -274,3 +274,83 @@ impl<'a> View<'a> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::actor::motion::{MotionBuilder, Person};
+    use crate::actor::skin::{EDGE_M, WalkingMesh};
+    use crate::trace::{Body, Build, Ray, World};
+
+    const WAVELENGTH_M: f64 = 0.005;
+
+    fn walker() -> WalkingMesh {
+        let person = Person::draw(1, [0, 0], 1.75);
+        let motion = MotionBuilder::new(person, 0.0, [1.0, 0.0], 0.4).walk_to([7.0, 2.0], 1.2).stay();
+        WalkingMesh::new(Arc::new(motion), EDGE_M)
+    }
+
+    /// More than half of the field arrives where a ray does, and less where none does.
+    #[test]
+    fn light_is_where_rays_are() {
+        let walker = walker();
+        let all = vec![true; walker.skin().rest().vertices.len()];
+        for (time_s, antenna) in [(2.0, DVec3::new(0.0, 0.0, 1.5)), (2.4, DVec3::new(8.0, -1.0, 0.9))] {
+            let posed = walker.posed(time_s);
+            let mesh = walker.mesh_at(time_s);
+            let world = World::new(vec![Body::new(mesh, Build::Static).expect("body")]).expect("world");
+            let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+            let (mut shaded, mut wrong, mut facing) = (0, 0, 0);
+            for ((weight, v), normal) in weights.iter().zip(&posed.vertices).zip(&posed.normals) {
+                let depth_m = v.distance(antenna);
+                if normal.dot(antenna - *v) <= 0.3 * depth_m {
+                    continue;
+                }
+                let hit = world.closest(&Ray::between(antenna, *v));
+                let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - BEHIND_M);
+                facing += 1;
+                shaded += i32::from(is_shaded);
+                wrong += i32::from(is_shaded != (*weight < 0.5));
+            }
+            assert!(shaded >= 30 && facing > 1000, "{shaded} of {facing}: a walker shades himself");
+            // A knife edge leaves 0.496 at grazing incidence, and outlines end in pieces of an edge's length.
+            assert!(wrong <= facing / 100, "{wrong} of {facing}");
+        }
+    }
+
+    /// No vertex jumps between light and shadow while the body moves by a millimetre.
+    #[test]
+    fn shadows_move_smoothly() {
+        let walker = walker();
+        let all = vec![true; walker.skin().rest().vertices.len()];
+        let antenna = DVec3::new(0.0, 0.0, 1.5);
+        let at = |time_s: f64| weights(walker.skin(), &walker.posed(time_s), antenna, WAVELENGTH_M, &all);
+        let (mut jumps, mut before) = (0, at(2.0));
+        for i in 1..20 {
+            let now = at(2.0 + 0.0005 * f64::from(i));
+            jumps += before.iter().zip(&now).filter(|(a, b)| (*a - *b).abs() > 0.35).count();
+            before = now;
+        }
+        // Of six thousand vertices in twenty steps.
+        assert!(jumps < 60, "{jumps} jumps");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Beside a foot, inside the chest, and very far away.
+        #[test]
+        fn antennas_anywhere_leave_finite_weights() {
+            let walker = walker();
+            let posed = walker.posed(2.0);
+            let all = vec![true; posed.vertices.len()];
+            let inside = posed.vertices.iter().sum::<DVec3>() / posed.vertices.len() as f64;
+            for antenna in [posed.vertices[0] + DVec3::Z * 1e-3, inside, DVec3::new(1e3, -2e3, 5.0)] {
+                let weights = weights(walker.skin(), &posed, antenna, WAVELENGTH_M, &all);
+                assert!(weights.iter().all(|w| (0.0..=1.0).contains(w)));
+            }
+        }
+    }
+}

@@ -44,9 +44,10 @@ impl Fineness {
     pub fn for_tolerance(tolerance_db: f64) -> Self {
         if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
         if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
-        let part = (tolerance_db / 0.5).clamp(0.02, 8.0);
-        let inner = (0.3 * part.powf(-0.3)).clamp(0.12, 0.7);
-        Fineness { window: [inner, (inner + 0.2 + 0.05 * part.powf(-0.5)).min(0.95)], bend_rad: (0.8 * part).min(2.5) }
+        // Found by measuring (`radome bench scene`): bends err in proportion, windows by their tails.
+        let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
+        let inner = (0.35 * part.powf(-0.3)).clamp(0.12, 0.7);
+        Fineness { window: [inner, (inner + 0.25).min(0.95)], bend_rad: (0.25 * part).min(2.0) }
     }
 
     /// Weight of a place by the cosine between normal and bisector.

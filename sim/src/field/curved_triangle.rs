@@ -431,14 +431,15 @@ mod tests {
         let mut vector = |size: f64| {
             DVec3::new(rng.random_range(-size..size), rng.random_range(-size..size), rng.random_range(-size..size))
         };
+        // Normals that turn by some degrees.
+        let turn = |i: u32| DVec3::new(1.0, 0.1 * f64::from(i), 0.15 - 0.1 * f64::from(i)).normalize();
         (0..200)
             .map(|_| {
                 let middle = DVec3::new(3.0, 0.5, 1.0) + vector(0.5);
                 let corners = [0; 3].map(|_| middle + vector(0.012));
                 let bulges = [0; 3].map(|_| vector(6e-4));
-                let normals = [0; 3].map(|_| (DVec3::X + vector(0.2)).normalize());
                 let antenna = vector(0.5);
-                (CurvedTriangle::new(corners, normals, bulges), [antenna, antenna + vector(0.003)])
+                (CurvedTriangle::new(corners, [0, 1, 2].map(turn), bulges), [antenna, antenna + vector(0.003)])
             })
             .collect()
     }

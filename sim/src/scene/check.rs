@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::file::{SCENE_FORMAT, SceneFile};
+use super::file::{BodyFile, SCENE_FORMAT, SceneFile};
 use super::{SceneError, line_of_key};
 
 /// A value that makes no sense.
@@ -165,6 +165,9 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
                 );
             }
         }
+    }
+    if people.desk.is_some() && people.body == BodyFile::Mesh {
+        return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
     }
     if let Some(d) = &people.desk {
         within("max_people", d.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;

@@ -1,0 +1,138 @@
+//! Echoes of people with skins beside dense physical optics in every chirp.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use num_complex::Complex64;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+/// A hall without walls, a few chirps, one receiver: all that the slow way can do in seconds.
+const HALL: &str = r#"
+format = 1
+name = "hall"
+[room]
+size_m = [12.0, 6.0, 4.0]
+max_body_reflections = 0
+max_reflections = 0
+x_low = { material = "open" }
+x_high = { material = "open" }
+y_low = { material = "open" }
+y_high = { material = "open" }
+floor = { material = "open" }
+ceiling = { material = "open" }
+[radar]
+position_m = [0.3, 3.0, 1.5]
+[waveform]
+start_frequency_hz = 59.558825e9
+end_frequency_hz = 60.441175e9
+samples_per_chirp = 256
+chirps_per_frame = 32
+sample_rate_hz = 1e6
+chirp_interval_s = 1e-3
+frame_interval_s = 0.1
+rx_antennas = [1]
+tx_power_level = 31
+if_gain_db = 43.0
+high_pass_cutoff_hz = 20e3
+anti_alias_cutoff_hz = 500e3
+[people]
+body = "mesh"
+[[people.actor]]
+height_m = 1.75
+step = [{ walk_to_m = [8.0, 3.3] }, { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.2 }]
+"#;
+
+fn hall(tolerance_db: f64) -> Simulator {
+    let scene = Scene::parse(HALL, Path::new("hall.toml")).expect("valid scene");
+    Simulator::new(&scene, SimulateOptions { seed: 3, tolerance_db, ..SimulateOptions::default() }).expect("valid options")
+}
+
+/// Range spectra with a Hann window: `[chirp][range]`.
+fn spectra(samples: &[f64], length: usize) -> Vec<Complex64> {
+    let window = |n: usize| 0.5 - 0.5 * (TAU * n as f64 / length as f64).cos();
+    let bin = |chirp: &[f64], k: usize| -> Complex64 {
+        chirp
+            .iter()
+            .enumerate()
+            .map(|(n, x)| Complex64::from_polar(x * window(n), -TAU * ((n * k) % length) as f64 / length as f64))
+            .sum()
+    };
+    samples.chunks(length).flat_map(|chirp| (0..length / 2).map(move |k| bin(chirp, k))).collect()
+}
+
+fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
+    let apart: f64 = exact.iter().zip(found).map(|(a, b)| (a - b).norm_sqr()).sum();
+    let power: f64 = exact.iter().map(Complex64::norm_sqr).sum();
+    (apart / power).sqrt()
+}
+
+/// Phase and strength in every chirp and range, not only on the mean: 5 percent is 0.4 dB.
+#[test]
+fn skins_are_dense_physical_optics_in_every_chirp() {
+    let frame = 12;
+    let exact = spectra(&hall(0.5).dense_echo_samples(frame, 10.0), 256);
+    let mut last = f64::INFINITY;
+    for (tolerance_db, most) in [(2.0, 0.16), (0.5, 0.06), (0.2, 0.05)] {
+        let simulator = hall(tolerance_db);
+        let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
+        let error = relative_error(&exact, &spectra(&samples, 256));
+        let estimate_db = simulator.render_with_report(frame).1.estimate_db.expect("a skin has an estimate");
+        eprintln!("{tolerance_db} dB: {error:.4}, estimate {estimate_db:.3} dB");
+        assert!(error < most, "{tolerance_db} dB: {error}");
+        assert!(error < 1.1 * last, "a finer tolerance is no worse");
+        last = error;
+    }
+}
+
+/// Somebody who stands still has a still echo: nothing of the numerics moves.
+#[test]
+fn who_breathes_only_moves_only_that_much() {
+    let still = HALL.replace(", { walk_to_m = [1.5, 3.3], speed_m_per_s = 1.2 }", "");
+    let scene = Scene::parse(&still, Path::new("hall.toml")).expect("valid scene");
+    let options = SimulateOptions { seed: 3, ..SimulateOptions::default() };
+    let simulator = Simulator::new(&scene, options).expect("valid options");
+    let samples: Vec<f64> = simulator.echo_samples(5).into_iter().map(f64::from).collect();
+    let chirps: Vec<Vec<Complex64>> = samples.chunks(256).map(|c| spectra(c, 256)).collect();
+    // Breath and sway stay below 10 mm/s: less than a radian over the frame.
+    let (first, last) = (&chirps[0], &chirps[chirps.len() - 1]);
+    let strongest = (0..128).max_by(|&a, &b| first[a].norm().total_cmp(&first[b].norm())).expect("bins");
+    let turned = (last[strongest] * first[strongest].conj()).arg().abs();
+    assert!(turned < 1.0, "{turned} rad");
+    assert!((last[strongest].norm() / first[strongest].norm() - 1.0).abs() < 0.2);
+}
+
+/// The same bytes whoever makes them.
+#[test]
+fn frames_of_skins_are_the_same_on_any_number_of_threads() {
+    let frames = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        let simulator = hall(0.5);
+        pool.install(|| [3u64, 4].map(|i| simulator.render(i).codes))
+    };
+    assert_eq!(frames(1), frames(3));
+}
+
+mod hard_cases {
+    use super::*;
+
+    /// Right through the radar.
+    #[test]
+    fn a_skin_around_the_radar_is_finite_and_counted() {
+        let through = HALL.replace("{ walk_to_m = [8.0, 3.3] }", "{ walk_to_m = [0.9, 3.0] }").replace("[1.5, 3.3]", "[0.2, 3.0]");
+        let scene = Scene::parse(&through, Path::new("hall.toml")).expect("valid scene");
+        let simulator = Simulator::new(&scene, SimulateOptions::default()).expect("valid options");
+        for frame in [0, 4, 8, 12] {
+            assert!(simulator.echo_samples(frame).iter().all(|x| x.is_finite()), "frame {frame}");
+        }
+        let clamped: usize = [4, 5, 6, 7, 8].map(|i| simulator.render_with_report(i).1.clamped).iter().sum();
+        assert!(clamped > 0, "who walks through the radar comes nearer than 10 cm");
+    }
+
+    #[test]
+    fn skins_do_not_sit_at_a_desk() {
+        let begin = HALL.find("[people]").expect("people");
+        let desk = format!("{}[people]\nbody = \"mesh\"\n[people.desk]\n", &HALL[..begin]);
+        let message = Scene::parse(&desk, Path::new("hall.toml")).expect_err("refused").to_string();
+        assert!(message.contains("body") && message.contains("desk"), "{message}");
+    }
+}
