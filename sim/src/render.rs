@@ -230,21 +230,16 @@ impl Renderer {
                 let pairs = audible_pairs(&self.stage, motion, middle_s);
                 if let Some(skin) = self.skin(motion) {
                     let now = snapshots.get(count / 2).map(Vec::as_slice).unwrap_or_default();
-                    // What all of a body sends back is spread over many cells.
-                    let least = 10f64.powf(0.5) * self.stage.threshold_lsb;
+                    let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
+                    let demand = Demand { tolerance_db: self.options.tolerance_db, noise_lsb };
                     let mut loud = loud_pairs(&self.stage, motion, now, me, &pairs);
-                    loud.retain(|(_, strength)| *strength > least);
-                    let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
-                    let loud: Vec<_> = match std::env::var("MARGIN") { Ok(m) => { let t = threshold_lsb(self.scene.receiver(), self.waveform(), m.parse().unwrap()); loud.into_iter().filter(|(_, l)| *l > t).collect() } Err(_) => loud };
-                    if std::env::var("DBG").is_ok() { for (p, l) in &loud { eprintln!("{:?} {:.1} dB over threshold", p, 20.0 * (l / self.stage.threshold_lsb).log10()); } }
+                    loud.retain(|(_, strength)| *strength > demand.least_pair_lsb());
                     let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
                     let times = FrameTimes {
                         keys_s: (0..count).map(|k| start_s + k as f64 * step_s).collect(),
                         chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect(),
                     };
                     let (stage, integrator) = (&self.stage, &self.integrator);
-                    let noise_lsb = stage.threshold_lsb * 10f64.powf(0.05 * margin_db(self.options.tolerance_db));
-                    let demand = Demand { tolerance_db: self.options.tolerance_db, noise_lsb };
                     let grids = skins.get_or_insert_with(|| ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps));
                     let missed =
                         skin.add_echoes(stage, integrator, &demand, &times, &snapshots, me, &loud, grids, report);
@@ -311,13 +306,13 @@ impl Renderer {
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut echo_report;
-        let mut count = std::env::var("KEYS").map_or(FIRST_KEYS, |k| k.parse().unwrap());
+        let mut count = FIRST_KEYS;
         let (snapshots, keyed, skins, phase_error_rad, missed) = loop {
             echo_report = EchoReport::default();
             let (snapshots, keyed, skins, missed) = self.trace(&motions, start_s, count, &mut echo_report);
             let step_s = self.active_s() / (count - 1) as f64;
             let error = self.interpolation_error_rad(&keyed, step_s).max(missed.between_keys);
-            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS || std::env::var("KEYS").is_ok() {
+            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS {
                 break (snapshots, keyed, skins, error, missed);
             }
             count = 2 * count - 1;

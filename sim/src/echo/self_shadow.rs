@@ -7,7 +7,7 @@
 //! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near. That is
 //! the same as a ray for each vertex and each outline, and takes a fifth of the time.
 
-use glam::{DVec2, DVec3};
+use glam::{DVec2, DVec3, Vec2};
 
 use crate::actor::skin::{PosedSkin, Skin};
 use crate::shadow::knife_edge;
@@ -16,7 +16,7 @@ use crate::shadow::knife_edge;
 const REACH_M: f64 = 0.06;
 /// Width of the cells of outlines, and of triangles, m.
 const CELL_M: f64 = 0.04;
-const TRIANGLE_CELL_M: f64 = 0.015;
+const TRIANGLE_CELL_M: f64 = 0.02;
 /// Beside an outline, where a ray looks for what lies behind, m.
 const BESIDE_M: f64 = 1e-4;
 /// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
@@ -41,6 +41,19 @@ struct Cells {
     members: Vec<u32>,
 }
 
+/// A triangle on the plane, in the form in which a place is put into it: its weights of the second and third corner are
+/// `to_second . (at - first)` and `to_third . (at - first)`.
+#[derive(Debug, Clone, Copy)]
+struct Facet {
+    first: Vec2,
+    to_second: Vec2,
+    to_third: Vec2,
+    /// Depth of the first corner, of the others beyond it, and of the nearest, m.
+    depth_m: f32,
+    deeper_m: [f32; 2],
+    nearest_m: f32,
+}
+
 /// What an antenna sees of a body.
 struct View<'a> {
     skin: &'a Skin,
@@ -48,7 +61,8 @@ struct View<'a> {
     seen: Vec<(DVec2, f64)>,
     /// Whether each triangle faces the antenna.
     facing: Vec<bool>,
-    /// Those that do, by cell.
+    /// Those that do, and which are where.
+    facets: Vec<Facet>,
     triangles: Cells,
     pieces: Vec<Piece>,
     outlines: Cells,
@@ -121,21 +135,26 @@ impl Cells {
                 [x0, y0, x1, y1]
             })
             .collect();
-        let numbers = |&[x0, y0, x1, y1]: &[usize; 4]| {
-            (y0..=y1).flat_map(move |y| (x0..=x1).map(move |x| y * count[0] + x))
-        };
-        for cell in ranges.iter().flat_map(numbers) {
-            cells.starts[cell + 1] += 1;
+        for &[x0, y0, x1, y1] in &ranges {
+            for y in y0..=y1 {
+                for start in &mut cells.starts[y * count[0] + x0 + 1..=y * count[0] + x1 + 1] {
+                    *start += 1;
+                }
+            }
         }
-        for i in 1..cells.starts.len() {
-            cells.starts[i] += cells.starts[i - 1];
+        let mut total = 0;
+        for start in &mut cells.starts {
+            total += *start;
+            *start = total;
         }
         let mut next = cells.starts.clone();
-        cells.members = vec![0; cells.starts.last().map_or(0, |&n| n as usize)];
-        for (number, range) in ranges.iter().enumerate() {
-            for cell in numbers(range) {
-                cells.members[next[cell] as usize] = number as u32;
-                next[cell] += 1;
+        cells.members = vec![0; total as usize];
+        for (number, &[x0, y0, x1, y1]) in (0..).zip(&ranges) {
+            for y in y0..=y1 {
+                for next in &mut next[y * count[0] + x0..=y * count[0] + x1] {
+                    cells.members[*next as usize] = number;
+                    *next += 1;
+                }
             }
         }
         cells
@@ -166,45 +185,43 @@ impl<'a> View<'a> {
         };
         let forward = plane.u.cross(plane.v).dot(plane.forward);
         let facing: Vec<bool> = skin.rest().triangles.iter().map(|t| turned(t) * forward < 0.0).collect();
-        let nothing = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-        let boxes: Vec<(DVec2, DVec2)> = skin
-            .rest()
-            .triangles
-            .iter()
-            .zip(&facing)
-            .filter(|(_, facing)| **facing)
-            .map(|(corners, _)| {
-                corners.iter().filter_map(|&v| seen.get(v as usize)).fold(nothing, |(l, h), s| (l.min(s.0), h.max(s.0)))
-            })
-            .collect();
-        let mut triangles = Cells::new(&boxes, TRIANGLE_CELL_M);
-        // From numbers among those that face the antenna to numbers among all.
-        let numbers: Vec<u32> = (0..facing.len() as u32).filter(|&t| facing[t as usize]).collect();
-        for member in &mut triangles.members {
-            *member = numbers.get(*member as usize).copied().unwrap_or(u32::MAX);
+        let (mut facets, mut boxes) = (Vec::new(), Vec::new());
+        for (corners, _) in skin.rest().triangles.iter().zip(&facing).filter(|(_, facing)| **facing) {
+            let [(a, depth_a), (b, depth_b), (c, depth_c)] = corners.map(|v| seen[v as usize]);
+            let (u, v) = (b - a, c - a);
+            let area = u.perp_dot(v);
+            facets.push(Facet {
+                first: a.as_vec2(),
+                to_second: (DVec2::new(v.y, -v.x) / area).as_vec2(),
+                to_third: (DVec2::new(-u.y, u.x) / area).as_vec2(),
+                depth_m: depth_a as f32,
+                deeper_m: [(depth_b - depth_a) as f32, (depth_c - depth_a) as f32],
+                nearest_m: depth_a.min(depth_b).min(depth_c) as f32,
+            });
+            boxes.push((a.min(b).min(c), a.max(b).max(c)));
         }
+        let triangles = Cells::new(&boxes, TRIANGLE_CELL_M);
         let outlines = Cells::new(&[], CELL_M);
-        let mut view = View { skin, seen, facing, triangles, pieces: Vec::new(), outlines };
+        let mut view = View { skin, seen, facing, facets, triangles, pieces: Vec::new(), outlines };
         view.find_outlines();
         view
     }
 
     /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
     fn nearest_m(&self, at: DVec2, than_m: f64) -> f64 {
-        let mut nearest = than_m;
-        for &triangle in self.triangles.at(at) {
-            let Some(corners) = self.skin.rest().triangles.get(triangle as usize) else { continue };
-            let [(a, depth_a), (b, depth_b), (c, depth_c)] = corners.map(|v| self.seen[v as usize]);
-            if depth_a >= nearest && depth_b >= nearest && depth_c >= nearest {
+        let (mut nearest, place) = (than_m as f32, at.as_vec2());
+        for &number in self.triangles.at(at) {
+            let Some(facet) = self.facets.get(number as usize) else { continue };
+            if facet.nearest_m >= nearest {
                 continue;
             }
-            let area = (b - a).perp_dot(c - a);
-            let (p, q) = ((at - a).perp_dot(c - a) / area, (b - a).perp_dot(at - a) / area);
+            let offset = place - facet.first;
+            let (p, q) = (facet.to_second.dot(offset), facet.to_third.dot(offset));
             if p >= 0.0 && q >= 0.0 && p + q <= 1.0 {
-                nearest = nearest.min(depth_a + p * (depth_b - depth_a) + q * (depth_c - depth_a));
+                nearest = nearest.min(facet.depth_m + p * facet.deeper_m[0] + q * facet.deeper_m[1]);
             }
         }
-        nearest
+        f64::from(nearest)
     }
 
     fn find_outlines(&mut self) {
@@ -242,7 +259,7 @@ impl<'a> View<'a> {
     fn weight(&self, vertex: usize, wavelength_m: f64) -> f64 {
         let Some(&(at, depth_m)) = self.seen.get(vertex) else { return 1.0 };
         let least_m = depth_m - BEHIND_M;
-        let shaded = self.nearest_m(at, least_m) < least_m;
+        let shaded = self.nearest_m(at, least_m) < f64::from(least_m as f32);
         let far = if shaded { 0.0 } else { 1.0 };
         // Squared distance across in units of the first Fresnel zone, and in metres.
         let (mut nearest, mut across_m2) = (f64::INFINITY, f64::INFINITY);

@@ -12,7 +12,7 @@
 //! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 use num_complex::{Complex, Complex64};
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
@@ -42,12 +42,10 @@ pub struct Fineness {
 impl Fineness {
     /// For an error of this many decibels.
     pub fn for_tolerance(tolerance_db: f64) -> Self {
-        if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
-        if let Ok(w) = std::env::var("WIN") { let w: Vec<f64> = w.split(',').map(|x| x.parse().unwrap()).collect(); return Fineness { window: [w[0], w[1]], bend_rad: w[2] }; }
-        // Found by measuring (`radome bench scene`): bends err in proportion, windows by their tails.
+        // Found by measuring (`radome bench scene`): windows err by their tails, bends nearly in proportion.
         let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
-        let inner = (0.35 * part.powf(-0.3)).clamp(0.12, 0.7);
-        Fineness { window: [inner, (inner + 0.25).min(0.95)], bend_rad: (0.25 * part).min(2.0) }
+        let inner = (0.45 * part.powf(if part > 1.0 { -0.4 } else { -0.63 })).clamp(0.15, 0.8);
+        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.2 * part.powf(0.65)).min(1.5) }
     }
 
     /// Weight of a place by the cosine between normal and bisector.
@@ -72,8 +70,23 @@ impl Demand {
     fn fineness(&self, loudness_lsb: f64) -> Fineness {
         /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
         const LOUD: f64 = 18.0;
-        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, 4.0);
+        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, self.laxity().max(1.0));
         Fineness::for_tolerance(self.tolerance_db * relaxed)
+    }
+
+    /// The loudness of all of a body by a pair of images below which the pair is left out, LSB: it is spread over many cells.
+    pub fn least_pair_lsb(&self) -> f64 {
+        self.noise_lsb * self.laxity().min(4.0)
+    }
+
+    /// The strength below which a patch is left out, LSB: patches add up.
+    fn least_patch_lsb(&self) -> f64 {
+        0.06 * self.least_pair_lsb()
+    }
+
+    /// How much more than for half a decibel may be left out: less than in proportion, for it adds to what integration misses.
+    fn laxity(&self) -> f64 {
+        (self.tolerance_db / 0.5).sqrt()
     }
 }
 
@@ -109,15 +122,12 @@ struct Place {
     rx: Vec<DVec3>,
 }
 
-/// What an image antenna throws on a vertex.
-#[derive(Debug, Clone, Copy)]
-struct Light {
-    field: Phasor3,
-    /// What people and limbs leave of it.
-    weight: f64,
-    /// From the antenna to the vertex.
-    direction: DVec3,
-    distance_m: f64,
+/// What an image antenna throws on the vertices.
+struct Light<'a> {
+    fields: &'a [Phasor3],
+    /// What people and limbs leave of them.
+    weights: Vec<f64>,
+    antenna: DVec3,
 }
 
 /// Triangles that shine between two images, with their cuts.
@@ -143,7 +153,19 @@ struct PosedTriangle {
     curved: CurvedTriangle,
     /// Of the middle, m/s, and of the corners against it.
     velocity: DVec3,
-    against: [DVec3; 3],
+    against: [Vec3; 3],
+}
+
+/// Those triangles that somebody looks at: close together in memory, by number.
+struct PosedTriangles {
+    slots: Vec<u32>,
+    triangles: Vec<PosedTriangle>,
+}
+
+impl PosedTriangles {
+    fn get(&self, number: u32) -> Option<&PosedTriangle> {
+        self.triangles.get(*self.slots.get(number as usize)? as usize)
+    }
 }
 
 /// A triangle at a key.
@@ -217,17 +239,20 @@ impl SkinnedPerson {
         indices.dedup();
         let antenna = middle_antenna(stage);
         let places: Vec<Place> = indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect();
-        // What is near a highlight at the beginning, in the middle or at the end.
+        // What is near a highlight at the beginning or at the end.
         let middle = posed.len() / 2;
         let Some(last) = posed.len().checked_sub(1) else { return Missed::default() };
-        let ends: Vec<(&PosedSkin, Vec<Vec<DVec3>>)> = [0, middle, last]
-            .map(|i| (&posed[i], places.iter().map(|place| towards(&posed[i], place.middle)).collect()))
+        let ends: Vec<(Vec<Vec3>, Vec<Vec<Vec3>>)> = [0, last]
+            .map(|i| {
+                let normals = posed[i].normals.iter().map(|n| n.as_vec3()).collect();
+                (normals, places.iter().map(|place| towards(&posed[i], place.middle)).collect())
+            })
             .to_vec();
         let pairs: Vec<Pair> = ways
             .iter()
             .map(|(way, loudness)| {
                 let images = way.map(|index| indices.binary_search(&index).unwrap_or(0));
-                let near = ends.iter().map(|(posed, d)| (*posed, images.map(|i| d[i].as_slice())));
+                let near = ends.iter().map(|(normals, d)| (normals.as_slice(), images.map(|i| d[i].as_slice())));
                 let of = images.map(|i| places[i].middle);
                 self.select(near, &posed[middle], of, images, demand.fineness(*loudness), stage)
             })
@@ -244,15 +269,30 @@ impl SkinnedPerson {
                 used[triangle as usize] = true;
             }
         }
-        let triangles: Vec<Vec<Option<PosedTriangle>>> =
-            posed.iter().map(|posed| self.pose_triangles(posed, &used)).collect();
+        let triangles: Vec<PosedTriangles> = posed.iter().map(|posed| self.pose_triangles(posed, &used)).collect();
         // Strengths change less than phases: they are found at every second key, and are half-way in between.
         let exact = |i: usize| i.is_multiple_of(2) || i == last;
-        let lights: Vec<Vec<Vec<Option<Light>>>> = (0..posed.len())
+        // Patterns and walls change less still: the middle will do.
+        let fields: Vec<Vec<Phasor3>> = indices
+            .iter()
+            .zip(&wanted)
+            .map(|(&index, wanted)| {
+                let field = |(v, wanted): (&DVec3, &bool)| {
+                    if *wanted { stage.room.illuminate(&antenna, index, *v).field } else { Phasor3::real(DVec3::ZERO) }
+                };
+                posed[middle].vertices.iter().zip(wanted).map(field).collect()
+            })
+            .collect();
+        let lights: Vec<Vec<Light>> = (0..posed.len())
             .map(|i| {
                 let Some(people) = people.get(i).filter(|_| exact(i)) else { return Vec::new() };
-                let each = indices.iter().zip(&wanted);
-                each.map(|(&index, wanted)| self.light(stage, &antenna, &posed[i], people, me, index, wanted)).collect()
+                let each = indices.iter().zip(&wanted).zip(&fields);
+                each.map(|((&index, wanted), fields)| Light {
+                    fields,
+                    weights: self.weights(stage, &antenna, &posed[i], people, me, index, wanted),
+                    antenna: stage.room.image_position(index, antenna.position),
+                })
+                .collect()
             })
             .collect();
 
@@ -289,7 +329,7 @@ impl SkinnedPerson {
                     self.difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
                 },
             });
-            self.add_pair(stage, pair, between, &keys, times, &mut sums, grids, report);
+            self.add_pair(stage, pair, between, demand.least_patch_lsb(), &keys, times, &mut sums, grids, report);
         }
         missed.unwrap_or_default()
     }
@@ -340,7 +380,7 @@ impl SkinnedPerson {
     /// Triangles near a highlight, with the cuts that they need.
     fn select<'a>(
         &self,
-        near: impl Iterator<Item = (&'a PosedSkin, [&'a [DVec3]; 2])>,
+        near: impl Iterator<Item = (&'a [Vec3], [&'a [Vec3]; 2])>,
         middle: &PosedSkin,
         antennas: [DVec3; 2],
         images: [usize; 2],
@@ -349,9 +389,9 @@ impl SkinnedPerson {
     ) -> Pair {
         let mut shines = vec![false; self.cloth.len()];
         // As the window's weight, without its roots.
-        let least = 1.0 - fineness.window[1] * fineness.window[1];
-        for (posed, [there, home]) in near {
-            for (((shines, t), r), normal) in shines.iter_mut().zip(there).zip(home).zip(&posed.normals) {
+        let least = (1.0 - fineness.window[1] * fineness.window[1]) as f32;
+        for (normals, [there, home]) in near {
+            for (((shines, t), r), normal) in shines.iter_mut().zip(there).zip(home).zip(normals) {
                 let bisector = *t + *r;
                 let (square, cosine) = (bisector.length_squared(), normal.dot(bisector));
                 *shines |= cosine > 0.0
@@ -392,20 +432,21 @@ impl SkinnedPerson {
     }
 
     /// The triangles that are wanted, in a pose.
-    fn pose_triangles(&self, posed: &PosedSkin, wanted: &[bool]) -> Vec<Option<PosedTriangle>> {
-        let pose = |(number, corners): (usize, &[u32; 3])| {
-            wanted.get(number).filter(|w| **w)?;
+    fn pose_triangles(&self, posed: &PosedSkin, wanted: &[bool]) -> PosedTriangles {
+        let mut all = PosedTriangles { slots: vec![u32::MAX; wanted.len()], triangles: Vec::new() };
+        for (number, corners) in self.mesh.skin().rest().triangles.iter().enumerate().filter(|(i, _)| wanted[*i]) {
             let velocities = corners.map(|v| posed.velocities_m_per_s.get(v as usize).copied().unwrap_or_default());
             let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
-            let against = velocities.map(|v| v - velocity);
-            Some(PosedTriangle { curved: self.curved(posed, number), velocity, against })
-        };
-        self.mesh.skin().rest().triangles.iter().enumerate().map(pose).collect()
+            let against = velocities.map(|v| (v - velocity).as_vec3());
+            all.slots[number] = all.triangles.len() as u32;
+            all.triangles.push(PosedTriangle { curved: self.curved(posed, number), velocity, against });
+        }
+        all
     }
 
-    /// What an image antenna throws on every vertex that is wanted.
+    /// What people and limbs leave of an image antenna's field at every vertex that is wanted.
     #[allow(clippy::too_many_arguments)]
-    fn light(
+    fn weights(
         &self,
         stage: &Stage,
         antenna: &Element,
@@ -414,16 +455,10 @@ impl SkinnedPerson {
         me: usize,
         index: ImageIndex,
         wanted: &[bool],
-    ) -> Vec<Option<Light>> {
+    ) -> Vec<f64> {
         let middle = stage.room.image_position(index, antenna.position);
         let own = self_shadow::weights(self.mesh.skin(), posed, middle, stage.wavelength_m, wanted);
-        let past = self.past_people(stage, people, me, index);
-        let lit = |(v, weight): (usize, f64)| {
-            wanted.get(v).filter(|w| **w)?;
-            let i = stage.room.illuminate(antenna, index, *posed.vertices.get(v)?);
-            Some(Light { field: i.field, weight, direction: i.direction, distance_m: i.distance_m })
-        };
-        own.iter().zip(past).map(|(a, b)| a * b).enumerate().map(lit).collect()
+        own.iter().zip(self.past_people(stage, people, me, index)).map(|(a, b)| a * b).collect()
     }
 
     /// Strength at every vertex, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
@@ -432,7 +467,7 @@ impl SkinnedPerson {
         &self,
         stage: &Stage,
         posed: &PosedSkin,
-        lights: &[Vec<Option<Light>>],
+        lights: &[Light],
         pair: &Pair,
         report: &mut EchoReport,
     ) -> Vec<Complex64> {
@@ -444,25 +479,26 @@ impl SkinnedPerson {
         let [Some(out), Some(back)] = pair.images.map(|i| lights.get(i)) else { return all };
         for &v in &pair.vertices {
             let i = v as usize;
-            let (Some(Some(there)), Some(Some(home))) = (out.get(i), back.get(i)) else { continue };
             let (normal, point) = (posed.normals[i], posed.vertices[i]);
-            let bisector = there.direction + home.direction;
+            let [there, home] = [out, back].map(|light| View::new(light.antenna, point));
+            let [outwards, homewards] = [there, home].map(|view| view.offset / view.distance_m);
+            let bisector = outwards + homewards;
             let length = bisector.length();
             let cosine = -normal.dot(bisector) / length.max(1e-12);
-            if normal.dot(there.direction) >= 0.0 || normal.dot(home.direction) >= 0.0 {
+            if normal.dot(outwards) >= 0.0 || normal.dot(homewards) >= 0.0 {
                 continue;
             }
             // Grazing highlights fade: forward scattering is not theirs to tell.
             let window = pair.fineness.weight(cosine) * smooth_step((0.5 * length - 0.2) / 0.1);
-            let weight = window * there.weight * home.weight * self.cloth[i];
+            let weight = window * out.weights[i] * back.weights[i] * self.cloth[i];
             if weight <= 0.0 {
                 continue;
             }
             let clamped = there.distance_m < LEAST_DISTANCE_M || home.distance_m < LEAST_DISTANCE_M;
             report.clamped += usize::from(clamped);
             let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
-            let arrival = Arrival { field: there.field, direction: there.direction };
-            let heard = heard_by(&arrival, normal, &skin, k, -home.direction, home.field);
+            let arrival = Arrival { field: out.fields[i], direction: outwards };
+            let heard = heard_by(&arrival, normal, &skin, k, -homewards, back.fields[i]);
             all[i] = factor * heard * (spreading * weight * inside_room(stage, point));
         }
         all
@@ -473,7 +509,7 @@ impl SkinnedPerson {
         &self,
         stage: &Stage,
         integrator: &Integrator,
-        posed: &[Option<PosedTriangle>],
+        posed: &PosedTriangles,
         [first, second]: [&Place; 2],
         pair: &Pair,
         slopes: &Slopes,
@@ -490,15 +526,15 @@ impl SkinnedPerson {
             views.clear();
             moments.clear();
             for &i in members {
-                let Some(Some(triangle)) = posed.get(pair.triangles[i as usize].0 as usize) else { continue };
+                let Some(triangle) = posed.get(pair.triangles[i as usize].0) else { continue };
                 let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.curved.middle));
                 views.push((triangle.curved, t, r));
             }
             integrator.moments(&views, k, cuts + 1, &mut moments);
             for ((&i, (triangle, t, r)), moments) in members.iter().zip(&views).zip(&moments) {
-                let number = pair.triangles[i as usize].0 as usize;
-                let corners = self.mesh.skin().rest().triangles.get(number).copied().unwrap_or_default();
-                let Some(Some(PosedTriangle { velocity, against, .. })) = posed.get(number) else { continue };
+                let number = pair.triangles[i as usize].0;
+                let corners = self.mesh.skin().rest().triangles.get(number as usize).copied().unwrap_or_default();
+                let Some(PosedTriangle { velocity, against, .. }) = posed.get(number) else { continue };
                 let velocity = *velocity;
                 let [away_t, away_r] = [t, r].map(|view| view.offset / view.distance_m);
                 let mut key = TriangleKey {
@@ -507,13 +543,13 @@ impl SkinnedPerson {
                     rate_m_per_s: (away_t + away_r).dot(velocity),
                     ..TriangleKey::default()
                 };
-                let speeds = [away_t.dot(velocity), away_r.dot(velocity)];
+                let (speeds, away) = ([away_t.dot(velocity), away_r.dot(velocity)], away_t + away_r);
                 for ((v, moment), (d, against)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(against)) {
                     let moment = Complex64::new(moment.re.into(), moment.im.into());
                     let (strength, slope) = slopes.at(*v);
                     // How fast the path by the corner grows against that by the middle.
                     let d = d.as_dvec3();
-                    let (sideways, turning) = ((away_t + away_r).dot(*against), d.dot(velocity));
+                    let (sideways, turning) = (away.dot(against.as_dvec3()), d.dot(velocity));
                     let rate = sideways
                         + (turning - away_t.dot(d) * speeds[0]) / t.distance_m
                         + (turning - away_r.dot(d) * speeds[1]) / r.distance_m;
@@ -533,6 +569,7 @@ impl SkinnedPerson {
         stage: &Stage,
         pair: &Pair,
         between: [&Place; 2],
+        least_lsb: f64,
         keys: &[Vec<TriangleKey>],
         times: &FrameTimes,
         sums: &mut ChirpSums,
@@ -545,7 +582,7 @@ impl SkinnedPerson {
         let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up: one alone this far below what can be seen is not missed.
-        let least = (0.2 * stage.threshold_lsb / loudest.max(1e-300)) as f32;
+        let least = (least_lsb / loudest.max(1e-300)) as f32;
         let (mut begin, mut chirps) = (0, Vec::new());
         while begin < pair.triangles.len() {
             let end = (begin..pair.triangles.len()).find(|&i| patch_of(i) != patch_of(begin));
@@ -683,8 +720,8 @@ fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m:
 }
 
 /// Unit vectors from the vertices to an antenna.
-fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<DVec3> {
-    posed.vertices.iter().map(|v| (antenna - *v).normalize_or_zero()).collect()
+fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<Vec3> {
+    posed.vertices.iter().map(|v| (antenna - *v).as_vec3().normalize_or_zero()).collect()
 }
 
 /// An antenna in the middle of transmitter and receivers.

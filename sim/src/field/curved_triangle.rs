@@ -114,12 +114,9 @@ struct Cut {
     parts: Vec<Part>,
 }
 
-/// A part that is cut in four.
+/// A part that is cut in four: its corners, then the middles of its edges.
 struct Part {
-    /// Its corners, then the middles of its edges.
     six: [usize; 6],
-    /// Weights of the middles of its four triangles.
-    weights: [[f32; 3]; 4],
 }
 
 /// Corners of the four triangles of a part, by their places in [`Part::six`].
@@ -139,11 +136,7 @@ impl Cut {
         let mut part = |a: [usize; 2], b: [usize; 2], c: [usize; 2]| {
             let middle = |p: [usize; 2], q: [usize; 2]| [(p[0] + q[0]) / 2, (p[1] + q[1]) / 2];
             let six = [a, b, c, middle(a, b), middle(b, c), middle(c, a)].map(|[i, j]| index(i, j));
-            let weights = QUARTERS.map(|corners| {
-                let of = corners.map(|corner| nodes[six[corner]]);
-                std::array::from_fn(|i| (of[0][i] + of[1][i] + of[2][i]) / 3.0)
-            });
-            parts.push(Part { six, weights });
+            parts.push(Part { six });
         };
         for i in (0..n).step_by(2) {
             for j in (0..n - i).step_by(2) {
@@ -275,7 +268,7 @@ fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Momen
             // What is left of the path over the linear one in each quarter has its mean at a twelfth of what the middles miss.
             shift[l] = ((six[3][l] + six[4][l] + six[5][l]) - (six[0][l] + six[1][l] + six[2][l])) / 12.0;
         }
-        for (quarter, weights) in QUARTERS.iter().zip(&part.weights) {
+        for quarter in &QUARTERS {
             let [p, q, r] = quarter.map(|corner| part.six[corner]);
             let (mut a, mut b, mut c, mut twice_area) = (zero, zero, zero, zero);
             for l in 0..LANES {
@@ -285,15 +278,18 @@ fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Momen
                 let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
                 twice_area[l] = (x * x + y * y + z * z).sqrt();
             }
-            let (value_re, value_im) = integrals(&a, &b, &c);
-            let [wa, wb, wc] = *weights;
-            for l in 0..LANES {
-                twice_area[l] *= 1.0 + turns[0][l] * (wa * wb) + turns[1][l] * (wb * wc) + turns[2][l] * (wc * wa);
-            }
-            for ((re, im), w) in re.iter_mut().zip(&mut im).zip(weights) {
+            let values = moments(&a, &b, &c);
+            // From corners of the quarter to corners of the whole.
+            for ((value_re, value_im), corner) in values.iter().zip([p, q, r]) {
+                let [wa, wb, wc] = cut.nodes[corner];
                 for l in 0..LANES {
-                    re[l] += value_re[l] * (twice_area[l] * w);
-                    im[l] += value_im[l] * (twice_area[l] * w);
+                    let above = 1.0 + turns[0][l] * (wa * wb) + turns[1][l] * (wb * wc) + turns[2][l] * (wc * wa);
+                    let area = twice_area[l] * above;
+                    let (x, y) = (value_re[l] * area, value_im[l] * area);
+                    for ((re, im), w) in re.iter_mut().zip(&mut im).zip([wa, wb, wc]) {
+                        re[l] += x * w;
+                        im[l] += y * w;
+                    }
                 }
             }
         }
@@ -301,64 +297,117 @@ fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Momen
     std::array::from_fn(|l| std::array::from_fn(|i| Complex::new(re[i][l], im[i][l])))
 }
 
-/// [`triangle::integral`] of a vector of triangles in single precision: both of its forms, and for each triangle the one that holds.
+/// The integral of `exp(j phase)` over an edge and what it changes by as its ends' phases do, over j, side by side.
+struct Edge {
+    value: (Row, Row),
+    to_first: (Row, Row),
+    to_second: (Row, Row),
+}
+
+impl Edge {
+    #[inline(always)]
+    fn new(first: &Row, second: &Row) -> Self {
+        let (mut half, mut mean): (Row, Row) = Default::default();
+        for i in 0..LANES {
+            half[i] = 0.5 * (second[i] - first[i]);
+            mean[i] = 0.5 * (first[i] + second[i]);
+        }
+        let (sine, cosine) = sin_cos(&half);
+        let (turn_im, turn_re) = sin_cos(&mean);
+        let mut edge = Edge { value: Default::default(), to_first: Default::default(), to_second: Default::default() };
+        for i in 0..LANES {
+            let square = half[i] * half[i];
+            let near = half[i] < 0.3;
+            let over = 1.0 / half[i].max(0.1);
+            let far_sinc = sine[i] * over;
+            let sinc = if near {
+                1.0 - square * (1.0 / 6.0) * (1.0 - square * (1.0 / 20.0) * (1.0 - square * (1.0 / 42.0)))
+            } else {
+                far_sinc
+            };
+            let slope = if near {
+                -half[i] * (1.0 / 3.0) * (1.0 - square * (1.0 / 10.0) * (1.0 - square * (1.0 / 28.0)))
+            } else {
+                (cosine[i] - far_sinc) * over
+            };
+            // Derivatives over j: of the turn half the value, of the sinc minus j and plus j half its slope.
+            let (a, b) = (0.5 * sinc, 0.5 * slope);
+            let (x, y) = (turn_re[i], turn_im[i]);
+            (edge.value.0[i], edge.value.1[i]) = (x * sinc, y * sinc);
+            (edge.to_first.0[i], edge.to_first.1[i]) = (x * a - y * b, y * a + x * b);
+            (edge.to_second.0[i], edge.to_second.1[i]) = (x * a + y * b, y * a - x * b);
+        }
+        edge
+    }
+}
+
+/// [`triangle::moments`] of a vector of triangles in single precision: both of its forms, and for each triangle the one that
+/// holds.
 #[inline(always)]
-fn integrals(a: &Row, b: &Row, c: &Row) -> (Row, Row) {
-    let (mut low, mut middle, mut high): (Row, Row, Row) = Default::default();
+fn moments(a: &Row, b: &Row, c: &Row) -> [(Row, Row); 3] {
+    let (mut low, mut middle, mut high, mut mean): (Row, Row, Row, Row) = Default::default();
     for i in 0..LANES {
         let (x, y) = (a[i].min(b[i]), a[i].max(b[i]));
         low[i] = x.min(c[i]);
         high[i] = y.max(c[i]);
         middle[i] = x.max(y.min(c[i]));
+        mean[i] = (a[i] + b[i] + c[i]) * (1.0 / 3.0);
     }
-    let (mut mean, mut upper, mut lower): (Row, Row, Row) = Default::default();
-    let (mut half_upper, mut half_lower): (Row, Row) = Default::default();
+    let (lower, upper) = (Edge::new(&low, &middle), Edge::new(&middle, &high));
+    // Of low, middle and high: the difference of the edges' integrals over the longest difference, and its derivatives.
+    let mut sorted: [(Row, Row); 3] = Default::default();
     for i in 0..LANES {
-        mean[i] = (low[i] + middle[i] + high[i]) * (1.0 / 3.0);
-        upper[i] = 0.5 * (middle[i] + high[i]);
-        lower[i] = 0.5 * (low[i] + middle[i]);
-        half_upper[i] = 0.5 * (high[i] - middle[i]);
-        half_lower[i] = 0.5 * (middle[i] - low[i]);
+        let over = 1.0 / (high[i] - low[i]).max(0.5);
+        // Over j: minus j times.
+        let whole = ((upper.value.1[i] - lower.value.1[i]) * over, -(upper.value.0[i] - lower.value.0[i]) * over);
+        let divide = |x: f32, y: f32| (y * over, -x * over);
+        let (x, y) = divide(-lower.to_first.0[i], -lower.to_first.1[i]);
+        // The longest difference changes too; its derivative over j.
+        (sorted[0].0[i], sorted[0].1[i]) = (x + whole.1 * over, y - whole.0 * over);
+        let between = (upper.to_first.0[i] - lower.to_second.0[i], upper.to_first.1[i] - lower.to_second.1[i]);
+        (sorted[1].0[i], sorted[1].1[i]) = divide(between.0, between.1);
+        let (x, y) = divide(upper.to_second.0[i], upper.to_second.1[i]);
+        (sorted[2].0[i], sorted[2].1[i]) = (x - whole.1 * over, y + whole.0 * over);
     }
-    let (mean_sin, mean_cos) = sin_cos(&mean);
-    let (upper_sin, upper_cos) = sin_cos(&upper);
-    let (lower_sin, lower_cos) = sin_cos(&lower);
-    let (sine_upper, _) = sin_cos(&half_upper);
-    let (sine_lower, _) = sin_cos(&half_lower);
-    let (mut re, mut im): (Row, Row) = Default::default();
-    for i in 0..LANES {
-        // The series about the mean.
-        let (x, y, z) = (low[i] - mean[i], middle[i] - mean[i], high[i] - mean[i]);
-        let (e2, e3) = (x * y + y * z + z * x, x * y * z);
-        let h2 = -e2;
-        let h3 = e3;
-        let h4 = e2 * e2;
-        let h5 = -2.0 * e2 * e3;
-        let h6 = -e2 * h4 + e3 * h3;
-        let h7 = -e2 * h5 + e3 * h4;
-        let h8 = -e2 * h6 + e3 * h5;
-        let h9 = -e2 * h7 + e3 * h6;
-        let h10 = -e2 * h8 + e3 * h7;
-        let even = 0.5
-            - h2 * (1.0 / 24.0)
-            + h4 * (1.0 / 720.0)
-            - h6 * (1.0 / 40_320.0)
-            + h8 * (1.0 / 3_628_800.0)
-            - h10 * (1.0 / 479_001_600.0);
-        let odd = -h3 * (1.0 / 120.0) + h5 * (1.0 / 5040.0) - h7 * (1.0 / 362_880.0) + h9 * (1.0 / 39_916_800.0);
-        let near_re = even * mean_cos[i] - odd * mean_sin[i];
-        let near_im = even * mean_sin[i] + odd * mean_cos[i];
-        // The difference of the edges' integrals over the longest difference.
-        let sinc = |half: f32, sine: f32| if half > 0.05 { sine / half } else { 1.0 - half * half * (1.0 / 6.0) };
-        let (u, l) = (sinc(half_upper[i], sine_upper[i]), sinc(half_lower[i], sine_lower[i]));
-        let longest = high[i] - low[i];
-        let over = 1.0 / longest.max(0.5);
-        let (dx, dy) = (upper_cos[i] * u - lower_cos[i] * l, upper_sin[i] * u - lower_sin[i] * l);
-        let near = longest < 1.5;
-        re[i] = if near { near_re } else { dy * over };
-        im[i] = if near { near_im } else { -dx * over };
+    let (turn_im, turn_re) = sin_cos(&mean);
+    let mut out: [(Row, Row); 3] = Default::default();
+    for (corner, (re, im)) in [a, b, c].into_iter().zip(&mut out) {
+        for i in 0..LANES {
+            // The series about the mean, in which this corner's phase counts twice.
+            let (x, y, z) = (a[i] - mean[i], b[i] - mean[i], c[i] - mean[i]);
+            let (e2, e3, own) = (x * y + y * z + z * x, x * y * z, corner[i] - mean[i]);
+            let h2 = -e2;
+            let h3 = e3;
+            let h4 = e2 * e2;
+            let h5 = -2.0 * e2 * e3;
+            let h6 = -e2 * h4 + e3 * h3;
+            let h7 = -e2 * h5 + e3 * h4;
+            let h8 = -e2 * h6 + e3 * h5;
+            let t1 = own;
+            let t2 = h2 + own * t1;
+            let t3 = h3 + own * t2;
+            let t4 = h4 + own * t3;
+            let t5 = h5 + own * t4;
+            let t6 = h6 + own * t5;
+            let t7 = h7 + own * t6;
+            let t8 = h8 + own * t7;
+            let t9 = own * t8;
+            let even = 1.0 / 6.0 - t2 * (1.0 / 120.0) + t4 * (1.0 / 5040.0) - t6 * (1.0 / 362_880.0)
+                + t8 * (1.0 / 39_916_800.0);
+            let odd = t1 * (1.0 / 24.0) - t3 * (1.0 / 720.0) + t5 * (1.0 / 40_320.0) - t7 * (1.0 / 3_628_800.0)
+                + t9 * (1.0 / 479_001_600.0);
+            let near_re = even * turn_re[i] - odd * turn_im[i];
+            let near_im = even * turn_im[i] + odd * turn_re[i];
+            let (is_low, is_high) = (corner[i] <= low[i], corner[i] >= high[i]);
+            let pick = |l: f32, m: f32, h: f32| if is_low { l } else if is_high { h } else { m };
+            let far_re = pick(sorted[0].0[i], sorted[1].0[i], sorted[2].0[i]);
+            let far_im = pick(sorted[0].1[i], sorted[1].1[i], sorted[2].1[i]);
+            let near = high[i] - low[i] < 1.5;
+            re[i] = if near { near_re } else { far_re };
+            im[i] = if near { near_im } else { far_im };
+        }
     }
-    (re, im)
+    out
 }
 
 /// Sines and cosines of a vector to a few units of the seventh digit: by the half angle's series and its doubling.
@@ -444,7 +493,7 @@ mod tests {
             .collect()
     }
 
-    fn moments(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel, cuts: usize) -> [Complex<f32>; 3] {
+    fn of(triangle: &CurvedTriangle, antennas: [DVec3; 2], level: KernelLevel, cuts: usize) -> [Complex<f32>; 3] {
         let [tx, rx] = antennas.map(|a| View::new(a, triangle.middle));
         let mut out = Vec::new();
         Integrator { level, ..Integrator::default() }.moments(&[(*triangle, tx, rx)], K, cuts, &mut out);
@@ -458,7 +507,7 @@ mod tests {
         for (triangle, antennas) in triangles() {
             let exact = exact_moments(&triangle, antennas, K, 24);
             let miss = |cuts: usize| {
-                let found = moments(&triangle, antennas, KernelLevel::Portable, cuts);
+                let found = of(&triangle, antennas, KernelLevel::Portable, cuts);
                 (0..3).map(|i| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm_sqr()).sum::<f64>()
             };
             coarse += miss(2);
@@ -472,9 +521,9 @@ mod tests {
     #[test]
     fn every_level_of_instructions_computes_the_same() {
         for (triangle, antennas) in triangles() {
-            let portable = moments(&triangle, antennas, KernelLevel::Portable, 3);
+            let portable = of(&triangle, antennas, KernelLevel::Portable, 3);
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-                assert_eq!(moments(&triangle, antennas, level, 3), portable, "{level}");
+                assert_eq!(of(&triangle, antennas, level, 3), portable, "{level}");
             }
         }
     }
@@ -491,9 +540,11 @@ mod tests {
                 for (b, c) in [(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 1.0), (1e-3, 1.0), (0.999, 1.0), (-1.0, 1.0)] {
                     let phases = [0.3, 0.3 + b * span, 0.3 + c * span].map(|p: f64| p as f32);
                     let [a, b, c] = phases;
-                    let (re, im) = integrals(&[a; LANES], &[b; LANES], &[c; LANES]);
-                    let exact = triangle::integral(a.into(), b.into(), c.into());
-                    worst = worst.max((exact - Complex64::new(re[0].into(), im[0].into())).norm() / 0.5);
+                    let found = moments(&[a; LANES], &[b; LANES], &[c; LANES]);
+                    let exact = triangle::moments(a.into(), b.into(), c.into());
+                    for (exact, (re, im)) in exact.iter().zip(&found) {
+                        worst = worst.max((exact - Complex64::new(re[0].into(), im[0].into())).norm() / 0.5);
+                    }
                 }
             }
             assert!(worst < 2e-6, "{worst:e}");
@@ -505,7 +556,7 @@ mod tests {
             let corner = DVec3::new(2.0, 0.0, 0.0);
             for corners in [[corner; 3], [corner, corner + DVec3::Z * 0.02, corner + DVec3::Z * 0.01]] {
                 let triangle = CurvedTriangle::new(corners, [DVec3::X; 3], [DVec3::ZERO; 3]);
-                for moment in moments(&triangle, antennas, KernelLevel::detect(), 2) {
+                for moment in of(&triangle, antennas, KernelLevel::detect(), 2) {
                     assert!(moment.norm() < 1e-9, "{moment}");
                 }
             }
