@@ -160,14 +160,7 @@ fn visibility(stage: &Stage, people: &[Snapshot], me: usize, segment: usize, way
 
 /// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
 /// own body before the last wall.
-fn past_people(
-    stage: &Stage,
-    people: &[Snapshot],
-    me: usize,
-    image: ImageIndex,
-    antenna: DVec3,
-    point: DVec3,
-) -> f64 {
+fn past_people(stage: &Stage, people: &[Snapshot], me: usize, image: ImageIndex, antenna: DVec3, point: DVec3) -> f64 {
     let wavelength_m = stage.wavelength_m;
     let mut weight = 1.0;
     if order(image) == 0 {

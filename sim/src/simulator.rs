@@ -110,7 +110,13 @@ pub struct Simulator {
 impl Clone for Simulator {
     /// The same stream at the same place.
     fn clone(&self) -> Self {
-        Simulator { inner: Arc::clone(&self.inner), next: self.next, ahead: VecDeque::new(), spare: Vec::new(), last_report: None }
+        Simulator {
+            inner: Arc::clone(&self.inner),
+            next: self.next,
+            ahead: VecDeque::new(),
+            spare: Vec::new(),
+            last_report: None,
+        }
     }
 }
 

@@ -63,12 +63,7 @@ pub fn stretches(keys: &[Key], stretch_s: f64, out: &mut Vec<Stretch>) {
 }
 
 /// The same with slopes of the amplitude that are known, in amplitudes for a stretch.
-pub fn stretches_with(
-    keys: &[Key],
-    stretch_s: f64,
-    slope: impl Fn(usize) -> Complex64,
-    out: &mut Vec<Stretch>,
-) {
+pub fn stretches_with(keys: &[Key], stretch_s: f64, slope: impl Fn(usize) -> Complex64, out: &mut Vec<Stretch>) {
     for (i, pair) in keys.windows(2).enumerate() {
         let [a, b] = pair else { continue };
         let [p, q, r, s] = cubic(a.delay_s, a.delay_rate * stretch_s, b.delay_s, b.delay_rate * stretch_s);

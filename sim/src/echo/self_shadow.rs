@@ -99,7 +99,6 @@ impl Plane {
         let scale = self.distance_m / offset.dot(self.forward);
         (DVec2::new(offset.dot(self.u), offset.dot(self.v)) * scale, offset.length())
     }
-
 }
 
 /// Factor on the field of an (image) antenna at each vertex that is wanted; 1 at the others.
@@ -249,8 +248,7 @@ impl<'a> View<'a> {
             }
         }
         let reach = DVec2::splat(REACH_M);
-        let boxes: Vec<_> =
-            pieces.iter().map(|p| (p.from.min(p.to) - reach, p.from.max(p.to) + reach)).collect();
+        let boxes: Vec<_> = pieces.iter().map(|p| (p.from.min(p.to) - reach, p.from.max(p.to) + reach)).collect();
         self.outlines = Cells::new(&boxes, CELL_M);
         self.pieces = pieces;
     }

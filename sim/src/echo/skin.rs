@@ -322,7 +322,8 @@ impl SkinnedPerson {
                 between_keys: missed_between_keys(&keys, times_s, stage.wavelength_m),
                 by_integration: {
                     let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
-                    let coarse = Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
+                    let coarse =
+                        Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
                     let strengths = [self.strengths(stage, &posed[0], &lights[0], &coarse, report)];
                     let slopes = Slopes::new(&strengths, &times_s[..1], 0);
                     let of_coarse = self.integrate(stage, integrator, &triangles[0], between, &coarse, &slopes);
@@ -544,7 +545,8 @@ impl SkinnedPerson {
                     ..TriangleKey::default()
                 };
                 let (speeds, away) = ([away_t.dot(velocity), away_r.dot(velocity)], away_t + away_r);
-                for ((v, moment), (d, against)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(against)) {
+                for ((v, moment), (d, against)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(against))
+                {
                     let moment = Complex64::new(moment.re.into(), moment.im.into());
                     let (strength, slope) = slopes.at(*v);
                     // How fast the path by the corner grows against that by the middle.
@@ -650,15 +652,19 @@ impl Patch {
                 field: t.field,
                 field_slope: t.field_rate * step_s,
             };
-            let tracks = first.iter().zip(*second).filter(|(a, b)| {
-                a.field != Complex64::ZERO || b.field != Complex64::ZERO
-            });
+            let tracks =
+                first.iter().zip(*second).filter(|(a, b)| a.field != Complex64::ZERO || b.field != Complex64::ZERO);
             sums.load(tracks.map(|(a, b)| (end(a), end(b))));
             let from_s = times.keys_s.first()? + stretch as f64 * step_s;
             let last = stretch + 2 == of.len();
-            sums.add(times.chirps_s.iter().map(|t| (t - from_s) / step_s).enumerate().filter(|&(_, u)| {
-                (stretch == 0 || u >= 0.0) && (last || u < 1.0)
-            }));
+            sums.add(
+                times
+                    .chirps_s
+                    .iter()
+                    .map(|t| (t - from_s) / step_s)
+                    .enumerate()
+                    .filter(|&(_, u)| (stretch == 0 || u >= 0.0) && (last || u < 1.0)),
+            );
         }
         Some(Patch { places, base_m })
     }
@@ -674,9 +680,8 @@ impl Patch {
         let rate = |key: usize| self.places.get(key).map_or(0.0, |p| p.2);
         let [base, slope, bend] = parabola(&detour, self.places.len(), chirps);
         let response = |place: Option<&(DVec3, f64, f64)>| {
-            let beat_hz = place.map_or(0.0, |p| {
-                stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S)
-            });
+            let beat_hz =
+                place.map_or(0.0, |p| stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S));
             let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
             Complex::new(a.re as f32, a.im as f32)
         };

@@ -55,10 +55,8 @@ pub fn heard_by(
     polarisation: Phasor3,
 ) -> Complex64 {
     let s = towards;
-    let p = Phasor3 {
-        re: polarisation.re - s * s.dot(polarisation.re),
-        im: polarisation.im - s * s.dot(polarisation.im),
-    };
+    let p =
+        Phasor3 { re: polarisation.re - s * s.dot(polarisation.re), im: polarisation.im - s * s.dot(polarisation.im) };
     let magnetic = cross(arrival.direction, arrival.field);
     if *boundary == Boundary::Conductor {
         return cross(normal, magnetic).received_by(p);

@@ -231,8 +231,8 @@ fn body(cut: &Cut, triangles: &[(CurvedTriangle, View, View)], k: f64) -> [Momen
             }
         }
         for (i, view) in [tx, rx].into_iter().enumerate() {
-            for axis in 0..3 {
-                offsets[i][axis][lane] = view.offset[axis] as f32;
+            for (to, from) in offsets[i].iter_mut().zip(view.offset.to_array()) {
+                to[lane] = from as f32;
             }
             distances[i][lane] = view.distance_m as f32;
         }
@@ -399,7 +399,15 @@ fn moments(a: &Row, b: &Row, c: &Row) -> [(Row, Row); 3] {
             let near_re = even * turn_re[i] - odd * turn_im[i];
             let near_im = even * turn_im[i] + odd * turn_re[i];
             let (is_low, is_high) = (corner[i] <= low[i], corner[i] >= high[i]);
-            let pick = |l: f32, m: f32, h: f32| if is_low { l } else if is_high { h } else { m };
+            let pick = |l: f32, m: f32, h: f32| {
+                if is_low {
+                    l
+                } else if is_high {
+                    h
+                } else {
+                    m
+                }
+            };
             let far_re = pick(sorted[0].0[i], sorted[1].0[i], sorted[2].0[i]);
             let far_im = pick(sorted[0].1[i], sorted[1].1[i], sorted[2].1[i]);
             let near = high[i] - low[i] < 1.5;
@@ -423,11 +431,12 @@ fn sin_cos(x: &Row) -> (Row, Row) {
         let reduced = (x[i] - whole * 6.281_25) - whole * 1.935_307_2e-3;
         let y = 0.5 * reduced;
         let z = y * y;
-        let sine =
-            y * (1.0
-                + z * (-1.0 / 6.0 + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362_880.0 - z * (1.0 / 39_916_800.0))))));
-        let cosine = 1.0
-            + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40_320.0 - z * (1.0 / 3_628_800.0)))));
+        let sine = y
+            * (1.0
+                + z * (-1.0 / 6.0
+                    + z * (1.0 / 120.0 + z * (-1.0 / 5040.0 + z * (1.0 / 362_880.0 - z * (1.0 / 39_916_800.0))))));
+        let cosine =
+            1.0 + z * (-0.5 + z * (1.0 / 24.0 + z * (-1.0 / 720.0 + z * (1.0 / 40_320.0 - z * (1.0 / 3_628_800.0)))));
         sines[i] = 2.0 * sine * cosine;
         cosines[i] = 1.0 - 2.0 * sine * sine;
     }
@@ -446,8 +455,7 @@ pub fn exact_moments(
     let length = |p: DVec3| antennas.iter().map(|a| a.distance(p)).sum::<f64>();
     let start = length(triangle.middle);
     let places: Vec<DVec3> = cut.nodes.iter().map(|w| triangle.place(*w).as_dvec3()).collect();
-    let phases: Vec<f64> =
-        places.iter().map(|p| -wavenumber_per_m * (length(triangle.middle + *p) - start)).collect();
+    let phases: Vec<f64> = places.iter().map(|p| -wavenumber_per_m * (length(triangle.middle + *p) - start)).collect();
     let mut sums = [Complex64::ZERO; 3];
     let quarters = cut.parts.iter().flat_map(|part| QUARTERS.map(|corners| corners.map(|corner| part.six[corner])));
     for [p, q, r] in quarters {
@@ -508,7 +516,9 @@ mod tests {
             let exact = exact_moments(&triangle, antennas, K, 24);
             let miss = |cuts: usize| {
                 let found = of(&triangle, antennas, KernelLevel::Portable, cuts);
-                (0..3).map(|i| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm_sqr()).sum::<f64>()
+                (0..3)
+                    .map(|i| (exact[i] - Complex64::new(found[i].re.into(), found[i].im.into())).norm_sqr())
+                    .sum::<f64>()
             };
             coarse += miss(2);
             fine += miss(6);

@@ -135,11 +135,8 @@ fn map(samples: &[f64], shape: FrameShape) -> Vec<Complex64> {
     let (over_samples, over_chirps) = (planner.plan_fft_forward(length), planner.plan_fft_forward(chirps));
     let mut cells = Vec::with_capacity(samples.len() / 2);
     for channel in samples.chunks(chirps * length) {
-        let mut rows: Vec<Complex64> = channel
-            .iter()
-            .enumerate()
-            .map(|(i, x)| Complex64::from(x * fast[i % length] * slow[i / length]))
-            .collect();
+        let mut rows: Vec<Complex64> =
+            channel.iter().enumerate().map(|(i, x)| Complex64::from(x * fast[i % length] * slow[i / length])).collect();
         over_samples.process(&mut rows);
         let columns: Vec<Vec<Complex64>> = (0..length / 2)
             .map(|range| {
