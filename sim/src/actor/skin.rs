@@ -140,23 +140,8 @@ impl Skin {
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
 
-        let mut sides = vec![[0; 3]; rest.triangles.len()];
-        let edges: Vec<SkinEdge> = edges(&rest)
-            .iter()
-            .enumerate()
-            .map(|(number, edge)| {
-                let triangles = [edge.left, edge.right.unwrap_or(edge.left)];
-                for triangle in triangles {
-                    let Some(&[a, b, c]) = rest.triangles.get(triangle as usize) else { continue };
-                    let [p, q] = edge.vertices;
-                    let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q) || s == (q, p));
-                    if let (Some(side), Some(of)) = (side, sides.get_mut(triangle as usize)) {
-                        of[side] = number as u32;
-                    }
-                }
-                SkinEdge { vertices: edge.vertices, triangles }
-            })
-            .collect();
+        let rest = in_patch_order(rest);
+        let (edges, sides) = skin_edges(&rest);
         let patches = patches(&rest, &edges);
         let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new(), patches };
         for &vertex in &skin.rest.vertices {
@@ -227,6 +212,49 @@ impl Skin {
             .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
             .sum()
     }
+}
+
+/// Edges of a closed mesh, and those of each triangle: first to second corner, second to third, third to first.
+fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
+    let mut sides = vec![[0; 3]; mesh.triangles.len()];
+    let edges = edges(mesh)
+        .iter()
+        .enumerate()
+        .map(|(number, edge)| {
+            let triangles = [edge.left, edge.right.unwrap_or(edge.left)];
+            for triangle in triangles {
+                let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
+                let [p, q] = edge.vertices;
+                let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q) || s == (q, p));
+                if let (Some(side), Some(of)) = (side, sides.get_mut(triangle as usize)) {
+                    of[side] = number as u32;
+                }
+            }
+            SkinEdge { vertices: edge.vertices, triangles }
+        })
+        .collect();
+    (edges, sides)
+}
+
+/// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
+/// together in memory.
+fn in_patch_order(mesh: Mesh) -> Mesh {
+    let patches = patches(&mesh, &skin_edges(&mesh).0);
+    let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
+    order.sort_by_key(|&t| patches[t]);
+    let mut numbers = vec![u32::MAX; mesh.vertices.len()];
+    let mut sorted = Mesh::default();
+    for triangle in order.iter().map(|&t| mesh.triangles[t]) {
+        sorted.triangles.push(triangle.map(|v| {
+            let number = &mut numbers[v as usize];
+            if *number == u32::MAX {
+                *number = sorted.vertices.len() as u32;
+                sorted.vertices.push(mesh.vertices[v as usize]);
+            }
+            *number
+        }));
+    }
+    sorted
 }
 
 /// Patches of triangles that hang together, each grown over its neighbours as far as [`PATCH_M`] from where it began.

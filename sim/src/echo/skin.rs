@@ -314,7 +314,7 @@ impl SkinnedPerson {
                 .iter()
                 .enumerate()
                 .map(|(i, posed)| {
-                    let slopes = Slopes::new(&strengths, times_s, i);
+                    let slopes = Slopes::new(&strengths, &pair.vertices, times_s, i);
                     self.integrate(stage, integrator, posed, between, pair, &slopes)
                 })
                 .collect();
@@ -325,7 +325,7 @@ impl SkinnedPerson {
                     let coarse =
                         Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
                     let strengths = [self.strengths(stage, &posed[0], &lights[0], &coarse, report)];
-                    let slopes = Slopes::new(&strengths, &times_s[..1], 0);
+                    let slopes = Slopes::new(&strengths, &pair.vertices, &times_s[..1], 0);
                     let of_coarse = self.integrate(stage, integrator, &triangles[0], between, &coarse, &slopes);
                     self.difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
                 },
@@ -597,10 +597,9 @@ impl SkinnedPerson {
             report.synthesised += 1;
             sums.chirps(&mut chirps);
             for way in ways {
-                for rx in 0..stage.rx.len() {
-                    let way = patch.way(stage, *way, rx, times.chirps_s.len());
-                    grids.add(rx, &stage.chirp, &way, &chirps);
-                }
+                let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
+                let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
+                grids.add(&stage.chirp, &of_receivers, &chirps);
             }
         }
     }
@@ -744,16 +743,15 @@ impl Place {
     }
 }
 
-/// Strengths at one key, and their rates from the keys around it.
+/// Strengths at one key, and their rates from the keys around it, by vertex.
 struct Slopes<'a> {
     now: &'a [Complex64],
-    /// Keys and weights whose sum is the rate.
-    parts: Vec<(&'a [Complex64], f64)>,
+    rates: Vec<Complex64>,
 }
 
 impl<'a> Slopes<'a> {
     /// Differences over equal steps: central ones, and at the ends those of the parabola through three keys.
-    fn new(all: &'a [Vec<Complex64>], times_s: &[f64], i: usize) -> Self {
+    fn new(all: &'a [Vec<Complex64>], vertices: &[u32], times_s: &[f64], i: usize) -> Self {
         let last = all.len().saturating_sub(1);
         let step_s = match times_s {
             [first, second, ..] => second - first,
@@ -766,12 +764,20 @@ impl<'a> Slopes<'a> {
             (i, last) if i == last => &[(last, 1.5), (last - 1, -2.0), (last - 2, 0.5)],
             (i, _) => &[(i + 1, 0.5), (i - 1, -0.5)],
         };
-        let parts = weights.iter().filter_map(|&(key, w)| Some((all.get(key)?.as_slice(), w / step_s))).collect();
-        Slopes { now: all.get(i).map(Vec::as_slice).unwrap_or_default(), parts }
+        let now = all.get(i).map(Vec::as_slice).unwrap_or_default();
+        let mut rates = vec![Complex64::ZERO; now.len()];
+        for (key, weight) in weights.iter().filter_map(|&(key, w)| Some((all.get(key)?, w / step_s))) {
+            for &v in vertices {
+                if let (Some(rate), Some(strength)) = (rates.get_mut(v as usize), key.get(v as usize)) {
+                    *rate += strength * weight;
+                }
+            }
+        }
+        Slopes { now, rates }
     }
 
     fn at(&self, vertex: u32) -> (Complex64, Complex64) {
         let of = |all: &[Complex64]| all.get(vertex as usize).copied().unwrap_or_default();
-        (of(self.now), self.parts.iter().map(|(all, w)| of(all) * *w).sum())
+        (of(self.now), of(&self.rates))
     }
 }

@@ -353,8 +353,45 @@ fn moments(a: &Row, b: &Row, c: &Row) -> [(Row, Row); 3] {
         middle[i] = x.max(y.min(c[i]));
         mean[i] = (a[i] + b[i] + c[i]) * (1.0 / 3.0);
     }
-    let (lower, upper) = (Edge::new(&low, &middle), Edge::new(&middle, &high));
-    // Of low, middle and high: the difference of the edges' integrals over the longest difference, and its derivatives.
+    let mut near = [false; LANES];
+    for i in 0..LANES {
+        near[i] = high[i] - low[i] < 1.5;
+    }
+    // Triangles that lie side by side are mostly of one kind.
+    let sorted = if near == [true; LANES] { Default::default() } else { quotients(&low, &middle, &high) };
+    let mut out: [(Row, Row); 3] = Default::default();
+    if near != [false; LANES] {
+        let (turn_im, turn_re) = sin_cos(&mean);
+        for (corner, (re, im)) in [a, b, c].into_iter().zip(&mut out) {
+            series(a, b, c, &mean, corner, (&turn_re, &turn_im), (re, im));
+        }
+    }
+    for (corner, (re, im)) in [a, b, c].into_iter().zip(&mut out) {
+        for i in 0..LANES {
+            let (is_low, is_high) = (corner[i] <= low[i], corner[i] >= high[i]);
+            let pick = |l: f32, m: f32, h: f32| {
+                if is_low {
+                    l
+                } else if is_high {
+                    h
+                } else {
+                    m
+                }
+            };
+            let far_re = pick(sorted[0].0[i], sorted[1].0[i], sorted[2].0[i]);
+            let far_im = pick(sorted[0].1[i], sorted[1].1[i], sorted[2].1[i]);
+            re[i] = if near[i] { re[i] } else { far_re };
+            im[i] = if near[i] { im[i] } else { far_im };
+        }
+    }
+    out
+}
+
+/// The difference of the edges' integrals over the longest difference, and its derivatives by the low, the middle and the high
+/// phase, over j.
+#[inline(always)]
+fn quotients(low: &Row, middle: &Row, high: &Row) -> [(Row, Row); 3] {
+    let (lower, upper) = (Edge::new(low, middle), Edge::new(middle, high));
     let mut sorted: [(Row, Row); 3] = Default::default();
     for i in 0..LANES {
         let over = 1.0 / (high[i] - low[i]).max(0.5);
@@ -369,53 +406,46 @@ fn moments(a: &Row, b: &Row, c: &Row) -> [(Row, Row); 3] {
         let (x, y) = divide(upper.to_second.0[i], upper.to_second.1[i]);
         (sorted[2].0[i], sorted[2].1[i]) = (x - whole.1 * over, y + whole.0 * over);
     }
-    let (turn_im, turn_re) = sin_cos(&mean);
-    let mut out: [(Row, Row); 3] = Default::default();
-    for (corner, (re, im)) in [a, b, c].into_iter().zip(&mut out) {
-        for i in 0..LANES {
-            // The series about the mean, in which this corner's phase counts twice.
-            let (x, y, z) = (a[i] - mean[i], b[i] - mean[i], c[i] - mean[i]);
-            let (e2, e3, own) = (x * y + y * z + z * x, x * y * z, corner[i] - mean[i]);
-            let h2 = -e2;
-            let h3 = e3;
-            let h4 = e2 * e2;
-            let h5 = -2.0 * e2 * e3;
-            let h6 = -e2 * h4 + e3 * h3;
-            let h7 = -e2 * h5 + e3 * h4;
-            let h8 = -e2 * h6 + e3 * h5;
-            let t1 = own;
-            let t2 = h2 + own * t1;
-            let t3 = h3 + own * t2;
-            let t4 = h4 + own * t3;
-            let t5 = h5 + own * t4;
-            let t6 = h6 + own * t5;
-            let t7 = h7 + own * t6;
-            let t8 = h8 + own * t7;
-            let t9 = own * t8;
-            let even = 1.0 / 6.0 - t2 * (1.0 / 120.0) + t4 * (1.0 / 5040.0) - t6 * (1.0 / 362_880.0)
-                + t8 * (1.0 / 39_916_800.0);
-            let odd = t1 * (1.0 / 24.0) - t3 * (1.0 / 720.0) + t5 * (1.0 / 40_320.0) - t7 * (1.0 / 3_628_800.0)
-                + t9 * (1.0 / 479_001_600.0);
-            let near_re = even * turn_re[i] - odd * turn_im[i];
-            let near_im = even * turn_im[i] + odd * turn_re[i];
-            let (is_low, is_high) = (corner[i] <= low[i], corner[i] >= high[i]);
-            let pick = |l: f32, m: f32, h: f32| {
-                if is_low {
-                    l
-                } else if is_high {
-                    h
-                } else {
-                    m
-                }
-            };
-            let far_re = pick(sorted[0].0[i], sorted[1].0[i], sorted[2].0[i]);
-            let far_im = pick(sorted[0].1[i], sorted[1].1[i], sorted[2].1[i]);
-            let near = high[i] - low[i] < 1.5;
-            re[i] = if near { near_re } else { far_re };
-            im[i] = if near { near_im } else { far_im };
-        }
+    sorted
+}
+
+/// The power series about the mean of phases, in which a corner's own counts twice.
+#[inline(always)]
+fn series(
+    a: &Row,
+    b: &Row,
+    c: &Row,
+    mean: &Row,
+    corner: &Row,
+    (turn_re, turn_im): (&Row, &Row),
+    (re, im): (&mut Row, &mut Row),
+) {
+    for i in 0..LANES {
+        let (x, y, z) = (a[i] - mean[i], b[i] - mean[i], c[i] - mean[i]);
+        let (e2, e3, own) = (x * y + y * z + z * x, x * y * z, corner[i] - mean[i]);
+        let h2 = -e2;
+        let h3 = e3;
+        let h4 = e2 * e2;
+        let h5 = -2.0 * e2 * e3;
+        let h6 = -e2 * h4 + e3 * h3;
+        let h7 = -e2 * h5 + e3 * h4;
+        let h8 = -e2 * h6 + e3 * h5;
+        let t1 = own;
+        let t2 = h2 + own * t1;
+        let t3 = h3 + own * t2;
+        let t4 = h4 + own * t3;
+        let t5 = h5 + own * t4;
+        let t6 = h6 + own * t5;
+        let t7 = h7 + own * t6;
+        let t8 = h8 + own * t7;
+        let t9 = own * t8;
+        let even =
+            1.0 / 6.0 - t2 * (1.0 / 120.0) + t4 * (1.0 / 5040.0) - t6 * (1.0 / 362_880.0) + t8 * (1.0 / 39_916_800.0);
+        let odd = t1 * (1.0 / 24.0) - t3 * (1.0 / 720.0) + t5 * (1.0 / 40_320.0) - t7 * (1.0 / 3_628_800.0)
+            + t9 * (1.0 / 479_001_600.0);
+        re[i] = even * turn_re[i] - odd * turn_im[i];
+        im[i] = even * turn_im[i] + odd * turn_re[i];
     }
-    out
 }
 
 /// Sines and cosines of a vector to a few units of the seventh digit: by the half angle's series and its doubling.

@@ -137,13 +137,19 @@ fn body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
 /// Lays phasors down around the cells under them, in every chirp.
 #[inline(always)]
 fn lay(taps: &[[f32; LANES]; DEGREE], cells: &mut [Cell], re: &Row, im: &Row, u: &Row, first: &[u32; CHIRPS]) {
-    // Written out tap by tap: a loop would be compiled across taps, with gathers and scatters.
-    let t0 = &tap::<0>(taps, u);
-    let t1 = &tap::<1>(taps, u);
-    let t2 = &tap::<2>(taps, u);
-    let t3 = &tap::<3>(taps, u);
-    let t4 = &tap::<4>(taps, u);
-    let t5 = &tap::<5>(taps, u);
+    lay_weighted(&weights(taps, u), cells, re, im, first);
+}
+
+/// What each tap weighs in every chirp. Written out tap by tap: a loop would be compiled across taps, with gathers and
+/// scatters.
+#[inline(always)]
+fn weights(taps: &[[f32; LANES]; DEGREE], u: &Row) -> [Row; WIDTH] {
+    [tap::<0>(taps, u), tap::<1>(taps, u), tap::<2>(taps, u), tap::<3>(taps, u), tap::<4>(taps, u), tap::<5>(taps, u)]
+}
+
+#[inline(always)]
+fn lay_weighted(weights: &[Row; WIDTH], cells: &mut [Cell], re: &Row, im: &Row, first: &[u32; CHIRPS]) {
+    let [t0, t1, t2, t3, t4, t5] = weights;
     let least = first.iter().fold(u32::MAX, |least, &f| least.min(f));
     let beyond = first.iter().fold(0, |all, f| all | (f - least));
     if beyond == 0 {
@@ -186,20 +192,20 @@ impl ChirpGrids {
         ChirpGrids { blocks, taps: synthesiser.taps, cells: synthesiser.cells, level: synthesiser.level }
     }
 
-    /// Adds a moving echo to every chirp of a receiver.
-    pub fn add(&mut self, receiver: usize, chirp: &Chirp, way: &EchoWay, chirps: &[EchoChirps]) {
-        let Some(blocks) = self.blocks.get_mut(receiver) else { return };
-        let (taps, cells) = (&self.taps, self.cells as f64);
+    /// Adds a moving echo to every chirp, by its way to each receiver. Receivers are so close together that its frequency is
+    /// the same for all of them.
+    pub fn add(&mut self, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps]) {
+        let (taps, cells, blocks) = (&self.taps, self.cells as f64, &mut self.blocks);
         match self.level {
-            KernelLevel::Portable => echo(taps, cells, chirp, way, chirps, blocks),
+            KernelLevel::Portable => echo(taps, cells, chirp, ways, chirps, blocks),
             // SAFETY: `level` is only ever one that the processor has.
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => unsafe { echo_avx2(taps, cells, chirp, way, chirps, blocks) },
+            KernelLevel::Avx2 => unsafe { echo_avx2(taps, cells, chirp, ways, chirps, blocks) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => unsafe { echo_avx512(taps, cells, chirp, way, chirps, blocks) },
+            KernelLevel::Avx512 => unsafe { echo_avx512(taps, cells, chirp, ways, chirps, blocks) },
             #[cfg(not(target_arch = "x86_64"))]
-            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(taps, cells, chirp, way, chirps, blocks),
+            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(taps, cells, chirp, ways, chirps, blocks),
         }
     }
 
@@ -243,11 +249,11 @@ fn echo_avx2(
     taps: &[[f32; LANES]; DEGREE],
     cells: f64,
     chirp: &Chirp,
-    way: &EchoWay,
+    ways: &[EchoWay],
     chirps: &[EchoChirps],
-    blocks: &mut [Grids],
+    blocks: &mut [Vec<Grids>],
 ) {
-    echo(taps, cells, chirp, way, chirps, blocks);
+    echo(taps, cells, chirp, ways, chirps, blocks);
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -256,11 +262,11 @@ fn echo_avx512(
     taps: &[[f32; LANES]; DEGREE],
     cells: f64,
     chirp: &Chirp,
-    way: &EchoWay,
+    ways: &[EchoWay],
     chirps: &[EchoChirps],
-    blocks: &mut [Grids],
+    blocks: &mut [Vec<Grids>],
 ) {
-    echo(taps, cells, chirp, way, chirps, blocks);
+    echo(taps, cells, chirp, ways, chirps, blocks);
 }
 
 #[inline(always)]
@@ -268,30 +274,28 @@ fn echo(
     taps: &[[f32; LANES]; DEGREE],
     cells: f64,
     chirp: &Chirp,
-    way: &EchoWay,
+    ways: &[EchoWay],
     chirps: &[EchoChirps],
-    blocks: &mut [Grids],
+    blocks: &mut [Vec<Grids>],
 ) {
+    let Some(first_way) = ways.first() else { return };
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
-    let cells_per_hz = cells / chirp.sample_rate_hz;
-    let [length, rate] = [way.length_m, way.rate_m_per_s].map(|p| p.map(|c| c * per_m));
-    let (beside_s, [begin, step]) = (way.wavelength_m * per_m, way.response);
-    for ((number, echo), block) in (0..).step_by(CHIRPS).zip(chirps).zip(blocks) {
-        let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
-        let mut first = [0u32; CHIRPS];
+    let (cells_per_hz, per_cell) = (cells / chirp.sample_rate_hz, 1.0 / cells);
+    let rate = first_way.rate_m_per_s.map(|c| c * per_m);
+    for (block, echo) in chirps.iter().enumerate() {
+        let numbers: [f64; CHIRPS] = std::array::from_fn(|i| (block * CHIRPS + i) as f64);
+        let delay_s = |way: &EchoWay| -> [f64; CHIRPS] {
+            let (length, beside_s) = (way.length_m.map(|c| c * per_m), way.wavelength_m * per_m);
+            std::array::from_fn(|i| {
+                let n = numbers[i];
+                length[0] + n * (length[1] + n * length[2]) + f64::from(echo.beside[i]) * beside_s
+            })
+        };
+        let (mut u, mut first) = ([0f32; CHIRPS], [0u32; CHIRPS]);
+        let delays = delay_s(first_way);
         for i in 0..CHIRPS {
-            let n = f64::from(number + i as u32);
-            let beside = f64::from(echo.beside[i]);
-            let delay_s = length[0] + n * (length[1] + n * length[2]) + beside * beside_s;
-            let delay_rate = rate[0] + n * (rate[1] + n * rate[2]);
-            // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
-            let turn = phasor(chirp.phase_cycles(delay_s) - beside);
-            let (n, x, y) = (n as f32, echo.re[i], -echo.im[i]);
-            let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
-            let (x, y) = (x * turn.re - y * turn.im, x * turn.im + y * turn.re);
-            (re[i], im[i]) = (x * a - y * b, x * b + y * a);
-            let position = chirp.beat_hz(delay_s, delay_rate) * cells_per_hz;
-            let turns = position / cells;
+            let delay_rate = rate[0] + numbers[i] * (rate[1] + numbers[i] * rate[2]);
+            let turns = chirp.beat_hz(delays[i], delay_rate) * cells_per_hz * per_cell;
             let nearest = turns - nearest_integer(turns);
             let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * cells;
             let whole = nearest_integer(position);
@@ -299,7 +303,21 @@ fn echo(
             u[i] = (2.0 * (ceiling - position) - 1.0) as f32;
             first[i] = (ceiling + SHIFT).to_bits() as u32;
         }
-        lay(taps, &mut block.cells, &re, &im, &u, &first);
+        let weights = weights(taps, &u);
+        for (way, blocks) in ways.iter().zip(blocks.iter_mut()) {
+            let Some(grids) = blocks.get_mut(block) else { continue };
+            let (delays, [begin, step]) = (delay_s(way), way.response);
+            let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+            for i in 0..CHIRPS {
+                // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
+                let turn = phasor(chirp.phase_cycles(delays[i]) - f64::from(echo.beside[i]));
+                let (n, x, y) = (numbers[i] as f32, echo.re[i], -echo.im[i]);
+                let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
+                let (x, y) = (x * turn.re - y * turn.im, x * turn.im + y * turn.re);
+                (re[i], im[i]) = (x * a - y * b, x * b + y * a);
+            }
+            lay_weighted(&weights, &mut grids.cells, &re, &im, &first);
+        }
     }
 }
 
