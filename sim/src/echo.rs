@@ -1,9 +1,13 @@
 //! Echoes of people: highlights of their segments by every audible pair of images, at key times.
 
 pub mod chirp_sum;
+pub mod demand;
 pub mod dense;
+mod patch;
 pub mod self_shadow;
 pub mod skin;
+
+pub use patch::FrameTimes;
 
 use std::sync::Arc;
 

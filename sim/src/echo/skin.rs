@@ -13,10 +13,11 @@
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
 use glam::{DVec3, Vec3};
-use num_complex::{Complex, Complex64};
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use num_complex::Complex64;
 
-use super::chirp_sum::{ChirpSums, Track};
+use super::chirp_sum::ChirpSums;
+use super::demand::{Demand, Fineness, Missed};
+use super::patch::{FrameTimes, Patch, Place, TriangleKey, middle_antenna, missed_between_keys};
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, inside_room, past_people, self_shadow};
 use crate::actor::body::SEGMENTS;
 use crate::actor::skin::{PosedSkin, WalkingMesh};
@@ -30,96 +31,12 @@ use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{ChirpGrids, EchoWay, phasor};
 
-/// How finely a skin is integrated.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Fineness {
-    /// Sine of the angle between normal and bisector up to which everything counts, and from which nothing does.
-    pub window: [f64; 2],
-    /// Phase, rad, by which the middle of an edge may miss the mean of its ends before it is cut.
-    pub bend_rad: f64,
-}
-
-impl Fineness {
-    /// For an error of this many decibels.
-    pub fn for_tolerance(tolerance_db: f64) -> Self {
-        // Found by measuring (`radome bench scene`): windows err by their tails, bends nearly in proportion.
-        let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
-        let inner = (0.45 * part.powf(if part > 1.0 { -0.4 } else { -0.63 })).clamp(0.15, 0.8);
-        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.2 * part.powf(0.65)).min(1.5) }
-    }
-
-    /// Weight of a place by the cosine between normal and bisector.
-    fn weight(&self, cosine: f64) -> f64 {
-        let [inner, outer] = self.window;
-        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        smooth_step((outer - sine) / (outer - inner))
-    }
-}
-
-/// What is asked of a frame's echoes.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Demand {
-    /// Error, dB, rms over the cells of the map in which they stand above noise.
-    pub tolerance_db: f64,
-    /// Amplitude of a path that is as strong as the noise of a cell, LSB.
-    pub noise_lsb: f64,
-}
-
-impl Demand {
-    /// For a pair of images that is this loud, LSB: one that hardly rises above noise may err by more.
-    fn fineness(&self, loudness_lsb: f64) -> Fineness {
-        /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
-        const LOUD: f64 = 18.0;
-        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, self.laxity().max(1.0));
-        Fineness::for_tolerance(self.tolerance_db * relaxed)
-    }
-
-    /// The loudness of all of a body by a pair of images below which the pair is left out, LSB: it is spread over many cells.
-    pub fn least_pair_lsb(&self) -> f64 {
-        self.noise_lsb * self.laxity().min(4.0)
-    }
-
-    /// The strength below which a patch is left out, LSB: patches add up.
-    fn least_patch_lsb(&self) -> f64 {
-        0.06 * self.least_pair_lsb()
-    }
-
-    /// How much more than for half a decibel may be left out: less than in proportion, for it adds to what integration misses.
-    fn laxity(&self) -> f64 {
-        (self.tolerance_db / 0.5).sqrt()
-    }
-}
-
-/// What is missed of a field, relative to it.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Missed {
-    /// By cubics between keys: what leaving out every second key misses, over 16.
-    pub between_keys: f64,
-    /// By window and cuts: how far the field is from that at twice the tolerance, patch by patch.
-    pub by_integration: f64,
-}
-
-impl Missed {
-    /// As an error, dB.
-    pub fn db(&self) -> f64 {
-        20.0 * self.between_keys.hypot(self.by_integration).ln_1p() / std::f64::consts::LN_10
-    }
-}
-
 /// Somebody with a skin.
 #[derive(Debug, Clone)]
 pub struct SkinnedPerson {
     mesh: WalkingMesh,
     /// Factor of clothes on amplitude at each vertex.
     cloth: Vec<f64>,
-}
-
-/// Where the antennas behind an image are.
-struct Place {
-    /// Middle of transmitter and receivers: what they are lit by and what hides them is taken to be the same.
-    middle: DVec3,
-    tx: DVec3,
-    rx: Vec<DVec3>,
 }
 
 /// What an image antenna throws on the vertices.
@@ -136,15 +53,6 @@ struct Pair {
     fineness: Fineness,
     triangles: Vec<(u32, usize)>,
     vertices: Vec<u32>,
-}
-
-/// When a frame's keys and chirps are, s.
-#[derive(Debug, Clone, PartialEq)]
-pub struct FrameTimes {
-    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's.
-    pub keys_s: Vec<f64>,
-    /// Middles of the chirps.
-    pub chirps_s: Vec<f64>,
 }
 
 /// A triangle in a pose, whoever looks at it.
@@ -166,18 +74,6 @@ impl PosedTriangles {
     fn get(&self, number: u32) -> Option<&PosedTriangle> {
         self.triangles.get(*self.slots.get(number as usize)? as usize)
     }
-}
-
-/// A triangle at a key.
-#[derive(Debug, Clone, Copy, Default)]
-struct TriangleKey {
-    middle: DVec3,
-    /// Path by the antennas' middles, m, and its rate, m/s.
-    length_m: f64,
-    rate_m_per_s: f64,
-    /// Integral of the field relative to the path by the middle, and its rate.
-    field: Complex64,
-    field_rate: Complex64,
 }
 
 impl SkinnedPerson {
@@ -605,142 +501,9 @@ impl SkinnedPerson {
     }
 }
 
-/// Triangles that hang together, as one moving place.
-struct Patch {
-    /// At each key: mean place by power, path there, m, and its rate, m/s.
-    places: Vec<(DVec3, f64, f64)>,
-    /// Paths are counted from here, m.
-    base_m: f64,
-}
-
-impl Patch {
-    /// Sums the triangles in every chirp; `None` where there is nothing.
-    fn new(
-        keys: &[Vec<TriangleKey>],
-        members: std::ops::Range<usize>,
-        times: &FrameTimes,
-        wavelength_m: f64,
-        sums: &mut ChirpSums,
-    ) -> Option<Self> {
-        let of: Vec<&[TriangleKey]> = keys.iter().filter_map(|key| key.get(members.clone())).collect();
-        // The same weights at all keys, so that the place moves smoothly.
-        let weights: Vec<f64> =
-            (0..members.len()).map(|i| of.iter().map(|key| key[i].field.norm_sqr()).sum()).collect();
-        let total: f64 = weights.iter().sum();
-        if !(total > 0.0 && total.is_finite()) {
-            return None;
-        }
-        let place = |key: &&[TriangleKey]| {
-            let (mut middle, mut length_m, mut rate) = (DVec3::ZERO, 0.0, 0.0);
-            for (triangle, weight) in key.iter().zip(&weights) {
-                middle += triangle.middle * (weight / total);
-                length_m += triangle.length_m * (weight / total);
-                rate += triangle.rate_m_per_s * (weight / total);
-            }
-            (middle, length_m, rate)
-        };
-        let places: Vec<_> = of.iter().map(place).collect();
-        let base_m = places.get(places.len() / 2)?.1;
-        sums.clear(times.chirps_s.len());
-        let step_s = times.keys_s.get(1)? - times.keys_s.first()?;
-        for (stretch, pair) in of.windows(2).enumerate() {
-            let [first, second] = pair else { continue };
-            let end = |t: &TriangleKey| Track {
-                length: (t.length_m - base_m) / wavelength_m,
-                length_slope: t.rate_m_per_s * step_s / wavelength_m,
-                field: t.field,
-                field_slope: t.field_rate * step_s,
-            };
-            let tracks =
-                first.iter().zip(*second).filter(|(a, b)| a.field != Complex64::ZERO || b.field != Complex64::ZERO);
-            sums.load(tracks.map(|(a, b)| (end(a), end(b))));
-            let from_s = times.keys_s.first()? + stretch as f64 * step_s;
-            let last = stretch + 2 == of.len();
-            sums.add(
-                times
-                    .chirps_s
-                    .iter()
-                    .map(|t| (t - from_s) / step_s)
-                    .enumerate()
-                    .filter(|&(_, u)| (stretch == 0 || u >= 0.0) && (last || u < 1.0)),
-            );
-        }
-        Some(Patch { places, base_m })
-    }
-
-    /// Lays it down between a transmitter's and a receiver's image.
-    fn way(&self, stage: &Stage, [out, back]: [&Place; 2], rx: usize, chirps: usize) -> EchoWay {
-        // What the way by transmitter and receiver is longer than that by their middles.
-        let detour = |key: usize| {
-            let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.0);
-            let by_middles = out.middle.distance(place) + back.middle.distance(place);
-            out.tx.distance(place) + back.rx.get(rx).map_or(0.0, |sink| sink.distance(place)) - by_middles
-        };
-        let rate = |key: usize| self.places.get(key).map_or(0.0, |p| p.2);
-        let [base, slope, bend] = parabola(&detour, self.places.len(), chirps);
-        let response = |place: Option<&(DVec3, f64, f64)>| {
-            let beat_hz =
-                place.map_or(0.0, |p| stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S));
-            let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
-            Complex::new(a.re as f32, a.im as f32)
-        };
-        let (begins, ends) = (response(self.places.first()), response(self.places.last()));
-        EchoWay {
-            length_m: [self.base_m + base, slope, bend],
-            rate_m_per_s: parabola(&rate, self.places.len(), chirps),
-            wavelength_m: stage.wavelength_m,
-            response: [begins, (ends - begins) / chirps as f32],
-        }
-    }
-}
-
-/// Through the first, the middle and the last key, as powers of the chirp's number: keys span the chirps.
-fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
-    let (last, n) = (keys.saturating_sub(1), chirps as f64);
-    let [a, b, c] = [of(0), of(last / 2), of(last)];
-    if last < 2 {
-        return [a, (c - a) / n, 0.0];
-    }
-    [a, (4.0 * b - 3.0 * a - c) / n, 2.0 * (a + c - 2.0 * b) / (n * n)]
-}
-
-/// What cubics between keys miss of a field, relative to it: by leaving out every second key, over 16.
-fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> f64 {
-    let k = std::f64::consts::TAU / wavelength_m;
-    let [first_s, second_s, ..] = times_s else { return 0.0 };
-    let span_s = 2.0 * (second_s - first_s);
-    let (mut missed, mut power) = (0.0, 0.0);
-    for triple in keys.windows(3).step_by(2) {
-        let [first, middle, last] = triple else { continue };
-        for ((a, b), c) in first.iter().zip(middle).zip(last) {
-            let length_m =
-                0.5 * (a.length_m + c.length_m) + 0.125 * span_s * (a.rate_m_per_s - c.rate_m_per_s) - b.length_m;
-            let field = 0.5 * (a.field + c.field) + 0.125 * span_s * (a.field_rate - c.field_rate);
-            missed += (field * Complex64::from_polar(1.0, -k * length_m) - b.field).norm_sqr();
-            power += b.field.norm_sqr();
-        }
-    }
-    if power > 0.0 { (missed / power).sqrt() / 16.0 } else { 0.0 }
-}
-
 /// Unit vectors from the vertices to an antenna.
 fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<Vec3> {
     posed.vertices.iter().map(|v| (antenna - *v).as_vec3().normalize_or_zero()).collect()
-}
-
-/// An antenna in the middle of transmitter and receivers.
-fn middle_antenna(stage: &Stage) -> Element {
-    let rx: DVec3 = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
-    let position = if stage.rx.is_empty() { stage.tx.position } else { 0.5 * (stage.tx.position + rx) };
-    Element { position, ..stage.tx }
-}
-
-impl Place {
-    fn new(stage: &Stage, middle: &Element, index: ImageIndex) -> Self {
-        let place = |position: DVec3| stage.room.image_position(index, position);
-        let rx = stage.rx.iter().map(|rx| place(rx.position)).collect();
-        Place { middle: place(middle.position), tx: place(stage.tx.position), rx }
-    }
 }
 
 /// Strengths at one key, and their rates from the keys around it, by vertex.

@@ -11,6 +11,7 @@ pub mod curved_triangle;
 pub mod edge;
 pub mod facet;
 pub mod fresnel;
+mod gauss_map;
 pub mod highlight;
 pub mod image;
 pub mod link;

@@ -1,0 +1,79 @@
+//! What error is asked of a skin's echoes, and what that takes.
+
+use crate::actor::track::smooth_step;
+
+/// How finely a skin is integrated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Fineness {
+    /// Sine of the angle between normal and bisector up to which everything counts, and from which nothing does.
+    pub window: [f64; 2],
+    /// Phase, rad, by which the middle of an edge may miss the mean of its ends before it is cut.
+    pub bend_rad: f64,
+}
+
+impl Fineness {
+    /// For an error of this many decibels.
+    pub fn for_tolerance(tolerance_db: f64) -> Self {
+        // Found by measuring (`radome bench scene`): windows err by their tails, bends nearly in proportion.
+        let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
+        let inner = (0.45 * part.powf(if part > 1.0 { -0.4 } else { -0.63 })).clamp(0.15, 0.8);
+        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.2 * part.powf(0.65)).min(1.5) }
+    }
+
+    /// Weight of a place by the cosine between normal and bisector.
+    pub(super) fn weight(&self, cosine: f64) -> f64 {
+        let [inner, outer] = self.window;
+        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+        smooth_step((outer - sine) / (outer - inner))
+    }
+}
+
+/// What is asked of a frame's echoes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Demand {
+    /// Error, dB, rms over the cells of the map in which they stand above noise.
+    pub tolerance_db: f64,
+    /// Amplitude of a path that is as strong as the noise of a cell, LSB.
+    pub noise_lsb: f64,
+}
+
+impl Demand {
+    /// For a pair of images that is this loud, LSB: one that hardly rises above noise may err by more.
+    pub(super) fn fineness(&self, loudness_lsb: f64) -> Fineness {
+        /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
+        const LOUD: f64 = 18.0;
+        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, self.laxity().max(1.0));
+        Fineness::for_tolerance(self.tolerance_db * relaxed)
+    }
+
+    /// The loudness of all of a body by a pair of images below which the pair is left out, LSB: it is spread over many cells.
+    pub fn least_pair_lsb(&self) -> f64 {
+        self.noise_lsb * self.laxity().min(4.0)
+    }
+
+    /// The strength below which a patch is left out, LSB: patches add up.
+    pub(super) fn least_patch_lsb(&self) -> f64 {
+        0.06 * self.least_pair_lsb()
+    }
+
+    /// How much more than for half a decibel may be left out: less than in proportion, for it adds to what integration misses.
+    fn laxity(&self) -> f64 {
+        (self.tolerance_db / 0.5).sqrt()
+    }
+}
+
+/// What is missed of a field, relative to it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Missed {
+    /// By cubics between keys: what leaving out every second key misses, over 16.
+    pub between_keys: f64,
+    /// By window and cuts: how far the field is from that at twice the tolerance, patch by patch.
+    pub by_integration: f64,
+}
+
+impl Missed {
+    /// As an error, dB.
+    pub fn db(&self) -> f64 {
+        20.0 * self.between_keys.hypot(self.by_integration).ln_1p() / std::f64::consts::LN_10
+    }
+}
