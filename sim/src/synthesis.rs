@@ -16,8 +16,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 
 mod spread;
 
-pub(crate) use spread::CHIRPS;
-pub use spread::{ChirpGrids, EchoChirps, EchoWay};
+pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoWay, Grids};
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]

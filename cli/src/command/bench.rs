@@ -1,5 +1,6 @@
 mod scene;
 mod solver;
+mod synthesis;
 
 use std::time::Instant;
 
@@ -29,6 +30,8 @@ enum Stage {
     },
     /// Cross-sections of canonical targets by every method that suits them, beside plain sums over patches
     Solver(solver::Arguments),
+    /// From paths to samples: 128 chirps of 256 samples on one thread, beside the sum of exponentials
+    Synthesis(synthesis::Arguments),
     /// People with skins in a scene at several tolerances, beside dense physical optics in every chirp
     Scene(scene::Arguments),
 }
@@ -47,6 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.stage {
         Stage::Rdm { json, rounds } => rdm(*json, *rounds),
         Stage::Solver(arguments) => solver::run(arguments),
+        Stage::Synthesis(arguments) => synthesis::run(arguments),
         Stage::Scene(arguments) => scene::run(arguments),
     }
 }

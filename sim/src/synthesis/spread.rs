@@ -13,7 +13,7 @@ use crate::chirp::Chirp;
 use crate::slow_time::Stretch;
 
 /// Chirps side by side.
-pub(crate) const CHIRPS: usize = 8;
+pub const CHIRPS: usize = 8;
 
 type Row = [f32; CHIRPS];
 
@@ -38,18 +38,18 @@ impl Cell {
 
 /// Frequency grids of a block of chirps, as [`Grid`] is one chirp's.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Grids {
+pub struct Grids {
     cells: Vec<Cell>,
 }
 
 impl Grids {
     /// Everything to zero.
-    pub(crate) fn clear(&mut self) {
+    pub fn clear(&mut self) {
         self.cells.fill(Cell::default());
     }
 
     /// `a (1 - w) + b w`, with a weight for every chirp.
-    pub(crate) fn blend(&mut self, a: &Grid, b: &Grid, w: &Row) {
+    pub fn blend(&mut self, a: &Grid, b: &Grid, w: &Row) {
         for ((cell, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
             let step = b - a;
             for ((re, im), w) in cell.re.iter_mut().zip(&mut cell.im).zip(w) {
@@ -60,7 +60,7 @@ impl Grids {
     }
 
     /// Copies one chirp's grid out.
-    pub(crate) fn extract(&self, chirp: usize, grid: &mut Grid) {
+    pub fn extract(&self, chirp: usize, grid: &mut Grid) {
         let at = |row: &Row| row.get(chirp).copied().unwrap_or_default();
         grid.cells.clear();
         grid.cells.extend(self.cells.iter().map(|cell| Complex::new(at(&cell.re), at(&cell.im))));
@@ -78,12 +78,12 @@ struct Kernel<'a> {
 
 impl Synthesiser {
     /// Empty grids of a block of chirps.
-    pub(crate) fn grids(&self) -> Grids {
+    pub fn grids(&self) -> Grids {
         Grids { cells: vec![Cell::default(); self.cells + LANES] }
     }
 
     /// Lays paths on the grids of chirps, which are at `places` (0..1) of the stretch between two keys.
-    pub(crate) fn spread(&self, chirp: &Chirp, paths: &[Stretch], places: &[f64; CHIRPS], grids: &mut Grids) {
+    pub fn spread(&self, chirp: &Chirp, paths: &[Stretch], places: &[f64; CHIRPS], grids: &mut Grids) {
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places };
         match self.level {
             KernelLevel::Portable => body(&kernel, paths, &mut grids.cells),

@@ -1,0 +1,139 @@
+//! `radome bench synthesis`: from paths to samples.
+
+use std::time::Instant;
+
+use radome_dsp::{Waveform, WaveformRequest};
+use radome_sim::chirp::Chirp;
+use radome_sim::random::{Purpose, generator};
+use radome_sim::slow_time::{Key, Stretch, stretches};
+use radome_sim::synthesis::{CHIRPS, SynthesisScratch, Synthesiser, Tone, exact_chirp};
+use rand::Rng;
+use rustfft::num_complex::Complex64;
+use serde::Serialize;
+
+use crate::output;
+
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Numbers of paths
+    #[arg(long, value_delimiter = ',', default_value = "30,300,3000")]
+    paths: Vec<usize>,
+    /// Rounds; the fastest counts
+    #[arg(long, default_value_t = 20)]
+    rounds: usize,
+    /// A list of objects
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Row {
+    paths: usize,
+    /// All 128 chirps of a receiver, transforms included.
+    microseconds: f64,
+    /// Of that, without the transforms, by path.
+    microseconds_a_path: f64,
+    /// Rms of the difference to the exact sum over its rms.
+    relative_error: f64,
+    /// Time of the sum of exponentials in double precision over this one's.
+    exact_over_this: f64,
+}
+
+const FRAME_CHIRPS: usize = 128;
+
+/// Paths of walkers through the paper's chirps, between two keys.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let waveform = Waveform::realise(WaveformRequest::paper())?;
+    let chirp = Chirp::new(&waveform);
+    let samples = waveform.request.samples_per_chirp;
+    let synthesiser = Synthesiser::new(samples);
+    let place = |i: usize| i as f64 / FRAME_CHIRPS as f64;
+    let mut rows = Vec::new();
+    for &count in &arguments.paths {
+        let paths = walkers(count);
+        let (mut grids, mut grid) = (synthesiser.grids(), synthesiser.grid());
+        let mut scratch = SynthesisScratch::default();
+        let mut fast = vec![0f32; FRAME_CHIRPS * samples];
+        let (mut all_us, mut spread_us) = (f64::INFINITY, f64::INFINITY);
+        for _ in 0..arguments.rounds.max(1) {
+            fast.fill(0.0);
+            let started = Instant::now();
+            let mut spreading = 0.0;
+            for (block, out) in fast.chunks_mut(CHIRPS * samples).enumerate() {
+                let begin = Instant::now();
+                grids.clear();
+                let places = std::array::from_fn(|i| place(block * CHIRPS + i));
+                synthesiser.spread(&chirp, &paths, &places, &mut grids);
+                spreading += begin.elapsed().as_secs_f64() * 1e6;
+                for (lane, out) in out.chunks_mut(samples).enumerate() {
+                    grids.extract(lane, &mut grid);
+                    synthesiser.transform(&grid, out, &mut scratch);
+                }
+            }
+            all_us = all_us.min(started.elapsed().as_secs_f64() * 1e6);
+            spread_us = spread_us.min(spreading);
+        }
+        // Some of the chirps tell.
+        let (mut apart, mut power, mut exact_us, mut told) = (0.0, 0.0, 0.0, 0.0);
+        for i in (0..FRAME_CHIRPS).step_by(16) {
+            let tones: Vec<Tone> = paths.iter().map(|path| tone(path, &chirp, place(i))).collect();
+            let started = Instant::now();
+            let exact = exact_chirp(&tones, samples);
+            exact_us += started.elapsed().as_secs_f64() * 1e6;
+            told += 1.0;
+            for (exact, fast) in exact.iter().zip(fast.iter().skip(i * samples)) {
+                apart += (exact - f64::from(*fast)).powi(2);
+                power += exact * exact;
+            }
+        }
+        rows.push(Row {
+            paths: count,
+            microseconds: all_us,
+            microseconds_a_path: spread_us / count.max(1) as f64,
+            relative_error: (apart / power).sqrt(),
+            exact_over_this: exact_us / told * FRAME_CHIRPS as f64 / all_us,
+        });
+    }
+    if arguments.json {
+        return output::json_line(&rows);
+    }
+    output::text_line(&format!(
+        "{:>6} {:>13} {:>12} {:>11} {:>11}",
+        "paths", "us/128 chirps", "us/path", "error", "exact/this"
+    ))?;
+    for r in rows {
+        output::text_line(&format!(
+            "{:6} {:13.1} {:12.3} {:11.1e} {:11.0}",
+            r.paths, r.microseconds, r.microseconds_a_path, r.relative_error, r.exact_over_this
+        ))?;
+    }
+    Ok(())
+}
+
+fn tone(path: &Stretch, chirp: &Chirp, place: f64) -> Tone {
+    let (delay_s, rate) = path.delay(place);
+    Tone {
+        phase_cycles: chirp.phase_cycles(delay_s),
+        cycles_per_sample: chirp.beat_hz(delay_s, rate) / chirp.sample_rate_hz,
+        amplitude: path.amplitude(place),
+    }
+}
+
+/// From half a metre to fifteen, at up to three metres a second either way, over 64 ms.
+fn walkers(count: usize) -> Vec<Stretch> {
+    const STRETCH_S: f64 = 0.064;
+    let mut rng = generator(1, Purpose::Noise, [0, 0]);
+    let mut paths = Vec::with_capacity(count);
+    for _ in 0..count {
+        let delay_s = rng.random_range(3e-9..100e-9);
+        let delay_rate = rng.random_range(-2e-8..2e-8);
+        let mut key = |delay_s| Key {
+            delay_s,
+            delay_rate,
+            amplitude: Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)),
+        };
+        let keys = [key(delay_s), key(delay_s + delay_rate * STRETCH_S)];
+        stretches(&keys, STRETCH_S, &mut paths);
+    }
+    paths
+}
