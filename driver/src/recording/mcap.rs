@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | waveform, board, registers, format version | metadata record `radome` | JSON in string fields |
 //! | frames | channel `/radome/frames` | `radome.frame`, below |
-//! | gaps | channel `/radome/gaps` | JSON [`Gap`] |
+//! | gaps | channel `/radome/gaps` | JSON [`Gap`](radome_dsp::Gap) |
 //! | labels | channel `/radome/labels` | JSON [`LabelSpan`] |
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |

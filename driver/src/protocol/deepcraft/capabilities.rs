@@ -42,7 +42,7 @@ pub struct Board {
     /// Of the protocol.
     #[prost(message, optional, tag = "4")]
     pub protocol_version: Option<Version>,
-    /// The board stops after so many milliseconds without [`Command::WatchdogReset`]; 0 is never.
+    /// The board stops after so many milliseconds without [`WatchdogReset`](super::request::Command::WatchdogReset); 0 is never.
     #[prost(int32, tag = "5")]
     pub watchdog_timeout: i32,
     /// Its devices.
