@@ -17,7 +17,7 @@ impl Fineness {
         // Found by measuring (`radome bench scene`): windows err by their tails, bends nearly in proportion.
         let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
         let inner = (0.45 * part.powf(if part > 1.0 { -0.4 } else { -0.63 })).clamp(0.15, 0.8);
-        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.2 * part.powf(0.65)).min(1.5) }
+        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.25 * part.powf(0.65)).min(1.5) }
     }
 
     /// Weight of a place by the cosine between normal and bisector.
@@ -42,7 +42,7 @@ impl Demand {
     pub(super) fn fineness(&self, loudness_lsb: f64) -> Fineness {
         /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
         const LOUD: f64 = 18.0;
-        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, self.laxity().max(1.0));
+        let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, 2.0);
         Fineness::for_tolerance(self.tolerance_db * relaxed)
     }
 
