@@ -25,7 +25,7 @@ use crate::actor::track::smooth_step;
 use crate::field::Phasor3;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
-use crate::field::curved_triangle::{CurvedTriangle, Integrator, MOST_CUTS, View};
+use crate::field::curved_triangle::{CurvedTriangle, Integrator, LANES, MOST_CUTS, View};
 use crate::field::image::{Element, ImageIndex};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
@@ -419,7 +419,8 @@ impl SkinnedPerson {
             alike[cuts.clamp(1, MOST_CUTS) - 1].push(i as u32);
         }
         let (mut views, mut moments) = (Vec::new(), Vec::new());
-        for (cuts, members) in alike.iter().enumerate() {
+        let some = alike.iter().enumerate().flat_map(|(cuts, all)| all.chunks(LANES).map(move |some| (cuts, some)));
+        for (cuts, members) in some {
             views.clear();
             moments.clear();
             for &i in members {

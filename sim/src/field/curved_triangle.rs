@@ -17,8 +17,8 @@ use super::triangle;
 
 /// Cuts of an edge in two, at most.
 pub const MOST_CUTS: usize = 6;
-/// Triangles side by side.
-const LANES: usize = 16;
+/// Triangles side by side: as many as are best asked for at a time.
+pub const LANES: usize = 16;
 /// Phase difference along an edge beyond which bending matters less, by the square of the ratio, rad.
 const STATIONARY_RAD: f64 = 10.0;
 /// Nodes of a triangle whose edges are cut [`MOST_CUTS`] times in two.
