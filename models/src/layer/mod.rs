@@ -8,7 +8,7 @@
 //! - [`adaptive_average_pool`], [`linear`], [`circuit`], [`cross_entropy`].
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
-//! threads. [`reference`] holds the slow obvious versions.
+//! threads. [`mod@reference`] holds the slow obvious versions.
 
 mod average_pool;
 mod circuit;

@@ -1,5 +1,5 @@
 //! The two-qubit circuit of the HQNN in closed form: ZZFeatureMap and RealAmplitudes, one repetition each, full
-//! entanglement, measured in <ZI> and <IZ>.
+//! entanglement, measured in `<ZI>` and `<IZ>`.
 //!
 //! # Conventions
 //! Qiskit's: qubit 0 is the rightmost letter of a Pauli string, so `zi` is Z on **qubit 1** (which encodes `x[1]`) and

@@ -6,7 +6,7 @@
 //! is left, and the loss stays at ln 3. What is done about it:
 //! 1. *Centred features.* See [`crate::network::FeatureScale`]: measured at the start, folded into the weights at the
 //!    end.
-//! 2. *A linear warm-up.* For the first [`TrainSpec::linear_epochs`] the head sees the latent itself, without squash and
+//! 2. *A linear warm-up.* For the first `linear_epochs` the head sees the latent itself, without squash and
 //!    circuit. This control head trains reliably.
 //! 3. *A fitted circuit.* Then angles, head and an affine map of the latent (folded into the last dense layer) are
 //!    fitted to the latents as they are, from 24 random starts, and the best fit is carried on with: 19 numbers on 256
