@@ -51,8 +51,20 @@ struct Light<'a> {
 struct Pair {
     images: [usize; 2],
     fineness: Fineness,
-    triangles: Vec<(u32, usize)>,
+    /// Patch by patch.
+    triangles: Vec<PairTriangle>,
+    /// Of the skin; what is said of vertices here is in their order.
     vertices: Vec<u32>,
+}
+
+/// A triangle that shines between two images.
+#[derive(Debug, Clone, Copy)]
+struct PairTriangle {
+    number: u32,
+    patch: u32,
+    /// Places in the pair's list of vertices.
+    corners: [u32; 3],
+    cuts: usize,
 }
 
 /// A triangle in a pose, whoever looks at it.
@@ -161,8 +173,8 @@ impl SkinnedPerson {
                     wanted[image][v as usize] = true;
                 }
             }
-            for &(triangle, _) in &pair.triangles {
-                used[triangle as usize] = true;
+            for triangle in &pair.triangles {
+                used[triangle.number as usize] = true;
             }
         }
         let triangles: Vec<PosedTriangles> = posed.iter().map(|posed| self.pose_triangles(posed, &used)).collect();
@@ -210,7 +222,7 @@ impl SkinnedPerson {
                 .iter()
                 .enumerate()
                 .map(|(i, posed)| {
-                    let slopes = Slopes::new(&strengths, &pair.vertices, times_s, i);
+                    let slopes = Slopes::new(&strengths, times_s, i);
                     self.integrate(stage, integrator, posed, between, pair, &slopes)
                 })
                 .collect();
@@ -221,9 +233,9 @@ impl SkinnedPerson {
                     let coarse =
                         Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
                     let strengths = [self.strengths(stage, &posed[0], &lights[0], &coarse, report)];
-                    let slopes = Slopes::new(&strengths, &pair.vertices, &times_s[..1], 0);
+                    let slopes = Slopes::new(&strengths, &times_s[..1], 0);
                     let of_coarse = self.integrate(stage, integrator, &triangles[0], between, &coarse, &slopes);
-                    self.difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
+                    difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
                 },
             });
             self.add_pair(stage, pair, between, demand.least_patch_lsb(), &keys, times, &mut sums, grids, report);
@@ -241,10 +253,10 @@ impl SkinnedPerson {
         stage: &Stage,
     ) -> Pair {
         let k = std::f64::consts::TAU / stage.wavelength_m;
-        let cut = |&(number, _): &(u32, usize)| {
-            let curved = self.curved(posed, number as usize);
+        let cut = |triangle: &PairTriangle| {
+            let curved = self.curved(posed, triangle.number as usize);
             let [t, r] = between.map(|place| View::new(place.middle, curved.middle));
-            (number, curved.cuts(&t, &r, k, fineness.bend_rad))
+            PairTriangle { cuts: curved.cuts(&t, &r, k, fineness.bend_rad), ..*triangle }
         };
         Pair {
             images: pair.images,
@@ -252,26 +264,6 @@ impl SkinnedPerson {
             triangles: pair.triangles.iter().map(cut).collect(),
             vertices: pair.vertices.clone(),
         }
-    }
-
-    /// How far two integrations of the same triangles are apart, patch by patch, relative to the first.
-    fn difference(&self, pair: &Pair, a: &[TriangleKey], b: &[TriangleKey], wavelength_m: f64) -> f64 {
-        let patches = self.mesh.skin().patches();
-        let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
-        let (mut apart, mut power) = (0.0, 0.0);
-        let (mut sum, mut difference) = (Complex64::ZERO, Complex64::ZERO);
-        for (i, (a, b)) in a.iter().zip(b).enumerate() {
-            let turn = phasor(-a.length_m / wavelength_m);
-            let turn = Complex64::new(turn.re.into(), turn.im.into());
-            sum += a.field * turn;
-            difference += (a.field - b.field) * turn;
-            if patch_of(i) != patch_of(i + 1) {
-                apart += difference.norm_sqr();
-                power += sum.norm_sqr();
-                (sum, difference) = (Complex64::ZERO, Complex64::ZERO);
-            }
-        }
-        if power > 0.0 { (apart / power).sqrt() } else { 0.0 }
     }
 
     /// Triangles near a highlight, with the cuts that they need.
@@ -299,23 +291,26 @@ impl SkinnedPerson {
             }
         }
         let mut pair = Pair { images, fineness, triangles: Vec::new(), vertices: Vec::new() };
-        let mut wanted = vec![false; self.cloth.len()];
+        let mut places = vec![u32::MAX; self.cloth.len()];
         let k = std::f64::consts::TAU / stage.wavelength_m;
-        for (number, corners) in self.mesh.skin().rest().triangles.iter().enumerate() {
+        let skin = self.mesh.skin();
+        for (number, (corners, &patch)) in skin.rest().triangles.iter().zip(skin.patches()).enumerate() {
             if !corners.iter().any(|&v| shines.get(v as usize) == Some(&true)) {
                 continue;
             }
-            for &v in corners {
-                wanted[v as usize] = true;
-            }
+            let corners = corners.map(|v| {
+                let place = &mut places[v as usize];
+                if *place == u32::MAX {
+                    *place = pair.vertices.len() as u32;
+                    pair.vertices.push(v);
+                }
+                *place
+            });
             let curved = self.curved(middle, number);
             let [t, r] = antennas.map(|a| View::new(a, curved.middle));
-            pair.triangles.push((number as u32, curved.cuts(&t, &r, k, fineness.bend_rad)));
+            let cuts = curved.cuts(&t, &r, k, fineness.bend_rad);
+            pair.triangles.push(PairTriangle { number: number as u32, patch, corners, cuts });
         }
-        // Patch by patch.
-        let patches = self.mesh.skin().patches();
-        pair.triangles.sort_by_key(|&(number, _)| patches.get(number as usize).copied());
-        pair.vertices = (0..wanted.len() as u32).filter(|&v| wanted[v as usize]).collect();
         pair
     }
 
@@ -358,7 +353,7 @@ impl SkinnedPerson {
         own.iter().zip(self.past_people(stage, people, me, index)).map(|(a, b)| a * b).collect()
     }
 
-    /// Strength at every vertex, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
+    /// Strength at every vertex of a pair, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
     /// aperture and spreading.
     fn strengths(
         &self,
@@ -372,9 +367,9 @@ impl SkinnedPerson {
         let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
         let factor = Complex64::new(0.0, -k * aperture / std::f64::consts::TAU);
         let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
-        let mut all = vec![Complex64::ZERO; self.cloth.len()];
+        let mut all = vec![Complex64::ZERO; pair.vertices.len()];
         let [Some(out), Some(back)] = pair.images.map(|i| lights.get(i)) else { return all };
-        for &v in &pair.vertices {
+        for (strength, &v) in all.iter_mut().zip(&pair.vertices) {
             let i = v as usize;
             let (normal, point) = (posed.normals[i], posed.vertices[i]);
             let [there, home] = [out, back].map(|light| View::new(light.antenna, point));
@@ -396,7 +391,7 @@ impl SkinnedPerson {
             let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
             let arrival = Arrival { field: out.fields[i], direction: outwards };
             let heard = heard_by(&arrival, normal, &skin, k, -homewards, back.fields[i]);
-            all[i] = factor * heard * (spreading * weight * inside_room(stage, point));
+            *strength = factor * heard * (spreading * weight * inside_room(stage, point));
         }
         all
     }
@@ -415,8 +410,8 @@ impl SkinnedPerson {
         let mut keys = vec![TriangleKey::default(); pair.triangles.len()];
         // Those that are cut alike go together.
         let mut alike: [Vec<u32>; MOST_CUTS] = Default::default();
-        for (i, &(_, cuts)) in pair.triangles.iter().enumerate() {
-            alike[cuts.clamp(1, MOST_CUTS) - 1].push(i as u32);
+        for (i, triangle) in pair.triangles.iter().enumerate() {
+            alike[triangle.cuts.clamp(1, MOST_CUTS) - 1].push(i as u32);
         }
         let (mut views, mut moments) = (Vec::new(), Vec::new());
         let some = alike.iter().enumerate().flat_map(|(cuts, all)| all.chunks(LANES).map(move |some| (cuts, some)));
@@ -424,14 +419,13 @@ impl SkinnedPerson {
             views.clear();
             moments.clear();
             for &i in members {
-                let Some(triangle) = posed.get(pair.triangles[i as usize].0) else { continue };
+                let Some(triangle) = posed.get(pair.triangles[i as usize].number) else { continue };
                 let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.curved.middle));
                 views.push((triangle.curved, t, r));
             }
             integrator.moments(&views, k, cuts + 1, &mut moments);
             for ((&i, (triangle, t, r)), moments) in members.iter().zip(&views).zip(&moments) {
-                let number = pair.triangles[i as usize].0;
-                let corners = self.mesh.skin().rest().triangles.get(number as usize).copied().unwrap_or_default();
+                let PairTriangle { number, corners, .. } = pair.triangles[i as usize];
                 let Some(PosedTriangle { velocity, against, .. }) = posed.get(number) else { continue };
                 let velocity = *velocity;
                 let [away_t, away_r] = [t, r].map(|view| view.offset / view.distance_m);
@@ -477,8 +471,7 @@ impl SkinnedPerson {
     ) {
         let both = [between, [between[1], between[0]]];
         let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
-        let patches = self.mesh.skin().patches();
-        let patch_of = |i: usize| pair.triangles.get(i).and_then(|&(t, _)| patches.get(t as usize));
+        let patch_of = |i: usize| pair.triangles.get(i).map(|t| t.patch);
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up: one alone this far below what can be seen is not missed.
         let least = (least_lsb / loudest.max(1e-300)) as f32;
@@ -502,12 +495,31 @@ impl SkinnedPerson {
     }
 }
 
+/// How far two integrations of the same triangles are apart, patch by patch, relative to the first.
+fn difference(pair: &Pair, a: &[TriangleKey], b: &[TriangleKey], wavelength_m: f64) -> f64 {
+    let patch_of = |i: usize| pair.triangles.get(i).map(|t| t.patch);
+    let (mut apart, mut power) = (0.0, 0.0);
+    let (mut sum, mut difference) = (Complex64::ZERO, Complex64::ZERO);
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
+        let turn = phasor(-a.length_m / wavelength_m);
+        let turn = Complex64::new(turn.re.into(), turn.im.into());
+        sum += a.field * turn;
+        difference += (a.field - b.field) * turn;
+        if patch_of(i) != patch_of(i + 1) {
+            apart += difference.norm_sqr();
+            power += sum.norm_sqr();
+            (sum, difference) = (Complex64::ZERO, Complex64::ZERO);
+        }
+    }
+    if power > 0.0 { (apart / power).sqrt() } else { 0.0 }
+}
+
 /// Unit vectors from the vertices to an antenna.
 fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<Vec3> {
     posed.vertices.iter().map(|v| (antenna - *v).as_vec3().normalize_or_zero()).collect()
 }
 
-/// Strengths at one key, and their rates from the keys around it, by vertex.
+/// Strengths at one key, and their rates from the keys around it, by a pair's vertices.
 struct Slopes<'a> {
     now: &'a [Complex64],
     rates: Vec<Complex64>,
@@ -515,7 +527,7 @@ struct Slopes<'a> {
 
 impl<'a> Slopes<'a> {
     /// Differences over equal steps: central ones, and at the ends those of the parabola through three keys.
-    fn new(all: &'a [Vec<Complex64>], vertices: &[u32], times_s: &[f64], i: usize) -> Self {
+    fn new(all: &'a [Vec<Complex64>], times_s: &[f64], i: usize) -> Self {
         let last = all.len().saturating_sub(1);
         let step_s = match times_s {
             [first, second, ..] => second - first,
@@ -531,10 +543,8 @@ impl<'a> Slopes<'a> {
         let now = all.get(i).map(Vec::as_slice).unwrap_or_default();
         let mut rates = vec![Complex64::ZERO; now.len()];
         for (key, weight) in weights.iter().filter_map(|&(key, w)| Some((all.get(key)?, w / step_s))) {
-            for &v in vertices {
-                if let (Some(rate), Some(strength)) = (rates.get_mut(v as usize), key.get(v as usize)) {
-                    *rate += strength * weight;
-                }
+            for (rate, strength) in rates.iter_mut().zip(key) {
+                *rate += strength * weight;
             }
         }
         Slopes { now, rates }
