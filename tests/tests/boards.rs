@@ -66,8 +66,21 @@ fn what_a_board_is_fed_is_what_is_recorded_sample_for_sample() {
         assert!(output.status.success(), "{protocol}: {}", String::from_utf8_lossy(&output.stderr));
         json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
         let got = codes(&copy);
-        assert_eq!(got.len(), expected.len() / (FRAMES + 20) * FRAMES, "{protocol}");
-        assert!(expected.starts_with(&got), "{protocol}");
+        let frame = expected.len() / (FRAMES + 20);
+        assert_eq!(got.len(), frame * FRAMES, "{protocol}");
+        // A machine with other things to do may be late to read, and real time does not wait: what is lost then is told, and
+        // nothing else differs.
+        let summary: serde_json::Value = serde_json::from_slice(&output.stdout).expect("a summary");
+        let (mut next, mut lost) = (0, 0);
+        for (number, recorded) in got.chunks(frame).enumerate() {
+            let ahead = expected.chunks(frame).skip(next).position(|sent| sent == recorded);
+            let ahead =
+                ahead.unwrap_or_else(|| panic!("{protocol}: frame {number} was never sent, or was sent before"));
+            // An ESP32 talks whether or not somebody listens yet.
+            lost += if number == 0 && protocol == "esp32" { 0 } else { ahead };
+            next += ahead + 1;
+        }
+        assert_eq!(summary["dropped"], lost, "{protocol}");
     };
     // They take their real time, side by side.
     std::thread::scope(|scope| {

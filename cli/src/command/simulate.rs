@@ -50,6 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         options.tolerance_db = tolerance_db;
     }
     let mut simulator = Simulator::new(&scene, options)?;
+    foretell(&simulator, arguments.frames);
     let header = RecordingHeader::new(scene.waveform().clone());
     let mut recorder = arguments.output.as_ref().map(|path| Recorder::create(path, &header)).transpose()?;
     let bar = output::progress(arguments.frames, "simulating");
@@ -92,4 +93,30 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let estimate = estimate_db.map_or_else(String::new, |e| format!(", echoes within {e:.2} dB by estimate"));
     let what = arguments.output.as_ref().unwrap_or(&arguments.scene).display();
     output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+}
+
+/// Says how long a long run will take and what it will need, by its first frame.
+fn foretell(simulator: &Simulator, frames: u64) {
+    /// Shorter runs need no warning, s.
+    const LONG_S: f64 = 15.0;
+    let started = Instant::now();
+    let frame = simulator.render(0);
+    let threads = rayon::current_num_threads().max(1);
+    let seconds = started.elapsed().as_secs_f64() * frames as f64 / threads as f64;
+    if seconds < LONG_S {
+        return;
+    }
+    let frame_mb = (frame.codes.len() * size_of::<u16>()) as f64 * 1e-6;
+    let (file_mb, memory_mb) = (frame_mb * frames as f64, resident_mb().unwrap_or(0.0) * threads as f64);
+    eprintln!(
+        "about {:.0} min on {threads} threads; {file_mb:.0} MB of frames, up to {memory_mb:.0} MB of memory",
+        (seconds / 60.0).max(1.0).round()
+    );
+}
+
+/// The most memory that this process has had, MB; `None` where the system does not say.
+fn resident_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.split_whitespace().next()?.parse::<f64>().ok()? * 1e-3)
 }
