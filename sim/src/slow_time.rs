@@ -42,7 +42,8 @@ pub struct Stretch {
     stretch_s: f64,
 }
 
-fn cubic(y0: f64, m0: f64, y1: f64, m1: f64) -> [f64; 4] {
+/// Cubic Hermite over 0..1 by powers, from values and slopes at the ends.
+pub(crate) fn cubic(y0: f64, m0: f64, y1: f64, m1: f64) -> [f64; 4] {
     [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1]
 }
 
@@ -59,11 +60,6 @@ pub fn stretches(keys: &[Key], stretch_s: f64, out: &mut Vec<Stretch>) {
             (i, _) => 0.5 * (at(i + 1) - at(i - 1)),
         }
     };
-    stretches_with(keys, stretch_s, slope, out);
-}
-
-/// The same with slopes of the amplitude that are known, in amplitudes for a stretch.
-pub fn stretches_with(keys: &[Key], stretch_s: f64, slope: impl Fn(usize) -> Complex64, out: &mut Vec<Stretch>) {
     for (i, pair) in keys.windows(2).enumerate() {
         let [a, b] = pair else { continue };
         let [p, q, r, s] = cubic(a.delay_s, a.delay_rate * stretch_s, b.delay_s, b.delay_rate * stretch_s);

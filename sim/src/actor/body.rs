@@ -69,6 +69,23 @@ impl Build {
         0.530 * self.height_m
     }
 
+    /// Upright over the origin, facing +x, limbs hanging.
+    pub fn standing(&self) -> Posture {
+        Posture {
+            position_m: [0.0; 2],
+            heading_rad: 0.0,
+            hip_height_m: self.standing_hip_height_m(),
+            lean_rad: 0.0,
+            twist_rad: 0.0,
+            shoulder_rad: [0.0; 2],
+            elbow_rad: [0.0; 2],
+            hip_rad: [0.0; 2],
+            knee_rad: [0.0; 2],
+            ankle_rad: [0.0; 2],
+            chest_m: 0.0,
+        }
+    }
+
     /// Length of a thigh, m.
     pub fn thigh_m(&self) -> f64 {
         0.245 * self.height_m
@@ -124,27 +141,10 @@ impl Build {
 mod tests {
     use super::*;
 
-    fn standing() -> Posture {
-        let build = Build { height_m: 1.8, girth: 1.0 };
-        Posture {
-            position_m: [0.0, 0.0],
-            heading_rad: 0.0,
-            hip_height_m: build.standing_hip_height_m(),
-            lean_rad: 0.0,
-            twist_rad: 0.0,
-            shoulder_rad: [0.0; 2],
-            elbow_rad: [0.0; 2],
-            hip_rad: [0.0; 2],
-            knee_rad: [0.0; 2],
-            ankle_rad: [0.0; 2],
-            chest_m: 0.0,
-        }
-    }
-
     #[test]
     fn a_standing_body_reaches_from_the_floor_to_its_height() {
         let build = Build { height_m: 1.8, girth: 1.0 };
-        let all = build.segments(&standing());
+        let all = build.segments(&build.standing());
         let top = all.iter().map(|s| s.surface(DVec3::Z).z).fold(0.0, f64::max);
         let bottom = all.iter().map(|s| s.surface(-DVec3::Z).z).fold(9.0, f64::min);
         assert!((top - 1.8).abs() < 0.06, "{top}");
@@ -154,7 +154,7 @@ mod tests {
     #[test]
     fn flexion_carries_limbs_forward_and_knees_bend_backward() {
         let build = Build { height_m: 1.8, girth: 1.0 };
-        let mut posture = standing();
+        let mut posture = build.standing();
         posture.hip_rad = [0.5, 0.0];
         posture.knee_rad = [0.0, 0.8];
         posture.shoulder_rad = [0.0, 0.4];

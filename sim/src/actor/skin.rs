@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
-use super::body::{Build, CHEST, PELVIS, Posture, SEGMENTS};
+use super::body::{Build, CHEST, PELVIS, SEGMENTS};
 use super::motion::Motion;
 use crate::field::highlight::Ellipsoid;
 use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
@@ -369,20 +369,7 @@ impl WalkingMesh {
 
 /// The segments standing over the origin with limbs apart.
 fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
-    let standing = Posture {
-        position_m: [0.0; 2],
-        heading_rad: 0.0,
-        hip_height_m: build.standing_hip_height_m(),
-        lean_rad: 0.0,
-        twist_rad: 0.0,
-        shoulder_rad: [0.0; 2],
-        elbow_rad: [0.0; 2],
-        hip_rad: [0.0; 2],
-        knee_rad: [0.0; 2],
-        ankle_rad: [0.0; 2],
-        chest_m: 0.0,
-    };
-    let mut all = build.segments(&standing);
+    let mut all = build.segments(&build.standing());
     for side in 0..2 {
         let sign = if side == 0 { 1.0 } else { -1.0 };
         for (angle, chain) in [(ARM_APART_RAD, &[3, 5][..]), (LEG_APART_RAD, &[7, 9, 11][..])] {

@@ -7,6 +7,7 @@
 use num_complex::{Complex, Complex64};
 use radome_dsp::KernelLevel;
 
+use crate::slow_time::cubic;
 use crate::synthesis::{CHIRPS, EchoChirps};
 
 /// Chirps side by side.
@@ -39,10 +40,6 @@ pub struct ChirpSums {
     sums: Vec<(Complex<f32>, Complex<f32>)>,
 }
 
-fn cubic(y0: f64, m0: f64, y1: f64, m1: f64) -> [f32; 4] {
-    [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1].map(|c| c as f32)
-}
-
 impl ChirpSums {
     /// For a level of instructions that the processor has.
     pub fn new(level: KernelLevel) -> Self {
@@ -65,6 +62,7 @@ impl ChirpSums {
                 cubic(a.field.re, a.field_slope.re, b.field.re, b.field_slope.re),
                 cubic(a.field.im, a.field_slope.im, b.field.im, b.field_slope.im),
             ]
+            .map(|powers| powers.map(|c| c as f32))
         }));
     }
 

@@ -4,8 +4,8 @@
 //! distance across to the shadow's edge, half on it, falling behind ([`crate::shadow::knife_edge`]). The shadow's edges are the
 //! outlines of limbs as the antenna sees them: edges of the mesh at which triangles turn away, each of which divides light from
 //! shadow only on what lies behind it and before the next thing that is seen just beside it. Seen from the antenna all are laid
-//! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near. That is
-//! the same as a ray for each vertex and each outline, and takes a fifth of the time.
+//! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near: what
+//! a ray for each vertex and each outline would find, to which a test holds it.
 
 use glam::{DVec2, DVec3, Vec2};
 
@@ -21,6 +21,7 @@ const TRIANGLE_CELL_M: f64 = 0.02;
 const BESIDE_M: f64 = 1e-4;
 /// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
 const BEHIND_M: f64 = 0.02;
+
 /// An outline's piece on the plane.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
