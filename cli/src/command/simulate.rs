@@ -90,7 +90,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "clipped_codes": clipped,
         }));
     }
-    let estimate = estimate_db.map_or_else(String::new, |e| format!(", echoes within {e:.2} dB by estimate"));
+    let estimate =
+        estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
     let what = arguments.output.as_ref().unwrap_or(&arguments.scene).display();
     output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
 }

@@ -4,8 +4,11 @@ use std::f64::consts::TAU;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::bail;
 use radome_dsp::{FrameShape, Window};
+
 use radome_sim::receiver::noise::density_lsb2;
+use radome_sim::scene::file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
@@ -56,6 +59,12 @@ struct Row {
 /// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let scene = Scene::load(&arguments.scene)?;
+    if scene.file().people.body != BodyFile::Mesh {
+        bail!(
+            "{}: people are ellipsoids, which have no slow way\n\nhint: body = \"mesh\" under [people]",
+            arguments.scene.display()
+        );
+    }
     let simulator = |tolerance_db: f64| {
         let options = SimulateOptions {
             seed: arguments.seed,
