@@ -54,9 +54,9 @@ fn read(source: &mut dyn FrameSource) -> (Vec<Frame>, Option<usize>, Option<Stri
     }
 }
 
-/// `cargo test -p radome-driver --test golden -- --ignored remake`, after a format has changed on purpose.
+/// For when a format has changed on purpose.
 #[test]
-#[ignore = "overwrites the golden files"]
+#[ignore = "overwrites the golden files: cargo test -p radome-driver --test golden -- --ignored remake"]
 fn remake() {
     let folder = golden("");
     // A folder is written only where there is none.
