@@ -3,9 +3,12 @@
 pub mod chirp_sum;
 pub mod demand;
 pub mod dense;
+mod key_rows;
 mod patch;
+mod posed_patch;
 pub mod self_shadow;
 pub mod skin;
+mod strength;
 
 pub use patch::FrameTimes;
 

@@ -17,6 +17,7 @@ pub mod chirp;
 pub mod echo;
 pub mod field;
 pub mod geometry;
+pub(crate) mod lanes;
 pub mod random;
 pub mod rcs;
 pub mod receiver;

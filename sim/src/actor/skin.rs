@@ -13,6 +13,7 @@ use super::body::{Build, CHEST, PELVIS, SEGMENTS};
 use super::motion::Motion;
 use crate::field::highlight::Ellipsoid;
 use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
+use crate::lanes::LANES;
 
 /// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
 pub const EDGE_M: f64 = 0.020;
@@ -27,6 +28,10 @@ const ARM_APART_RAD: f64 = 0.5;
 const LEG_APART_RAD: f64 = 0.10;
 /// Reach of a patch from where it began, m: over it a chirp's tones differ by a tenth of a cell.
 const PATCH_M: f64 = 0.05;
+/// Radius of the thinnest limbs, m.
+const LIMB_RADIUS_M: f64 = 0.04;
+/// Rounds of averaging curvatures over neighbours.
+const CURVATURE_SMOOTHING: usize = 4;
 /// Step of the rates' differences, s: their error is that of the fifth derivative, below 1 um/s.
 const RATE_STEP_S: f64 = 5e-4;
 
@@ -79,8 +84,19 @@ pub struct Skin {
     sides: Vec<[u32; 3]>,
     bindings: Vec<Binding>,
     influences: Vec<(usize, f64, DVec3)>,
-    /// Small connected patch of each triangle; patches are numbered from 0.
-    patches: Vec<u32>,
+    patches: Vec<SkinPatch>,
+    narrowing: Vec<f32>,
+}
+
+/// Triangles that hang together: consecutive ones, no more than go side by side, nor their vertices.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SkinPatch {
+    /// Their numbers.
+    pub triangles: std::ops::Range<usize>,
+    /// Their vertices; the first again where there are fewer than lanes.
+    pub vertices: [u32; LANES],
+    /// Places of each triangle's corners in that list; all the same in lanes without a triangle.
+    pub corners: [[usize; 3]; LANES],
 }
 
 /// An edge of a closed skin.
@@ -140,10 +156,10 @@ impl Skin {
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
 
-        let rest = in_patch_order(rest);
+        let (rest, patches) = in_patch_order(&rest);
         let (edges, sides) = skin_edges(&rest);
-        let patches = patches(&rest, &edges);
-        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new(), patches };
+        let narrowing = narrowing(&rest, &edges);
+        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new(), patches, narrowing };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -178,9 +194,15 @@ impl Skin {
         &self.sides
     }
 
-    /// Small connected patch of each triangle, numbered from 0.
-    pub fn patches(&self) -> &[u32] {
+    /// Small connected patches of triangles, which together are all of them.
+    pub fn patches(&self) -> &[SkinPatch] {
         &self.patches
+    }
+
+    /// By vertex, how much narrower than on the thinnest limb the surface around a highlight is that matters, as angles: phase
+    /// grows with the radius of curvature times the angle's square.
+    pub fn narrowing(&self) -> &[f32] {
+        &self.narrowing
     }
 
     /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
@@ -214,6 +236,30 @@ impl Skin {
     }
 }
 
+/// The square root of every vertex's least radius of curvature, smoothed, over that of a thin limb.
+fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
+    let normals = one_ring_normals(&mesh.vertices, &mesh.triangles);
+    let mut curvatures = vec![0f64; mesh.vertices.len()];
+    for edge in edges {
+        let [a, b] = edge.vertices.map(|v| v as usize);
+        let d = mesh.vertices[b] - mesh.vertices[a];
+        let curvature = (normals[b] - normals[a]).dot(d).abs() / d.length_squared();
+        for v in [a, b] {
+            curvatures[v] = curvatures[v].max(curvature);
+        }
+    }
+    for _ in 0..CURVATURE_SMOOTHING {
+        let mut sums: Vec<(f64, f64)> = curvatures.iter().map(|&c| (c, 1.0)).collect();
+        for edge in edges {
+            let [a, b] = edge.vertices.map(|v| v as usize);
+            sums[a] = (sums[a].0 + curvatures[b], sums[a].1 + 1.0);
+            sums[b] = (sums[b].0 + curvatures[a], sums[b].1 + 1.0);
+        }
+        curvatures = sums.into_iter().map(|(sum, count)| sum / count).collect();
+    }
+    curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
+}
+
 /// Edges of a closed mesh, and those of each triangle: first to second corner, second to third, third to first.
 fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
     let mut sides = vec![[0; 3]; mesh.triangles.len()];
@@ -238,10 +284,10 @@ fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
 
 /// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
 /// together in memory.
-fn in_patch_order(mesh: Mesh) -> Mesh {
-    let patches = patches(&mesh, &skin_edges(&mesh).0);
+fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>) {
+    let numbers_of = patches(mesh, &skin_edges(mesh).0);
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
-    order.sort_by_key(|&t| patches[t]);
+    order.sort_by_key(|&t| numbers_of[t]);
     let mut numbers = vec![u32::MAX; mesh.vertices.len()];
     let mut sorted = Mesh::default();
     for triangle in order.iter().map(|&t| mesh.triangles[t]) {
@@ -254,10 +300,32 @@ fn in_patch_order(mesh: Mesh) -> Mesh {
             *number
         }));
     }
-    sorted
+    let mut all = Vec::new();
+    let mut begin = 0;
+    for members in order.chunk_by(|&a, &b| numbers_of[a] == numbers_of[b]) {
+        let triangles = begin..begin + members.len();
+        begin = triangles.end;
+        all.push(SkinPatch::new(triangles.clone(), &sorted.triangles[triangles]));
+    }
+    (sorted, all)
 }
 
-/// Patches of triangles that hang together, each grown over its neighbours as far as [`PATCH_M`] from where it began.
+impl SkinPatch {
+    fn new(triangles: std::ops::Range<usize>, corners: &[[u32; 3]]) -> Self {
+        let mut vertices: Vec<u32> = corners.iter().flatten().copied().collect();
+        vertices.sort_unstable();
+        vertices.dedup();
+        let place = |v: u32| vertices.binary_search(&v).unwrap_or(0);
+        SkinPatch {
+            triangles,
+            vertices: std::array::from_fn(|lane| vertices.get(lane).or(vertices.first()).copied().unwrap_or(0)),
+            corners: std::array::from_fn(|lane| corners.get(lane).map_or([0; 3], |corners| corners.map(place))),
+        }
+    }
+}
+
+/// Patches of triangles that hang together: each begins where the fewest neighbours are left and takes what is nearest to its
+/// middle, until it is full or reaches [`PATCH_M`] from where it began.
 fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     let mut beside: Vec<Vec<u32>> = vec![Vec::new(); mesh.triangles.len()];
     for edge in edges {
@@ -267,23 +335,40 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     }
     let middle = |t: u32| mesh.corners(t as usize).map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0);
     let mut patches = vec![u32::MAX; mesh.triangles.len()];
-    let mut count = 0;
-    for start in 0..mesh.triangles.len() as u32 {
-        if patches[start as usize] != u32::MAX {
-            continue;
-        }
-        let centre = middle(start);
+    let (mut count, mut rim) = (0, std::collections::BTreeSet::new());
+    let mut beginning = 0;
+    while let Some(start) = {
+        let free =
+            |patches: &[u32], t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
+        // On the rim of what is done, where a triangle left behind would be alone; else anywhere.
+        let least = rim.iter().copied().min_by_key(|&t| (free(&patches, t), t));
+        least.or_else(|| (beginning..patches.len() as u32).find(|&t| patches[t as usize] == u32::MAX))
+    } {
+        beginning = if rim.is_empty() { start } else { beginning };
+        let (mut members, mut sum) = (vec![start], middle(start));
+        let mut vertices = mesh.triangles[start as usize].to_vec();
         patches[start as usize] = count;
-        let (mut members, mut next) = (vec![start], 0);
-        while let Some(&triangle) = members.get(next) {
-            next += 1;
-            for &other in &beside[triangle as usize] {
-                if patches[other as usize] == u32::MAX && middle(other).distance(centre) < PATCH_M {
-                    patches[other as usize] = count;
-                    members.push(other);
-                }
-            }
+        rim.remove(&start);
+        while members.len() < LANES {
+            let centre = sum / members.len() as f64;
+            let fits = |t: u32| {
+                let more = mesh.triangles[t as usize].iter().filter(|v| !vertices.contains(v)).count();
+                vertices.len() + more <= LANES && middle(t).distance(middle(start)) < PATCH_M
+            };
+            let around = members.iter().flat_map(|&t| &beside[t as usize]);
+            let near = around.filter(|&&t| patches[t as usize] == u32::MAX && fits(t));
+            // Those that would be left alone come first.
+            let alone = |t: u32| beside[t as usize].iter().filter(|&&o| patches[o as usize] == u32::MAX).count();
+            let cost = |t: u32| middle(t).distance(centre) * (1.0 + 0.3 * alone(t) as f64);
+            let Some(&next) = near.min_by(|&&a, &&b| cost(a).total_cmp(&cost(b)).then(a.cmp(&b))) else { break };
+            patches[next as usize] = count;
+            rim.remove(&next);
+            sum += middle(next);
+            let more: Vec<u32> = mesh.triangles[next as usize].into_iter().filter(|v| !vertices.contains(v)).collect();
+            vertices.extend(more);
+            members.push(next);
         }
+        rim.extend(members.iter().flat_map(|&t| &beside[t as usize]).filter(|&&t| patches[t as usize] == u32::MAX));
         count += 1;
     }
     patches

@@ -1,30 +1,21 @@
 //! What error is asked of a skin's echoes, and what that takes.
 
-use crate::actor::track::smooth_step;
-
 /// How finely a skin is integrated.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Fineness {
     /// Sine of the angle between normal and bisector up to which everything counts, and from which nothing does.
     pub window: [f64; 2],
-    /// Phase, rad, by which the middle of an edge may miss the mean of its ends before it is cut.
-    pub bend_rad: f64,
+    /// How much farther than usual phases may run across a triangle for the places that it is given ([`crate::field::quadrature`]).
+    pub ease: f32,
 }
 
 impl Fineness {
     /// For an error of this many decibels.
     pub fn for_tolerance(tolerance_db: f64) -> Self {
-        // Found by measuring (`radome bench scene`): windows err by their tails, bends nearly in proportion.
+        // Found by measuring (`radome bench scene`): windows err by their tails.
         let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
-        let inner = (0.45 * part.powf(if part > 1.0 { -0.4 } else { -0.63 })).clamp(0.15, 0.8);
-        Fineness { window: [inner, (inner + 0.25).min(0.97)], bend_rad: (0.25 * part.powf(0.65)).min(1.5) }
-    }
-
-    /// Weight of a place by the cosine between normal and bisector.
-    pub(super) fn weight(&self, cosine: f64) -> f64 {
-        let [inner, outer] = self.window;
-        let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
-        smooth_step((outer - sine) / (outer - inner))
+        let inner = (0.4 * part.powf(if part > 1.0 { -0.14 } else { -0.45 })).clamp(0.15, 0.6);
+        Fineness { window: [inner, (inner + 0.4).min(0.97)], ease: part.powf(0.1) as f32 }
     }
 }
 

@@ -137,10 +137,10 @@ fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
     [a, (4.0 * b - 3.0 * a - c) / n, 2.0 * (a + c - 2.0 * b) / (n * n)]
 }
 
-/// What cubics between keys miss of a field, relative to it: by leaving out every second key, over 16.
-pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> f64 {
+/// Squares of what cubics between keys miss of triangles' fields when every second key is left out, and of the fields.
+pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> (f64, f64) {
     let k = std::f64::consts::TAU / wavelength_m;
-    let [first_s, second_s, ..] = times_s else { return 0.0 };
+    let [first_s, second_s, ..] = times_s else { return (0.0, 0.0) };
     let span_s = 2.0 * (second_s - first_s);
     let (mut missed, mut power) = (0.0, 0.0);
     for triple in keys.windows(3).step_by(2) {
@@ -153,7 +153,7 @@ pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wa
             power += b.field.norm_sqr();
         }
     }
-    if power > 0.0 { (missed / power).sqrt() / 16.0 } else { 0.0 }
+    (missed, power)
 }
 
 /// An antenna in the middle of transmitter and receivers.

@@ -7,39 +7,36 @@
 //! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near: what
 //! a ray for each vertex and each outline would find, to which a test holds it.
 
-use glam::{DVec2, DVec3, Vec2};
+use glam::{DVec3, Vec2};
 
 use crate::actor::skin::{PosedSkin, Skin};
 use crate::shadow::knife_edge;
 
 /// Farther across from an outline than this there is all light or none, m.
-const REACH_M: f64 = 0.06;
+const REACH_M: f32 = 0.06;
 /// Width of the cells of outlines, and of triangles, m.
-const CELL_M: f64 = 0.04;
-const TRIANGLE_CELL_M: f64 = 0.02;
+const CELL_M: f32 = 0.04;
+const TRIANGLE_CELL_M: f32 = 0.02;
 /// Beside an outline, where a ray looks for what lies behind, m.
-const BESIDE_M: f64 = 1e-4;
+const BESIDE_M: f32 = 1e-4;
 /// Nothing shades what lies this close behind it, m: there an outline is the surface's own curving away.
-const BEHIND_M: f64 = 0.02;
+const BEHIND_M: f32 = 0.02;
+
+/// A vertex on the plane, and how far away it is, m.
+#[derive(Debug, Clone, Copy, Default)]
+struct Seen {
+    at: Vec2,
+    depth_m: f32,
+}
 
 /// An outline's piece on the plane.
 #[derive(Debug, Clone, Copy)]
 struct Piece {
-    from: DVec2,
-    to: DVec2,
+    from: Vec2,
+    to: Vec2,
     /// How far away it is, m, and how far what a ray just beside it meets.
-    depth_m: f64,
-    behind_m: f64,
-}
-
-/// Lists of things by the cells of a grid that they touch.
-struct Cells {
-    low: DVec2,
-    width_m: f64,
-    count: [usize; 2],
-    /// Where each cell's members begin.
-    starts: Vec<u32>,
-    members: Vec<u32>,
+    depth_m: f32,
+    behind_m: f32,
 }
 
 /// A triangle on the plane, in the form in which a place is put into it: its weights of the second and third corner are
@@ -55,11 +52,26 @@ struct Facet {
     nearest_m: f32,
 }
 
+/// Lists of things by the cells of a grid that they touch.
+#[derive(Default)]
+struct Cells {
+    low: Vec2,
+    per_m: f32,
+    /// Number of cells along both axes.
+    count: [u32; 2],
+    /// Of each thing, the first and the last cell along both axes.
+    ranges: Vec<[u16; 4]>,
+    /// Where each cell's members begin.
+    starts: Vec<u32>,
+    members: Vec<u32>,
+    /// Least depth of each cell's members, m: most cells have nothing in front of what is looked at.
+    nearest_m: Vec<f32>,
+}
+
 /// What an antenna sees of a body.
 struct View<'a> {
     skin: &'a Skin,
-    /// Each vertex on the plane, and how far away it is, m.
-    seen: Vec<(DVec2, f64)>,
+    seen: Vec<Seen>,
     /// Whether each triangle faces the antenna.
     facing: Vec<bool>,
     /// Those that do, and which are where.
@@ -93,12 +105,12 @@ impl Plane {
         Some(Plane { antenna, forward, u, v, distance_m })
     }
 
-    /// Place on the plane, and depth along the line of sight, m.
     #[inline]
-    fn seen(&self, point: DVec3) -> (DVec2, f64) {
+    fn seen(&self, point: DVec3) -> Seen {
         let offset = point - self.antenna;
         let scale = self.distance_m / offset.dot(self.forward);
-        (DVec2::new(offset.dot(self.u), offset.dot(self.v)) * scale, offset.length())
+        let at = Vec2::new((offset.dot(self.u) * scale) as f32, (offset.dot(self.v) * scale) as f32);
+        Seen { at, depth_m: offset.length() as f32 }
     }
 }
 
@@ -106,125 +118,136 @@ impl Plane {
 pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, wanted: &[bool]) -> Vec<f64> {
     let mut all = vec![1.0; posed.vertices.len()];
     let Some(plane) = Plane::new(antenna, &posed.vertices) else { return all };
-    let view = View::new(skin, posed, plane);
-    for (i, ((weight, v), normal)) in all.iter_mut().zip(&posed.vertices).zip(&posed.normals).enumerate() {
-        if wanted.get(i) == Some(&true) && normal.dot(antenna - *v) > 0.0 {
-            *weight = view.weight(i, wavelength_m);
+    let view = View::new(skin, posed, &plane);
+    let looked_at = all.iter_mut().zip(&view.seen).zip(posed.vertices.iter().zip(&posed.normals)).zip(wanted);
+    for (((weight, seen), (v, normal)), _) in looked_at.filter(|(_, wanted)| **wanted) {
+        if normal.dot(antenna - *v) > 0.0 {
+            *weight = view.weight(seen, wavelength_m);
         }
     }
     all
 }
 
 impl Cells {
-    /// From the box around each thing.
-    fn new(boxes: &[(DVec2, DVec2)], width_m: f64) -> Self {
-        let (low, high) = boxes
-            .iter()
-            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), (low, high)| (l.min(*low), h.max(*high)));
-        if boxes.is_empty() {
-            return Cells { low: DVec2::ZERO, width_m, count: [1; 2], starts: vec![0; 2], members: Vec::new() };
-        }
+    /// An empty grid over a box, for so many things.
+    fn new(low: Vec2, high: Vec2, width_m: f32, things: usize) -> Self {
         // A body is at most a few metres; what perspective makes larger shares the last cells.
-        let across = |length: f64| ((length / width_m) as usize + 1).min(400);
+        let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
         let count = [across(high.x - low.x), across(high.y - low.y)];
-        let mut cells = Cells { low, width_m, count, starts: vec![0; count[0] * count[1] + 1], members: Vec::new() };
-        let ranges: Vec<[usize; 4]> = boxes
-            .iter()
-            .map(|&(low, high)| {
-                let ([x0, y0], [x1, y1]) = (cells.cell(low), cells.cell(high));
-                [x0, y0, x1, y1]
-            })
-            .collect();
-        for &[x0, y0, x1, y1] in &ranges {
-            for y in y0..=y1 {
-                for start in &mut cells.starts[y * count[0] + x0 + 1..=y * count[0] + x1 + 1] {
-                    *start += 1;
-                }
+        Cells { low, per_m: 1.0 / width_m, count, ranges: Vec::with_capacity(things), ..Cells::default() }
+    }
+
+    #[inline]
+    fn cell(&self, at: Vec2) -> [u32; 2] {
+        // Conversion saturates: what lies outside shares the cells of the rim.
+        let place = (at - self.low) * self.per_m;
+        [(place.x as u32).min(self.count[0] - 1), (place.y as u32).min(self.count[1] - 1)]
+    }
+
+    /// The next thing, by the box around it.
+    #[inline]
+    fn push(&mut self, low: Vec2, high: Vec2) {
+        let ([x0, y0], [x1, y1]) = (self.cell(low), self.cell(high));
+        self.ranges.push([x0 as u16, x1 as u16, y0 as u16, y1 as u16]);
+    }
+
+    /// Lists every thing in its cells; `depths_m` are theirs.
+    fn list(&mut self, depths_m: impl Iterator<Item = f32>) {
+        let [across, down] = self.count.map(|n| n as usize);
+        let rows = |&[x0, x1, y0, y1]: &[u16; 4]| {
+            (usize::from(y0)..=usize::from(y1))
+                .map(move |y| y * across + usize::from(x0)..y * across + usize::from(x1) + 1)
+        };
+        let mut next = vec![0u32; across * down + 1];
+        for range in &self.ranges {
+            for row in rows(range) {
+                next[row].iter_mut().for_each(|n| *n += 1);
             }
         }
         let mut total = 0;
-        for start in &mut cells.starts {
-            total += *start;
-            *start = total;
+        for n in &mut next {
+            (*n, total) = (total, total + *n);
         }
-        let mut next = cells.starts.clone();
-        cells.members = vec![0; total as usize];
-        for (number, &[x0, y0, x1, y1]) in (0..).zip(&ranges) {
-            for y in y0..=y1 {
-                for next in &mut next[y * count[0] + x0..=y * count[0] + x1] {
-                    cells.members[*next as usize] = number;
+        self.starts = next.clone();
+        self.members = vec![0; total as usize];
+        self.nearest_m = vec![f32::INFINITY; across * down];
+        for ((number, range), depth_m) in (0..).zip(&self.ranges).zip(depths_m) {
+            for row in rows(range) {
+                for (next, nearest_m) in next[row.clone()].iter_mut().zip(&mut self.nearest_m[row]) {
+                    self.members[*next as usize] = number;
                     *next += 1;
+                    *nearest_m = nearest_m.min(depth_m);
                 }
             }
         }
-        cells
     }
 
-    fn cell(&self, at: DVec2) -> [usize; 2] {
-        let offset = (at - self.low) / self.width_m;
-        let index = |x: f64, count: usize| (x.max(0.0) as usize).min(count.saturating_sub(1));
-        [index(offset.x, self.count[0]), index(offset.y, self.count[1])]
-    }
-
-    /// What may be at a place.
-    fn at(&self, at: DVec2) -> &[u32] {
+    /// What may be at a place and nearer than this, m.
+    #[inline]
+    fn at(&self, at: Vec2, than_m: f32) -> &[u32] {
         let [x, y] = self.cell(at);
-        let cell = y * self.count[0] + x;
+        let cell = (y * self.count[0] + x) as usize;
+        if self.nearest_m.get(cell).is_none_or(|nearest_m| *nearest_m >= than_m) {
+            return &[];
+        }
         let range = self.starts.get(cell).zip(self.starts.get(cell + 1));
         range.and_then(|(&from, &to)| self.members.get(from as usize..to as usize)).unwrap_or_default()
     }
 }
 
 impl<'a> View<'a> {
-    fn new(skin: &'a Skin, posed: &PosedSkin, plane: Plane) -> Self {
-        let seen: Vec<(DVec2, f64)> = posed.vertices.iter().map(|&v| plane.seen(v)).collect();
+    fn new(skin: &'a Skin, posed: &PosedSkin, plane: &Plane) -> Self {
+        let seen: Vec<Seen> = posed.vertices.iter().map(|&v| plane.seen(v)).collect();
+        let corners_seen = skin.rest().triangles.iter().map(|t| t.map(|v| seen[v as usize]));
+        let (low, high) =
+            seen.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(l, h), s| (l.min(s.at), h.max(s.at)));
+        let count = skin.rest().triangles.len();
+        let (mut facing, mut facets) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        let mut triangles = Cells::new(low, high, TRIANGLE_CELL_M, count);
         // Counter-clockwise on the plane, whose third axis points away, is turned away.
-        let turned = |&[a, b, c]: &[u32; 3]| {
-            let [a, b, c] = [a, b, c].map(|v| seen.get(v as usize).map_or(DVec2::ZERO, |s| s.0));
-            (b - a).perp_dot(c - a)
-        };
-        let forward = plane.u.cross(plane.v).dot(plane.forward);
-        let facing: Vec<bool> = skin.rest().triangles.iter().map(|t| turned(t) * forward < 0.0).collect();
-        let (mut facets, mut boxes) = (Vec::new(), Vec::new());
-        for (corners, _) in skin.rest().triangles.iter().zip(&facing).filter(|(_, facing)| **facing) {
-            let [(a, depth_a), (b, depth_b), (c, depth_c)] = corners.map(|v| seen[v as usize]);
-            let (u, v) = (b - a, c - a);
+        let handed = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
+        for [a, b, c] in corners_seen {
+            let (u, v) = (b.at - a.at, c.at - a.at);
             let area = u.perp_dot(v);
-            facets.push(Facet {
-                first: a.as_vec2(),
-                to_second: (DVec2::new(v.y, -v.x) / area).as_vec2(),
-                to_third: (DVec2::new(-u.y, u.x) / area).as_vec2(),
-                depth_m: depth_a as f32,
-                deeper_m: [(depth_b - depth_a) as f32, (depth_c - depth_a) as f32],
-                nearest_m: depth_a.min(depth_b).min(depth_c) as f32,
-            });
-            boxes.push((a.min(b).min(c), a.max(b).max(c)));
+            let faces = area * handed > 0.0;
+            facing.push(faces);
+            if faces {
+                let over = 1.0 / area;
+                facets.push(Facet {
+                    first: a.at,
+                    to_second: Vec2::new(v.y, -v.x) * over,
+                    to_third: Vec2::new(-u.y, u.x) * over,
+                    depth_m: a.depth_m,
+                    deeper_m: [b.depth_m - a.depth_m, c.depth_m - a.depth_m],
+                    nearest_m: a.depth_m.min(b.depth_m).min(c.depth_m),
+                });
+                triangles.push(a.at.min(b.at).min(c.at), a.at.max(b.at).max(c.at));
+            }
         }
-        let triangles = Cells::new(&boxes, TRIANGLE_CELL_M);
-        let outlines = Cells::new(&[], CELL_M);
-        let mut view = View { skin, seen, facing, facets, triangles, pieces: Vec::new(), outlines };
-        view.find_outlines();
+        triangles.list(facets.iter().map(|facet| facet.nearest_m));
+        let mut view = View { skin, seen, facing, facets, triangles, pieces: Vec::new(), outlines: Cells::default() };
+        view.find_outlines(low, high);
         view
     }
 
     /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
-    fn nearest_m(&self, at: DVec2, than_m: f64) -> f64 {
-        let (mut nearest, place) = (than_m as f32, at.as_vec2());
-        for &number in self.triangles.at(at) {
+    fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
+        let mut nearest = than_m;
+        for &number in self.triangles.at(at, than_m) {
             let Some(facet) = self.facets.get(number as usize) else { continue };
             if facet.nearest_m >= nearest {
                 continue;
             }
-            let offset = place - facet.first;
+            let offset = at - facet.first;
             let (p, q) = (facet.to_second.dot(offset), facet.to_third.dot(offset));
             if p >= 0.0 && q >= 0.0 && p + q <= 1.0 {
                 nearest = nearest.min(facet.depth_m + p * facet.deeper_m[0] + q * facet.deeper_m[1]);
             }
         }
-        f64::from(nearest)
+        nearest
     }
 
-    fn find_outlines(&mut self) {
+    fn find_outlines(&mut self, low: Vec2, high: Vec2) {
         let faces = |t: u32| self.facing.get(t as usize).copied().unwrap_or(false);
         let mut pieces = Vec::new();
         for edge in self.skin.edges() {
@@ -233,39 +256,38 @@ impl<'a> View<'a> {
                 continue;
             }
             let [p, q] = edge.vertices;
-            let ((from, depth_p), (to, depth_q)) = (self.seen[p as usize], self.seen[q as usize]);
-            let along = to - from;
+            let (from, to) = (self.seen[p as usize], self.seen[q as usize]);
+            let along = to.at - from.at;
             // Both triangles lie on the same side of it; the third corner of either says which.
             let corners = self.skin.rest().triangles.get(left as usize);
             let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
             let Some(&third) = third else { continue };
-            let side = along.perp_dot(self.seen[third as usize].0 - from);
+            let side = along.perp_dot(self.seen[third as usize].at - from.at);
             let outward = (if side > 0.0 { -along.perp() } else { along.perp() }).normalize_or_zero();
-            let depth_m = 0.5 * (depth_p + depth_q);
-            let behind_m = self.nearest_m(0.5 * (from + to) + outward * BESIDE_M, f64::INFINITY);
+            let depth_m = 0.5 * (from.depth_m + to.depth_m);
+            let behind_m = self.nearest_m(0.5 * (from.at + to.at) + outward * BESIDE_M, f32::INFINITY);
             // What is itself hidden hides nothing more.
             if behind_m > depth_m - 1e-3 {
-                pieces.push(Piece { from, to, depth_m, behind_m });
+                pieces.push(Piece { from: from.at, to: to.at, depth_m, behind_m });
             }
         }
-        let reach = DVec2::splat(REACH_M);
-        let boxes: Vec<_> = pieces.iter().map(|p| (p.from.min(p.to) - reach, p.from.max(p.to) + reach)).collect();
-        self.outlines = Cells::new(&boxes, CELL_M);
+        self.outlines = Cells::new(low, high, CELL_M, pieces.len());
+        for piece in &pieces {
+            self.outlines.push(piece.from.min(piece.to) - REACH_M, piece.from.max(piece.to) + REACH_M);
+        }
+        self.outlines.list(pieces.iter().map(|piece| piece.depth_m));
         self.pieces = pieces;
     }
 
     /// Field at a vertex.
-    fn weight(&self, vertex: usize, wavelength_m: f64) -> f64 {
-        let Some(&(at, depth_m)) = self.seen.get(vertex) else { return 1.0 };
+    fn weight(&self, &Seen { at, depth_m }: &Seen, wavelength_m: f64) -> f64 {
         let least_m = depth_m - BEHIND_M;
-        let shaded = self.nearest_m(at, least_m) < f64::from(least_m as f32);
-        let far = if shaded { 0.0 } else { 1.0 };
         // Squared distance across in units of the first Fresnel zone, and in metres.
-        let (mut nearest, mut across_m2) = (f64::INFINITY, f64::INFINITY);
-        for &member in self.outlines.at(at) {
+        let (mut nearest, mut across_m2) = (f32::INFINITY, f32::INFINITY);
+        for &member in self.outlines.at(at, least_m) {
             let Some(piece) = self.pieces.get(member as usize) else { continue };
             let behind_m = depth_m - piece.depth_m;
-            if behind_m < BEHIND_M || piece.behind_m < depth_m - BEHIND_M {
+            if behind_m < BEHIND_M || piece.behind_m < least_m {
                 continue;
             }
             let along = piece.to - piece.from;
@@ -277,13 +299,14 @@ impl<'a> View<'a> {
                 (nearest, across_m2) = (zones, distance2);
             }
         }
+        let shaded = self.nearest_m(at, least_m) < least_m;
         if across_m2 > REACH_M * REACH_M {
-            return far;
+            return if shaded { 0.0 } else { 1.0 };
         }
-        let nu = (2.0 * nearest / wavelength_m).sqrt();
+        let nu = (2.0 * f64::from(nearest) / wavelength_m).sqrt();
         if shaded {
             // To nothing at the end of the reach.
-            let part = across_m2 / (REACH_M * REACH_M);
+            let part = f64::from(across_m2 / (REACH_M * REACH_M));
             knife_edge(nu) * (1.0 - part) * (1.0 - part)
         } else {
             knife_edge(-nu)
@@ -325,7 +348,7 @@ mod tests {
                     continue;
                 }
                 let hit = world.closest(&Ray::between(antenna, *v));
-                let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - BEHIND_M);
+                let is_shaded = hit.is_some_and(|hit| hit.distance_m < depth_m - f64::from(BEHIND_M));
                 facing += 1;
                 shaded += i32::from(is_shaded);
                 wrong += i32::from(is_shaded != (*weight < 0.5));

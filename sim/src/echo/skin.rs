@@ -2,31 +2,35 @@
 //!
 //! Physical optics over the skin needs only where the path hardly changes: a smooth window over the angle between normal and
 //! bisector keeps highlights with several Fresnel zones around them and lets go of the rest, which cancels. Inside the window
-//! each triangle is integrated in closed form ([`crate::field::curved_triangle`]) at the key times, and is between them a point
-//! of the body with an exact delay whose strength changes slowly. Triangles of one small patch are summed chirp by chirp
+//! each triangle is integrated ([`crate::field::curved_triangle`]) at the key times, and is between them a point of the body
+//! with an exact delay whose strength changes slowly. Triangles of one small patch are summed chirp by chirp
 //! ([`super::chirp_sum`]) into one tone: nothing has to be found, followed or matched between key times, and highlights that
 //! are born, merge and die do so in the sum.
+//!
+//! A patch has as many triangles as go side by side in lanes. It is taken through everything, by every way and at every key,
+//! before the next: what is known of it stays at hand.
 //!
 //! A way and its reverse differ by the few millimetres between transmitter and receivers: they are integrated once.
 //!
 //! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
-use glam::{DVec3, Vec3};
+use glam::DVec3;
 use num_complex::Complex64;
 
 use super::chirp_sum::ChirpSums;
 use super::demand::{Demand, Fineness, Missed};
+use super::key_rows::{StrengthRows, triangle_keys};
 use super::patch::{FrameTimes, Patch, Place, TriangleKey, middle_antenna, missed_between_keys};
-use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, inside_room, past_people, self_shadow};
+use super::posed_patch::{PosedPatch, vertex_rows};
+use super::strength::{Between, FieldRows, any_shines, common_factor, light_rows, strengths};
+use super::{EchoReport, Snapshot, past_people, self_shadow};
 use crate::actor::body::SEGMENTS;
-use crate::actor::skin::{PosedSkin, WalkingMesh};
-use crate::actor::track::smooth_step;
-use crate::field::Phasor3;
-use crate::field::boundary::Boundary;
-use crate::field::current::{Arrival, heard_by};
-use crate::field::curved_triangle::{CurvedTriangle, Integrator, LANES, MOST_CUTS, View};
+use crate::actor::skin::{PosedSkin, SkinPatch, WalkingMesh};
+use crate::field::curved_triangle::{Integrator, moments, spans_rad};
 use crate::field::image::{Element, ImageIndex};
+use crate::field::quadrature::rule_for;
+use crate::lanes::{LANES, Row};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 use crate::synthesis::{ChirpGrids, EchoWay, phasor};
@@ -39,53 +43,43 @@ pub struct SkinnedPerson {
     cloth: Vec<f64>,
 }
 
-/// What an image antenna throws on the vertices.
-struct Light<'a> {
-    fields: &'a [Phasor3],
-    /// What people and limbs leave of them.
-    weights: Vec<f64>,
-    antenna: DVec3,
-}
-
-/// Triangles that shine between two images, with their cuts.
+/// Two images between which somebody is heard, whichever of them sends.
 struct Pair {
+    /// Places in the list of images.
     images: [usize; 2],
     fineness: Fineness,
-    /// Patch by patch.
-    triangles: Vec<PairTriangle>,
-    /// Of the skin; what is said of vertices here is in their order.
-    vertices: Vec<u32>,
 }
 
-/// A triangle that shines between two images.
-#[derive(Debug, Clone, Copy)]
-struct PairTriangle {
-    number: u32,
-    patch: u32,
-    /// Places in the pair's list of vertices.
-    corners: [u32; 3],
-    cuts: usize,
+/// What goes from patch to patch.
+struct Work<'a> {
+    stage: &'a Stage,
+    integrator: &'a Integrator,
+    times: &'a FrameTimes,
+    /// Middle of the body: single precision counts from here.
+    origin: DVec3,
+    antenna: Element,
+    indices: Vec<ImageIndex>,
+    places: Vec<Place>,
+    pairs: Vec<Pair>,
+    posed: Vec<PosedSkin>,
+    /// `[key][image][vertex]`: what people and limbs leave of light. Empty at every second key, which is half-way in between.
+    weights: Vec<Vec<Vec<f64>>>,
 }
 
-/// A triangle in a pose, whoever looks at it.
-#[derive(Debug, Clone, Copy)]
-struct PosedTriangle {
-    curved: CurvedTriangle,
-    /// Of the middle, m/s, and of the corners against it.
-    velocity: DVec3,
-    against: [Vec3; 3],
-}
-
-/// Those triangles that somebody looks at: close together in memory, by number.
-struct PosedTriangles {
-    slots: Vec<u32>,
-    triangles: Vec<PosedTriangle>,
-}
-
-impl PosedTriangles {
-    fn get(&self, number: u32) -> Option<&PosedTriangle> {
-        self.triangles.get(*self.slots.get(number as usize)? as usize)
-    }
+/// What a patch is worked on with.
+struct Bench {
+    patches: Vec<PosedPatch>,
+    fields: Vec<FieldRows>,
+    /// `[key][image]`.
+    weights: Vec<Vec<Row>>,
+    strengths: Vec<StrengthRows>,
+    keys: Vec<Vec<TriangleKey>>,
+    coarse: Vec<TriangleKey>,
+    sums: ChirpSums,
+    /// Of the patch, in the middle pose.
+    area_m2: f32,
+    /// Field below which a patch is left out.
+    least: f32,
 }
 
 impl SkinnedPerson {
@@ -133,8 +127,7 @@ impl SkinnedPerson {
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
     ) -> Missed {
-        let times_s = &times.keys_s;
-        let posed: Vec<PosedSkin> = times_s.iter().map(|&t| self.mesh.posed(t)).collect();
+        let posed: Vec<PosedSkin> = times.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
         let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
         for &((p, q), loudness) in pairs {
             let way = [p.min(q), p.max(q)];
@@ -145,394 +138,256 @@ impl SkinnedPerson {
         let mut indices: Vec<ImageIndex> = ways.iter().flat_map(|(way, _)| *way).collect();
         indices.sort_unstable();
         indices.dedup();
+        let Some(middle) = posed.get(posed.len() / 2) else { return Missed::default() };
         let antenna = middle_antenna(stage);
-        let places: Vec<Place> = indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect();
-        // What is near a highlight at the beginning or at the end.
-        let middle = posed.len() / 2;
-        let Some(last) = posed.len().checked_sub(1) else { return Missed::default() };
-        let ends: Vec<(Vec<Vec3>, Vec<Vec<Vec3>>)> = [0, last]
-            .map(|i| {
-                let normals = posed[i].normals.iter().map(|n| n.as_vec3()).collect();
-                (normals, places.iter().map(|place| towards(&posed[i], place.middle)).collect())
-            })
-            .to_vec();
-        let pairs: Vec<Pair> = ways
-            .iter()
-            .map(|(way, loudness)| {
-                let images = way.map(|index| indices.binary_search(&index).unwrap_or(0));
-                let near = ends.iter().map(|(normals, d)| (normals.as_slice(), images.map(|i| d[i].as_slice())));
-                let of = images.map(|i| places[i].middle);
-                self.select(near, &posed[middle], of, images, demand.fineness(*loudness), stage)
-            })
-            .collect();
-        let mut wanted = vec![vec![false; self.cloth.len()]; indices.len()];
-        let mut used = vec![false; self.mesh.skin().rest().triangles.len()];
-        for pair in &pairs {
-            for &v in &pair.vertices {
-                for image in pair.images {
-                    wanted[image][v as usize] = true;
-                }
-            }
-            for triangle in &pair.triangles {
-                used[triangle.number as usize] = true;
-            }
-        }
-        let triangles: Vec<PosedTriangles> = posed.iter().map(|posed| self.pose_triangles(posed, &used)).collect();
-        // Strengths change less than phases: they are found at every second key, and are half-way in between.
-        let exact = |i: usize| i.is_multiple_of(2) || i == last;
-        // Patterns and walls change less still: the middle will do.
-        let fields: Vec<Vec<Phasor3>> = indices
-            .iter()
-            .zip(&wanted)
-            .map(|(&index, wanted)| {
-                let field = |(v, wanted): (&DVec3, &bool)| {
-                    if *wanted { stage.room.illuminate(&antenna, index, *v).field } else { Phasor3::real(DVec3::ZERO) }
-                };
-                posed[middle].vertices.iter().zip(wanted).map(field).collect()
-            })
-            .collect();
-        let lights: Vec<Vec<Light>> = (0..posed.len())
-            .map(|i| {
-                let Some(people) = people.get(i).filter(|_| exact(i)) else { return Vec::new() };
-                let each = indices.iter().zip(&wanted).zip(&fields);
-                each.map(|((&index, wanted), fields)| Light {
-                    fields,
-                    weights: self.weights(stage, &antenna, &posed[i], people, me, index, wanted),
-                    antenna: stage.room.image_position(index, antenna.position),
-                })
-                .collect()
-            })
-            .collect();
-
-        let mut missed = None;
-        let mut sums = ChirpSums::new(integrator.level());
-        for pair in &pairs {
-            report.paths += pair.triangles.len();
-            let mut strengths: Vec<Vec<Complex64>> = posed
-                .iter()
-                .zip(&lights)
-                .map(|(posed, lights)| self.strengths(stage, posed, lights, pair, report))
-                .collect();
-            for i in (0..posed.len()).filter(|&i| !exact(i)) {
-                let (before, after) = (&strengths[i - 1], &strengths[i + 1]);
-                strengths[i] = before.iter().zip(after).map(|(a, b)| 0.5 * (a + b)).collect();
-            }
-            let between = pair.images.map(|i| &places[i]);
-            let keys: Vec<Vec<TriangleKey>> = triangles
-                .iter()
-                .enumerate()
-                .map(|(i, posed)| {
-                    let slopes = Slopes::new(&strengths, times_s, i);
-                    self.integrate(stage, integrator, posed, between, pair, &slopes)
-                })
-                .collect();
-            missed.get_or_insert_with(|| Missed {
-                between_keys: missed_between_keys(&keys, times_s, stage.wavelength_m),
-                by_integration: {
-                    let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
-                    let coarse =
-                        Pair { fineness: coarse, ..self.select_again(pair, &posed[0], between, coarse, stage) };
-                    let strengths = [self.strengths(stage, &posed[0], &lights[0], &coarse, report)];
-                    let slopes = Slopes::new(&strengths, &times_s[..1], 0);
-                    let of_coarse = self.integrate(stage, integrator, &triangles[0], between, &coarse, &slopes);
-                    difference(pair, &keys[0], &of_coarse, stage.wavelength_m)
-                },
-            });
-            self.add_pair(stage, pair, between, demand.least_patch_lsb(), &keys, times, &mut sums, grids, report);
-        }
-        missed.unwrap_or_default()
-    }
-
-    /// The same triangles with other cuts.
-    fn select_again(
-        &self,
-        pair: &Pair,
-        posed: &PosedSkin,
-        between: [&Place; 2],
-        fineness: Fineness,
-        stage: &Stage,
-    ) -> Pair {
-        let k = std::f64::consts::TAU / stage.wavelength_m;
-        let cut = |triangle: &PairTriangle| {
-            let curved = self.curved(posed, triangle.number as usize);
-            let [t, r] = between.map(|place| View::new(place.middle, curved.middle));
-            PairTriangle { cuts: curved.cuts(&t, &r, k, fineness.bend_rad), ..*triangle }
+        let pair = |&(way, loudness): &([ImageIndex; 2], f64)| Pair {
+            images: way.map(|index| indices.binary_search(&index).unwrap_or(0)),
+            fineness: demand.fineness(loudness),
         };
-        Pair {
-            images: pair.images,
-            fineness,
-            triangles: pair.triangles.iter().map(cut).collect(),
-            vertices: pair.vertices.clone(),
-        }
-    }
+        let mut work = Work {
+            stage,
+            integrator,
+            times,
+            origin: middle.vertices.iter().sum::<DVec3>() / middle.vertices.len().max(1) as f64,
+            places: indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect(),
+            pairs: ways.iter().map(pair).collect(),
+            antenna,
+            indices,
+            posed,
+            weights: Vec::new(),
+        };
+        let shining = self.shining(&work);
+        work.weights = self.weights(&work, people, me, &shining);
 
-    /// Triangles near a highlight, with the cuts that they need.
-    fn select<'a>(
-        &self,
-        near: impl Iterator<Item = (&'a [Vec3], [&'a [Vec3]; 2])>,
-        middle: &PosedSkin,
-        antennas: [DVec3; 2],
-        images: [usize; 2],
-        fineness: Fineness,
-        stage: &Stage,
-    ) -> Pair {
-        let mut shines = vec![false; self.cloth.len()];
-        // As the window's weight, without its roots.
-        let least = (1.0 - fineness.window[1] * fineness.window[1]) as f32;
-        for (normals, [there, home]) in near {
-            for (((shines, t), r), normal) in shines.iter_mut().zip(there).zip(home).zip(normals) {
-                let bisector = *t + *r;
-                let (square, cosine) = (bisector.length_squared(), normal.dot(bisector));
-                *shines |= cosine > 0.0
-                    && cosine * cosine > least * square
-                    && normal.dot(*t) > 0.0
-                    && normal.dot(*r) > 0.0
-                    && square > 0.16;
-            }
-        }
-        let mut pair = Pair { images, fineness, triangles: Vec::new(), vertices: Vec::new() };
-        let mut places = vec![u32::MAX; self.cloth.len()];
-        let k = std::f64::consts::TAU / stage.wavelength_m;
-        let skin = self.mesh.skin();
-        for (number, (corners, &patch)) in skin.rest().triangles.iter().zip(skin.patches()).enumerate() {
-            if !corners.iter().any(|&v| shines.get(v as usize) == Some(&true)) {
-                continue;
-            }
-            let corners = corners.map(|v| {
-                let place = &mut places[v as usize];
-                if *place == u32::MAX {
-                    *place = pair.vertices.len() as u32;
-                    pair.vertices.push(v);
+        let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
+        let mut bench = Bench {
+            patches: work.posed.iter().map(|_| PosedPatch::new(work.indices.len(), integrator)).collect(),
+            fields: vec![FieldRows::default(); work.indices.len()],
+            weights: vec![vec![[0.0; LANES]; work.indices.len()]; work.posed.len()],
+            strengths: vec![StrengthRows::default(); work.posed.len()],
+            keys: vec![Vec::new(); work.posed.len()],
+            coarse: Vec::new(),
+            sums: ChirpSums::new(integrator.level),
+            area_m2: 0.0,
+            // Patches add up: one alone this far below what can be seen is not missed.
+            least: (demand.least_patch_lsb() / loudest.max(1e-300)) as f32,
+        };
+        let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
+        let mut missed = Tally::default();
+        for (patch, shining) in self.mesh.skin().patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
+            self.pose(&work, patch, shining, &mut bench);
+            for &number in shining {
+                let Some(pair) = work.pairs.get(number) else { continue };
+                if !bench.integrate(&work, patch, pair) {
+                    continue;
                 }
-                *place
-            });
-            let curved = self.curved(middle, number);
-            let [t, r] = antennas.map(|a| View::new(a, curved.middle));
-            let cuts = curved.cuts(&t, &r, k, fineness.bend_rad);
-            pair.triangles.push(PairTriangle { number: number as u32, patch, corners, cuts });
-        }
-        pair
-    }
-
-    fn curved(&self, posed: &PosedSkin, number: usize) -> CurvedTriangle {
-        let skin = self.mesh.skin();
-        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
-        let corners = skin.rest().triangles.get(number).copied().unwrap_or_default();
-        let sides = skin.sides().get(number).copied().unwrap_or_default();
-        let [points, normals] = [&posed.vertices, &posed.normals].map(|of| corners.map(|v| at(of, v)));
-        CurvedTriangle::new(points, normals, sides.map(|e| at(&posed.bulges, e)))
-    }
-
-    /// The triangles that are wanted, in a pose.
-    fn pose_triangles(&self, posed: &PosedSkin, wanted: &[bool]) -> PosedTriangles {
-        let mut all = PosedTriangles { slots: vec![u32::MAX; wanted.len()], triangles: Vec::new() };
-        for (number, corners) in self.mesh.skin().rest().triangles.iter().enumerate().filter(|(i, _)| wanted[*i]) {
-            let velocities = corners.map(|v| posed.velocities_m_per_s.get(v as usize).copied().unwrap_or_default());
-            let velocity = (velocities[0] + velocities[1] + velocities[2]) / 3.0;
-            let against = velocities.map(|v| (v - velocity).as_vec3());
-            all.slots[number] = all.triangles.len() as u32;
-            all.triangles.push(PosedTriangle { curved: self.curved(posed, number), velocity, against });
-        }
-        all
-    }
-
-    /// What people and limbs leave of an image antenna's field at every vertex that is wanted.
-    #[allow(clippy::too_many_arguments)]
-    fn weights(
-        &self,
-        stage: &Stage,
-        antenna: &Element,
-        posed: &PosedSkin,
-        people: &[Snapshot],
-        me: usize,
-        index: ImageIndex,
-        wanted: &[bool],
-    ) -> Vec<f64> {
-        let middle = stage.room.image_position(index, antenna.position);
-        let own = self_shadow::weights(self.mesh.skin(), posed, middle, stage.wavelength_m, wanted);
-        own.iter().zip(self.past_people(stage, people, me, index)).map(|(a, b)| a * b).collect()
-    }
-
-    /// Strength at every vertex of a pair, as it multiplies `exp(-j k L)` and an area: the integrand of physical optics with antennas'
-    /// aperture and spreading.
-    fn strengths(
-        &self,
-        stage: &Stage,
-        posed: &PosedSkin,
-        lights: &[Light],
-        pair: &Pair,
-        report: &mut EchoReport,
-    ) -> Vec<Complex64> {
-        let k = std::f64::consts::TAU / stage.wavelength_m;
-        let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-        let factor = Complex64::new(0.0, -k * aperture / std::f64::consts::TAU);
-        let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
-        let mut all = vec![Complex64::ZERO; pair.vertices.len()];
-        let [Some(out), Some(back)] = pair.images.map(|i| lights.get(i)) else { return all };
-        for (strength, &v) in all.iter_mut().zip(&pair.vertices) {
-            let i = v as usize;
-            let (normal, point) = (posed.normals[i], posed.vertices[i]);
-            let [there, home] = [out, back].map(|light| View::new(light.antenna, point));
-            let [outwards, homewards] = [there, home].map(|view| view.offset / view.distance_m);
-            let bisector = outwards + homewards;
-            let length = bisector.length();
-            let cosine = -normal.dot(bisector) / length.max(1e-12);
-            if normal.dot(outwards) >= 0.0 || normal.dot(homewards) >= 0.0 {
-                continue;
+                report.paths += patch.triangles.len() * work.posed.len();
+                if number == 0 {
+                    bench.integrate_coarsely(&work, patch, pair, &coarse);
+                    missed.add(&bench.keys, &bench.coarse, &times.keys_s, stage.wavelength_m);
+                }
+                bench.add_tone(&work, pair, grids, report);
             }
-            // Grazing highlights fade: forward scattering is not theirs to tell.
-            let window = pair.fineness.weight(cosine) * smooth_step((0.5 * length - 0.2) / 0.1);
-            let weight = window * out.weights[i] * back.weights[i] * self.cloth[i];
-            if weight <= 0.0 {
-                continue;
-            }
-            let clamped = there.distance_m < LEAST_DISTANCE_M || home.distance_m < LEAST_DISTANCE_M;
-            report.clamped += usize::from(clamped);
-            let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
-            let arrival = Arrival { field: out.fields[i], direction: outwards };
-            let heard = heard_by(&arrival, normal, &skin, k, -homewards, back.fields[i]);
-            *strength = factor * heard * (spreading * weight * inside_room(stage, point));
         }
-        all
+        missed.missed()
     }
 
-    /// Every triangle of a pair at a key.
-    fn integrate(
-        &self,
-        stage: &Stage,
-        integrator: &Integrator,
-        posed: &PosedTriangles,
-        [first, second]: [&Place; 2],
-        pair: &Pair,
-        slopes: &Slopes,
-    ) -> Vec<TriangleKey> {
-        let k = std::f64::consts::TAU / stage.wavelength_m;
-        let mut keys = vec![TriangleKey::default(); pair.triangles.len()];
-        // Those that are cut alike go together.
-        let mut alike: [Vec<u32>; MOST_CUTS] = Default::default();
-        for (i, triangle) in pair.triangles.iter().enumerate() {
-            alike[triangle.cuts.clamp(1, MOST_CUTS) - 1].push(i as u32);
-        }
-        let (mut views, mut moments) = (Vec::new(), Vec::new());
-        let some = alike.iter().enumerate().flat_map(|(cuts, all)| all.chunks(LANES).map(move |some| (cuts, some)));
-        for (cuts, members) in some {
-            views.clear();
-            moments.clear();
-            for &i in members {
-                let Some(triangle) = posed.get(pair.triangles[i as usize].number) else { continue };
-                let [t, r] = [first, second].map(|image| View::new(image.middle, triangle.curved.middle));
-                views.push((triangle.curved, t, r));
-            }
-            integrator.moments(&views, k, cuts + 1, &mut moments);
-            for ((&i, (triangle, t, r)), moments) in members.iter().zip(&views).zip(&moments) {
-                let PairTriangle { number, corners, .. } = pair.triangles[i as usize];
-                let Some(PosedTriangle { velocity, against, .. }) = posed.get(number) else { continue };
-                let velocity = *velocity;
-                let [away_t, away_r] = [t, r].map(|view| view.offset / view.distance_m);
-                let mut key = TriangleKey {
-                    middle: triangle.middle,
-                    length_m: t.distance_m + r.distance_m,
-                    rate_m_per_s: (away_t + away_r).dot(velocity),
-                    ..TriangleKey::default()
+    /// By patch, the pairs of images between which it is near a highlight at the beginning or at the end.
+    fn shining(&self, work: &Work) -> Vec<Vec<usize>> {
+        let level = work.integrator.level;
+        let patches = self.mesh.skin().patches();
+        let mut all = vec![Vec::new(); patches.len()];
+        let ends = [work.posed.first(), work.posed.last()];
+        for (patch, shining) in patches.iter().zip(&mut all) {
+            let seen: Vec<_> = ends
+                .iter()
+                .flatten()
+                .map(|posed| {
+                    let [places, normals] = vertex_rows(posed, patch, work.origin);
+                    let light = |place: &Place| light_rows(level, from(work.origin, place.middle), &places);
+                    (normals, work.places.iter().map(light).collect::<Vec<_>>())
+                })
+                .collect();
+            let narrowing = patch.vertices.map(|v| self.mesh.skin().narrowing()[v as usize]);
+            let shines = |pair: &Pair| {
+                let [a, b] = pair.images;
+                let outer = pair.fineness.window[1] as f32;
+                let lit = |(normals, lights): &([Row; 3], Vec<_>)| {
+                    any_shines(level, normals, &narrowing, [&lights[a], &lights[b]], outer)
                 };
-                let (speeds, away) = ([away_t.dot(velocity), away_r.dot(velocity)], away_t + away_r);
-                for ((v, moment), (d, against)) in corners.iter().zip(moments).zip(triangle.corners.iter().zip(against))
-                {
-                    let moment = Complex64::new(moment.re.into(), moment.im.into());
-                    let (strength, slope) = slopes.at(*v);
-                    // How fast the path by the corner grows against that by the middle.
-                    let d = d.as_dvec3();
-                    let (sideways, turning) = (away.dot(against.as_dvec3()), d.dot(velocity));
-                    let rate = sideways
-                        + (turning - away_t.dot(d) * speeds[0]) / t.distance_m
-                        + (turning - away_r.dot(d) * speeds[1]) / r.distance_m;
-                    key.field += strength * moment;
-                    key.field_rate += (slope - Complex64::new(0.0, k * rate) * strength) * moment;
-                }
-                keys[i as usize] = key;
-            }
+                seen.iter().any(lit)
+            };
+            shining.extend(work.pairs.iter().enumerate().filter(|(_, pair)| shines(pair)).map(|(number, _)| number));
         }
-        keys
+        all
     }
 
-    /// Adds what a pair's patches send back in every chirp.
-    #[allow(clippy::too_many_arguments)]
-    fn add_pair(
-        &self,
-        stage: &Stage,
-        pair: &Pair,
-        between: [&Place; 2],
-        least_lsb: f64,
-        keys: &[Vec<TriangleKey>],
-        times: &FrameTimes,
-        sums: &mut ChirpSums,
-        grids: &mut ChirpGrids,
-        report: &mut EchoReport,
-    ) {
+    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it.
+    fn weights(&self, work: &Work, people: &[Vec<Snapshot>], me: usize, shining: &[Vec<usize>]) -> Vec<Vec<Vec<f64>>> {
+        let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
+        for (patch, pairs) in self.mesh.skin().patches().iter().zip(shining) {
+            for image in pairs.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images) {
+                patch.vertices.iter().for_each(|&v| wanted[image][v as usize] = true);
+            }
+        }
+        let last = work.posed.len().saturating_sub(1);
+        let at = |(key, (posed, people)): (usize, (&PosedSkin, &Vec<Snapshot>))| {
+            if !key.is_multiple_of(2) && key != last {
+                return Vec::new();
+            }
+            let each = work.indices.iter().zip(&work.places).zip(&wanted);
+            each.map(|((&index, place), wanted)| {
+                let skin = self.mesh.skin();
+                let own = self_shadow::weights(skin, posed, place.middle, work.stage.wavelength_m, wanted);
+                own.iter().zip(self.past_people(work.stage, people, me, index)).map(|(a, b)| a * b).collect()
+            })
+            .collect()
+        };
+        work.posed.iter().zip(people).enumerate().map(at).collect()
+    }
+
+    /// Puts a patch on the bench in every pose, as the images of the pairs by which it shines see it.
+    fn pose(&self, work: &Work, patch: &SkinPatch, shining: &[usize], bench: &mut Bench) {
+        let level = work.integrator.level;
+        let mut images: Vec<usize> =
+            shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images).collect();
+        images.sort_unstable();
+        images.dedup();
+        for (of_patch, posed) in bench.patches.iter_mut().zip(&work.posed) {
+            of_patch.pose(work.stage, level, self.mesh.skin(), patch, posed, &self.cloth, work.origin);
+            for &image in &images {
+                of_patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
+            }
+        }
+        bench.area_m2 = bench.patches[work.posed.len() / 2].triangles.area_m2();
+        // Patterns and walls change little over a patch and a frame: its middle will do.
+        let middle = &work.posed[work.posed.len() / 2];
+        let corners = &patch.vertices;
+        let centre = corners.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / corners.len() as f64;
+        for &image in &images {
+            let light = work.stage.room.illuminate(&work.antenna, work.indices[image], centre);
+            bench.fields[image] = FieldRows::from(light.field);
+        }
+        let last = work.posed.len() - 1;
+        for key in (0..=last).filter(|key| key.is_multiple_of(2) || *key == last) {
+            for &image in &images {
+                let of_image = &work.weights[key][image];
+                bench.weights[key][image] = patch.vertices.map(|v| of_image[v as usize] as f32);
+            }
+        }
+        for key in (0..last).filter(|key| !key.is_multiple_of(2)) {
+            for &image in &images {
+                let (before, after) = (bench.weights[key - 1][image], bench.weights[key + 1][image]);
+                bench.weights[key][image] = std::array::from_fn(|l| 0.5 * (before[l] + after[l]));
+            }
+        }
+    }
+}
+
+impl Bench {
+    fn strengths(&self, work: &Work, pair: &Pair, key: usize, fineness: &Fineness) -> (Row, Row) {
+        let [out, back] = pair.images;
+        let patch = &self.patches[key];
+        let between = Between {
+            vertices: &patch.vertices,
+            lights: [&patch.lights[out], &patch.lights[back]],
+            fields: [self.fields[out], self.fields[back]],
+            weights: [&self.weights[key][out], &self.weights[key][back]],
+            permittivity: SKIN_PERMITTIVITY,
+            fineness,
+            factor: common_factor(work.stage.wavelength_m),
+        };
+        strengths(work.integrator.level, &between)
+    }
+
+    /// Finds the patch's triangles at every key between two images. Whether there is anything.
+    fn integrate(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair) -> bool {
+        let wavelength_m = work.stage.wavelength_m;
+        for key in 0..self.patches.len() {
+            self.strengths[key].now = self.strengths(work, pair, key, &pair.fineness);
+        }
+        let mut live = [false; LANES];
+        for StrengthRows { now: (re, im), .. } in &self.strengths {
+            for (l, live) in live.iter_mut().enumerate() {
+                *live |= (re[l] != 0.0) | (im[l] != 0.0);
+            }
+        }
+        // All of the patch in phase: what is not heard even then needs no integral.
+        let strongest = self.strengths.iter().flat_map(|s| s.now.0.iter().zip(&s.now.1)).map(|(x, y)| x * x + y * y);
+        let strongest = strongest.fold(0.0, f32::max).sqrt();
+        if live == [false; LANES] || strongest * self.area_m2 < self.least {
+            return false;
+        }
+        slopes(&mut self.strengths, &work.times.keys_s);
+        let [out, back] = pair.images;
+        let level = work.integrator.level;
+        let middle = &self.patches[self.patches.len() / 2];
+        let spans = spans_rad(level, [&middle.views[out], &middle.views[back]]);
+        let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v]);
+        let span = (0..patch.triangles.len()).filter(|&l| corners_live(l)).map(|l| spans[l]).fold(0.0, f32::max);
+        let rule = rule_for(span, pair.fineness.ease);
+        for ((posed, strengths), keys) in self.patches.iter_mut().zip(&self.strengths).zip(&mut self.keys) {
+            posed.nodes(rule, work.integrator);
+            let moments = moments(level, posed.found(rule), [&posed.views[out], &posed.views[back]]);
+            triangle_keys(level, patch, posed, work.origin, pair.images, &moments, strengths, wavelength_m, keys);
+        }
+        true
+    }
+
+    /// The same at the first key as it would be to a coarser demand.
+    fn integrate_coarsely(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, fineness: &Fineness) {
+        let strengths = StrengthRows { now: self.strengths(work, pair, 0, fineness), ..StrengthRows::default() };
+        let [out, back] = pair.images;
+        let level = work.integrator.level;
+        let Some(posed) = self.patches.first_mut() else { return };
+        let spans = spans_rad(level, [&posed.views[out], &posed.views[back]]);
+        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
+        let rule = rule_for(span, fineness.ease);
+        posed.nodes(rule, work.integrator);
+        let moments = moments(level, posed.found(rule), [&posed.views[out], &posed.views[back]]);
+        let (wavelength_m, coarse) = (work.stage.wavelength_m, &mut self.coarse);
+        triangle_keys(level, patch, posed, work.origin, pair.images, &moments, &strengths, wavelength_m, coarse);
+    }
+
+    /// Adds what the patch sends back between two images in every chirp.
+    fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids, report: &mut EchoReport) {
+        let (stage, times) = (work.stage, work.times);
+        let between = pair.images.map(|i| &work.places[i]);
         let both = [between, [between[1], between[0]]];
         let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
-        let patch_of = |i: usize| pair.triangles.get(i).map(|t| t.patch);
-        let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
-        // Patches add up: one alone this far below what can be seen is not missed.
-        let least = (least_lsb / loudest.max(1e-300)) as f32;
-        let (mut begin, mut chirps) = (0, Vec::new());
-        while begin < pair.triangles.len() {
-            let end = (begin..pair.triangles.len()).find(|&i| patch_of(i) != patch_of(begin));
-            let members = begin..end.unwrap_or(pair.triangles.len());
-            begin = members.end;
-            let Some(patch) = Patch::new(keys, members, times, stage.wavelength_m, sums) else { continue };
-            if sums.loudest() < least {
-                continue;
-            }
-            report.synthesised += 1;
-            sums.chirps(&mut chirps);
-            for way in ways {
-                let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
-                let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
-                grids.add(&stage.chirp, &of_receivers, &chirps);
-            }
+        let in_phase = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm()).sum::<f64>();
+        if self.keys.iter().map(in_phase).fold(0.0, f64::max) < f64::from(self.least) {
+            return;
+        }
+        let members = 0..self.keys.first().map_or(0, Vec::len);
+        let Some(patch) = Patch::new(&self.keys, members, times, stage.wavelength_m, &mut self.sums) else { return };
+        if self.sums.loudest() < self.least {
+            return;
+        }
+        report.synthesised += 1;
+        let mut chirps = Vec::new();
+        self.sums.chirps(&mut chirps);
+        for way in ways {
+            let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
+            let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
+            grids.add(&stage.chirp, &of_receivers, &chirps);
         }
     }
 }
 
-/// How far two integrations of the same triangles are apart, patch by patch, relative to the first.
-fn difference(pair: &Pair, a: &[TriangleKey], b: &[TriangleKey], wavelength_m: f64) -> f64 {
-    let patch_of = |i: usize| pair.triangles.get(i).map(|t| t.patch);
-    let (mut apart, mut power) = (0.0, 0.0);
-    let (mut sum, mut difference) = (Complex64::ZERO, Complex64::ZERO);
-    for (i, (a, b)) in a.iter().zip(b).enumerate() {
-        let turn = phasor(-a.length_m / wavelength_m);
-        let turn = Complex64::new(turn.re.into(), turn.im.into());
-        sum += a.field * turn;
-        difference += (a.field - b.field) * turn;
-        if patch_of(i) != patch_of(i + 1) {
-            apart += difference.norm_sqr();
-            power += sum.norm_sqr();
-            (sum, difference) = (Complex64::ZERO, Complex64::ZERO);
-        }
-    }
-    if power > 0.0 { (apart / power).sqrt() } else { 0.0 }
+/// An antenna from a place, in single precision.
+fn from(origin: DVec3, antenna: DVec3) -> [f32; 3] {
+    (antenna - origin).as_vec3().to_array()
 }
 
-/// Unit vectors from the vertices to an antenna.
-fn towards(posed: &PosedSkin, antenna: DVec3) -> Vec<Vec3> {
-    posed.vertices.iter().map(|v| (antenna - *v).as_vec3().normalize_or_zero()).collect()
-}
-
-/// Strengths at one key, and their rates from the keys around it, by a pair's vertices.
-struct Slopes<'a> {
-    now: &'a [Complex64],
-    rates: Vec<Complex64>,
-}
-
-impl<'a> Slopes<'a> {
-    /// Differences over equal steps: central ones, and at the ends those of the parabola through three keys.
-    fn new(all: &'a [Vec<Complex64>], times_s: &[f64], i: usize) -> Self {
-        let last = all.len().saturating_sub(1);
-        let step_s = match times_s {
-            [first, second, ..] => second - first,
-            _ => 1.0,
-        };
+/// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
+fn slopes(all: &mut [StrengthRows], times_s: &[f64]) {
+    let last = all.len().saturating_sub(1);
+    let step_s = match times_s {
+        [first, second, ..] => second - first,
+        _ => 1.0,
+    };
+    for i in 0..all.len() {
         let weights: &[(usize, f64)] = match (i, last) {
             (_, 0) => &[],
             (_, 1) => &[(0, -1.0), (1, 1.0)],
@@ -540,18 +395,42 @@ impl<'a> Slopes<'a> {
             (i, last) if i == last => &[(last, 1.5), (last - 1, -2.0), (last - 2, 0.5)],
             (i, _) => &[(i + 1, 0.5), (i - 1, -0.5)],
         };
-        let now = all.get(i).map(Vec::as_slice).unwrap_or_default();
-        let mut rates = vec![Complex64::ZERO; now.len()];
-        for (key, weight) in weights.iter().filter_map(|&(key, w)| Some((all.get(key)?, w / step_s))) {
-            for (rate, strength) in rates.iter_mut().zip(key) {
-                *rate += strength * weight;
+        let mut rates = ([0.0; LANES], [0.0; LANES]);
+        for &(key, weight) in weights {
+            let (weight, (re, im)) = ((weight / step_s) as f32, all[key].now);
+            for l in 0..LANES {
+                rates.0[l] += weight * re[l];
+                rates.1[l] += weight * im[l];
             }
         }
-        Slopes { now, rates }
+        all[i].rates = rates;
+    }
+}
+
+/// What is missed of a pair's field, patch by patch, in squares.
+#[derive(Debug, Default)]
+struct Tally {
+    between_keys: [f64; 2],
+    by_integration: [f64; 2],
+}
+
+impl Tally {
+    fn add(&mut self, keys: &[Vec<TriangleKey>], coarse: &[TriangleKey], times_s: &[f64], wavelength_m: f64) {
+        let (missed, power) = missed_between_keys(keys, times_s, wavelength_m);
+        self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
+        let (mut sum, mut apart) = (Complex64::ZERO, Complex64::ZERO);
+        for (a, b) in keys.first().into_iter().flatten().zip(coarse) {
+            let turn = phasor(-a.length_m / wavelength_m);
+            let turn = Complex64::new(turn.re.into(), turn.im.into());
+            sum += a.field * turn;
+            apart += (a.field - b.field) * turn;
+        }
+        self.by_integration = [self.by_integration[0] + apart.norm_sqr(), self.by_integration[1] + sum.norm_sqr()];
     }
 
-    fn at(&self, vertex: u32) -> (Complex64, Complex64) {
-        let of = |all: &[Complex64]| all.get(vertex as usize).copied().unwrap_or_default();
-        (of(self.now), of(&self.rates))
+    fn missed(&self) -> Missed {
+        let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
+        // Cubics err with the fourth power of the step.
+        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(self.by_integration) }
     }
 }

@@ -17,6 +17,7 @@ pub mod image;
 pub mod link;
 pub mod mesh_highlight;
 pub mod pattern;
+pub mod quadrature;
 pub mod terminal;
 pub mod triangle;
 

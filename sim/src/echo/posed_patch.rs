@@ -1,0 +1,144 @@
+//! A patch of a skin in a pose, side by side in lanes: what is known of it whichever antennas look at it.
+
+use glam::DVec3;
+use radome_dsp::KernelLevel;
+
+use super::inside_room;
+use super::strength::{LightRows, VertexRows, light_rows};
+use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
+use crate::field::curved_triangle::{Integrator, Nodes, TriangleRows, ViewRows, place_nodes, triangle_rows, view_rows};
+use crate::lanes::{LANES, Row, Row3};
+use crate::stage::Stage;
+
+/// A patch in a pose.
+pub(super) struct PosedPatch {
+    pub(super) vertices: VertexRows,
+    pub(super) triangles: TriangleRows,
+    /// Velocities of the triangles' middles, m/s, and of their corners against those.
+    pub(super) velocity: Row3,
+    pub(super) against: [Row3; 3],
+    /// By image antenna; those that were asked for.
+    pub(super) lights: Vec<LightRows>,
+    pub(super) views: Vec<ViewRows>,
+    /// Places of each rule, and whether they have been found.
+    nodes: Vec<(bool, Nodes)>,
+}
+
+/// Places of vertices from `origin`, and normals.
+pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -> [Row3; 2] {
+    let mut rows = [[[0.0; LANES]; 3]; 2];
+    for (l, &v) in patch.vertices.iter().enumerate() {
+        let (place, normal) = (posed.vertices[v as usize] - origin, posed.normals[v as usize]);
+        for axis in 0..3 {
+            (rows[0][axis][l], rows[1][axis][l]) = (place[axis] as f32, normal[axis] as f32);
+        }
+    }
+    rows
+}
+
+/// A vector of vertices at one corner of each triangle.
+fn at_corner(of: &Row3, patch: &SkinPatch, corner: usize) -> Row3 {
+    let mut rows = Row3::default();
+    for (of, row) in of.iter().zip(&mut rows) {
+        for (value, corners) in row.iter_mut().zip(&patch.corners) {
+            *value = of[corners[corner] % LANES];
+        }
+    }
+    rows
+}
+
+impl PosedPatch {
+    /// With places for what is seen by so many images.
+    pub(super) fn new(images: usize, integrator: &Integrator) -> Self {
+        let zero: Row3 = Default::default();
+        let vertices = VertexRows { places: zero, normals: zero, left: [0.0; LANES], narrowing: [1.0; LANES] };
+        let level = integrator.level;
+        let triangles = triangle_rows(level, &[zero; 3], &[zero; 3], &[zero; 3]);
+        PosedPatch {
+            vertices,
+            triangles,
+            velocity: zero,
+            against: [zero; 3],
+            lights: vec![light_rows(level, [0.0; 3], &zero); images],
+            views: vec![view_rows(level, DVec3::ZERO, DVec3::ZERO, &triangles, 1.0); images],
+            nodes: integrator.rules.iter().map(|_| Default::default()).collect(),
+        }
+    }
+
+    /// Takes a patch's pose. `left` is what clothes leave of the strength at every vertex of the skin.
+    pub(super) fn pose(
+        &mut self,
+        stage: &Stage,
+        level: KernelLevel,
+        skin: &Skin,
+        patch: &SkinPatch,
+        posed: &PosedSkin,
+        cloth: &[f64],
+        origin: DVec3,
+    ) {
+        let [places, normals] = vertex_rows(posed, patch, origin);
+        let left = patch.vertices.map(|v| (cloth[v as usize] * inside_room(stage, posed.vertices[v as usize])) as f32);
+        let narrowing = patch.vertices.map(|v| skin.narrowing()[v as usize]);
+        self.vertices = VertexRows { places, normals, left, narrowing };
+        let mut velocities: Row3 = Default::default();
+        for (l, &v) in patch.vertices.iter().enumerate() {
+            let velocity = posed.velocities_m_per_s[v as usize];
+            (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
+        }
+        let mut bulges: [Row3; 3] = Default::default();
+        for (l, sides) in skin.sides().get(patch.triangles.clone()).unwrap_or_default().iter().enumerate() {
+            for (bulges, &side) in bulges.iter_mut().zip(sides) {
+                let bulge = posed.bulges[side as usize];
+                (0..3).for_each(|axis| bulges[axis][l] = bulge[axis] as f32);
+            }
+        }
+        for (l, _) in patch.corners.iter().enumerate().skip(patch.triangles.len()) {
+            bulges.iter_mut().flatten().for_each(|row| row[l] = 0.0);
+        }
+        let corners = [0, 1, 2].map(|corner| at_corner(&places, patch, corner));
+        let corner_normals = [0, 1, 2].map(|corner| at_corner(&normals, patch, corner));
+        self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
+        let all = [0, 1, 2].map(|corner| at_corner(&velocities, patch, corner));
+        self.velocity = std::array::from_fn(|axis| {
+            std::array::from_fn(|l| (all[0][axis][l] + all[1][axis][l] + all[2][axis][l]) * (1.0 / 3.0))
+        });
+        self.against = all.map(|corner| {
+            std::array::from_fn(|axis| std::array::from_fn(|l| corner[axis][l] - self.velocity[axis][l]))
+        });
+        self.nodes.iter_mut().for_each(|(found, _)| *found = false);
+    }
+
+    /// How an image antenna sees it.
+    pub(super) fn look(&mut self, image: usize, antenna: DVec3, origin: DVec3, wavelength_m: f64, level: KernelLevel) {
+        let from_origin = (antenna - origin).as_vec3().to_array();
+        self.lights[image] = light_rows(level, from_origin, &self.vertices.places);
+        self.views[image] = view_rows(level, antenna, origin, &self.triangles, wavelength_m);
+    }
+
+    /// Places of a rule on the triangles.
+    pub(super) fn nodes(&mut self, rule: usize, integrator: &Integrator) {
+        if let Some((found, nodes)) = self.nodes.get_mut(rule)
+            && !*found
+        {
+            place_nodes(integrator.level, &self.triangles, &integrator.rules[rule], nodes);
+            *found = true;
+        }
+    }
+
+    /// Those of a rule that have been found.
+    pub(super) fn found(&self, rule: usize) -> &Nodes {
+        &self.nodes[rule].1
+    }
+}
+
+/// A quantity of vertices at every corner of triangles.
+#[inline(always)]
+pub(super) fn at_corners(of: &Row, corners: &[[usize; 3]; LANES]) -> [Row; 3] {
+    let mut rows: [Row; 3] = Default::default();
+    for l in 0..LANES {
+        rows[0][l] = of[corners[l][0] % LANES];
+        rows[1][l] = of[corners[l][1] % LANES];
+        rows[2][l] = of[corners[l][2] % LANES];
+    }
+    rows
+}
