@@ -175,7 +175,7 @@ impl SkinnedPerson {
         let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
         let mut missed = Tally::default();
         for (patch, shining) in self.mesh.skin().patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
-            self.pose(&work, patch, shining, &mut bench);
+            report.clamped += self.pose(&work, patch, shining, &mut bench);
             for &number in shining {
                 let Some(pair) = work.pairs.get(number) else { continue };
                 if !bench.integrate(&work, patch, pair) {
@@ -246,17 +246,20 @@ impl SkinnedPerson {
         work.posed.iter().zip(people).enumerate().map(at).collect()
     }
 
-    /// Puts a patch on the bench in every pose, as the images of the pairs by which it shines see it.
-    fn pose(&self, work: &Work, patch: &SkinPatch, shining: &[usize], bench: &mut Bench) {
+    /// Puts a patch on the bench in every pose, as the images of the pairs by which it shines see it. Returns how many of their
+    /// distances are less than amplitudes are made for.
+    fn pose(&self, work: &Work, patch: &SkinPatch, shining: &[usize], bench: &mut Bench) -> usize {
         let level = work.integrator.level;
         let mut images: Vec<usize> =
             shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images).collect();
         images.sort_unstable();
         images.dedup();
+        let mut clamped = 0;
         for (of_patch, posed) in bench.patches.iter_mut().zip(&work.posed) {
             of_patch.pose(work.stage, level, self.mesh.skin(), patch, posed, &self.cloth, work.origin);
             for &image in &images {
                 of_patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
+                clamped += of_patch.lights[image].clamped();
             }
         }
         bench.area_m2 = bench.patches[work.posed.len() / 2].triangles.area_m2();
@@ -281,6 +284,7 @@ impl SkinnedPerson {
                 bench.weights[key][image] = std::array::from_fn(|l| 0.5 * (before[l] + after[l]));
             }
         }
+        clamped
     }
 }
 

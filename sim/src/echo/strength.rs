@@ -69,6 +69,11 @@ impl LightRows {
         }
         rows
     }
+
+    /// How many of the distances were clamped.
+    pub(super) fn clamped(&self) -> usize {
+        self.inverse_m.iter().filter(|&&inverse_m| inverse_m >= 1.0 / LEAST_DISTANCE_M as f32).count()
+    }
 }
 
 compiled_for_levels! {
