@@ -15,7 +15,7 @@
 use glam::{DVec3, Vec3};
 use num_complex::Complex64;
 
-use super::chirp_sum::ChirpSums;
+use super::chirp_sum::{ChirpSums, Direction};
 use super::demand::{Demand, Fineness, Missed};
 use super::patch::{FrameTimes, Patch, Place, TriangleKey, middle_antenna, missed_between_keys};
 use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, inside_room, past_people, self_shadow};
@@ -447,6 +447,7 @@ impl SkinnedPerson {
                         + (turning - away_t.dot(d) * speeds[0]) / t.distance_m
                         + (turning - away_r.dot(d) * speeds[1]) / r.distance_m;
                     key.field += strength * moment;
+                    key.moment += strength * moment * away.dot(d);
                     key.field_rate += (slope - Complex64::new(0.0, k * rate) * strength) * moment;
                 }
                 keys[i as usize] = key;
@@ -480,13 +481,13 @@ impl SkinnedPerson {
             let end = (begin..pair.triangles.len()).find(|&i| patch_of(i) != patch_of(begin));
             let members = begin..end.unwrap_or(pair.triangles.len());
             begin = members.end;
-            let Some(patch) = Patch::new(keys, members, times, stage.wavelength_m, sums) else { continue };
+            let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, sums) else { continue };
             if sums.loudest() < least {
                 continue;
             }
             report.synthesised += 1;
-            sums.chirps(&mut chirps);
-            for way in ways {
+            for (way, direction) in ways.iter().zip([Direction::There, Direction::Reverse]) {
+                sums.chirps(direction, &mut chirps);
                 let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
                 let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
                 grids.add(&stage.chirp, &of_receivers, &chirps);
