@@ -352,6 +352,14 @@ impl Renderer {
 
     /// The same the slow way ([`dense`]): skins only.
     pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
+        let shape = self.waveform().shape();
+        let chirp = |chirp| self.dense_echo_chirp(index, chirp, margin_db);
+        let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps).into_par_iter().map(chirp).collect();
+        (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
+    }
+
+    /// One chirp of it: `[rx][sample]`.
+    pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
@@ -359,26 +367,20 @@ impl Renderer {
         stage.threshold_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), margin_db);
         let middle_s = start_s + 0.5 * self.active_s();
         let middle: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, middle_s)).collect();
-        let chirps: Vec<Vec<Vec<f64>>> = (0..shape.chirps)
-            .into_par_iter()
-            .map(|chirp| {
-                let time_s = start_s + chirp as f64 * self.waveform().chirp_interval_s + stage.chirp.middle_s;
-                let people: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, time_s)).collect();
-                let mut sum = vec![vec![0.0; shape.samples]; shape.rx];
-                for (me, motion) in motions.iter().enumerate() {
-                    let Some(skin) = self.skin(motion) else { continue };
-                    let pairs = audible_pairs(&stage, motion, middle_s);
-                    let pairs = loud_pairs(&stage, motion, &middle, me, &pairs);
-                    let pairs: Vec<_> = pairs.into_iter().map(|(pair, _)| pair).collect();
-                    let own = dense::chirp(&stage, &skin, &people, me, &pairs, time_s, shape.samples);
-                    for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
-                        *sum += own;
-                    }
-                }
-                sum
-            })
-            .collect();
-        (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
+        let time_s = start_s + chirp as f64 * self.waveform().chirp_interval_s + stage.chirp.middle_s;
+        let people: Vec<Snapshot> = motions.iter().map(|m| Snapshot::new(m, time_s)).collect();
+        let mut sum = vec![vec![0.0; shape.samples]; shape.rx];
+        for (me, motion) in motions.iter().enumerate() {
+            let Some(skin) = self.skin(motion) else { continue };
+            let pairs = audible_pairs(&stage, motion, middle_s);
+            let pairs = loud_pairs(&stage, motion, &middle, me, &pairs);
+            let pairs: Vec<_> = pairs.into_iter().map(|(pair, _)| pair).collect();
+            let own = dense::chirp(&stage, &skin, &people, me, &pairs, time_s, shape.samples);
+            for (sum, own) in sum.iter_mut().flatten().zip(own.iter().flatten()) {
+                *sum += own;
+            }
+        }
+        sum
     }
 
     /// Paths of every person that are loud enough at some key and receiver: a path alone in its cell half as strong as the

@@ -163,6 +163,11 @@ impl Simulator {
         self.inner.dense_echo_samples(index, margin_db)
     }
 
+    /// One chirp of that, on this thread: `[rx][sample]`.
+    pub fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
+        self.inner.dense_echo_chirp(index, chirp, margin_db)
+    }
+
     /// What it took to make the stream's last frame.
     pub fn last_report(&self) -> Option<&FrameReport> {
         self.last_report.as_ref()

@@ -1,3 +1,4 @@
+mod kept_dense;
 mod scene;
 mod solver;
 mod synthesis;

@@ -1,7 +1,8 @@
 //! Echoes of a skin the slow way: physical optics over all of it that is lit, anew in every chirp, in double precision.
 //!
 //! The same surface, fields and shadows as [`super::skin`] has, but nothing of its short cuts: no window, no key times, no
-//! choice of cuts; strengths are computed wherever a flat piece has a corner, and every piece is a path of its own.
+//! choice of cuts, no patches; strengths are computed wherever a flat piece has a corner, and every piece has a path and a
+//! frequency of its own. Only what is exactly zero is passed over, and what several pairs of images share is computed once.
 
 use std::f64::consts::TAU;
 
@@ -15,20 +16,15 @@ use crate::actor::skin::PosedSkin;
 use crate::actor::track::smooth_step;
 use crate::field::boundary::Boundary;
 use crate::field::current::{Arrival, heard_by};
-use crate::field::image::ImageIndex;
+use crate::field::image::{Illumination, ImageIndex};
 use crate::field::triangle;
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
 
-/// An edge is cut into this many: pieces of 5 mm.
-const PIECES: usize = 6;
-/// Pieces whose paths differ by less than this are one tone in fast time, m; at the carrier each has its own phase.
-const BIN_M: f64 = 1e-3;
-/// And whose rates do by less than this, m/s.
-const BIN_M_PER_S: f64 = 0.2;
-/// Bins of rates, and of lengths either way of the first piece's.
-const RATES: i64 = 160;
-const ROOM: i64 = 5000;
+/// An edge is cut into this many: pieces of 2.5 mm. Twice as many change a map by 0.02 dB (six of them: 0.07 dB).
+const PIECES: usize = 8;
+/// Tones of a chirp are this part of a cell of the range axis apart; what lies between two is shared out.
+const TONES_PER_CELL: f64 = 400.0;
 
 /// Samples of one chirp at every receiver, LSB: `[receiver][sample]`.
 pub fn chirp(
@@ -41,195 +37,313 @@ pub fn chirp(
     samples: usize,
 ) -> Vec<Vec<f64>> {
     let posed = person.mesh().posed(time_s);
-    let all = vec![true; posed.vertices.len()];
-    let rx_middle = stage.rx.iter().map(|rx| rx.position).sum::<DVec3>() / stage.rx.len().max(1) as f64;
     let mut indices: Vec<ImageIndex> = pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
     indices.sort_unstable();
     indices.dedup();
-    let weights: Vec<Vec<f64>> = indices
-        .iter()
-        .map(|&index| {
-            let [tx, rx] = [stage.tx.position, rx_middle].map(|a| stage.room.image_position(index, a));
-            let middle = 0.5 * (tx + rx);
-            let own = self_shadow::weights(person.mesh().skin(), &posed, middle, stage.wavelength_m, &all);
-            let past = person.past_people(stage, people, me, index);
-            own.iter().zip(past).map(|(a, b)| a * b).collect()
-        })
-        .collect();
-    let mut bins = Bins::new(stage, samples);
-    let mut out = vec![vec![0.0; samples]; stage.rx.len()];
-    for &(p, q) in pairs {
-        let at = |index: ImageIndex| {
-            indices.binary_search(&index).ok().and_then(|i| weights.get(i)).map(Vec::as_slice).unwrap_or_default()
-        };
-        pair(stage, person, &posed, (p, q), (at(p), at(q)), &mut bins);
-        bins.flush(&mut out);
-    }
-    out
-}
-
-/// Corner of a piece.
-#[derive(Clone, Copy)]
-struct Node {
-    point: DVec3,
-    velocity: DVec3,
-    strength: Complex64,
-}
-
-fn pair(
-    stage: &Stage,
-    person: &SkinnedPerson,
-    posed: &PosedSkin,
-    (p, q): (ImageIndex, ImageIndex),
-    (out, back): (&[f64], &[f64]),
-    bins: &mut Bins,
-) {
-    let Some(first) = stage.rx.first() else { return };
-    let k = TAU / stage.wavelength_m;
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-    let factor = Complex64::new(0.0, -k * aperture / TAU);
-    let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
-    let source = stage.room.image_position(p, stage.tx.position);
-    let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
-    let mesh = person.mesh().skin();
-    let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
-    let number = |of: &[f64], i: u32| of.get(i as usize).copied().unwrap_or_default();
-    for (corners, sides) in mesh.rest().triangles.iter().zip(mesh.sides()) {
-        let normals = corners.map(|v| at(&posed.normals, v));
-        let points = corners.map(|v| at(&posed.vertices, v));
-        let velocities = corners.map(|v| at(&posed.velocities_m_per_s, v));
-        let bulges = sides.map(|e| at(&posed.bulges, e));
-        let weights = corners.map(|v| number(out, v) * number(back, v) * number(person.cloth(), v));
-        let faces = |i: usize| normals[i].dot(source - points[i]) > 0.0 && normals[i].dot(sinks[0] - points[i]) > 0.0;
-        if !(0..3).any(faces) || weights.iter().all(|w| *w == 0.0) {
-            continue;
+    let images: Vec<Image> =
+        indices.into_iter().map(|index| Image::new(stage, person, people, me, index, &posed)).collect();
+    let number = |index: ImageIndex| images.binary_search_by_key(&index, |image| image.index).ok();
+    let pairs: Vec<[usize; 2]> = pairs.iter().filter_map(|&(p, q)| Some([number(p)?, number(q)?])).collect();
+    let grid = Grid::new(PIECES);
+    let mut tones = Tones::new(stage, samples);
+    let mut surface = Surface::default();
+    let mut views: Vec<ImageView> = images.iter().map(|_| ImageView::default()).collect();
+    for triangle in 0..person.mesh().skin().rest().triangles.len() {
+        surface.pose(person, &posed, triangle, &grid);
+        for (image, view) in images.iter().zip(&mut views) {
+            view.look(stage, image, &surface, &grid);
         }
-        let place = |[a, b, c]: [f64; 3]| {
-            let flat = points[0] * a + points[1] * b + points[2] * c;
-            flat + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a))
-        };
-        // Half-way between two nodes.
-        let between = |[i, j]: [usize; 2], [k, l]: [usize; 2]| {
-            let (i, j) = ((i + k) as f64 / (2 * PIECES) as f64, (j + l) as f64 / (2 * PIECES) as f64);
-            place([1.0 - i - j, j, i])
-        };
-        let node = |i: usize, j: usize| {
-            let [a, b, c] = [PIECES - i - j, j, i].map(|n| n as f64 / PIECES as f64);
-            let point = place([a, b, c]);
-            let normal = (normals[0] * a + normals[1] * b + normals[2] * c).normalize_or_zero();
-            let velocity = velocities[0] * a + velocities[1] * b + velocities[2] * c;
-            let there = stage.room.illuminate(&stage.tx, p, point);
-            let home = stage.room.illuminate(first, q, point);
-            let mut strength = Complex64::ZERO;
-            if normal.dot(there.direction) < 0.0 && normal.dot(home.direction) < 0.0 {
-                let arrival = Arrival { field: there.field, direction: there.direction };
-                let heard = heard_by(&arrival, normal, &skin, k, -home.direction, home.field);
-                let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
-                let bent = 0.5 * (there.direction + home.direction).length();
-                let weight = (weights[0] * a + weights[1] * b + weights[2] * c) * smooth_step((bent - 0.2) / 0.1);
-                strength = factor * heard * (spreading * weight * inside_room(stage, point));
-            }
-            Node { point, velocity, strength }
-        };
-        let rows: Vec<Vec<Node>> = (0..=PIECES).map(|i| (0..=PIECES - i).map(|j| node(i, j)).collect()).collect();
+        for &[p, q] in &pairs {
+            add_triangle(stage, &surface, &grid, &views[p], &views[q], &mut tones);
+        }
+    }
+    tones.samples()
+}
+
+/// Antennas behind an image.
+struct Image {
+    index: ImageIndex,
+    source: DVec3,
+    sinks: Vec<DVec3>,
+    /// What people and limbs leave of the field at each vertex.
+    weights: Vec<f64>,
+}
+
+impl Image {
+    fn new(
+        stage: &Stage,
+        person: &SkinnedPerson,
+        people: &[Snapshot],
+        me: usize,
+        index: ImageIndex,
+        posed: &PosedSkin,
+    ) -> Self {
+        let source = stage.room.image_position(index, stage.tx.position);
+        let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(index, rx.position)).collect();
+        let middle = 0.5 * (source + sinks.iter().sum::<DVec3>() / sinks.len().max(1) as f64);
+        let all = vec![true; posed.vertices.len()];
+        let own = self_shadow::weights(person.mesh().skin(), posed, middle, stage.wavelength_m, &all);
+        let past = person.past_people(stage, people, me, index);
+        Image { index, source, sinks, weights: own.iter().zip(past).map(|(a, b)| a * b).collect() }
+    }
+}
+
+/// An even cut of a triangle into flat pieces.
+struct Grid {
+    /// Weights of the corners at the pieces' corners.
+    nodes: Vec<[f64; 3]>,
+    /// And at the middles of the pieces' edges.
+    between: Vec<[f64; 3]>,
+    /// Corners of each piece, then the middles of its edges.
+    pieces: Vec<([usize; 3], [usize; 3])>,
+}
+
+impl Grid {
+    fn new(cuts: usize) -> Self {
+        let place = |i: usize, j: usize, n: usize| [(n - i - j) as f64, j as f64, i as f64].map(|w| w / n as f64);
+        // Rows grow shorter.
+        let number = |[i, j]: [usize; 2], n: usize| i * (2 * n + 3 - i) / 2 + j;
+        let all = |n: usize| (0..=n).flat_map(move |i| (0..=n - i).map(move |j| place(i, j, n))).collect();
+        let mut pieces = Vec::new();
         let mut piece = |corners: [[usize; 2]; 3]| {
             let [a, b, c] = corners;
-            let middles = [between(a, b), between(b, c), between(c, a)];
-            bins.add_piece(corners.map(|[i, j]| rows[i][j]), middles, source, &sinks);
+            let middle = |[i, j]: [usize; 2], [k, l]: [usize; 2]| number([i + k, j + l], 2 * cuts);
+            pieces.push((corners.map(|corner| number(corner, cuts)), [middle(a, b), middle(b, c), middle(c, a)]));
         };
-        for i in 0..PIECES {
-            for j in 0..PIECES - i {
+        for i in 0..cuts {
+            for j in 0..cuts - i {
                 piece([[i, j], [i, j + 1], [i + 1, j]]);
-                if i + j + 2 <= PIECES {
+                if i + j + 2 <= cuts {
                     piece([[i + 1, j + 1], [i + 1, j], [i, j + 1]]);
                 }
             }
         }
+        Grid { nodes: all(cuts), between: all(2 * cuts), pieces }
     }
 }
 
-/// Pieces whose paths have almost the same length and rate.
+/// A triangle of the skin at all places that are needed.
 #[derive(Default)]
-struct Tone {
-    /// Sum of the amplitudes with the carrier's phase at the middle of the chirp, LSB.
-    amplitude: Complex64,
-    /// Sum of the beat frequencies, Hz, and their number.
-    beats_hz: f64,
-    pieces: f64,
+struct Surface {
+    corners: [u32; 3],
+    cloth: [f64; 3],
+    points: Vec<DVec3>,
+    normals: Vec<DVec3>,
+    between: Vec<DVec3>,
+    /// Of the flat pieces: middle, velocity, twice the area.
+    middles: Vec<DVec3>,
+    velocities: Vec<DVec3>,
+    twice_areas: Vec<f64>,
 }
 
-/// Tones of a chirp.
-struct Bins<'a> {
-    stage: &'a Stage,
-    samples: usize,
-    /// Path length of the first bin, in bins, once there is a piece.
-    first: Option<i64>,
-    /// `[receiver][path * RATES + rate]`.
-    tones: Vec<Vec<Tone>>,
-}
-
-impl<'a> Bins<'a> {
-    fn new(stage: &'a Stage, samples: usize) -> Self {
-        Bins { stage, samples, first: None, tones: stage.rx.iter().map(|_| Vec::new()).collect() }
+impl Surface {
+    fn pose(&mut self, person: &SkinnedPerson, posed: &PosedSkin, triangle: usize, grid: &Grid) {
+        let skin = person.mesh().skin();
+        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
+        self.corners = skin.rest().triangles.get(triangle).copied().unwrap_or_default();
+        self.cloth = self.corners.map(|v| person.cloth().get(v as usize).copied().unwrap_or_default());
+        let sides = skin.sides().get(triangle).copied().unwrap_or_default();
+        let [points, normals, velocities] =
+            [&posed.vertices, &posed.normals, &posed.velocities_m_per_s].map(|of| self.corners.map(|v| at(of, v)));
+        let bulges = sides.map(|e| at(&posed.bulges, e));
+        let mean = |of: &[DVec3; 3], [a, b, c]: [f64; 3]| of[0] * a + of[1] * b + of[2] * c;
+        let place = |w: &[f64; 3]| {
+            let &[a, b, c] = w;
+            mean(&points, *w) + 4.0 * (bulges[0] * (a * b) + bulges[1] * (b * c) + bulges[2] * (c * a))
+        };
+        refill(&mut self.points, grid.nodes.iter().map(place));
+        refill(&mut self.between, grid.between.iter().map(place));
+        refill(&mut self.normals, grid.nodes.iter().map(|w| mean(&normals, *w).normalize_or_zero()));
+        let pieces = grid.pieces.iter().map(|(corners, _)| corners.map(|i| self.points[i]));
+        refill(&mut self.middles, pieces.clone().map(|[a, b, c]| (a + b + c) / 3.0));
+        refill(&mut self.twice_areas, pieces.map(|[a, b, c]| (b - a).cross(c - a).length()));
+        let velocity = |(corners, _): &([usize; 3], [usize; 3])| {
+            corners.iter().map(|&i| mean(&velocities, grid.nodes[i])).sum::<DVec3>() / 3.0
+        };
+        refill(&mut self.velocities, grid.pieces.iter().map(velocity));
     }
+}
 
-    /// A piece between its corners: strength is linear over it, and its path but for a mean.
-    fn add_piece(&mut self, [a, b, c]: [Node; 3], middles: [DVec3; 3], source: DVec3, sinks: &[DVec3]) {
-        if [a, b, c].iter().all(|n| n.strength == Complex64::ZERO) {
+/// The same allocation with something else in it.
+fn refill<T>(list: &mut Vec<T>, with: impl Iterator<Item = T>) {
+    list.clear();
+    list.extend(with);
+}
+
+/// A triangle as the antennas behind an image see it.
+#[derive(Default)]
+struct ImageView {
+    /// Whether there is anything to see.
+    lit: bool,
+    /// What is left at the corners behind limbs and people.
+    weights: [f64; 3],
+    /// By the transmitter and by the first receiver, at the pieces' corners; `None` where they face away.
+    there: Vec<Option<Illumination>>,
+    home: Vec<Option<Illumination>>,
+    tx: Legs,
+    rx: Vec<Legs>,
+}
+
+/// Ways to an antenna.
+#[derive(Default)]
+struct Legs {
+    /// Lengths from the middles of the flat pieces, m, and their rates, m/s.
+    lengths_m: Vec<f64>,
+    rates_m_per_s: Vec<f64>,
+    /// What is longer at the corners of each piece, and at the middles of its edges, on the mean, m.
+    corners_m: Vec<[f64; 3]>,
+    beside_m: Vec<f64>,
+}
+
+impl Legs {
+    fn measure(&mut self, antenna: DVec3, surface: &Surface, grid: &Grid) {
+        refill(&mut self.lengths_m, surface.middles.iter().map(|p| p.distance(antenna)));
+        let rate = |(p, v): (&DVec3, &DVec3)| (*p - antenna).normalize_or_zero().dot(*v);
+        refill(&mut self.rates_m_per_s, surface.middles.iter().zip(&surface.velocities).map(rate));
+        let at_nodes: Vec<f64> = surface.points.iter().map(|p| p.distance(antenna)).collect();
+        let at_between: Vec<f64> = surface.between.iter().map(|p| p.distance(antenna)).collect();
+        let pieces = || grid.pieces.iter().zip(&self.lengths_m);
+        let corners = pieces().map(|((corners, _), length)| corners.map(|i| at_nodes[i] - length)).collect();
+        let beside =
+            pieces().map(|((_, edges), length)| edges.iter().map(|&i| at_between[i]).sum::<f64>() / 3.0 - length);
+        self.beside_m = beside.collect();
+        self.corners_m = corners;
+    }
+}
+
+impl ImageView {
+    fn look(&mut self, stage: &Stage, image: &Image, surface: &Surface, grid: &Grid) {
+        let (Some(first), Some(sink)) = (stage.rx.first(), image.sinks.first()) else { return };
+        self.weights = surface.corners.map(|v| image.weights.get(v as usize).copied().unwrap_or_default());
+        let weighted = self.weights.iter().any(|w| *w > 0.0);
+        let faces =
+            |antenna: DVec3| surface.points.iter().zip(&surface.normals).any(|(p, n)| n.dot(antenna - *p) > 0.0);
+        self.lit = weighted && (faces(image.source) || faces(*sink));
+        if !self.lit {
             return;
         }
-        let k = TAU / self.stage.wavelength_m;
-        let twice_area = (b.point - a.point).cross(c.point - a.point).length();
-        let middle = (a.point + b.point + c.point) / 3.0;
-        let velocity = (a.velocity + b.velocity + c.velocity) / 3.0;
-        let Some(first) = sinks.first() else { return };
-        let length = |p: DVec3, sink: DVec3| source.distance(p) + sink.distance(p);
-        // Within millimetres all receivers see the same differences.
-        let lengths = [a, b, c].map(|n| length(n.point, *first) - length(middle, *first));
-        // What the curved path is longer than the linear one, on the mean over the piece.
-        let beside: f64 = middles.iter().map(|m| length(*m, *first) - length(middle, *first)).sum();
-        let longer = (beside - (lengths[0] + lengths[1] + lengths[2])) / 3.0;
-        let phases = lengths.map(|l| -k * (l + longer));
-        let [x, y, z] = triangle::moments(phases[0], phases[1], phases[2]);
-        let strength = (x * a.strength + y * b.strength + z * c.strength) * twice_area;
-        for (rx, sink) in sinks.iter().enumerate() {
-            let length_m = length(middle, *sink);
-            let rate = ((middle - source).normalize_or_zero() + (middle - *sink).normalize_or_zero()).dot(velocity);
-            let (delay_s, delay_rate) = (length_m / SPEED_OF_LIGHT_M_PER_S, rate / SPEED_OF_LIGHT_M_PER_S);
-            let chirp = &self.stage.chirp;
-            let beat_hz = chirp.beat_hz(delay_s, delay_rate);
-            let phase = TAU * chirp.phase_cycles(delay_s).rem_euclid(1.0);
-            // As the ADC has it: conjugated, with the filters at the bin's beat.
-            let amplitude = strength.conj() * Complex64::from_polar(1.0, phase);
-            let path = (length_m / BIN_M).floor() as i64;
-            let first = *self.first.get_or_insert(path);
-            // A body reaches a metre or two either way of any of its pieces.
-            let path = (path - first + ROOM).clamp(0, 2 * ROOM) as usize;
-            let rate = ((rate / BIN_M_PER_S).round() as i64 + RATES / 2).clamp(0, RATES - 1) as usize;
-            let bin = path * RATES as usize + rate;
-            if let Some(tones) = self.tones.get_mut(rx) {
-                if tones.len() <= bin {
-                    tones.resize_with(bin + 1, Tone::default);
-                }
-                if let Some(tone) = tones.get_mut(bin) {
-                    tone.amplitude += amplitude;
-                    tone.beats_hz += beat_hz;
-                    tone.pieces += 1.0;
-                }
-            }
+        let see = |element, at: DVec3| {
+            let seen = |(point, normal): (&DVec3, &DVec3)| {
+                (normal.dot(at - *point) > 0.0).then(|| stage.room.illuminate(element, image.index, *point))
+            };
+            surface.points.iter().zip(&surface.normals).map(seen).collect()
+        };
+        (self.there, self.home) = (see(&stage.tx, image.source), see(first, *sink));
+        self.tx.measure(image.source, surface, grid);
+        self.rx.resize_with(image.sinks.len(), Legs::default);
+        for (legs, sink) in self.rx.iter_mut().zip(&image.sinks) {
+            legs.measure(*sink, surface, grid);
+        }
+    }
+}
+
+/// Adds what a triangle sends from one image to another.
+fn add_triangle(stage: &Stage, surface: &Surface, grid: &Grid, out: &ImageView, back: &ImageView, tones: &mut Tones) {
+    if !(out.lit && back.lit) {
+        return;
+    }
+    let k = TAU / stage.wavelength_m;
+    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let factor = Complex64::new(0.0, -k * aperture / TAU);
+    let skin = Boundary::HalfSpace { permittivity: SKIN_PERMITTIVITY };
+    let weights = [0, 1, 2].map(|i| out.weights[i] * back.weights[i] * surface.cloth[i]);
+    let strength = |i: usize| {
+        let (Some(there), Some(home)) = (&out.there[i], &back.home[i]) else { return Complex64::ZERO };
+        let bent = 0.5 * (there.direction + home.direction).length();
+        let [a, b, c] = grid.nodes[i];
+        let weight = (weights[0] * a + weights[1] * b + weights[2] * c)
+            * smooth_step((bent - 0.2) / 0.1)
+            * inside_room(stage, surface.points[i]);
+        if weight == 0.0 {
+            return Complex64::ZERO;
+        }
+        let arrival = Arrival { field: there.field, direction: there.direction };
+        let heard = heard_by(&arrival, surface.normals[i], &skin, k, -home.direction, home.field);
+        let spreading = 1.0 / (there.distance_m.max(LEAST_DISTANCE_M) * home.distance_m.max(LEAST_DISTANCE_M));
+        factor * heard * (spreading * weight)
+    };
+    let strengths: Vec<Complex64> = (0..grid.nodes.len()).map(strength).collect();
+    let Some(first) = back.rx.first() else { return };
+    for (piece, (corners, _)) in grid.pieces.iter().enumerate() {
+        let strengths = corners.map(|i| strengths[i]);
+        if strengths == [Complex64::ZERO; 3] {
+            continue;
+        }
+        // Strength is linear over a piece, and its path but for a mean: within millimetres that is the same for all receivers.
+        let longer = [0, 1, 2].map(|i| out.tx.corners_m[piece][i] + first.corners_m[piece][i]);
+        let bend = out.tx.beside_m[piece] + first.beside_m[piece] - (longer[0] + longer[1] + longer[2]) / 3.0;
+        let [a, b, c] = longer.map(|l| -k * (l + bend));
+        let [x, y, z] = triangle::moments(a, b, c);
+        let field = (x * strengths[0] + y * strengths[1] + z * strengths[2]) * surface.twice_areas[piece];
+        for (rx, legs) in back.rx.iter().enumerate() {
+            let length_m = out.tx.lengths_m[piece] + legs.lengths_m[piece];
+            let rate_m_per_s = out.tx.rates_m_per_s[piece] + legs.rates_m_per_s[piece];
+            tones.add(rx, field, length_m / SPEED_OF_LIGHT_M_PER_S, rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
+        }
+    }
+}
+
+/// Tones of a chirp, close together.
+struct Tones<'a> {
+    stage: &'a Stage,
+    samples: usize,
+    /// How far they are apart, Hz.
+    step_hz: f64,
+    /// Number of the first: their frequency is their number times the step.
+    first: i64,
+    /// Amplitudes at the middle of the chirp, before gain and filters: `[receiver][tone]`.
+    amplitudes: Vec<Vec<Complex64>>,
+}
+
+impl<'a> Tones<'a> {
+    fn new(stage: &'a Stage, samples: usize) -> Self {
+        let step_hz = stage.chirp.sample_rate_hz / (samples as f64 * TONES_PER_CELL);
+        Tones { stage, samples, step_hz, first: 0, amplitudes: vec![Vec::new(); stage.rx.len()] }
+    }
+
+    /// Adds a field, but for the phase of its path.
+    fn add(&mut self, rx: usize, field: Complex64, delay_s: f64, delay_rate: f64) {
+        let chirp = &self.stage.chirp;
+        let cycles = chirp.phase_cycles(delay_s);
+        let amplitude = field.conj() * Complex64::from_polar(1.0, TAU * (cycles - cycles.round()));
+        let place = chirp.beat_hz(delay_s, delay_rate) / self.step_hz;
+        let below = place.floor();
+        let at = self.place(below as i64);
+        if let Some([one, other]) = self.amplitudes.get_mut(rx).and_then(|all| all.get_mut(at..at + 2)?.as_mut_array())
+        {
+            *one += amplitude * (below + 1.0 - place);
+            *other += amplitude * (place - below);
         }
     }
 
-    /// Adds what is in the bins to samples, and empties them.
-    fn flush(&mut self, out: &mut [Vec<f64>]) {
-        self.first = None;
+    /// Where a tone is, after making room for it and the next.
+    fn place(&mut self, number: i64) -> usize {
+        let len = self.amplitudes.first().map_or(0, Vec::len);
+        if len == 0 {
+            self.first = number;
+        }
+        let before = (self.first - number).max(0) as usize;
+        let after = (number + 2 - self.first).max(0) as usize;
+        if before > 0 || after > len {
+            self.first -= before as i64;
+            for all in &mut self.amplitudes {
+                all.splice(0..0, std::iter::repeat_n(Complex64::ZERO, before));
+                all.resize((before + len).max(before + after), Complex64::ZERO);
+            }
+        }
+        (number - self.first) as usize
+    }
+
+    /// Their sum at the ADC: `[receiver][sample]`.
+    fn samples(&self) -> Vec<Vec<f64>> {
         let middle = (self.samples / 2) as f64;
-        for (rx, (tones, out)) in self.tones.iter_mut().zip(out).enumerate() {
-            for tone in tones.drain(..).filter(|tone| tone.pieces > 0.0) {
-                let beat_hz = tone.beats_hz / tone.pieces;
+        let of_receiver = |(rx, all): (usize, &Vec<Complex64>)| {
+            let mut out = vec![0.0; self.samples];
+            for (number, amplitude) in (self.first..).zip(all).filter(|(_, a)| **a != Complex64::ZERO) {
+                let beat_hz = number as f64 * self.step_hz;
                 let cycles = beat_hz / self.stage.chirp.sample_rate_hz;
-                let amplitude = tone.amplitude * self.stage.at_adc(rx, Complex64::ONE, beat_hz);
                 let turn = |samples: f64| Complex64::from_polar(1.0, TAU * cycles * samples);
+                let amplitude = amplitude * self.stage.at_adc(rx, Complex64::ONE, beat_hz);
                 // Four samples side by side.
                 let mut four: [Complex64; 4] = std::array::from_fn(|i| amplitude * turn(i as f64 - middle));
                 let step = turn(4.0);
@@ -240,6 +354,8 @@ impl<'a> Bins<'a> {
                     }
                 }
             }
-        }
+            out
+        };
+        self.amplitudes.iter().enumerate().map(of_receiver).collect()
     }
 }

@@ -21,6 +21,7 @@ struct KeyRows {
     rate_m_per_s: Row,
     field: (Row, Row),
     field_rate: (Row, Row),
+    moment: (Row, Row),
 }
 
 /// What goes into it.
@@ -52,7 +53,7 @@ fn body(parts: &Parts) -> KeyRows {
         }
     }
     let speeds = [dot(&away_t, velocity), dot(&away_r, velocity)];
-    let mut keys = KeyRows { rate_m_per_s: zero, field: (zero, zero), field_rate: (zero, zero) };
+    let mut keys = KeyRows { rate_m_per_s: zero, field: (zero, zero), field_rate: (zero, zero), moment: (zero, zero) };
     for l in 0..LANES {
         keys.rate_m_per_s[l] = speeds[0][l] + speeds[1][l];
     }
@@ -72,8 +73,13 @@ fn body(parts: &Parts) -> KeyRows {
             // The strength's own rate, and minus j k times the path's.
             let (u, v) = (rate_re[corner][l] + turn * y, rate_im[corner][l] - turn * x);
             let (a, b) = (moments.re[corner][l], moments.im[corner][l]);
-            keys.field.0[l] += x * a - y * b;
-            keys.field.1[l] += x * b + y * a;
+            let (field_re, field_im) = (x * a - y * b, x * b + y * a);
+            // About the path by the middle, which the corner's is longer than by this.
+            let longer = along_t[l] + along_r[l];
+            keys.field.0[l] += field_re;
+            keys.field.1[l] += field_im;
+            keys.moment.0[l] += longer * field_re;
+            keys.moment.1[l] += longer * field_im;
             keys.field_rate.0[l] += u * a - v * b;
             keys.field_rate.1[l] += u * b + v * a;
         }
@@ -119,6 +125,7 @@ pub(super) fn triangle_keys(
             rate_m_per_s: rows.rate_m_per_s[l].into(),
             field: complex(&rows.field, l),
             field_rate: complex(&rows.field_rate, l),
+            moment: complex(&rows.moment, l),
         }
     }));
 }

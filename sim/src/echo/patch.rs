@@ -36,6 +36,8 @@ pub(super) struct TriangleKey {
     /// Integral of the field relative to the path by the middle, and its rate.
     pub(super) field: Complex64,
     pub(super) field_rate: Complex64,
+    /// Moment of the field about that path: integral of the field times how much longer its own path is, m.
+    pub(super) moment: Complex64,
 }
 
 /// Triangles that hang together, as one moving place.
@@ -47,10 +49,11 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// Sums the triangles in every chirp; `None` where there is nothing.
+    /// Sums the triangles in every chirp, on their way from one image to another; `None` where there is nothing.
     pub(super) fn new(
         keys: &[Vec<TriangleKey>],
         members: std::ops::Range<usize>,
+        between: [&Place; 2],
         times: &FrameTimes,
         wavelength_m: f64,
         sums: &mut ChirpSums,
@@ -78,11 +81,14 @@ impl Patch {
         let step_s = times.keys_s.get(1)? - times.keys_s.first()?;
         for (stretch, pair) in of.windows(2).enumerate() {
             let [first, second] = pair else { continue };
+            let here_m = detour_m(between, places.get(stretch)?.0);
             let end = |t: &TriangleKey| Track {
                 length: (t.length_m - base_m) / wavelength_m,
                 length_slope: t.rate_m_per_s * step_s / wavelength_m,
                 field: t.field,
                 field_slope: t.field_rate * step_s,
+                moment: t.moment / wavelength_m,
+                detour_rad: std::f64::consts::TAU * (detour_m(between, t.middle) - here_m) / wavelength_m,
             };
             let tracks =
                 first.iter().zip(*second).filter(|(a, b)| a.field != Complex64::ZERO || b.field != Complex64::ZERO);
@@ -125,6 +131,13 @@ impl Patch {
             response: [begins, (ends - begins) / chirps as f32],
         }
     }
+}
+
+/// What a way is longer by the transmitter and the middle of the receivers than by the middles of both, m: between an image and
+/// itself nothing, otherwise it changes by a tenth of a radian over a patch.
+fn detour_m([out, back]: [&Place; 2], place: DVec3) -> f64 {
+    let receiver = 2.0 * back.middle - back.tx;
+    out.tx.distance(place) + receiver.distance(place) - out.middle.distance(place) - back.middle.distance(place)
 }
 
 /// Through the first, the middle and the last key, as powers of the chirp's number: keys span the chirps.

@@ -18,7 +18,7 @@
 use glam::DVec3;
 use num_complex::Complex64;
 
-use super::chirp_sum::ChirpSums;
+use super::chirp_sum::{ChirpSums, Direction};
 use super::demand::{Demand, Fineness, Missed};
 use super::key_rows::{StrengthRows, triangle_keys};
 use super::patch::{FrameTimes, Patch, Place, TriangleKey, middle_antenna, missed_between_keys};
@@ -364,14 +364,15 @@ impl Bench {
             return;
         }
         let members = 0..self.keys.first().map_or(0, Vec::len);
-        let Some(patch) = Patch::new(&self.keys, members, times, stage.wavelength_m, &mut self.sums) else { return };
+        let keys = &self.keys;
+        let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, &mut self.sums) else { return };
         if self.sums.loudest() < self.least {
             return;
         }
         report.synthesised += 1;
         let mut chirps = Vec::new();
-        self.sums.chirps(&mut chirps);
-        for way in ways {
+        for (way, direction) in ways.iter().zip([Direction::There, Direction::Reverse]) {
+            self.sums.chirps(direction, &mut chirps);
             let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
             let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
             grids.add(&stage.chirp, &of_receivers, &chirps);

@@ -180,32 +180,46 @@ fn lay_weighted(weights: &[Row; WIDTH], cells: &mut [Cell], re: &Row, im: &Row, 
 #[derive(Debug, Clone)]
 pub struct ChirpGrids {
     blocks: Vec<Vec<Grids>>,
-    taps: [[f32; LANES]; DEGREE],
-    cells: usize,
+    kernel: EchoKernel,
     level: KernelLevel,
+}
+
+/// How echoes are laid down.
+#[derive(Debug, Clone)]
+struct EchoKernel {
+    taps: [[f32; LANES]; DEGREE],
+    /// The taps' derivatives by the tone's place, in cells.
+    slopes: [[f32; LANES]; DEGREE],
+    cells: f64,
 }
 
 impl ChirpGrids {
     /// Empty grids.
     pub fn new(synthesiser: &Synthesiser, receivers: usize, chirps: usize) -> Self {
         let blocks = vec![vec![synthesiser.grids(); chirps.div_ceil(CHIRPS)]; receivers];
-        ChirpGrids { blocks, taps: synthesiser.taps, cells: synthesiser.cells, level: synthesiser.level }
+        let mut slopes = [[0f32; LANES]; DEGREE];
+        for (power, (slopes, taps)) in slopes.iter_mut().zip(&synthesiser.taps[1..]).enumerate() {
+            // The fraction of a cell falls from 1 to -1 while the place moves on by a cell.
+            *slopes = taps.map(|c| -2.0 * (power + 1) as f32 * c);
+        }
+        let kernel = EchoKernel { taps: synthesiser.taps, slopes, cells: synthesiser.cells as f64 };
+        ChirpGrids { blocks, kernel, level: synthesiser.level }
     }
 
     /// Adds a moving echo to every chirp, by its way to each receiver. Receivers are so close together that its frequency is
     /// the same for all of them.
     pub fn add(&mut self, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps]) {
-        let (taps, cells, blocks) = (&self.taps, self.cells as f64, &mut self.blocks);
+        let (kernel, blocks) = (&self.kernel, &mut self.blocks);
         match self.level {
-            KernelLevel::Portable => echo(taps, cells, chirp, ways, chirps, blocks),
+            KernelLevel::Portable => echo(kernel, chirp, ways, chirps, blocks),
             // SAFETY: `level` is only ever one that the processor has.
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => unsafe { echo_avx2(taps, cells, chirp, ways, chirps, blocks) },
+            KernelLevel::Avx2 => unsafe { echo_avx2(kernel, chirp, ways, chirps, blocks) },
             // SAFETY: as above.
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => unsafe { echo_avx512(taps, cells, chirp, ways, chirps, blocks) },
+            KernelLevel::Avx512 => unsafe { echo_avx512(kernel, chirp, ways, chirps, blocks) },
             #[cfg(not(target_arch = "x86_64"))]
-            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(taps, cells, chirp, ways, chirps, blocks),
+            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(kernel, chirp, ways, chirps, blocks),
         }
     }
 
@@ -228,6 +242,12 @@ pub struct EchoChirps {
     pub im: [f32; CHIRPS],
     /// Where it comes from, in wavelengths of path from the base; the field's phase holds it already.
     pub beside: [f32; CHIRPS],
+    /// What is left of the field's moment about there, in wavelengths: the field times how much longer its paths are. What
+    /// comes from one place has none; where a patch ends amid an echo, its strength changes with the chirp's frequency, and
+    /// only with that do patches side by side add up to the whole.
+    pub rest_re: [f32; CHIRPS],
+    /// Its imaginary part.
+    pub rest_im: [f32; CHIRPS],
 }
 
 /// The way of a moving echo between one transmitter and one receiver. Polynomials are in the number of the chirp.
@@ -245,42 +265,24 @@ pub struct EchoWay {
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2")]
-fn echo_avx2(
-    taps: &[[f32; LANES]; DEGREE],
-    cells: f64,
-    chirp: &Chirp,
-    ways: &[EchoWay],
-    chirps: &[EchoChirps],
-    blocks: &mut [Vec<Grids>],
-) {
-    echo(taps, cells, chirp, ways, chirps, blocks);
+fn echo_avx2(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
+    echo(kernel, chirp, ways, chirps, blocks);
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
-fn echo_avx512(
-    taps: &[[f32; LANES]; DEGREE],
-    cells: f64,
-    chirp: &Chirp,
-    ways: &[EchoWay],
-    chirps: &[EchoChirps],
-    blocks: &mut [Vec<Grids>],
-) {
-    echo(taps, cells, chirp, ways, chirps, blocks);
+fn echo_avx512(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
+    echo(kernel, chirp, ways, chirps, blocks);
 }
 
 #[inline(always)]
-fn echo(
-    taps: &[[f32; LANES]; DEGREE],
-    cells: f64,
-    chirp: &Chirp,
-    ways: &[EchoWay],
-    chirps: &[EchoChirps],
-    blocks: &mut [Vec<Grids>],
-) {
+fn echo(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
     let Some(first_way) = ways.first() else { return };
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
+    let cells = kernel.cells;
     let (cells_per_hz, per_cell) = (cells / chirp.sample_rate_hz, 1.0 / cells);
+    // By how much a wavelength of path moves a tone.
+    let cells_per_wave = (chirp.slope_hz_per_s * first_way.wavelength_m * per_m * cells_per_hz) as f32;
     let rate = first_way.rate_m_per_s.map(|c| c * per_m);
     for (block, echo) in chirps.iter().enumerate() {
         let numbers: [f64; CHIRPS] = std::array::from_fn(|i| (block * CHIRPS + i) as f64);
@@ -303,20 +305,26 @@ fn echo(
             u[i] = (2.0 * (ceiling - position) - 1.0) as f32;
             first[i] = (ceiling + SHIFT).to_bits() as u32;
         }
-        let weights = weights(taps, &u);
+        let (slopes, weights) = (weights(&kernel.slopes, &u), weights(&kernel.taps, &u));
         for (way, blocks) in ways.iter().zip(blocks.iter_mut()) {
             let Some(grids) = blocks.get_mut(block) else { continue };
             let (delays, [begin, step]) = (delay_s(way), way.response);
             let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+            let (mut rest_re, mut rest_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
             for i in 0..CHIRPS {
                 // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
                 let turn = phasor(chirp.phase_cycles(delays[i]) - f64::from(echo.beside[i]));
-                let (n, x, y) = (numbers[i] as f32, echo.re[i], -echo.im[i]);
+                let n = numbers[i] as f32;
                 let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
-                let (x, y) = (x * turn.re - y * turn.im, x * turn.im + y * turn.re);
+                let (a, b) = (a * turn.re - b * turn.im, a * turn.im + b * turn.re);
+                let (x, y) = (echo.re[i], -echo.im[i]);
                 (re[i], im[i]) = (x * a - y * b, x * b + y * a);
+                let (x, y) = (cells_per_wave * echo.rest_re[i], -cells_per_wave * echo.rest_im[i]);
+                (rest_re[i], rest_im[i]) = (x * a - y * b, x * b + y * a);
             }
             lay_weighted(&weights, &mut grids.cells, &re, &im, &first);
+            // To first order a tone that is moved is its derivative.
+            lay_weighted(&slopes, &mut grids.cells, &rest_re, &rest_im, &first);
         }
     }
 }

@@ -14,6 +14,7 @@ use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
+use super::kept_dense::DenseFrame;
 use crate::output;
 
 #[derive(clap::Args)]
@@ -35,6 +36,9 @@ pub struct Arguments {
     /// The slow way takes all ways by walls that are louder than this far below noise, dB
     #[arg(long, default_value_t = 10.0)]
     dense_margin_db: f64,
+    /// Folder in which frames computed the slow way are kept and looked for
+    #[arg(long)]
+    dense_frames: Option<PathBuf>,
     /// A list of objects
     #[arg(long)]
     json: bool,
@@ -77,14 +81,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let shape = scene.waveform().shape();
     let floor = noise_floor(&density_lsb2(scene.receiver(), scene.waveform()), shape);
     let one_thread = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
-    let bar = output::progress(arguments.frames.len() as u64, "frames the slow way");
+    output::catch_interrupts()?;
+    let settings = format!("{} {:?}", arguments.seed, arguments.people);
     let mut rows = Vec::new();
     for &frame in &arguments.frames {
-        let started = Instant::now();
-        let dense = simulator(0.5)?.dense_echo_samples(frame, arguments.dense_margin_db);
-        // Of all threads, as if one.
-        let dense_ms = started.elapsed().as_secs_f64() * 1e3 * rayon::current_num_threads() as f64;
-        let exact = map(&dense, shape);
+        let simulator_of_dense = simulator(0.5)?;
+        let dense = DenseFrame {
+            simulator: &simulator_of_dense,
+            index: frame,
+            margin_db: arguments.dense_margin_db,
+            settings: &settings,
+        };
+        let dense = dense.samples(arguments.dense_frames.as_deref())?;
+        let exact = map(&dense.samples, shape);
         for &tolerance_db in &arguments.tolerances_db {
             let simulator = simulator(tolerance_db)?;
             let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
@@ -98,7 +107,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 (0..5).map(time).fold(f64::INFINITY, f64::min)
             });
             let (error_db, cells, beyond_1_db) = error(&exact, &map(&samples, shape), &floor, shape);
-            let dense_over_this = dense_ms / milliseconds;
+            let dense_over_this = dense.milliseconds / milliseconds;
             rows.push(Row {
                 frame,
                 tolerance_db,
@@ -110,9 +119,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 beyond_1_db,
             });
         }
-        bar.inc(1);
     }
-    bar.finish_and_clear();
     if arguments.json {
         return output::json_line(&rows);
     }

@@ -1,0 +1,122 @@
+//! Frames of dense physical optics: minutes each, so they can be kept on disk.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use npyz::WriterBuilder;
+use radome_sim::Simulator;
+use rayon::prelude::*;
+use sha2::{Digest, Sha256};
+
+use crate::{files, output};
+
+/// Relative difference up to which a chirp that is computed again is the same: other machines round differently.
+const SAME: f64 = 1e-6;
+
+/// What a frame is computed from.
+pub struct DenseFrame<'a> {
+    pub simulator: &'a Simulator,
+    pub index: u64,
+    /// All ways by walls that are louder than this far below noise, dB.
+    pub margin_db: f64,
+    /// Everything else that it depends on, in any words.
+    pub settings: &'a str,
+}
+
+/// Samples, and the time that they take one thread.
+pub struct DenseSamples {
+    /// LSB, `[rx][chirp][sample]`.
+    pub samples: Vec<f64>,
+    pub milliseconds: f64,
+}
+
+impl DenseFrame<'_> {
+    /// From the folder where it is kept and still what the program makes: one chirp is computed again. Otherwise computed, with
+    /// progress, and kept there.
+    pub fn samples(&self, folder: Option<&Path>) -> anyhow::Result<DenseSamples> {
+        let Some(folder) = folder else { return self.compute() };
+        let path = self.path(folder);
+        if path.exists() {
+            let samples = self.read(&path)?;
+            let started = Instant::now();
+            if self.agrees(&samples) {
+                let milliseconds = started.elapsed().as_secs_f64() * 1e3 * self.shape()[1] as f64;
+                return Ok(DenseSamples { samples, milliseconds });
+            }
+            eprintln!("{}: the program no longer makes this frame; it is computed anew", path.display());
+        }
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot create {}", folder.display()))?;
+        let computed = self.compute()?;
+        self.write(&path, &computed.samples)?;
+        Ok(computed)
+    }
+
+    /// `[rx][chirp][sample]`.
+    fn shape(&self) -> [usize; 3] {
+        let shape = self.simulator.scene().waveform().shape();
+        [shape.rx, shape.chirps, shape.samples]
+    }
+
+    /// Named by all that is asked for, so that nothing else is found under the name.
+    fn path(&self, folder: &Path) -> PathBuf {
+        let scene = self.simulator.scene();
+        let asked = format!("{:?} {:?} {} {}", scene.file(), scene.receiver(), self.margin_db, self.settings);
+        let digest: String = Sha256::digest(asked).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        folder.join(format!("dense-{digest}-{}.npy", self.index))
+    }
+
+    fn compute(&self) -> anyhow::Result<DenseSamples> {
+        let [receivers, chirps, _] = self.shape();
+        let bar = output::progress(chirps as u64, "chirps the slow way");
+        let started = Instant::now();
+        let chirp = |chirp| {
+            if output::interrupted() {
+                bail!("interrupted: frame {} is not kept", self.index);
+            }
+            let samples = self.simulator.dense_echo_chirp(self.index, chirp, self.margin_db);
+            bar.inc(1);
+            Ok(samples)
+        };
+        let all: Vec<Vec<Vec<f64>>> = (0..chirps).into_par_iter().map(chirp).collect::<anyhow::Result<_>>()?;
+        // Of all threads, as if one.
+        let milliseconds = started.elapsed().as_secs_f64() * 1e3 * rayon::current_num_threads() as f64;
+        bar.finish_and_clear();
+        let of_receiver = |rx: usize| all.iter().filter_map(move |chirp| chirp.get(rx)).flatten().copied();
+        Ok(DenseSamples { samples: (0..receivers).flat_map(of_receiver).collect(), milliseconds })
+    }
+
+    /// Whether the frame's middle chirp is what the program makes of it now.
+    fn agrees(&self, samples: &[f64]) -> bool {
+        let [_, chirps, length] = self.shape();
+        let middle = chirps / 2;
+        let now = self.simulator.dense_echo_chirp(self.index, middle, self.margin_db);
+        let kept =
+            samples.chunks(chirps * length).map(|channel| channel.chunks(length).nth(middle).unwrap_or_default());
+        let (mut apart, mut power) = (0.0, 0.0);
+        for (now, kept) in now.iter().flatten().zip(kept.flatten()) {
+            apart += (now - kept).powi(2);
+            power += now * now;
+        }
+        apart <= SAME * SAME * power
+    }
+
+    fn read(&self, path: &Path) -> anyhow::Result<Vec<f64>> {
+        let hint = || format!("{}: not a kept frame\n\nhint: remove it, and it is computed anew", path.display());
+        let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let array = npyz::NpyFile::new(bytes.as_slice()).with_context(hint)?;
+        if array.shape() != self.shape().map(|n| n as u64) {
+            bail!("{:?} instead of {:?}: {}", array.shape(), self.shape(), hint());
+        }
+        array.into_vec::<f64>().with_context(hint)
+    }
+
+    fn write(&self, path: &Path, samples: &[f64]) -> anyhow::Result<()> {
+        let shape = self.shape().map(|n| n as u64);
+        files::write_atomically(path, |file| {
+            let mut writer = npyz::WriteOptions::new().default_dtype().shape(&shape).writer(file).begin_nd()?;
+            writer.extend(samples.iter().copied())?;
+            Ok(writer.finish()?)
+        })
+    }
+}
