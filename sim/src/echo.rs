@@ -9,6 +9,7 @@ mod posed_patch;
 pub mod self_shadow;
 pub mod skin;
 mod strength;
+mod workbench;
 
 pub use patch::FrameTimes;
 

@@ -47,9 +47,16 @@ impl Demand {
         0.06 * self.least_pair_lsb()
     }
 
-    /// How much more than for half a decibel may be left out: less than in proportion, for it adds to what integration misses.
+    /// Whether what limbs shade is found between the ends of a frame as well.
+    pub(super) fn shades_between_ends(&self) -> bool {
+        self.tolerance_db < 0.4
+    }
+
+    /// How much more than for half a decibel may be left out: more than that in less than proportion, for it adds to what
+    /// integration misses, less in more, for below that it is most of what is missed.
     fn laxity(&self) -> f64 {
-        (self.tolerance_db / 0.5).sqrt()
+        let part = self.tolerance_db / 0.5;
+        part.powf(if part > 1.0 { 0.5 } else { 1.3 })
     }
 }
 

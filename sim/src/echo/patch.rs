@@ -26,6 +26,14 @@ pub struct FrameTimes {
     pub chirps_s: Vec<f64>,
 }
 
+impl FrameTimes {
+    /// With keys half-way between as well.
+    pub(super) fn halved(&self) -> Self {
+        let between = self.keys_s.windows(2).flat_map(|pair| [pair[0], 0.5 * (pair[0] + pair[1])]);
+        FrameTimes { keys_s: between.chain(self.keys_s.last().copied()).collect(), chirps_s: self.chirps_s.clone() }
+    }
+}
+
 /// A triangle at a key.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct TriangleKey {

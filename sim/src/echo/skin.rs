@@ -16,24 +16,20 @@
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
 use glam::DVec3;
-use num_complex::Complex64;
 
-use super::chirp_sum::{ChirpSums, Direction};
 use super::demand::{Demand, Fineness, Missed};
-use super::key_rows::{StrengthRows, triangle_keys};
-use super::patch::{FrameTimes, Patch, Place, TriangleKey, middle_antenna, missed_between_keys};
-use super::posed_patch::{PosedPatch, vertex_rows};
-use super::strength::{Between, FieldRows, any_shines, common_factor, light_rows, strengths};
+use super::patch::{FrameTimes, Place, middle_antenna};
+use super::posed_patch::vertex_rows;
+use super::strength::{any_shines, light_rows};
+use super::workbench::{Pair, Tally, Work, Workbench};
 use super::{EchoReport, Snapshot, past_people, self_shadow};
 use crate::actor::body::SEGMENTS;
-use crate::actor::skin::{PosedSkin, SkinPatch, WalkingMesh};
-use crate::field::curved_triangle::{Integrator, moments, spans_rad};
-use crate::field::image::{Element, ImageIndex};
-use crate::field::quadrature::rule_for;
-use crate::lanes::{LANES, Row};
-use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::actor::skin::{PosedSkin, WalkingMesh};
+use crate::field::curved_triangle::Integrator;
+use crate::field::image::ImageIndex;
+use crate::lanes::Row;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, EchoWay, phasor};
+use crate::synthesis::ChirpGrids;
 
 /// Somebody with a skin.
 #[derive(Debug, Clone)]
@@ -41,45 +37,6 @@ pub struct SkinnedPerson {
     mesh: WalkingMesh,
     /// Factor of clothes on amplitude at each vertex.
     cloth: Vec<f64>,
-}
-
-/// Two images between which somebody is heard, whichever of them sends.
-struct Pair {
-    /// Places in the list of images.
-    images: [usize; 2],
-    fineness: Fineness,
-}
-
-/// What goes from patch to patch.
-struct Work<'a> {
-    stage: &'a Stage,
-    integrator: &'a Integrator,
-    times: &'a FrameTimes,
-    /// Middle of the body: single precision counts from here.
-    origin: DVec3,
-    antenna: Element,
-    indices: Vec<ImageIndex>,
-    places: Vec<Place>,
-    pairs: Vec<Pair>,
-    posed: Vec<PosedSkin>,
-    /// `[key][image][vertex]`: what people and limbs leave of light. Empty at every second key, which is half-way in between.
-    weights: Vec<Vec<Vec<f64>>>,
-}
-
-/// What a patch is worked on with.
-struct Bench {
-    patches: Vec<PosedPatch>,
-    fields: Vec<FieldRows>,
-    /// `[key][image]`.
-    weights: Vec<Vec<Row>>,
-    strengths: Vec<StrengthRows>,
-    keys: Vec<Vec<TriangleKey>>,
-    coarse: Vec<TriangleKey>,
-    sums: ChirpSums,
-    /// Of the patch, in the middle pose.
-    area_m2: f32,
-    /// Field below which a patch is left out.
-    least: f32,
 }
 
 impl SkinnedPerson {
@@ -127,7 +84,9 @@ impl SkinnedPerson {
         grids: &mut ChirpGrids,
         report: &mut EchoReport,
     ) -> Missed {
-        let posed: Vec<PosedSkin> = times.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
+        // Fast limbs need keys half-way between as well.
+        let fine = times.halved();
+        let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
         let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
         for &((p, q), loudness) in pairs {
             let way = [p.min(q), p.max(q)];
@@ -147,7 +106,9 @@ impl SkinnedPerson {
         let mut work = Work {
             stage,
             integrator,
-            times,
+            skin: self.mesh.skin(),
+            cloth: &self.cloth,
+            times: [times, &fine],
             origin: middle.vertices.iter().sum::<DVec3>() / middle.vertices.len().max(1) as f64,
             places: indices.iter().map(|&index| Place::new(stage, &antenna, index)).collect(),
             pairs: ways.iter().map(pair).collect(),
@@ -157,36 +118,26 @@ impl SkinnedPerson {
             weights: Vec::new(),
         };
         let shining = self.shining(&work);
-        work.weights = self.weights(&work, people, me, &shining);
+        work.weights = self.weights(&work, people, me, &shining, demand.shades_between_ends());
 
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
-        let mut bench = Bench {
-            patches: work.posed.iter().map(|_| PosedPatch::new(work.indices.len(), integrator)).collect(),
-            fields: vec![FieldRows::default(); work.indices.len()],
-            weights: vec![vec![[0.0; LANES]; work.indices.len()]; work.posed.len()],
-            strengths: vec![StrengthRows::default(); work.posed.len()],
-            keys: vec![Vec::new(); work.posed.len()],
-            coarse: Vec::new(),
-            sums: ChirpSums::new(integrator.level),
-            area_m2: 0.0,
-            // Patches add up: one alone this far below what can be seen is not missed.
-            least: (demand.least_patch_lsb() / loudest.max(1e-300)) as f32,
-        };
+        // Patches add up: one alone this far below what can be seen is not missed.
+        let least = (demand.least_patch_lsb() / loudest.max(1e-300)) as f32;
+        let mut bench = Workbench::new(&work, least);
         let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
         let mut missed = Tally::default();
-        for (patch, shining) in self.mesh.skin().patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
-            report.clamped += self.pose(&work, patch, shining, &mut bench);
+        for (patch, shining) in work.skin.patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
+            report.clamped += bench.pose(&work, patch, shining);
             for &number in shining {
                 let Some(pair) = work.pairs.get(number) else { continue };
                 if !bench.integrate(&work, patch, pair) {
                     continue;
                 }
-                report.paths += patch.triangles.len() * work.posed.len();
+                report.paths += patch.triangles.len() * times.keys_s.len();
                 if number == 0 {
-                    bench.integrate_coarsely(&work, patch, pair, &coarse);
-                    missed.add(&bench.keys, &bench.coarse, &times.keys_s, stage.wavelength_m);
+                    bench.add_missed(&work, patch, pair, &coarse, &mut missed);
                 }
-                bench.add_tone(&work, pair, grids, report);
+                report.synthesised += usize::from(bench.add_tone(&work, pair, grids));
             }
         }
         missed.missed()
@@ -222,220 +173,38 @@ impl SkinnedPerson {
         all
     }
 
-    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it.
-    fn weights(&self, work: &Work, people: &[Vec<Snapshot>], me: usize, shining: &[Vec<usize>]) -> Vec<Vec<Vec<f64>>> {
+    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it, at the ends of the
+    /// frame, and between where that is asked for.
+    fn weights(
+        &self,
+        work: &Work,
+        people: &[Vec<Snapshot>],
+        me: usize,
+        shining: &[Vec<usize>],
+        between: bool,
+    ) -> Vec<(f64, Vec<Vec<f64>>)> {
         let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
-        for (patch, pairs) in self.mesh.skin().patches().iter().zip(shining) {
+        for (patch, pairs) in work.skin.patches().iter().zip(shining) {
             for image in pairs.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images) {
                 patch.vertices.iter().for_each(|&v| wanted[image][v as usize] = true);
             }
         }
-        let last = work.posed.len().saturating_sub(1);
-        let at = |(key, (posed, people)): (usize, (&PosedSkin, &Vec<Snapshot>))| {
-            if !key.is_multiple_of(2) && key != last {
-                return Vec::new();
-            }
-            let each = work.indices.iter().zip(&work.places).zip(&wanted);
-            each.map(|((&index, place), wanted)| {
-                let skin = self.mesh.skin();
-                let own = self_shadow::weights(skin, posed, place.middle, work.stage.wavelength_m, wanted);
+        let last = people.len().saturating_sub(1);
+        let of = |(key, people): (usize, &Vec<Snapshot>)| {
+            // Poses are twice as close as people's keys.
+            let posed = work.posed.get(2 * key).filter(|_| between || key == 0 || key == last)?;
+            let of_image = |((&index, place), wanted): ((&ImageIndex, &Place), &Vec<bool>)| {
+                let own = self_shadow::weights(work.skin, posed, place.middle, work.stage.wavelength_m, wanted);
                 own.iter().zip(self.past_people(work.stage, people, me, index)).map(|(a, b)| a * b).collect()
-            })
-            .collect()
+            };
+            let images = work.indices.iter().zip(&work.places).zip(&wanted);
+            Some((2.0 * key as f64, images.map(of_image).collect()))
         };
-        work.posed.iter().zip(people).enumerate().map(at).collect()
-    }
-
-    /// Puts a patch on the bench in every pose, as the images of the pairs by which it shines see it. Returns how many of their
-    /// distances are less than amplitudes are made for.
-    fn pose(&self, work: &Work, patch: &SkinPatch, shining: &[usize], bench: &mut Bench) -> usize {
-        let level = work.integrator.level;
-        let mut images: Vec<usize> =
-            shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images).collect();
-        images.sort_unstable();
-        images.dedup();
-        let mut clamped = 0;
-        for (of_patch, posed) in bench.patches.iter_mut().zip(&work.posed) {
-            of_patch.pose(work.stage, level, self.mesh.skin(), patch, posed, &self.cloth, work.origin);
-            for &image in &images {
-                of_patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
-                clamped += of_patch.lights[image].clamped();
-            }
-        }
-        bench.area_m2 = bench.patches[work.posed.len() / 2].triangles.area_m2();
-        // Patterns and walls change little over a patch and a frame: its middle will do.
-        let middle = &work.posed[work.posed.len() / 2];
-        let corners = &patch.vertices;
-        let centre = corners.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / corners.len() as f64;
-        for &image in &images {
-            let light = work.stage.room.illuminate(&work.antenna, work.indices[image], centre);
-            bench.fields[image] = FieldRows::from(light.field);
-        }
-        let last = work.posed.len() - 1;
-        for key in (0..=last).filter(|key| key.is_multiple_of(2) || *key == last) {
-            for &image in &images {
-                let of_image = &work.weights[key][image];
-                bench.weights[key][image] = patch.vertices.map(|v| of_image[v as usize] as f32);
-            }
-        }
-        for key in (0..last).filter(|key| !key.is_multiple_of(2)) {
-            for &image in &images {
-                let (before, after) = (bench.weights[key - 1][image], bench.weights[key + 1][image]);
-                bench.weights[key][image] = std::array::from_fn(|l| 0.5 * (before[l] + after[l]));
-            }
-        }
-        clamped
-    }
-}
-
-impl Bench {
-    fn strengths(&self, work: &Work, pair: &Pair, key: usize, fineness: &Fineness) -> (Row, Row) {
-        let [out, back] = pair.images;
-        let patch = &self.patches[key];
-        let between = Between {
-            vertices: &patch.vertices,
-            lights: [&patch.lights[out], &patch.lights[back]],
-            fields: [self.fields[out], self.fields[back]],
-            weights: [&self.weights[key][out], &self.weights[key][back]],
-            permittivity: SKIN_PERMITTIVITY,
-            fineness,
-            factor: common_factor(work.stage.wavelength_m),
-        };
-        strengths(work.integrator.level, &between)
-    }
-
-    /// Finds the patch's triangles at every key between two images. Whether there is anything.
-    fn integrate(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair) -> bool {
-        let wavelength_m = work.stage.wavelength_m;
-        for key in 0..self.patches.len() {
-            self.strengths[key].now = self.strengths(work, pair, key, &pair.fineness);
-        }
-        let mut live = [false; LANES];
-        for StrengthRows { now: (re, im), .. } in &self.strengths {
-            for (l, live) in live.iter_mut().enumerate() {
-                *live |= (re[l] != 0.0) | (im[l] != 0.0);
-            }
-        }
-        // All of the patch in phase: what is not heard even then needs no integral.
-        let strongest = self.strengths.iter().flat_map(|s| s.now.0.iter().zip(&s.now.1)).map(|(x, y)| x * x + y * y);
-        let strongest = strongest.fold(0.0, f32::max).sqrt();
-        if live == [false; LANES] || strongest * self.area_m2 < self.least {
-            return false;
-        }
-        slopes(&mut self.strengths, &work.times.keys_s);
-        let [out, back] = pair.images;
-        let level = work.integrator.level;
-        let middle = &self.patches[self.patches.len() / 2];
-        let spans = spans_rad(level, [&middle.views[out], &middle.views[back]]);
-        let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v]);
-        let span = (0..patch.triangles.len()).filter(|&l| corners_live(l)).map(|l| spans[l]).fold(0.0, f32::max);
-        let rule = rule_for(span, pair.fineness.ease);
-        for ((posed, strengths), keys) in self.patches.iter_mut().zip(&self.strengths).zip(&mut self.keys) {
-            posed.nodes(rule, work.integrator);
-            let moments = moments(level, posed.found(rule), [&posed.views[out], &posed.views[back]]);
-            triangle_keys(level, patch, posed, work.origin, pair.images, &moments, strengths, wavelength_m, keys);
-        }
-        true
-    }
-
-    /// The same at the first key as it would be to a coarser demand.
-    fn integrate_coarsely(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, fineness: &Fineness) {
-        let strengths = StrengthRows { now: self.strengths(work, pair, 0, fineness), ..StrengthRows::default() };
-        let [out, back] = pair.images;
-        let level = work.integrator.level;
-        let Some(posed) = self.patches.first_mut() else { return };
-        let spans = spans_rad(level, [&posed.views[out], &posed.views[back]]);
-        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
-        let rule = rule_for(span, fineness.ease);
-        posed.nodes(rule, work.integrator);
-        let moments = moments(level, posed.found(rule), [&posed.views[out], &posed.views[back]]);
-        let (wavelength_m, coarse) = (work.stage.wavelength_m, &mut self.coarse);
-        triangle_keys(level, patch, posed, work.origin, pair.images, &moments, &strengths, wavelength_m, coarse);
-    }
-
-    /// Adds what the patch sends back between two images in every chirp.
-    fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids, report: &mut EchoReport) {
-        let (stage, times) = (work.stage, work.times);
-        let between = pair.images.map(|i| &work.places[i]);
-        let both = [between, [between[1], between[0]]];
-        let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
-        let in_phase = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm()).sum::<f64>();
-        if self.keys.iter().map(in_phase).fold(0.0, f64::max) < f64::from(self.least) {
-            return;
-        }
-        let members = 0..self.keys.first().map_or(0, Vec::len);
-        let keys = &self.keys;
-        let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, &mut self.sums) else { return };
-        if self.sums.loudest() < self.least {
-            return;
-        }
-        report.synthesised += 1;
-        let mut chirps = Vec::new();
-        for (way, direction) in ways.iter().zip([Direction::There, Direction::Reverse]) {
-            self.sums.chirps(direction, &mut chirps);
-            let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
-            let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
-            grids.add(&stage.chirp, &of_receivers, &chirps);
-        }
+        people.iter().enumerate().filter_map(of).collect()
     }
 }
 
 /// An antenna from a place, in single precision.
 fn from(origin: DVec3, antenna: DVec3) -> [f32; 3] {
     (antenna - origin).as_vec3().to_array()
-}
-
-/// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
-fn slopes(all: &mut [StrengthRows], times_s: &[f64]) {
-    let last = all.len().saturating_sub(1);
-    let step_s = match times_s {
-        [first, second, ..] => second - first,
-        _ => 1.0,
-    };
-    for i in 0..all.len() {
-        let weights: &[(usize, f64)] = match (i, last) {
-            (_, 0) => &[],
-            (_, 1) => &[(0, -1.0), (1, 1.0)],
-            (0, _) => &[(0, -1.5), (1, 2.0), (2, -0.5)],
-            (i, last) if i == last => &[(last, 1.5), (last - 1, -2.0), (last - 2, 0.5)],
-            (i, _) => &[(i + 1, 0.5), (i - 1, -0.5)],
-        };
-        let mut rates = ([0.0; LANES], [0.0; LANES]);
-        for &(key, weight) in weights {
-            let (weight, (re, im)) = ((weight / step_s) as f32, all[key].now);
-            for l in 0..LANES {
-                rates.0[l] += weight * re[l];
-                rates.1[l] += weight * im[l];
-            }
-        }
-        all[i].rates = rates;
-    }
-}
-
-/// What is missed of a pair's field, patch by patch, in squares.
-#[derive(Debug, Default)]
-struct Tally {
-    between_keys: [f64; 2],
-    by_integration: [f64; 2],
-}
-
-impl Tally {
-    fn add(&mut self, keys: &[Vec<TriangleKey>], coarse: &[TriangleKey], times_s: &[f64], wavelength_m: f64) {
-        let (missed, power) = missed_between_keys(keys, times_s, wavelength_m);
-        self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
-        let (mut sum, mut apart) = (Complex64::ZERO, Complex64::ZERO);
-        for (a, b) in keys.first().into_iter().flatten().zip(coarse) {
-            let turn = phasor(-a.length_m / wavelength_m);
-            let turn = Complex64::new(turn.re.into(), turn.im.into());
-            sum += a.field * turn;
-            apart += (a.field - b.field) * turn;
-        }
-        self.by_integration = [self.by_integration[0] + apart.norm_sqr(), self.by_integration[1] + sum.norm_sqr()];
-    }
-
-    fn missed(&self) -> Missed {
-        let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
-        // Cubics err with the fourth power of the step.
-        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(self.by_integration) }
-    }
 }

@@ -1,6 +1,7 @@
 //! Strength of a skin at sixteen vertices: what one image antenna's field makes of it there and another hears, as it multiplies
 //! `exp(-j k L)` and an area. Physical optics as [`crate::field::current::heard_by`] has it, to which a test holds it.
 
+use glam::DVec3;
 use num_complex::Complex64;
 
 use super::LEAST_DISTANCE_M;
@@ -29,17 +30,42 @@ pub(super) struct LightRows {
     pub(super) inverse_m: Row,
 }
 
-/// Field of an image antenna near some vertices, but for spreading.
+/// Field of an image antenna at vertices, but for spreading.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct FieldRows {
-    re: [f32; 3],
-    im: [f32; 3],
+    re: Row3,
+    im: Row3,
 }
 
-impl From<Phasor3> for FieldRows {
-    fn from(field: Phasor3) -> Self {
-        FieldRows { re: field.re.as_vec3().to_array(), im: field.im.as_vec3().to_array() }
+/// Field of an image antenna around a place: there, and how it changes along each axis, 1/m.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct FieldAround {
+    pub(super) place: [f32; 3],
+    pub(super) field: Phasor3,
+    pub(super) slopes: [Phasor3; 3],
+}
+
+compiled_for_levels! {
+    /// What that is at vertices.
+    pub(super) fn field_rows(around: &FieldAround, places: &Row3) -> FieldRows = field_body;
+}
+
+#[inline(always)]
+fn field_body(around: &FieldAround, places: &Row3) -> FieldRows {
+    let mut rows = FieldRows::default();
+    let [x, y, z] = &around.slopes;
+    for axis in 0..3 {
+        let at = |v: DVec3| v.to_array()[axis] as f32;
+        let (re, by_re) = (at(around.field.re), [at(x.re), at(y.re), at(z.re)]);
+        let (im, by_im) = (at(around.field.im), [at(x.im), at(y.im), at(z.im)]);
+        for l in 0..LANES {
+            let [x, y, z] = lane(places, l);
+            let d = [x - around.place[0], y - around.place[1], z - around.place[2]];
+            rows.re[axis][l] = re + dot(d, by_re);
+            rows.im[axis][l] = im + dot(d, by_im);
+        }
     }
+    rows
 }
 
 /// What strengths at vertices depend on.
@@ -47,7 +73,7 @@ pub(super) struct Between<'a> {
     pub(super) vertices: &'a VertexRows,
     /// The antennas that light and that listen.
     pub(super) lights: [&'a LightRows; 2],
-    pub(super) fields: [FieldRows; 2],
+    pub(super) fields: [&'a FieldRows; 2],
     /// What people and limbs leave of them.
     pub(super) weights: [&'a Row; 2],
     pub(super) permittivity: Complex64,
@@ -156,6 +182,8 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let n = lane(&vertices.normals, l);
         let t = lane(&out.towards, l);
         let s = lane(&back.towards, l);
+        let (field_re, field_im) = (lane(&field.re, l), lane(&field.im, l));
+        let (heard_re, heard_im) = (lane(&heard.re, l), lane(&heard.im, l));
         let bisector = sum(t, s, 1.0);
         let length = dot(bisector, bisector).sqrt();
         let cosine = dot(n, bisector) / length.max(1e-6);
@@ -186,19 +214,19 @@ fn strengths_body(between: &Between) -> (Row, Row) {
         let over = 1.0 / dot(u, u).sqrt().max(1e-12);
         let u = [u[0] * over, u[1] * over, u[2] * over];
         let (v, w) = (cross(u, d), cross(u, o));
-        let (along_u, along_v) = ((dot(field.re, u), dot(field.im, u)), (dot(field.re, v), dot(field.im, v)));
+        let (along_u, along_v) = ((dot(field_re, u), dot(field_im, u)), (dot(field_re, v), dot(field_im, v)));
         let reflected_u = (te.0 * along_u.0 - te.1 * along_u.1, te.0 * along_u.1 + te.1 * along_u.0);
         let reflected_w = (tm.0 * along_v.0 - tm.1 * along_v.1, tm.0 * along_v.1 + tm.1 * along_v.0);
         let reflected_re = sum([u[0] * reflected_u.0, u[1] * reflected_u.0, u[2] * reflected_u.0], w, reflected_w.0);
         let reflected_im = sum([u[0] * reflected_u.1, u[1] * reflected_u.1, u[2] * reflected_u.1], w, reflected_w.1);
         // Both currents, n x (H + H_r) and -n x (E + E_r).
-        let (h_re, h_im) = (cross(d, field.re), cross(d, field.im));
+        let (h_re, h_im) = (cross(d, field_re), cross(d, field_im));
         let j_re = cross(n, sum(h_re, cross(o, reflected_re), 1.0));
         let j_im = cross(n, sum(h_im, cross(o, reflected_im), 1.0));
-        let m_re = cross(n, sum(field.re, reflected_re, 1.0));
-        let m_im = cross(n, sum(field.im, reflected_im, 1.0));
+        let m_re = cross(n, sum(field_re, reflected_re, 1.0));
+        let m_im = cross(n, sum(field_im, reflected_im, 1.0));
         // What the antenna hears of them.
-        let (p_re, p_im) = (sum(heard.re, s, -dot(s, heard.re)), sum(heard.im, s, -dot(s, heard.im)));
+        let (p_re, p_im) = (sum(heard_re, s, -dot(s, heard_re)), sum(heard_im, s, -dot(s, heard_im)));
         let (sp_re, sp_im) = (cross(s, p_re), cross(s, p_im));
         let re = dot(j_re, p_re) - dot(j_im, p_im) - (dot(m_re, sp_re) - dot(m_im, sp_im));
         let im = dot(j_re, p_im) + dot(j_im, p_re) - (dot(m_re, sp_im) + dot(m_im, sp_re));
@@ -217,7 +245,6 @@ pub(super) fn common_factor(wavelength_m: f64) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use glam::DVec3;
     use radome_dsp::KernelLevel;
     use rand::Rng;
 
@@ -257,10 +284,13 @@ mod tests {
             let row3 = |v: DVec3| v.as_vec3().to_array().map(|x| [x; LANES]);
             let vertices = VertexRows { places: row3(point), normals: row3(normal), left: ones, narrowing: ones };
             let lights = [out, back].map(|a| light_rows(level, a.as_vec3().to_array(), &vertices.places));
+            let zero = Phasor3::real(DVec3::ZERO);
+            let around = |field| FieldAround { place: [0.0; 3], field, slopes: [zero; 3] };
+            let rows = fields.map(|field| field_rows(level, &around(field), &vertices.places));
             let between = Between {
                 vertices: &vertices,
                 lights: [&lights[0], &lights[1]],
-                fields: fields.map(FieldRows::from),
+                fields: [&rows[0], &rows[1]],
                 weights: [&ones, &ones],
                 permittivity: SKIN_PERMITTIVITY,
                 fineness: &fineness,

@@ -1,0 +1,348 @@
+//! Where a skin's patches are worked on, one after the other: posed at the keys, integrated between pairs of images, and laid down
+//! as tones.
+
+use glam::DVec3;
+use num_complex::Complex64;
+
+use super::chirp_sum::{ChirpSums, Direction};
+use super::demand::{Fineness, Missed};
+use super::key_rows::{StrengthRows, triangle_keys};
+use super::patch::{FrameTimes, Patch, Place, TriangleKey, missed_between_keys};
+use super::posed_patch::PosedPatch;
+use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
+use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
+use crate::field::Phasor3;
+use crate::field::curved_triangle::{Integrator, MomentRows, moments, spans_rad};
+use crate::field::image::{Element, ImageIndex};
+use crate::field::quadrature::rule_for;
+use crate::lanes::{LANES, Row};
+use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::stage::Stage;
+use crate::synthesis::{ChirpGrids, EchoWay, phasor};
+
+/// Step over which fields are differentiated, m.
+const FIELD_STEP_M: f64 = 0.03;
+
+/// Two images between which somebody is heard, whichever of them sends.
+pub(super) struct Pair {
+    /// Places in the list of images.
+    pub(super) images: [usize; 2],
+    pub(super) fineness: Fineness,
+}
+
+/// What is the same for all patches.
+pub(super) struct Work<'a> {
+    pub(super) stage: &'a Stage,
+    pub(super) integrator: &'a Integrator,
+    pub(super) skin: &'a Skin,
+    /// Factor of clothes on amplitude at each vertex.
+    pub(super) cloth: &'a [f64],
+    /// Keys, and keys half-way between as well.
+    pub(super) times: [&'a FrameTimes; 2],
+    /// Middle of the body: single precision counts from here.
+    pub(super) origin: DVec3,
+    pub(super) antenna: Element,
+    pub(super) indices: Vec<ImageIndex>,
+    pub(super) places: Vec<Place>,
+    pub(super) pairs: Vec<Pair>,
+    /// At the finer keys.
+    pub(super) posed: Vec<PosedSkin>,
+    /// What people and limbs leave of light, `[image][vertex]`, at some of the finer keys by their numbers.
+    pub(super) weights: Vec<(f64, Vec<Vec<f64>>)>,
+}
+
+/// A patch at one of the finer keys.
+struct Pose {
+    patch: PosedPatch,
+    /// By image.
+    fields: Vec<FieldRows>,
+    weights: Vec<Row>,
+    /// Between the images that are being worked on.
+    strengths: (Row, Row),
+    moments: MomentRows,
+}
+
+/// A patch on the bench.
+pub(super) struct Workbench {
+    poses: Vec<Pose>,
+    /// Whether it has been posed half-way between keys.
+    between: bool,
+    images: Vec<usize>,
+    /// Triangles at the keys that they were found to need, and which those are.
+    keys: Vec<Vec<TriangleKey>>,
+    level: usize,
+    coarse: Vec<TriangleKey>,
+    sums: ChirpSums,
+    /// Of the patch, in the middle pose.
+    area_m2: f32,
+    /// Field below which a patch is left out.
+    least: f32,
+}
+
+impl Workbench {
+    /// An empty one, for patches of which fields below `least` are left out.
+    pub(super) fn new(work: &Work, least: f32) -> Self {
+        let images = work.indices.len();
+        let pose = |_: &PosedSkin| Pose {
+            patch: PosedPatch::new(images, work.integrator),
+            fields: vec![FieldRows::default(); images],
+            weights: vec![[1.0; LANES]; images],
+            strengths: ([0.0; LANES], [0.0; LANES]),
+            moments: MomentRows::default(),
+        };
+        Workbench {
+            poses: work.posed.iter().map(pose).collect(),
+            between: false,
+            images: Vec::new(),
+            keys: Vec::new(),
+            level: 0,
+            coarse: Vec::new(),
+            sums: ChirpSums::new(work.integrator.level),
+            area_m2: 0.0,
+            least,
+        }
+    }
+
+    /// Poses a patch at the keys, as the images of the pairs by which it shines see it. Returns how many of their distances are
+    /// less than amplitudes are made for.
+    pub(super) fn pose(&mut self, work: &Work, patch: &SkinPatch, shining: &[usize]) -> usize {
+        self.images.clear();
+        self.images.extend(shining.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images));
+        self.images.sort_unstable();
+        self.images.dedup();
+        self.between = false;
+        let around = self.fields_around(work, patch);
+        let mut clamped = 0;
+        for key in (0..self.poses.len()).step_by(2) {
+            clamped += self.pose_at(work, patch, key, &around);
+        }
+        self.area_m2 = self.poses.get(work.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
+        clamped
+    }
+
+    /// Fields of its images around a patch in the middle of the frame: patterns and walls change little over a patch and a frame,
+    /// and that by a slope.
+    fn fields_around(&self, work: &Work, patch: &SkinPatch) -> Vec<FieldAround> {
+        let Some(middle) = work.posed.get(work.posed.len() / 2) else { return Vec::new() };
+        let centre = patch.vertices.iter().map(|&v| middle.vertices[v as usize]).sum::<DVec3>() / LANES as f64;
+        let field = |image: usize, at: DVec3| work.stage.room.illuminate(&work.antenna, work.indices[image], at).field;
+        let around = |&image: &usize| {
+            let here = field(image, centre);
+            let slope = |axis: DVec3| {
+                let there = field(image, centre + axis * FIELD_STEP_M);
+                Phasor3 { re: (there.re - here.re) / FIELD_STEP_M, im: (there.im - here.im) / FIELD_STEP_M }
+            };
+            let place = (centre - work.origin).as_vec3().to_array();
+            FieldAround { place, field: here, slopes: DVec3::AXES.map(slope) }
+        };
+        self.images.iter().map(around).collect()
+    }
+
+    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize, around: &[FieldAround]) -> usize {
+        let level = work.integrator.level;
+        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return 0 };
+        pose.patch.pose(work.stage, level, work.skin, patch, posed, work.cloth, work.origin);
+        let mut clamped = 0;
+        for (&image, around) in self.images.iter().zip(around) {
+            pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
+            clamped += pose.patch.lights[image].clamped();
+            pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
+            pose.weights[image] = weights_at(&work.weights, key as f64, image, patch);
+        }
+        clamped
+    }
+
+    /// Finds the patch's triangles between two images at as many keys as they need. Whether there is anything.
+    pub(super) fn integrate(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair) -> bool {
+        let [out, back] = pair.images;
+        let mut strongest = 0f32;
+        let mut live = [false; LANES];
+        for pose in self.poses.iter_mut().step_by(2) {
+            pose.strengths = pose.strengths(work, pair, &pair.fineness);
+            let (re, im) = &pose.strengths;
+            for (l, live) in live.iter_mut().enumerate() {
+                let square = re[l] * re[l] + im[l] * im[l];
+                *live |= square > 0.0;
+                strongest = strongest.max(square);
+            }
+        }
+        // All of the patch in phase: what is not heard even then needs no integral.
+        if strongest.sqrt() * self.area_m2 < self.least || strongest == 0.0 {
+            return false;
+        }
+        let Some(middle) = self.poses.get(self.poses.len() / 4 * 2) else { return false };
+        let spans = spans_rad(work.integrator.level, [&middle.patch.views[out], &middle.patch.views[back]]);
+        let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
+        let span = (0..patch.triangles.len()).filter(|&l| corners_live(l)).map(|l| spans[l]).fold(0.0, f32::max);
+        let rule = rule_for(span, pair.fineness.ease);
+        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
+        self.find_keys(work, patch, pair, 0);
+        let (missed, _) = missed_between_keys(&self.keys, &work.times[0].keys_s, work.stage.wavelength_m);
+        // Cubics err with the fourth power of the step.
+        if missed.sqrt() / 16.0 > f64::from(self.least) {
+            if !self.between {
+                let around = self.fields_around(work, patch);
+                for key in (1..self.poses.len()).step_by(2) {
+                    self.pose_at(work, patch, key, &around);
+                }
+                self.between = true;
+            }
+            for pose in self.poses.iter_mut().skip(1).step_by(2) {
+                pose.strengths = pose.strengths(work, pair, &pair.fineness);
+                pose.find_moments(work, pair, rule);
+            }
+            self.find_keys(work, patch, pair, 1);
+        }
+        true
+    }
+
+    /// Every triangle at the keys of a level.
+    fn find_keys(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, level: usize) {
+        self.level = level;
+        let every = 2 - level;
+        let of_keys: Vec<&Pose> = self.poses.iter().step_by(every).collect();
+        self.keys.resize(of_keys.len(), Vec::new());
+        for (key, (pose, keys)) in of_keys.iter().zip(&mut self.keys).enumerate() {
+            let strengths =
+                StrengthRows { now: pose.strengths, rates: rates(&of_keys, key, &work.times[level].keys_s) };
+            let wavelength_m = work.stage.wavelength_m;
+            let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
+            triangle_keys(lanes, patch, patch_then, work.origin, pair.images, moments, &strengths, wavelength_m, keys);
+        }
+    }
+
+    /// Adds what is missed of a pair that has been integrated: between keys, and at the first of them against a coarser demand.
+    pub(super) fn add_missed(
+        &mut self,
+        work: &Work,
+        patch: &SkinPatch,
+        pair: &Pair,
+        coarse: &Fineness,
+        missed: &mut Tally,
+    ) {
+        let Some(pose) = self.poses.first_mut() else { return };
+        let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
+        let [out, back] = pair.images;
+        let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
+        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
+        pose.find_moments(work, pair, rule_for(span, coarse.ease));
+        let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
+        let (wavelength_m, images) = (work.stage.wavelength_m, pair.images);
+        let found = &mut self.coarse;
+        triangle_keys(lanes, patch, patch_then, work.origin, images, moments, &strengths, wavelength_m, found);
+        missed.add(&self.keys, found, &work.times[self.level].keys_s, wavelength_m);
+    }
+
+    /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
+    pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
+        let (stage, times) = (work.stage, work.times[self.level]);
+        let in_phase = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm_sqr().sqrt()).sum::<f64>();
+        if self.keys.iter().map(in_phase).fold(0.0, f64::max) < f64::from(self.least) {
+            return false;
+        }
+        let between = pair.images.map(|i| &work.places[i]);
+        let both = [between, [between[1], between[0]]];
+        let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
+        let members = 0..self.keys.first().map_or(0, Vec::len);
+        let (keys, sums) = (&self.keys, &mut self.sums);
+        let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, sums) else { return false };
+        if sums.loudest() < self.least {
+            return false;
+        }
+        let mut chirps = Vec::new();
+        for (way, direction) in ways.iter().zip([Direction::There, Direction::Reverse]) {
+            sums.chirps(direction, &mut chirps);
+            let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
+            let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
+            grids.add(&stage.chirp, &of_receivers, &chirps);
+        }
+        true
+    }
+}
+
+impl Pose {
+    fn strengths(&self, work: &Work, pair: &Pair, fineness: &Fineness) -> (Row, Row) {
+        let [out, back] = pair.images;
+        let between = Between {
+            vertices: &self.patch.vertices,
+            lights: [&self.patch.lights[out], &self.patch.lights[back]],
+            fields: [&self.fields[out], &self.fields[back]],
+            weights: [&self.weights[out], &self.weights[back]],
+            permittivity: SKIN_PERMITTIVITY,
+            fineness,
+            factor: common_factor(work.stage.wavelength_m),
+        };
+        strengths(work.integrator.level, &between)
+    }
+
+    fn find_moments(&mut self, work: &Work, pair: &Pair, rule: usize) {
+        let [out, back] = pair.images;
+        self.patch.nodes(rule, work.integrator);
+        let views = [&self.patch.views[out], &self.patch.views[back]];
+        self.moments = moments(work.integrator.level, self.patch.found(rule), views);
+    }
+}
+
+/// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.
+fn weights_at(known: &[(f64, Vec<Vec<f64>>)], key: f64, image: usize, patch: &SkinPatch) -> Row {
+    let next = known.iter().position(|(at, _)| *at >= key).unwrap_or(known.len().saturating_sub(1));
+    let Some((end, after)) = known.get(next) else { return [1.0; LANES] };
+    let (start, before) = known.get(next.saturating_sub(1)).map_or((*end, after), |(at, of)| (*at, of));
+    let part = if end > &start { (key - start) / (end - start) } else { 0.0 };
+    let at = |of: &Vec<Vec<f64>>, v: u32| of.get(image).and_then(|of| of.get(v as usize)).copied().unwrap_or(1.0);
+    patch.vertices.map(|v| (at(before, v) * (1.0 - part) + at(after, v) * part) as f32)
+}
+
+/// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
+fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
+    let last = poses.len().saturating_sub(1);
+    let step_s = match times_s {
+        [first, second, ..] => second - first,
+        _ => 1.0,
+    };
+    let weights: &[(usize, f64)] = match (key, last) {
+        (_, 0) => &[],
+        (_, 1) => &[(0, -1.0), (1, 1.0)],
+        (0, _) => &[(0, -1.5), (1, 2.0), (2, -0.5)],
+        (key, last) if key == last => &[(last, 1.5), (last - 1, -2.0), (last - 2, 0.5)],
+        (key, _) => &[(key + 1, 0.5), (key - 1, -0.5)],
+    };
+    let mut rates = ([0.0; LANES], [0.0; LANES]);
+    for &(key, weight) in weights {
+        let (weight, (re, im)) = ((weight / step_s) as f32, &poses[key].strengths);
+        for l in 0..LANES {
+            rates.0[l] += weight * re[l];
+            rates.1[l] += weight * im[l];
+        }
+    }
+    rates
+}
+
+/// What is missed of a pair's field, patch by patch, in squares.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
+    between_keys: [f64; 2],
+    by_integration: [f64; 2],
+}
+
+impl Tally {
+    fn add(&mut self, keys: &[Vec<TriangleKey>], coarse: &[TriangleKey], times_s: &[f64], wavelength_m: f64) {
+        let (missed, power) = missed_between_keys(keys, times_s, wavelength_m);
+        self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
+        let (mut sum, mut apart) = (Complex64::ZERO, Complex64::ZERO);
+        for (a, b) in keys.first().into_iter().flatten().zip(coarse) {
+            let turn = phasor(-a.length_m / wavelength_m);
+            let turn = Complex64::new(turn.re.into(), turn.im.into());
+            sum += a.field * turn;
+            apart += (a.field - b.field) * turn;
+        }
+        self.by_integration = [self.by_integration[0] + apart.norm_sqr(), self.by_integration[1] + sum.norm_sqr()];
+    }
+
+    /// Relative to the field.
+    pub(super) fn missed(&self) -> Missed {
+        let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
+        // Cubics err with the fourth power of the step.
+        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(self.by_integration) }
+    }
+}
