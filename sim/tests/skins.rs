@@ -67,19 +67,23 @@ fn relative_error(exact: &[Complex64], found: &[Complex64]) -> f64 {
     (apart / power).sqrt()
 }
 
-/// Phase and strength in every chirp and range, not only on the mean: 5 percent is 0.4 dB.
+/// Phase and strength in every chirp and range, not only on the mean: 2 percent is 0.17 dB.
 #[test]
 fn skins_are_dense_physical_optics_in_every_chirp() {
     let frame = 12;
     let exact = spectra(&hall(0.5).dense_echo_samples(frame, 10.0), 256);
     let (mut last, mut last_estimate_db) = (f64::INFINITY, f64::INFINITY);
-    for (tolerance_db, most) in [(2.0, 0.16), (0.5, 0.06), (0.2, 0.05)] {
+    for (tolerance_db, most) in [(2.0, 0.03), (0.5, 0.016), (0.2, 0.012)] {
         let simulator = hall(tolerance_db);
         let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
         let error = relative_error(&exact, &spectra(&samples, 256));
         let estimate_db = simulator.render_with_report(frame).1.estimate_db.expect("a skin has an estimate");
+        eprintln!("{tolerance_db} dB: {error}, estimated {estimate_db} dB");
         assert!(error < most, "{tolerance_db} dB: {error}");
-        assert!(error < last && estimate_db < last_estimate_db, "a finer tolerance is finer, and says so");
+        assert!(
+            error < last && estimate_db < last_estimate_db,
+            "a finer tolerance is finer, and says so: {error} {estimate_db} dB"
+        );
         assert!((0.2..5.0).contains(&(20.0 * error.ln_1p() / 10f64.ln() / estimate_db)), "{error}, {estimate_db} dB");
         (last, last_estimate_db) = (error, estimate_db);
     }

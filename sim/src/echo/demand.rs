@@ -10,6 +10,11 @@ pub struct Fineness {
 }
 
 impl Fineness {
+    /// Coarser by a fifth: how far a field is from that is about what it misses itself.
+    pub(super) fn coarser(&self) -> Self {
+        Fineness { window: self.window.map(|sine| 0.8 * sine), ease: 1.2 * self.ease }
+    }
+
     /// For an error of this many decibels.
     pub fn for_tolerance(tolerance_db: f64) -> Self {
         // Found by measuring (`radome bench scene`): windows err by their tails.
@@ -65,7 +70,7 @@ impl Demand {
 pub struct Missed {
     /// By cubics between keys: what leaving out every second key misses, over 16.
     pub between_keys: f64,
-    /// By window and cuts: how far the field is from that at twice the tolerance, patch by patch.
+    /// By windows and places: how far the field is from a coarser one ([`Fineness::coarser`]), by path length.
     pub by_integration: f64,
 }
 

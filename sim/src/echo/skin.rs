@@ -17,7 +17,7 @@
 
 use glam::DVec3;
 
-use super::demand::{Demand, Fineness, Missed};
+use super::demand::{Demand, Missed};
 use super::patch::{FrameTimes, Place, middle_antenna};
 use super::posed_patch::vertex_rows;
 use super::strength::{any_shines, light_rows};
@@ -124,7 +124,6 @@ impl SkinnedPerson {
         // Patches add up: one alone this far below what can be seen is not missed.
         let least = (demand.least_patch_lsb() / loudest.max(1e-300)) as f32;
         let mut bench = Workbench::new(&work, least);
-        let coarse = Fineness::for_tolerance(2.0 * demand.tolerance_db);
         let mut missed = Tally::default();
         for (patch, shining) in work.skin.patches().iter().zip(&shining).filter(|(_, pairs)| !pairs.is_empty()) {
             report.clamped += bench.pose(&work, patch, shining);
@@ -135,7 +134,7 @@ impl SkinnedPerson {
                 }
                 report.paths += patch.triangles.len() * times.keys_s.len();
                 if number == 0 {
-                    bench.add_missed(&work, patch, pair, &coarse, &mut missed);
+                    bench.add_missed(&work, patch, pair, &mut missed);
                 }
                 report.synthesised += usize::from(bench.add_tone(&work, pair, grids));
             }

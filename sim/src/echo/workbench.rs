@@ -1,6 +1,8 @@
 //! Where a skin's patches are worked on, one after the other: posed at the keys, integrated between pairs of images, and laid down
 //! as tones.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -211,26 +213,23 @@ impl Workbench {
         }
     }
 
-    /// Adds what is missed of a pair that has been integrated: between keys, and at the first of them against a coarser demand.
-    pub(super) fn add_missed(
-        &mut self,
-        work: &Work,
-        patch: &SkinPatch,
-        pair: &Pair,
-        coarse: &Fineness,
-        missed: &mut Tally,
-    ) {
-        let Some(pose) = self.poses.first_mut() else { return };
-        let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
-        let [out, back] = pair.images;
-        let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
-        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
-        pose.find_moments(work, pair, rule_for(span, coarse.ease));
-        let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
-        let (wavelength_m, images) = (work.stage.wavelength_m, pair.images);
-        let found = &mut self.coarse;
-        triangle_keys(lanes, patch, patch_then, work.origin, images, moments, &strengths, wavelength_m, found);
-        missed.add(&self.keys, found, &work.times[self.level].keys_s, wavelength_m);
+    /// Adds what is missed of a pair that has been integrated: between keys, and at each of them against a coarser field.
+    pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
+        let coarse = &pair.fineness.coarser();
+        let ([out, back], wavelength_m) = (pair.images, work.stage.wavelength_m);
+        missed.add_between_keys(&self.keys, &work.times[self.level].keys_s, wavelength_m);
+        for (key, (pose, keys)) in
+            self.poses.iter_mut().step_by(2).zip(self.keys.iter().step_by(1 + self.level)).enumerate()
+        {
+            let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
+            let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
+            let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
+            pose.find_moments(work, pair, rule_for(span, coarse.ease));
+            let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
+            let found = &mut self.coarse;
+            triangle_keys(lanes, patch, patch_then, work.origin, pair.images, moments, &strengths, wavelength_m, found);
+            missed.add_integration(key, keys, found, wavelength_m);
+        }
     }
 
     /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
@@ -318,31 +317,41 @@ fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
     rates
 }
 
-/// What is missed of a pair's field, patch by patch, in squares.
+/// Path lengths that are told apart where a field is compared to a coarser one, m: about a cell of the range axis.
+const APART_M: f64 = 0.15;
+
+/// What is missed of a pair's field.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
+    /// Squares of what is missed and of the fields.
     between_keys: [f64; 2],
-    by_integration: [f64; 2],
+    /// Difference to the coarser field and the field itself, by key and path length: far from highlights neighbours cancel, and what is
+    /// left of each must not be counted by itself.
+    by_integration: BTreeMap<(usize, i64), [Complex64; 2]>,
 }
 
 impl Tally {
-    fn add(&mut self, keys: &[Vec<TriangleKey>], coarse: &[TriangleKey], times_s: &[f64], wavelength_m: f64) {
+    fn add_between_keys(&mut self, keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) {
         let (missed, power) = missed_between_keys(keys, times_s, wavelength_m);
         self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
-        let (mut sum, mut apart) = (Complex64::ZERO, Complex64::ZERO);
-        for (a, b) in keys.first().into_iter().flatten().zip(coarse) {
+    }
+
+    fn add_integration(&mut self, key: usize, fine: &[TriangleKey], coarse: &[TriangleKey], wavelength_m: f64) {
+        for (a, b) in fine.iter().zip(coarse) {
             let turn = phasor(-a.length_m / wavelength_m);
             let turn = Complex64::new(turn.re.into(), turn.im.into());
-            sum += a.field * turn;
-            apart += (a.field - b.field) * turn;
+            let [apart, sum] = self.by_integration.entry((key, (a.length_m / APART_M) as i64)).or_default();
+            *apart += (a.field - b.field) * turn;
+            *sum += a.field * turn;
         }
-        self.by_integration = [self.by_integration[0] + apart.norm_sqr(), self.by_integration[1] + sum.norm_sqr()];
     }
 
     /// Relative to the field.
     pub(super) fn missed(&self) -> Missed {
         let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
+        let add = |[a, b]: [f64; 2], [apart, sum]: &[Complex64; 2]| [a + apart.norm_sqr(), b + sum.norm_sqr()];
+        let by_integration = self.by_integration.values().fold([0.0; 2], add);
         // Cubics err with the fourth power of the step.
-        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(self.by_integration) }
+        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration) }
     }
 }
