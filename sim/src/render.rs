@@ -284,7 +284,7 @@ impl Renderer {
         let demand = KeyDemand {
             // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
             heard_lsb: 0.5 * self.stage.threshold_lsb,
-            least_lsb: 0.1 * self.stage.threshold_lsb,
+            least_lsb: 0.02 * self.stage.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
             halvings,
             frequency_hz: self.stage.chirp.start_hz,

@@ -2,7 +2,7 @@
 //!
 //! In eight chirps a path moves by a fraction of a cell of the grid, so that its kernel mostly falls on the same cells in
 //! all of them: one row of eight chirps for each cell is added to where it lies, aligned, and every step from the path's
-//! cubics to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
+//! polynomials to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
 //! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
 
 use num_complex::Complex;
