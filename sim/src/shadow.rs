@@ -79,11 +79,12 @@ mod tests {
         assert!((20.0 * knife_edge(0.0).log10() + 6.02).abs() < 0.1);
         assert_eq!(knife_edge(-2.0), 1.0);
         assert!((20.0 * knife_edge(2.4).log10() + 20.5).abs() < 0.5);
-        let mut last = 1.0;
-        for i in -100..300 {
+        let [mut before, mut last] = [1.0; 2];
+        for i in -200..300 {
             let now = knife_edge(f64::from(i) * 0.01);
-            assert!(now <= last && last - now < 0.01, "smooth and falling");
-            last = now;
+            assert!(now <= last && last - now < 0.01, "falling");
+            assert!((now - 2.0 * last + before).abs() < 2e-4, "no corner at {i}");
+            (before, last) = (last, now);
         }
     }
 
