@@ -2,7 +2,7 @@
 //!
 //! A path is traced at the ends of a frame, in its middle and at its quarters. Where the ends do not predict the others, in delay
 //! and amplitude together, it is cut in halves, and each half is tested in the same way. So a trunk has two keys in a frame, a
-//! foot three, and a limb whose highlight passes behind another one as many as it takes. Quarters are there because shadows are
+//! foot two or three, and a limb whose highlight passes behind another one as many as it takes. Quarters are there because shadows are
 //! short: one may come and go within half a frame, and middles alone would miss it.
 
 use std::cell::OnceCell;
