@@ -209,6 +209,12 @@ impl Renderer {
         self.program.between(t, t).into_iter().map(state).collect()
     }
 
+    /// What is asked of skins.
+    fn demand(&self) -> Demand {
+        let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
+        Demand { tolerance_db: self.options.tolerance_db, noise_lsb }
+    }
+
     /// Everybody at the ends of a frame's stretches.
     fn snapshots(&self, motions: &[Arc<Motion>], times_s: &[f64]) -> Vec<Vec<Snapshot>> {
         times_s.iter().map(|&t| motions.iter().map(|m| Snapshot::new(m, t)).collect()).collect()
@@ -234,9 +240,7 @@ impl Renderer {
         let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
         let times =
             FrameTimes { keys_s, chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect() };
-        let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
-        let demand = Demand { tolerance_db: self.options.tolerance_db, noise_lsb };
-        let (stage, integrator) = (&self.stage, &self.integrator);
+        let (demand, stage, integrator) = (self.demand(), &self.stage, &self.integrator);
         let mut grids = ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps);
         let mut most = Missed::default();
         for (me, motion) in motions.iter().enumerate() {
