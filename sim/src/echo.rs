@@ -20,7 +20,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
-use crate::actor::motion::{AtDesk, Motion};
+use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
@@ -203,109 +203,182 @@ pub fn echoes(
     out: &mut Vec<Key>,
     report: &mut EchoReport,
 ) {
-    let Some(own) = people.get(me) else { return };
-    let Some(first_rx) = stage.rx.first() else { return };
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-    // The direct pair is always the first.
-    let first = out.len();
-    for &(p, q) in pairs {
-        let source = stage.room.image_position(p, stage.tx.position);
-        let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
-        let first_sink = sinks.first().copied().unwrap_or(source);
-        let out_way = Way { image: p, source, antenna: stage.tx.position };
-        let back_way = Way { image: q, source: first_sink, antenna: first_rx.position };
-        for (segment, ellipsoid) in own.body.iter().enumerate() {
-            report.paths += 1;
-            let Some(h) = ellipsoid.highlight(source, first_sink, None) else {
-                let delay_s = (source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
-                let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
-                out.extend(sinks.iter().map(|_| nothing));
-                continue;
-            };
-            let weight = inside_room(stage, h.point)
-                * visibility(stage, people, me, segment, &out_way, h.point)
-                * visibility(stage, people, me, segment, &back_way, h.point)
-                // Grazing highlights fade: forward scattering is not theirs to tell.
-                * smooth_step((h.cosine - 0.2) / 0.1);
-            let there = stage.room.illuminate(&stage.tx, p, h.point);
-            let back = stage.room.illuminate(first_rx, q, h.point);
-            let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
-            let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
-            report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
-            let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
-            let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
-            let cloth = motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-            let amplitude = reflected.received_by(back.field) * (spreading * cloth * weight);
-            let velocity = own.velocity(segment, h.unit);
-            for (rx, sink) in sinks.iter().enumerate() {
-                let to_rx = *sink - h.point;
-                let distance_r = if h.inside.1 { h.distances_m.1 } else { to_rx.length() };
-                let rate_t = if h.inside.0 { 0.0 } else { -h.towards.0.dot(velocity) };
-                let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
-                let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
-                let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
-                let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
-                out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
-            }
-        }
-    }
-    if let Some(desk) = &motion.person.at_desk {
-        let direct = out.get(first..first + SEGMENTS * stage.rx.len()).map(<[Key]>::to_vec).unwrap_or_default();
-        double_bounces(stage, desk, &direct, out);
-        body_points(stage, desk, people, me, &direct, out);
+    let paths = Paths::new(stage, motion, me, pairs);
+    for path in 0..paths.count() {
+        paths.trace(path, people, None, out, report);
     }
 }
 
-/// Echoes that go to a person, back to the radar's board or the desk under it, to the person again and home: `[segment][rx]`.
-fn double_bounces(stage: &Stage, desk: &AtDesk, direct: &[Key], out: &mut Vec<Key>) {
-    if desk.double_bounce <= 0.0 {
-        return;
-    }
-    let channels = stage.rx.len().max(1);
-    for (i, key) in direct.iter().enumerate() {
-        let delay_s = 2.0 * (key.delay_s + desk.double_bounce_offset_m / SPEED_OF_LIGHT_M_PER_S);
-        let delay_rate = 2.0 * key.delay_rate;
-        let once = stage.filters.response(stage.chirp.beat_hz(key.delay_s, key.delay_rate));
-        let twice = stage.filters.response(stage.chirp.beat_hz(delay_s, delay_rate));
-        // The direct echo has passed the filters at its own beat.
-        // Only the chest is broad enough to be seen in the small mirror that the board is.
-        let amplitude = if once.norm_sqr() > 0.0 && i / channels == CHEST {
-            key.amplitude * (twice / once) * desk.double_bounce
-        } else {
-            Complex64::ZERO
+/// A pair of images of the antennas.
+struct Pair {
+    there: Way,
+    back: Way,
+    /// The receivers' images.
+    sinks: Vec<DVec3>,
+}
+
+/// Somebody's paths, to be traced one by one: `[pair][segment]`, then what a person at a desk has besides.
+pub struct Paths<'a> {
+    stage: &'a Stage,
+    motion: &'a Motion,
+    me: usize,
+    pairs: Vec<Pair>,
+}
+
+impl<'a> Paths<'a> {
+    /// By these pairs of images, of which the direct one is the first.
+    pub fn new(stage: &'a Stage, motion: &'a Motion, me: usize, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
+        let pair = |&(p, q): &(ImageIndex, ImageIndex)| {
+            let source = stage.room.image_position(p, stage.tx.position);
+            let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
+            let first_rx = stage.rx.first().unwrap_or(&stage.tx);
+            let there = Way { image: p, source, antenna: stage.tx.position };
+            let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
+            Pair { there, back, sinks }
         };
-        out.push(Key { delay_s, delay_rate, amplitude });
+        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect() }
     }
-}
 
-/// Echoes of shoulders, arms and lap, which no smooth ellipsoid has: `[point][rx]`. They fade behind the chest's nearest place.
-fn body_points(stage: &Stage, desk: &AtDesk, people: &[Snapshot], me: usize, direct: &[Key], out: &mut Vec<Key>) {
-    let (Some(own), Some(first_rx)) = (people.get(me), stage.rx.first()) else { return };
-    let chest_m = direct.get(CHEST * stage.rx.len()).map_or(0.0, |k| 0.5 * k.delay_s * SPEED_OF_LIGHT_M_PER_S);
-    let here = ImageIndex::default();
-    for p in &desk.points {
-        let point = own.body[CHEST].surface(p.place);
-        let velocity = own.velocity(CHEST, p.place);
-        let way = |antenna: DVec3| Way { image: here, source: antenna, antenna };
-        let weight = inside_room(stage, point)
-            * visibility(stage, people, me, CHEST, &way(stage.tx.position), point)
-            * visibility(stage, people, me, CHEST, &way(first_rx.position), point);
-        let there = stage.room.illuminate(&stage.tx, here, point);
-        let back = stage.room.illuminate(first_rx, here, point);
-        let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
-        let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
+    /// How many there are.
+    pub fn count(&self) -> usize {
+        let besides = self.motion.person.at_desk.as_ref().map_or(0, |desk| {
+            let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
+            bounces + desk.points.len()
+        });
+        self.pairs.len() * SEGMENTS + besides
+    }
+
+    /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
+    /// where on its segment it was met a little earlier or later; where it is met now is returned.
+    pub fn trace(
+        &self,
+        path: usize,
+        people: &[Snapshot],
+        near: Option<DVec3>,
+        out: &mut Vec<Key>,
+        report: &mut EchoReport,
+    ) -> Option<DVec3> {
+        let own = people.get(self.me)?;
+        if let Some(pair) = self.pairs.get(path / SEGMENTS) {
+            return self.highlight(pair, path % SEGMENTS, own, people, near, out, report);
+        }
+        let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
+        let besides = path - self.pairs.len() * SEGMENTS;
+        let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
+        let segment = if besides < bounces { besides } else { CHEST };
+        let mut once = Vec::with_capacity(direct.sinks.len());
+        let met = self.highlight(direct, segment, own, people, near, &mut once, report);
+        match desk.points.get(besides.wrapping_sub(bounces)) {
+            Some(place) => body_point(self.stage, desk, place, people, self.me, &once, out),
+            None => once.iter().for_each(|key| out.push(double_bounce(self.stage, desk, segment, key))),
+        }
+        met
+    }
+
+    /// The highlight of a segment by a pair of images.
+    #[allow(clippy::too_many_arguments)]
+    fn highlight(
+        &self,
+        pair: &Pair,
+        segment: usize,
+        own: &Snapshot,
+        people: &[Snapshot],
+        near: Option<DVec3>,
+        out: &mut Vec<Key>,
+        report: &mut EchoReport,
+    ) -> Option<DVec3> {
+        let (stage, Pair { there: way_there, back: way_back, sinks }) = (self.stage, pair);
+        report.paths += 1;
+        let ellipsoid = own.body.get(segment)?;
+        let Some(h) = ellipsoid.highlight(way_there.source, way_back.source, near) else {
+            let delay_s = (way_there.source.distance(ellipsoid.centre) * 2.0) / SPEED_OF_LIGHT_M_PER_S;
+            let nothing = Key { delay_s, delay_rate: 0.0, amplitude: Complex64::ZERO };
+            out.extend(sinks.iter().map(|_| nothing));
+            return None;
+        };
+        let first_rx = stage.rx.first()?;
+        let weight = inside_room(stage, h.point)
+            * visibility(stage, people, self.me, segment, way_there, h.point)
+            * visibility(stage, people, self.me, segment, way_back, h.point)
+            // Grazing highlights fade: forward scattering is not theirs to tell.
+            * smooth_step((h.cosine - 0.2) / 0.1);
+        let there = stage.room.illuminate(&stage.tx, way_there.image, h.point);
+        let back = stage.room.illuminate(first_rx, way_back.image, h.point);
+        let reflected = reflect_at_skin(there.field, -h.towards.0, h.normal);
+        let clamped = h.distances_m.0 < LEAST_DISTANCE_M || h.distances_m.1 < LEAST_DISTANCE_M;
+        report.clamped += usize::from(clamped || h.inside.0 || h.inside.1);
+        let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
         let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-        let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
-        let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
-        let from_tx = point - stage.tx.position;
-        for (rx, element) in stage.rx.iter().enumerate() {
-            let from_rx = point - element.position;
-            let delay_s = (from_tx.length() + from_rx.length() + 2.0 * p.detour_m) / SPEED_OF_LIGHT_M_PER_S;
-            let rate = from_tx.normalize_or_zero().dot(velocity) + from_rx.normalize_or_zero().dot(velocity);
-            let delay_rate = rate / SPEED_OF_LIGHT_M_PER_S;
+        let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
+        let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
+        let amplitude = reflected.received_by(back.field) * (spreading * cloth * weight);
+        let velocity = own.velocity(segment, h.unit);
+        for (rx, sink) in sinks.iter().enumerate() {
+            let to_rx = *sink - h.point;
+            let distance_r = if h.inside.1 { h.distances_m.1 } else { to_rx.length() };
+            let rate_t = if h.inside.0 { 0.0 } else { -h.towards.0.dot(velocity) };
+            let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
+            let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
+            let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
             let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
             out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
         }
+        Some(h.unit)
+    }
+}
+
+/// An echo that goes to a person, back to the radar's board or the desk under it, to the person again and home, from the
+/// direct one.
+fn double_bounce(stage: &Stage, desk: &AtDesk, segment: usize, direct: &Key) -> Key {
+    let delay_s = 2.0 * (direct.delay_s + desk.double_bounce_offset_m / SPEED_OF_LIGHT_M_PER_S);
+    let delay_rate = 2.0 * direct.delay_rate;
+    let once = stage.filters.response(stage.chirp.beat_hz(direct.delay_s, direct.delay_rate));
+    let twice = stage.filters.response(stage.chirp.beat_hz(delay_s, delay_rate));
+    // The direct echo has passed the filters at its own beat.
+    // Only the chest is broad enough to be seen in the small mirror that the board is.
+    let amplitude = if once.norm_sqr() > 0.0 && segment == CHEST {
+        direct.amplitude * (twice / once) * desk.double_bounce
+    } else {
+        Complex64::ZERO
+    };
+    Key { delay_s, delay_rate, amplitude }
+}
+
+/// An echo of a shoulder, an arm or the lap, which no smooth ellipsoid has: a key for each receiver. It fades behind the chest's
+/// nearest place.
+fn body_point(
+    stage: &Stage,
+    desk: &AtDesk,
+    p: &BodyPoint,
+    people: &[Snapshot],
+    me: usize,
+    chest: &[Key],
+    out: &mut Vec<Key>,
+) {
+    let (Some(own), Some(first_rx)) = (people.get(me), stage.rx.first()) else { return };
+    let chest_m = chest.first().map_or(0.0, |k| 0.5 * k.delay_s * SPEED_OF_LIGHT_M_PER_S);
+    let here = ImageIndex::default();
+    let point = own.body[CHEST].surface(p.place);
+    let velocity = own.velocity(CHEST, p.place);
+    let way = |antenna: DVec3| Way { image: here, source: antenna, antenna };
+    let weight = inside_room(stage, point)
+        * visibility(stage, people, me, CHEST, &way(stage.tx.position), point)
+        * visibility(stage, people, me, CHEST, &way(first_rx.position), point);
+    let there = stage.room.illuminate(&stage.tx, here, point);
+    let back = stage.room.illuminate(first_rx, here, point);
+    let (r_t, r_r) = (there.distance_m.max(LEAST_DISTANCE_M), back.distance_m.max(LEAST_DISTANCE_M));
+    let behind_m = (0.5 * (r_t + r_r) + p.detour_m - chest_m).max(0.0);
+    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
+    let fading = 10f64.powf(-0.05 * desk.point_decay_db_per_m * behind_m);
+    let amplitude = there.field.received_by(back.field) * (aperture * p.scatter_m * fading * weight / (r_t * r_r));
+    let from_tx = point - stage.tx.position;
+    for (rx, element) in stage.rx.iter().enumerate() {
+        let from_rx = point - element.position;
+        let delay_s = (from_tx.length() + from_rx.length() + 2.0 * p.detour_m) / SPEED_OF_LIGHT_M_PER_S;
+        let rate = from_tx.normalize_or_zero().dot(velocity) + from_rx.normalize_or_zero().dot(velocity);
+        let delay_rate = rate / SPEED_OF_LIGHT_M_PER_S;
+        let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
+        out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });
     }
 }
 

@@ -8,15 +8,16 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-use crate::actor::body::{CHEST, SEGMENTS};
+use crate::actor::body::CHEST;
 use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
 use crate::echo::demand::{Demand, Missed};
 use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
-use crate::echo::{EchoReport, FrameTimes, Snapshot, audible_pairs, echoes, loud_pairs};
+use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::field::curved_triangle::Integrator;
+use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_chirp_lsb, quantise};
@@ -25,16 +26,19 @@ use crate::scene::Scene;
 use crate::scene::file::BodyFile;
 use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
-use crate::slow_time::{Key, Stretch, midpoint_error_s, stretches};
 use crate::stage::{Stage, threshold_lsb};
 use crate::synthesis::{CHIRPS, ChirpGrids, Grid, SynthesisScratch, Synthesiser, Tone};
 
-/// Keys of a frame to begin with; doubled (3, 5, 9) while delays between them are not predicted well enough.
-const FIRST_KEYS: usize = 3;
-/// Most keys.
-const MOST_KEYS: usize = 9;
-/// Power-weighted phase error that the keys may leave, rad (-30 dB of error vector magnitude).
-const PHASE_TOLERANCE_RAD: f64 = 0.03;
+/// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
+/// skins between them are not predicted well enough.
+const FIRST_HALVINGS: u32 = 1;
+/// Most of that.
+const MOST_SKIN_HALVINGS: u32 = 3;
+/// What may be missed between keys of an ellipsoid's echo for half a decibel, relative to it (-40 dB of error vector magnitude):
+/// weak paths have cells of their own in a map, where nothing stronger hides their errors.
+const KEY_TOLERANCE: f64 = 0.01;
+/// The same of all of a skin's echoes.
+const SKIN_KEY_TOLERANCE: f64 = 0.03;
 /// Truth is looked up at this many times of a frame.
 const TRUTH_TIMES: usize = 5;
 
@@ -69,20 +73,16 @@ struct Scratch {
     chirp: Vec<f32>,
 }
 
-/// Paths of one person at the keys: `[key][path * rx + rx]`.
-type KeyedEchoes = Vec<Vec<Key>>;
-
 /// Everybody's paths in a frame.
 struct Traced {
-    /// `[key][person]`.
+    /// `[end of a stretch][person]`.
     snapshots: Vec<Vec<Snapshot>>,
-    keyed: Vec<KeyedEchoes>,
+    /// How often the frame is halved into those stretches.
+    halvings: u32,
+    /// Paths of each receiver.
+    paths: Vec<Stretches>,
     /// Echoes of those who have a skin.
     skins: Option<ChirpGrids>,
-    /// Those of each person's paths that are strong enough to be heard.
-    audible: Vec<Vec<usize>>,
-    /// Between keys, s.
-    step_s: f64,
     report: FrameReport,
 }
 
@@ -209,74 +209,50 @@ impl Renderer {
         self.program.between(t, t).into_iter().map(state).collect()
     }
 
-    /// Everybody, and their echoes, at `count` keys over the frame.
-    fn trace(
-        &self,
-        motions: &[Arc<Motion>],
-        start_s: f64,
-        count: usize,
-        report: &mut EchoReport,
-    ) -> (Vec<Vec<Snapshot>>, Vec<KeyedEchoes>, Option<ChirpGrids>, Missed) {
-        let shape = self.waveform().shape();
-        let (mut skins, mut missed_most) = (None, Missed::default());
-        let step_s = self.active_s() / (count - 1) as f64;
-        let middle_s = start_s + 0.5 * self.active_s();
-        let snapshots: Vec<Vec<Snapshot>> = (0..count)
-            .map(|k| motions.iter().map(|m| Snapshot::new(m, start_s + k as f64 * step_s)).collect())
-            .collect();
-        let keyed = motions
-            .iter()
-            .enumerate()
-            .map(|(me, motion)| {
-                let pairs = audible_pairs(&self.stage, motion, middle_s);
-                if let Some(skin) = self.skin(motion) {
-                    let now = snapshots.get(count / 2).map(Vec::as_slice).unwrap_or_default();
-                    let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
-                    let demand = Demand { tolerance_db: self.options.tolerance_db, noise_lsb };
-                    let mut loud = loud_pairs(&self.stage, motion, now, me, &pairs);
-                    loud.retain(|(_, strength)| *strength > demand.least_pair_lsb());
-                    let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
-                    let times = FrameTimes {
-                        keys_s: (0..count).map(|k| start_s + k as f64 * step_s).collect(),
-                        chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect(),
-                    };
-                    let (stage, integrator) = (&self.stage, &self.integrator);
-                    let grids = skins.get_or_insert_with(|| ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps));
-                    let missed =
-                        skin.add_echoes(stage, integrator, &demand, &times, &snapshots, me, &loud, grids, report);
-                    missed_most.between_keys = missed_most.between_keys.max(missed.between_keys);
-                    missed_most.by_integration = missed_most.by_integration.max(missed.by_integration);
-                    return Vec::new();
-                }
-                snapshots
-                    .iter()
-                    .map(|people| {
-                        let mut keys = Vec::with_capacity(pairs.len() * SEGMENTS * self.stage.rx.len());
-                        echoes(&self.stage, motion, people, me, &pairs, &mut keys, report);
-                        keys
-                    })
-                    .collect()
-            })
-            .collect();
-        (snapshots, keyed, skins, missed_most)
+    /// What is asked of skins.
+    fn demand(&self) -> Demand {
+        let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
+        Demand { tolerance_db: self.options.tolerance_db, noise_lsb }
     }
 
-    /// Power-weighted rms phase error of leaving out every second key, divided by 16: Hermite interpolation errs with the
-    /// fourth power of the step.
-    fn interpolation_error_rad(&self, keyed: &[KeyedEchoes], step_s: f64) -> f64 {
-        let (mut error, mut power) = (0.0, 0.0);
-        let to_rad = std::f64::consts::TAU * self.stage.chirp.start_hz;
-        for person in keyed {
-            for triple in person.windows(3).step_by(2) {
-                let [first, middle, last] = triple else { continue };
-                for ((a, b), c) in first.iter().zip(middle).zip(last) {
-                    let weight = b.amplitude.norm_sqr();
-                    error += weight * (to_rad * midpoint_error_s(a, b, c, step_s)).powi(2);
-                    power += weight;
-                }
-            }
+    /// Everybody at the ends of a frame's stretches.
+    fn snapshots(&self, motions: &[Arc<Motion>], times_s: &[f64]) -> Vec<Vec<Snapshot>> {
+        times_s.iter().map(|&t| motions.iter().map(|m| Snapshot::new(m, t)).collect()).collect()
+    }
+
+    /// Ends of a frame's stretches, s.
+    fn ends_s(&self, start_s: f64, halvings: u32) -> Vec<f64> {
+        let stretches = 1u32 << halvings;
+        (0..=stretches).map(|k| start_s + self.active_s() * f64::from(k) / f64::from(stretches)).collect()
+    }
+
+    /// Echoes of everybody's skins, and what they miss.
+    fn skin_echoes(
+        &self,
+        motions: &[Arc<Motion>],
+        snapshots: &[Vec<Snapshot>],
+        keys_s: Vec<f64>,
+        report: &mut EchoReport,
+    ) -> (ChirpGrids, Missed) {
+        let shape = self.waveform().shape();
+        let (start_s, middle) = (keys_s.first().copied().unwrap_or_default(), keys_s.len() / 2);
+        let now = snapshots.get(middle).map(Vec::as_slice).unwrap_or_default();
+        let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
+        let times =
+            FrameTimes { keys_s, chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect() };
+        let (demand, stage, integrator) = (self.demand(), &self.stage, &self.integrator);
+        let mut grids = ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps);
+        let mut most = Missed::default();
+        for (me, motion) in motions.iter().enumerate() {
+            let Some(skin) = self.skin(motion) else { continue };
+            let pairs = audible_pairs(stage, motion, start_s + 0.5 * self.active_s());
+            let mut loud = loud_pairs(stage, motion, now, me, &pairs);
+            loud.retain(|(_, strength)| *strength > demand.least_pair_lsb());
+            let missed = skin.add_echoes(stage, integrator, &demand, &times, snapshots, me, &loud, &mut grids, report);
+            most.between_keys = most.between_keys.max(missed.between_keys);
+            most.by_integration = most.by_integration.max(missed.by_integration);
         }
-        if power > 0.0 { (error / power).sqrt() / 16.0 } else { 0.0 }
+        (grids, most)
     }
 
     pub(crate) fn render_into(&self, index: u64, frame: &mut Frame) -> FrameReport {
@@ -292,9 +268,9 @@ impl Renderer {
         frame.codes.resize(shape.codes(), 0);
         frame.truth = Some(self.truth(index));
 
-        let traced = self.traced(start_s);
+        let traced = self.traced(start_s, None);
         let mut report = traced.report;
-        let clutter = self.clutter_weights(index, start_s, traced.step_s, &traced.snapshots);
+        let clutter = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
         let mut scratch = Scratch::default();
         for rx in 0..shape.rx {
             self.render_channel(rx, index, &traced, &clutter, frame, &mut scratch, &mut report);
@@ -302,45 +278,77 @@ impl Renderer {
         report
     }
 
-    /// Everybody's paths in a frame, at as many keys as it takes.
-    fn traced(&self, start_s: f64) -> Traced {
+    /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
+    fn traced(&self, start_s: f64, halvings: Option<u32>) -> Traced {
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
-        let mut echo_report;
-        let mut count = FIRST_KEYS;
-        let (snapshots, keyed, skins, phase_error_rad, missed) = loop {
-            echo_report = EchoReport::default();
-            let (snapshots, keyed, skins, missed) = self.trace(&motions, start_s, count, &mut echo_report);
-            let step_s = self.active_s() / (count - 1) as f64;
-            let error = self.interpolation_error_rad(&keyed, step_s).max(missed.between_keys);
-            if error <= PHASE_TOLERANCE_RAD || count >= MOST_KEYS {
-                break (snapshots, keyed, skins, error, missed);
-            }
-            count = 2 * count - 1;
+        if self.scene.file().people.body == BodyFile::Mesh {
+            return self.traced_skins(&motions, start_s, halvings);
+        }
+        let demand = KeyDemand {
+            // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
+            heard_lsb: 0.5 * self.stage.threshold_lsb,
+            least_lsb: 0.02 * self.stage.threshold_lsb,
+            tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
+            halvings,
+            frequency_hz: self.stage.chirp.start_hz,
         };
-        let audible = self.audible_paths(&keyed);
+        let most = halvings.unwrap_or(MOST_HALVINGS);
+        let instants = Instants::new(&motions, start_s, self.active_s(), most);
+        let mut paths = KeyedPaths::new(self.waveform().shape().rx);
+        let mut echo_report = EchoReport::default();
+        for (me, motion) in motions.iter().enumerate() {
+            let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
+            paths.add(&instants, &Paths::new(&self.stage, motion, me, &pairs), &demand, &mut echo_report);
+        }
         let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
-            traced_paths: echo_report.paths / count,
-            moving_paths: audible.iter().map(Vec::len).sum::<usize>() + echo_report.synthesised,
-            keys: count,
-            phase_error_rad,
-            estimate_db: skins.is_some().then(|| missed.db()),
+            traced_paths: paths.traced,
+            moving_paths: paths.heard,
+            keys: paths.keys,
+            between_keys: paths.error(),
+            estimate_db: None,
             clamped: echo_report.clamped,
             clipped: 0,
         };
-        Traced { snapshots, keyed, skins, audible, step_s: self.active_s() / (count - 1) as f64, report }
+        let snapshots = self.snapshots(&motions, &self.ends_s(start_s, FIRST_HALVINGS));
+        Traced { snapshots, halvings: FIRST_HALVINGS, paths: paths.receivers, skins: None, report }
+    }
+
+    /// The same where people have skins.
+    fn traced_skins(&self, motions: &[Arc<Motion>], start_s: f64, asked: Option<u32>) -> Traced {
+        let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
+        loop {
+            let mut echo_report = EchoReport::default();
+            let ends_s = self.ends_s(start_s, halvings);
+            let (keys, snapshots) = (ends_s.len(), self.snapshots(motions, &ends_s));
+            let (grids, missed) = self.skin_echoes(motions, &snapshots, ends_s, &mut echo_report);
+            if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
+                halvings += 1;
+                continue;
+            }
+            let report = FrameReport {
+                static_paths: self.stage.static_paths.len(),
+                traced_paths: echo_report.paths / keys,
+                moving_paths: echo_report.synthesised,
+                keys,
+                between_keys: missed.between_keys,
+                estimate_db: (!motions.is_empty()).then(|| missed.db()),
+                clamped: echo_report.clamped,
+                clipped: 0,
+            };
+            return Traced { snapshots, halvings, paths: Vec::new(), skins: Some(grids), report };
+        }
     }
 
     /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
-    pub(crate) fn echo_samples(&self, index: u64) -> Vec<f32> {
-        let traced = self.traced(self.start_s(index));
+    pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
+        let traced = self.traced(self.start_s(index), halvings);
         let samples = self.waveform().shape().samples;
         let mut scratch = Scratch::default();
         let mut all = Vec::with_capacity(self.waveform().shape().codes());
         for rx in 0..self.waveform().shape().rx {
-            let cubics = self.cubics(rx, &traced);
-            self.each_chirp(rx, traced.skins.as_ref(), &cubics, &[], traced.step_s, |_, grid| {
+            self.each_chirp(rx, &traced, &[], |_, grid| {
                 scratch.chirp.clear();
                 scratch.chirp.resize(samples, 0.0);
                 self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -383,33 +391,8 @@ impl Renderer {
         sum
     }
 
-    /// Paths of every person that are loud enough at some key and receiver: a path alone in its cell half as strong as the
-    /// threshold (6 dB further down, since many weak ones add up).
-    fn audible_paths(&self, keyed: &[KeyedEchoes]) -> Vec<Vec<usize>> {
-        let channels = self.stage.rx.len().max(1);
-        let least = (0.5 * self.stage.threshold_lsb).powi(2);
-        let loud = |keys: &[Key]| keys.iter().any(|k| k.amplitude.norm_sqr() > least);
-        keyed
-            .iter()
-            .map(|person| {
-                let paths = person.first().map_or(0, Vec::len) / channels;
-                let heard = |path: usize| {
-                    let range = path * channels..(path + 1) * channels;
-                    person.iter().any(|at| at.get(range.clone()).is_some_and(loud))
-                };
-                (0..paths).filter(|&path| heard(path)).collect()
-            })
-            .collect()
-    }
-
-    /// Complex weight of every static path at every key: `[key][path]`.
-    fn clutter_weights(
-        &self,
-        index: u64,
-        start_s: f64,
-        step_s: f64,
-        snapshots: &[Vec<Snapshot>],
-    ) -> Vec<Vec<Complex64>> {
+    /// Complex weight of every static path at the ends of stretches: `[end][path]`.
+    fn clutter_weights(&self, index: u64, ends_s: &[f64], snapshots: &[Vec<Snapshot>]) -> Vec<Vec<Complex64>> {
         let constants = &self.scene.receiver().clutter;
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
@@ -424,11 +407,10 @@ impl Renderer {
                 Complex64::from_polar((1.0 + constants.amplitude_jitter * normal()).max(0.0), phase)
             })
             .collect();
-        snapshots
+        ends_s
             .iter()
-            .enumerate()
-            .map(|(k, people)| {
-                let t = start_s + k as f64 * step_s;
+            .zip(snapshots)
+            .map(|(&t, people)| {
                 let columns: Vec<_> = people.iter().map(|p| p.column).collect();
                 let paths = self.stage.static_paths.iter().zip(&jitter);
                 paths
@@ -455,11 +437,10 @@ impl Renderer {
     ) {
         let shape = self.waveform().shape();
         let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights)).collect();
-        let cubics = self.cubics(rx, traced);
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
-        self.each_chirp(rx, traced.skins.as_ref(), &cubics, &static_grids, traced.step_s, |chirp, grid| {
+        self.each_chirp(rx, traced, &static_grids, |chirp, grid| {
             scratch.chirp.clear();
             scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -476,66 +457,42 @@ impl Renderer {
         });
     }
 
-    /// Paths of one receiver between keys: `[stretch][path]`.
-    fn cubics(&self, rx: usize, traced: &Traced) -> Vec<Vec<Stretch>> {
-        let (channels, step_s) = (self.waveform().shape().rx.max(1), traced.step_s);
-        let mut cubics: Vec<Vec<Stretch>> = vec![Vec::new(); traced.report.keys.saturating_sub(1).max(1)];
-        let (mut keys, mut of_path) = (Vec::new(), Vec::new());
-        for (person, paths) in traced.keyed.iter().zip(&traced.audible) {
-            for path in paths {
-                keys.clear();
-                keys.extend(person.iter().filter_map(|at| at.get(path * channels + rx).copied()));
-                of_path.clear();
-                stretches(&keys, step_s, &mut of_path);
-                for (all, stretch) in cubics.iter_mut().zip(&of_path) {
-                    all.push(*stretch);
-                }
-            }
-        }
-        cubics
-    }
-
-    /// The frequency grid of every chirp in turn: static grids at the keys, blended, paths, and skins.
-    fn each_chirp(
-        &self,
-        rx: usize,
-        skins: Option<&ChirpGrids>,
-        cubics: &[Vec<Stretch>],
-        static_grids: &[Grid],
-        step_s: f64,
-        mut visit: impl FnMut(usize, &Grid),
-    ) {
-        let (waveform, chirps) = (self.waveform(), self.waveform().shape().chirps);
-        let count = cubics.len();
+    /// The frequency grid of every chirp in turn: static grids at the ends of stretches, blended, paths, and skins.
+    fn each_chirp(&self, rx: usize, traced: &Traced, static_grids: &[Grid], mut visit: impl FnMut(usize, &Grid)) {
+        let (waveform, chirps, active_s) = (self.waveform(), self.waveform().shape().chirps, self.active_s());
         let (mut grids, mut grid) = (self.synthesiser.grids(), self.synthesiser.grid());
-        // Stretch of a chirp, and its place there.
-        let place = |chirp: usize| {
-            let keys_in = (chirp as f64 * waveform.chirp_interval_s + self.stage.chirp.middle_s) / step_s;
-            let stretch = (keys_in as usize).min(count - 1);
-            (stretch, keys_in - stretch as f64)
+        let paths = traced.paths.get(rx);
+        let finest = paths.map_or(0, Stretches::most_halvings).max(traced.halvings);
+        // Stretch of a chirp where the frame is halved so often, and its place there.
+        let place = |chirp: usize, halvings: u32| {
+            let stretches = 1usize << halvings;
+            let time_s = chirp as f64 * waveform.chirp_interval_s + self.stage.chirp.middle_s;
+            let at = time_s / active_s * stretches as f64;
+            let stretch = (at as usize).min(stretches - 1);
+            (stretch, at - stretch as f64)
         };
         let mut begin = 0;
         while begin < chirps {
-            let (stretch, first) = place(begin);
-            // Chirps in the same stretch; lanes beyond them repeat the first.
-            let mut places = [first; CHIRPS];
-            let mut end = begin;
-            for (chirp, at) in (begin..chirps).zip(&mut places) {
-                let (same, place) = place(chirp);
-                if same != stretch {
-                    break;
-                }
-                (*at, end) = (place, chirp + 1);
-            }
+            let ahead = (begin..chirps).take(CHIRPS);
+            let end = begin + ahead.take_while(|&chirp| place(chirp, finest).0 == place(begin, finest).0).count();
+            // Chirps in the same stretches; lanes beyond them repeat the first.
+            let at = |halvings: u32| -> (usize, [f64; CHIRPS]) {
+                let chirp = |lane: usize| if begin + lane < end { begin + lane } else { begin };
+                (place(begin, halvings).0, std::array::from_fn(|lane| place(chirp(lane), halvings).1))
+            };
+            let (stretch, places) = at(traced.halvings);
             match (static_grids.get(stretch), static_grids.get(stretch + 1)) {
                 (Some(a), Some(b)) => grids.blend(a, b, &places.map(|u| u as f32)),
                 _ => grids.clear(),
             }
-            let paths = cubics.get(stretch).map(Vec::as_slice).unwrap_or_default();
-            self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
+            for halvings in 0..=finest {
+                let (stretch, places) = at(halvings);
+                let paths = paths.map(|p| p.at(halvings, stretch)).unwrap_or_default();
+                self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
+            }
             for (lane, chirp) in (begin..end).enumerate() {
                 grids.extract(lane, &mut grid);
-                if let Some(skins) = skins {
+                if let Some(skins) = &traced.skins {
                     skins.add_to(rx, chirp, &mut grid);
                 }
                 visit(chirp, &grid);

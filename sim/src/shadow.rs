@@ -3,6 +3,8 @@
 
 use glam::DVec3;
 
+use crate::actor::track::smooth_ramp;
+
 /// An upright obstacle standing on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Column {
@@ -16,15 +18,25 @@ pub struct Column {
     pub height_m: f64,
 }
 
+/// Half of the loss over which the knife edge's onset is rounded, dB.
+const ONSET_DB: f64 = 3.0;
+
 /// Field behind a knife edge relative to free space: ITU-R P.526 `J(nu) = 6.9 + 20 log10(sqrt((nu - 0.1)^2 + 1) + nu - 0.1)`
-/// dB above `nu = -0.78`, no loss below.
+/// dB, which begins at `nu = -0.78` with a corner. That is rounded here while `J` is within 3 dB of none: no loss below
+/// `nu = -1.24`, and half a decibel at the corner.
 pub fn knife_edge(nu: f64) -> f64 {
-    if nu <= -0.78 {
-        return 1.0;
-    }
     let x = nu - 0.1;
     // 10^(-6.9/20), and the logarithm undone.
-    (0.451_855_944_374_922_4 / ((x * x + 1.0).sqrt() + x)).min(1.0)
+    let field = 0.451_855_944_374_922_4 / ((x * x + 1.0).sqrt() + x);
+    // 3 dB either way.
+    if field < 0.708 {
+        return field;
+    }
+    if field > 1.413 {
+        return 1.0;
+    }
+    let loss_db = -20.0 * field.log10();
+    10f64.powf(-0.05 * ONSET_DB * smooth_ramp(loss_db / ONSET_DB))
 }
 
 /// Field left on the straight leg from `a` to `b` past a column.
@@ -33,7 +45,7 @@ pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
     let (dx, dy) = (b.x - a.x, b.y - a.y);
     let plan = dx * dx + dy * dy;
     let fraction = if plan > 1e-12 { (-(ax * dx + ay * dy) / plan).clamp(0.0, 1.0) } else { 0.5 };
-    let sideways = (ax + fraction * dx).hypot(ay + fraction * dy) - column.radius_m;
+    let sideways = ((ax + fraction * dx).powi(2) + (ay + fraction * dy).powi(2)).sqrt() - column.radius_m;
     if sideways > 0.5 {
         return 1.0;
     }
@@ -67,11 +79,12 @@ mod tests {
         assert!((20.0 * knife_edge(0.0).log10() + 6.02).abs() < 0.1);
         assert_eq!(knife_edge(-2.0), 1.0);
         assert!((20.0 * knife_edge(2.4).log10() + 20.5).abs() < 0.5);
-        let mut last = 1.0;
-        for i in -100..300 {
+        let [mut before, mut last] = [1.0; 2];
+        for i in -200..300 {
             let now = knife_edge(f64::from(i) * 0.01);
-            assert!(now <= last && last - now < 0.01, "smooth and falling");
-            last = now;
+            assert!(now <= last && last - now < 0.01, "falling");
+            assert!((now - 2.0 * last + before).abs() < 2e-4, "no corner at {i}");
+            (before, last) = (last, now);
         }
     }
 

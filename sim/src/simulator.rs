@@ -81,10 +81,10 @@ pub struct FrameReport {
     pub traced_paths: usize,
     /// Those of them that are strong enough to be heard, and so were synthesised.
     pub moving_paths: usize,
-    /// Key times.
+    /// Key times, of the path that took the most.
     pub keys: usize,
-    /// Estimated power-weighted phase error of interpolation between keys, rad.
-    pub phase_error_rad: f64,
+    /// Estimated error of interpolation between keys, relative to the echoes, rms by power.
+    pub between_keys: f64,
     /// Estimated error of the strongest way's echoes where people have skins, dB; `None` where they are ellipsoids, whose
     /// highlights are closed forms.
     pub estimate_db: Option<f64>,
@@ -154,7 +154,13 @@ impl Simulator {
     /// What comes back from people alone in a frame, without anything static and without a receiver's noise, LSB:
     /// `[rx][chirp][sample]`.
     pub fn echo_samples(&self, index: u64) -> Vec<f32> {
-        self.inner.echo_samples(index)
+        self.inner.echo_samples(index, None)
+    }
+
+    /// The same with every path, or skin, traced at the ends of so many halvings of the frame, whatever the midpoints say: with
+    /// seven of them, anew in every one of 128 chirps.
+    pub fn echo_samples_halved(&self, index: u64, halvings: u32) -> Vec<f32> {
+        self.inner.echo_samples(index, Some(halvings.min(12)))
     }
 
     /// The same the slow way, on all threads: dense physical optics over the skins, anew in every chirp, in f64, by all pairs

@@ -1,5 +1,5 @@
-//! From a few key times to every chirp: cubic Hermite in delay (values and rates) and in complex amplitude, or a quintic in
-//! delay where its acceleration is known too. On a walker a quintic's two keys do about what three of the cubic do
+//! From a few key times to every chirp: a septic Hermite in delay and a quintic in complex amplitude, from what a path is, how it
+//! moves and how it bends at both ends of a stretch. On a walker two keys do what seven or more of a cubic would
 //! (`tests/slow_time.rs`).
 
 use num_complex::{Complex, Complex64};
@@ -18,18 +18,25 @@ pub struct Key {
 /// How a path bends at a key time.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Bend {
-    /// Rate of the delay's rate, 1/s.
-    pub delay_acceleration_per_s: f64,
-    /// Rate of the amplitude, LSB/s.
-    pub amplitude_rate: Complex64,
+    /// Second and third derivative of the delay, 1/s and 1/s^2.
+    pub delay: [f64; 2],
+    /// First and second derivative of the amplitude, LSB/s and LSB/s^2.
+    pub amplitude: [Complex64; 2],
 }
 
 impl Bend {
-    /// From the same path a little before and a little after the key, `apart_s` between the two.
-    pub fn between(before: &Key, after: &Key, apart_s: f64) -> Self {
+    /// By differences to the same path `apart_s` before and after the key.
+    pub fn between(before: &Key, now: &Key, after: &Key, apart_s: f64) -> Self {
+        let square = apart_s * apart_s;
         Bend {
-            delay_acceleration_per_s: (after.delay_rate - before.delay_rate) / apart_s,
-            amplitude_rate: (after.amplitude - before.amplitude) / apart_s,
+            delay: [
+                (after.delay_rate - before.delay_rate) / (2.0 * apart_s),
+                (after.delay_rate - 2.0 * now.delay_rate + before.delay_rate) / square,
+            ],
+            amplitude: [
+                (after.amplitude - before.amplitude) / (2.0 * apart_s),
+                (after.amplitude - 2.0 * now.amplitude + before.amplitude) / square,
+            ],
         }
     }
 }
@@ -37,8 +44,8 @@ impl Bend {
 /// A path within one stretch between keys, as polynomials of `u` in 0..1.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Stretch {
-    delay_s: [f64; 6],
-    amplitude: [Complex<f32>; 4],
+    delay_s: [f64; 8],
+    amplitude: [Complex<f32>; 6],
     stretch_s: f64,
 }
 
@@ -47,110 +54,118 @@ pub(crate) fn cubic(y0: f64, m0: f64, y1: f64, m1: f64) -> [f64; 4] {
     [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1]
 }
 
-/// Cubics for every stretch between keys `stretch_s` apart. Amplitude slopes are differences of neighbouring keys.
-pub fn stretches(keys: &[Key], stretch_s: f64, out: &mut Vec<Stretch>) {
-    let n = keys.len();
-    let slope = |i: usize| -> Complex64 {
-        let at = |i: usize| keys.get(i).map_or(Complex64::ZERO, |k| k.amplitude);
-        match (i, n) {
-            (_, 0 | 1) => Complex64::ZERO,
-            (_, 2) => at(1) - at(0),
-            (0, _) => -1.5 * at(0) + 2.0 * at(1) - 0.5 * at(2),
-            (i, n) if i + 1 == n => 1.5 * at(i) - 2.0 * at(i - 1) + 0.5 * at(i - 2),
-            (i, _) => 0.5 * (at(i + 1) - at(i - 1)),
-        }
-    };
-    for (i, pair) in keys.windows(2).enumerate() {
-        let [a, b] = pair else { continue };
-        let [p, q, r, s] = cubic(a.delay_s, a.delay_rate * stretch_s, b.delay_s, b.delay_rate * stretch_s);
-        let amplitude = amplitude_cubic(a, slope(i), b, slope(i + 1));
-        out.push(Stretch { delay_s: [p, q, r, s, 0.0, 0.0], amplitude, stretch_s });
-    }
+/// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
+fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
+    // What the parabola of the first end misses at the second.
+    let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
+    [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
 }
 
-fn amplitude_cubic(a: &Key, m0: Complex64, b: &Key, m1: Complex64) -> [Complex<f32>; 4] {
-    let re = cubic(a.amplitude.re, m0.re, b.amplitude.re, m1.re);
-    let im = cubic(a.amplitude.im, m0.im, b.amplitude.im, m1.im);
-    std::array::from_fn(|p| Complex::new(re[p] as f32, im[p] as f32))
-}
-
-/// Quintics of delay and cubics of amplitude for every stretch between keys `stretch_s` apart, whose bends are known. The
-/// delay errs by its sixth derivative times `stretch^6 / 46080`, where a cubic errs by the fourth times `stretch^4 / 384`.
-pub fn bent_stretches(keys: &[(Key, Bend)], stretch_s: f64, out: &mut Vec<Stretch>) {
-    for pair in keys.windows(2) {
-        let [(a, at_a), (b, at_b)] = pair else { continue };
-        let (v0, v1) = (a.delay_rate * stretch_s, b.delay_rate * stretch_s);
-        let square = stretch_s * stretch_s;
-        let (w0, w1) = (at_a.delay_acceleration_per_s * square, at_b.delay_acceleration_per_s * square);
-        // What the parabola of the first key misses at the second: value, slope, bend.
-        let value = b.delay_s - a.delay_s - v0 - 0.5 * w0;
-        let (slope, bend) = (v1 - v0 - w0, w1 - w0);
-        let delay_s = [
-            a.delay_s,
-            v0,
-            0.5 * w0,
-            10.0 * value - 4.0 * slope + 0.5 * bend,
-            -15.0 * value + 7.0 * slope - bend,
-            6.0 * value - 3.0 * slope + 0.5 * bend,
-        ];
-        let amplitude = amplitude_cubic(a, at_a.amplitude_rate * stretch_s, b, at_b.amplitude_rate * stretch_s);
-        out.push(Stretch { delay_s, amplitude, stretch_s });
-    }
+/// Septic Hermite over 0..1 by powers, from values and three derivatives at the ends.
+fn septic([y0, v0, w0, j0]: [f64; 4], [y1, v1, w1, j1]: [f64; 4]) -> [f64; 8] {
+    // What the cubic of the first end misses at the second.
+    let y = y1 - y0 - v0 - 0.5 * w0 - j0 / 6.0;
+    let (v, w, j) = (v1 - v0 - w0 - 0.5 * j0, w1 - w0 - j0, j1 - j0);
+    [
+        y0,
+        v0,
+        0.5 * w0,
+        j0 / 6.0,
+        35.0 * y - 15.0 * v + 2.5 * w - j / 6.0,
+        -84.0 * y + 39.0 * v - 7.0 * w + 0.5 * j,
+        70.0 * y - 34.0 * v + 6.5 * w - 0.5 * j,
+        -20.0 * y + 10.0 * v - 2.0 * w + j / 6.0,
+    ]
 }
 
 impl Stretch {
+    /// Between two keys `stretch_s` apart.
+    pub fn between(a: &(Key, Bend), b: &(Key, Bend), stretch_s: f64) -> Self {
+        let (first, second, third) = (stretch_s, stretch_s * stretch_s, stretch_s * stretch_s * stretch_s);
+        let delay = |(key, bend): &(Key, Bend)| {
+            [key.delay_s, key.delay_rate * first, bend.delay[0] * second, bend.delay[1] * third]
+        };
+        let part = |(key, bend): &(Key, Bend), of: fn(Complex64) -> f64| {
+            [of(key.amplitude), of(bend.amplitude[0]) * first, of(bend.amplitude[1]) * second]
+        };
+        let [re, im] = [(|c| c.re) as fn(Complex64) -> f64, |c| c.im].map(|of| quintic(part(a, of), part(b, of)));
+        Stretch {
+            delay_s: septic(delay(a), delay(b)),
+            amplitude: std::array::from_fn(|p| Complex::new(re[p] as f32, im[p] as f32)),
+            stretch_s,
+        }
+    }
+
     /// Delay, s, and its rate, s/s.
     #[inline(always)]
     pub fn delay(&self, u: f64) -> (f64, f64) {
-        let [a, b, c, d, e, f] = self.delay_s;
-        let value = a + u * (b + u * (c + u * (d + u * (e + u * f))));
-        let rate = (b + u * (2.0 * c + (u * 3.0 * d + u * u * (4.0 * e + u * 5.0 * f)))) / self.stretch_s;
-        (value, rate)
+        let c = &self.delay_s;
+        let (mut value, mut slope) = (c[7], 0.0);
+        for p in (0..7).rev() {
+            slope = slope * u + value;
+            value = value * u + c[p];
+        }
+        (value, slope / self.stretch_s)
     }
 
     /// Amplitude, LSB.
     #[inline(always)]
     pub fn amplitude(&self, u: f64) -> Complex<f32> {
         let u = u as f32;
-        let [a, b, c, d] = self.amplitude;
-        a + (b + (c + d * u) * u) * u
+        let [a, b, c, d, e, f] = self.amplitude;
+        a + (b + (c + (d + (e + f * u) * u) * u) * u) * u
     }
-}
 
-/// How far the middle one of three delays is from what cubic Hermite makes of its neighbours, s.
-pub fn midpoint_error_s(first: &Key, middle: &Key, last: &Key, between_s: f64) -> f64 {
-    let span = 2.0 * between_s;
-    let predicted = 0.5 * (first.delay_s + last.delay_s) + 0.125 * span * (first.delay_rate - last.delay_rate);
-    predicted - middle.delay_s
+    /// How far it is at a place from a key that was traced there, as a field at `frequency_hz`, LSB.
+    pub fn error_lsb(&self, u: f64, key: &Key, frequency_hz: f64) -> f64 {
+        let ((delay_s, _), amplitude) = (self.delay(u), self.amplitude(u));
+        let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (delay_s - key.delay_s));
+        (Complex64::new(amplitude.re.into(), amplitude.im.into()) * turn - key.amplitude).norm()
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Any quintic is met between its ends, value and rate, and any cubic of amplitude.
+    /// Any septic is met between its ends, value and rate, and any quintic of amplitude.
     #[test]
-    fn two_bent_keys_hold_a_quintic() {
-        let c = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6];
-        let delay = |t: f64| c.iter().rev().fold(0.0, |sum, c| sum * t + c);
-        let rate = |t: f64| (1..6).rev().fold(0.0, |sum, i| sum * t + i as f64 * c[i]);
-        let acceleration = |t: f64| (2..6).rev().fold(0.0, |sum, i| sum * t + (i * (i - 1)) as f64 * c[i]);
-        let amplitude = |t: f64| Complex64::new(1.0 + t * t, t * t * t - 2.0);
-        let slope = |t: f64| Complex64::new(2.0 * t, 3.0 * t * t);
-        let at = |t: f64| {
-            let key = Key { delay_s: delay(t), delay_rate: rate(t), amplitude: amplitude(t) };
-            (key, Bend { delay_acceleration_per_s: acceleration(t), amplitude_rate: slope(t) })
+    fn two_keys_hold_a_septic_and_a_quintic() {
+        let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
+        let parts = [[1.0, -2.0, 3.0, 0.5, -1.0, 2.0], [0.3, 1.0, -4.0, 2.0, 1.0, -3.0]];
+        // A derivative of a polynomial.
+        let at = |c: &[f64], order: usize, t: f64| {
+            let falling = |p: usize| (0..order).map(|k| (p - k) as f64).product::<f64>();
+            (order..c.len()).map(|p| c[p] * falling(p) * t.powi((p - order) as i32)).sum::<f64>()
         };
-        let mut found = Vec::new();
-        bent_stretches(&[at(0.1), at(0.4), at(0.7)], 0.3, &mut found);
-        for (stretch, start) in found.iter().zip([0.1, 0.4]) {
-            for u in [0.0, 0.2, 0.5, 0.9, 1.0] {
-                let t = start + 0.3 * u;
-                let (value, slope) = stretch.delay(u);
-                assert!((value - delay(t)).abs() < 1e-20 && (slope - rate(t)).abs() < 1e-19, "{t}");
-                let a = stretch.amplitude(u);
-                assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(t)).norm() < 1e-6, "{t}");
-            }
+        let amplitude = |order: usize, t: f64| Complex64::new(at(&parts[0], order, t), at(&parts[1], order, t));
+        let key = |t: f64| {
+            let key = Key { delay_s: at(&delay_s, 0, t), delay_rate: at(&delay_s, 1, t), amplitude: amplitude(0, t) };
+            let bend =
+                Bend { delay: [at(&delay_s, 2, t), at(&delay_s, 3, t)], amplitude: [amplitude(1, t), amplitude(2, t)] };
+            (key, bend)
+        };
+        let stretch = Stretch::between(&key(0.1), &key(0.5), 0.4);
+        for u in [0.0, 0.2, 0.5, 0.9, 1.0] {
+            let (t, (value, slope)) = (0.1 + 0.4 * u, stretch.delay(u));
+            assert!((value - at(&delay_s, 0, t)).abs() < 1e-20 && (slope - at(&delay_s, 1, t)).abs() < 1e-19, "{t}");
+            let a = stretch.amplitude(u);
+            assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(0, t)).norm() < 1e-5, "{t}");
         }
+        assert!(stretch.error_lsb(0.5, &key(0.3).0, 60e9) < 1e-5);
+    }
+
+    /// Differences find the bends of a cubic exactly.
+    #[test]
+    fn differences_are_derivatives() {
+        let key = |t: f64| Key {
+            delay_s: t * t * t,
+            delay_rate: 3.0 * t * t,
+            amplitude: Complex64::new(t * t, 1.0 - 2.0 * t),
+        };
+        let bend = Bend::between(&key(0.9), &key(1.0), &key(1.1), 0.1);
+        assert!((bend.delay[0] - 6.0).abs() < 1e-12 && (bend.delay[1] - 6.0).abs() < 1e-11, "{bend:?}");
+        assert!((bend.amplitude[0] - Complex64::new(2.0, -2.0)).norm() < 1e-12);
+        assert!((bend.amplitude[1] - Complex64::new(2.0, 0.0)).norm() < 1e-11);
     }
 }

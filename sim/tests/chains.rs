@@ -19,7 +19,7 @@ use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::field::image::{BoxRoom, Element, ImageIndex, Wall};
 use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
-use radome_sim::slow_time::{Key, stretches};
+use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::stage::Stage;
 use rayon::prelude::*;
 
@@ -84,18 +84,16 @@ impl Chain {
 
     /// The same by three keys of the frame, with phase, as the simulator has it at a chirp.
     fn at_keys(&self, p: ImageIndex, q: ImageIndex) -> impl Fn(f64) -> Complex64 {
-        let (step_s, h) = (0.5 * FRAME_S, 1e-4);
-        let keys: Vec<Key> = (0..3)
-            .map(|i| {
-                let t = f64::from(i) * step_s;
-                let (amplitude, length_m) = self.highlight(p, q, t);
-                let rate = (self.highlight(p, q, t + h).1 - self.highlight(p, q, t - h).1) / (2.0 * h);
-                let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
-                Key { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
-            })
-            .collect();
-        let mut found = Vec::new();
-        stretches(&keys, step_s, &mut found);
+        let (step_s, h, apart_s) = (0.5 * FRAME_S, 1e-4, 1e-3);
+        let key = |t: f64| {
+            let (amplitude, length_m) = self.highlight(p, q, t);
+            let rate = (self.highlight(p, q, t + h).1 - self.highlight(p, q, t - h).1) / (2.0 * h);
+            let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
+            Key { delay_s, delay_rate: rate / SPEED_OF_LIGHT_M_PER_S, amplitude }
+        };
+        let [first, middle, last] = [0.0, step_s, 2.0 * step_s]
+            .map(|t| (key(t), Bend::between(&key(t - apart_s), &key(t), &key(t + apart_s), apart_s)));
+        let found = [Stretch::between(&first, &middle, step_s), Stretch::between(&middle, &last, step_s)];
         move |time_s| {
             let stretch = usize::from(time_s >= step_s);
             let u = time_s / step_s - stretch as f64;

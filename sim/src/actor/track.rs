@@ -14,8 +14,8 @@ pub fn smooth_step(x: f64) -> f64 {
     }
 }
 
-/// Integral of [`smooth_step`]: from 0 to x.
-fn smooth_ramp(x: f64) -> f64 {
+/// Integral of [`smooth_step`]: 0 below -1, x above 1.
+pub fn smooth_ramp(x: f64) -> f64 {
     if x <= -1.0 {
         0.0
     } else if x >= 1.0 {

@@ -2,7 +2,7 @@
 //!
 //! In eight chirps a path moves by a fraction of a cell of the grid, so that its kernel mostly falls on the same cells in
 //! all of them: one row of eight chirps for each cell is added to where it lies, aligned, and every step from the path's
-//! cubics to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
+//! polynomials to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
 //! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
 
 use num_complex::Complex;
@@ -366,7 +366,7 @@ fn add_apart(cells: &mut [Cell], first: &[u32; CHIRPS], re: &Row, im: &Row, taps
 mod tests {
     use super::*;
     use crate::random::{Purpose, generator};
-    use crate::slow_time::{Key, stretches};
+    use crate::slow_time::{Bend, Key};
     use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
     use num_complex::Complex64;
     use rand::Rng;
@@ -388,12 +388,19 @@ mod tests {
                 2 => (40e-9 + number(30e-9), 3e-9),
                 _ => (number(1e-10), 1e-10),
             };
-            let mut key = || Key {
-                delay_s: delay_s + number(speed),
-                delay_rate: number(speed) / 4e-3,
-                amplitude: Complex64::new(number(1.0), number(1.0)),
+            let mut key = || {
+                let delay_s = delay_s + number(speed);
+                let delay_rate = number(speed) / 4e-3;
+                let bend = Bend {
+                    delay: [number(speed) / 4e-3f64.powi(2), number(speed) / 4e-3f64.powi(3)],
+                    amplitude: [
+                        Complex64::new(number(1.0), number(1.0)) / 4e-3,
+                        Complex64::new(number(1.0), number(1.0)) / 4e-3f64.powi(2),
+                    ],
+                };
+                (Key { delay_s, delay_rate, amplitude: Complex64::new(number(1.0), number(1.0)) }, bend)
             };
-            stretches(&[key(), key()], 4e-3, &mut paths);
+            paths.push(Stretch::between(&key(), &key(), 4e-3));
         }
         paths
     }

@@ -5,7 +5,7 @@ use std::time::Instant;
 use radome_dsp::{Waveform, WaveformRequest};
 use radome_sim::chirp::Chirp;
 use radome_sim::random::{Purpose, generator};
-use radome_sim::slow_time::{Key, Stretch, stretches};
+use radome_sim::slow_time::{Bend, Key, Stretch};
 use radome_sim::synthesis::{CHIRPS, SynthesisScratch, Synthesiser, Tone, exact_chirp};
 use rand::Rng;
 use rustfft::num_complex::Complex64;
@@ -127,13 +127,12 @@ fn walkers(count: usize) -> Vec<Stretch> {
     for _ in 0..count {
         let delay_s = rng.random_range(3e-9..100e-9);
         let delay_rate = rng.random_range(-2e-8..2e-8);
-        let mut key = |delay_s| Key {
-            delay_s,
-            delay_rate,
-            amplitude: Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0)),
+        let mut key = |delay_s| {
+            let amplitude = Complex64::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0));
+            (Key { delay_s, delay_rate, amplitude }, Bend::default())
         };
-        let keys = [key(delay_s), key(delay_s + delay_rate * STRETCH_S)];
-        stretches(&keys, STRETCH_S, &mut paths);
+        let (first, last) = (key(delay_s), key(delay_s + delay_rate * STRETCH_S));
+        paths.push(Stretch::between(&first, &last, STRETCH_S));
     }
     paths
 }
