@@ -246,11 +246,9 @@ impl Renderer {
         for (me, motion) in motions.iter().enumerate() {
             let Some(skin) = self.skin(motion) else { continue };
             let pairs = audible_pairs(stage, motion, start_s + 0.5 * self.active_s());
-            let mut loud = loud_pairs(stage, motion, now, me, &pairs);
-            loud.retain(|(_, strength)| *strength > demand.least_pair_lsb());
+            let loud = loud_pairs(stage, motion, now, me, &pairs);
             let missed = skin.add_echoes(stage, integrator, &demand, &times, snapshots, me, &loud, &mut grids, report);
-            most.between_keys = most.between_keys.max(missed.between_keys);
-            most.by_integration = most.by_integration.max(missed.by_integration);
+            most = most.max(missed);
         }
         (grids, most)
     }

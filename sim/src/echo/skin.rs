@@ -88,7 +88,12 @@ impl SkinnedPerson {
         let fine = times.halved();
         let posed: Vec<PosedSkin> = fine.keys_s.iter().map(|&t| self.mesh.posed(t)).collect();
         let mut ways: Vec<([ImageIndex; 2], f64)> = Vec::new();
+        let mut left_out_lsb2 = 0.0;
         for &((p, q), loudness) in pairs {
+            if loudness < demand.least_pair_lsb() {
+                left_out_lsb2 += loudness * loudness;
+                continue;
+            }
             let way = [p.min(q), p.max(q)];
             if !ways.iter().any(|(known, _)| *known == way) {
                 ways.push((way, loudness));
@@ -139,7 +144,10 @@ impl SkinnedPerson {
                 report.synthesised += usize::from(bench.add_tone(&work, pair, grids));
             }
         }
-        missed.missed()
+        left_out_lsb2 += bench.left_out() * loudest * loudest;
+        let Missed { between_keys, by_integration, .. } = missed.missed();
+        let by_integration = by_integration * work.pairs.first().map_or(1.0, |pair| pair.fineness.beyond());
+        Missed { between_keys, by_integration, left_out: left_out_lsb2 / (demand.noise_lsb * demand.noise_lsb) }
     }
 
     /// By patch, the pairs of images between which it is near a highlight at the beginning or at the end.

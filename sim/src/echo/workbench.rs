@@ -79,6 +79,8 @@ pub(super) struct Workbench {
     area_m2: f32,
     /// Field below which a patch is left out.
     least: f32,
+    /// Sum of the squares of those that were.
+    left_out: f64,
 }
 
 impl Workbench {
@@ -102,7 +104,13 @@ impl Workbench {
             sums: ChirpSums::new(work.integrator.level),
             area_m2: 0.0,
             least,
+            left_out: 0.0,
         }
+    }
+
+    /// Sum of the squares of the fields that were left out.
+    pub(super) fn left_out(&self) -> f64 {
+        self.left_out
     }
 
     /// Poses a patch at the keys, as the images of the pairs by which it shines see it. Returns how many of their distances are
@@ -236,20 +244,26 @@ impl Workbench {
     pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
         let (stage, times) = (work.stage, work.times[self.level]);
         let in_phase = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm_sqr().sqrt()).sum::<f64>();
+        let ways = if pair.images[0] == pair.images[1] { 1.0 } else { 2.0 };
         if self.keys.iter().map(in_phase).fold(0.0, f64::max) < f64::from(self.least) {
+            // As if its triangles had nothing to do with each other.
+            let power = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm_sqr()).sum::<f64>();
+            self.left_out += ways * self.keys.iter().map(power).fold(0.0, f64::max);
             return false;
         }
         let between = pair.images.map(|i| &work.places[i]);
         let both = [between, [between[1], between[0]]];
-        let ways = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
+        let directions = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
         let members = 0..self.keys.first().map_or(0, Vec::len);
         let (keys, sums) = (&self.keys, &mut self.sums);
         let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, sums) else { return false };
-        if sums.loudest() < self.least {
+        let loudest = sums.loudest();
+        if loudest < self.least {
+            self.left_out += ways * f64::from(loudest * loudest);
             return false;
         }
         let mut chirps = Vec::new();
-        for (way, direction) in ways.iter().zip([Direction::There, Direction::Reverse]) {
+        for (way, direction) in directions.iter().zip([Direction::There, Direction::Reverse]) {
             sums.chirps(direction, &mut chirps);
             let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
             let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
@@ -352,6 +366,6 @@ impl Tally {
         let add = |[a, b]: [f64; 2], [apart, sum]: &[Complex64; 2]| [a + apart.norm_sqr(), b + sum.norm_sqr()];
         let by_integration = self.by_integration.values().fold([0.0; 2], add);
         // Cubics err with the fourth power of the step.
-        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration) }
+        Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
     }
 }
