@@ -43,7 +43,33 @@ enum Part {
     Cone(usize, [DVec3; 2], [f64; 2]),
 }
 
+/// A ball around a part, and a bound from below on how fast what [`Part::distance_m`] says grows with the distance from it.
+#[derive(Debug, Clone, Copy)]
+struct Reach {
+    centre: DVec3,
+    radius_m: f64,
+    slope: f64,
+}
+
+impl Reach {
+    fn least_distance_m(&self, p: DVec3) -> f64 {
+        (p.distance(self.centre) - self.radius_m).max(0.0) * self.slope
+    }
+}
+
 impl Part {
+    fn reach(&self) -> Reach {
+        match *self {
+            Part::Ellipsoid(_, e) => {
+                let radius_m = e.semi_axes_m.max_element();
+                Reach { centre: e.centre, radius_m, slope: e.semi_axes_m.min_element() / radius_m }
+            }
+            Part::Cone(_, [a, b], [ra, rb]) => {
+                Reach { centre: 0.5 * (a + b), radius_m: 0.5 * a.distance(b) + ra.max(rb), slope: 1.0 }
+            }
+        }
+    }
+
     fn segment(&self) -> usize {
         match *self {
             Part::Ellipsoid(segment, _) | Part::Cone(segment, ..) => segment,
@@ -135,11 +161,15 @@ impl Skin {
     /// The skin of a build, with edges of about `edge_m` (15 to 25 mm; hands and feet are lost beyond 35 mm).
     pub fn new(build: &Build, edge_m: f64) -> Self {
         let segments = apart(build);
-        let parts = parts(&segments, build);
+        let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
         // Distance to what is nearest, less what the rest adds: -BLEND ln sum exp(-d / BLEND), the largest taken out.
         let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
+            let near = || parts.iter().filter(|(part, _)| of(part)).map(|(part, reach)| (part, reach.least_distance_m(p)));
+            // What cannot matter beside the part that seems the nearest is passed over.
+            let Some((first, _)) = near().min_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::INFINITY };
+            let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
             let (mut least, mut sum) = (f64::INFINITY, 0.0);
-            for part in parts.iter().filter(|part| of(part)) {
+            for (part, _) in near().filter(|(_, at_least)| *at_least < farthest) {
                 let d = part.distance_m(p);
                 if d < least {
                     sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
