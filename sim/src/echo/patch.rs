@@ -85,18 +85,20 @@ impl Patch {
         };
         let places: Vec<_> = of.iter().map(place).collect();
         let base_m = places.get(places.len() / 2)?.1;
+        let gradient_rad_per_m =
+            detour_gradient(between, places.get(places.len() / 2)?.0) * (std::f64::consts::TAU / wavelength_m);
         sums.clear(times.chirps_s.len());
         let step_s = times.keys_s.get(1)? - times.keys_s.first()?;
         for (stretch, pair) in of.windows(2).enumerate() {
             let [first, second] = pair else { continue };
-            let here_m = detour_m(between, places.get(stretch)?.0);
+            let here = places.get(stretch)?.0;
             let end = |t: &TriangleKey| Track {
                 length: (t.length_m - base_m) / wavelength_m,
                 length_slope: t.rate_m_per_s * step_s / wavelength_m,
                 field: t.field,
                 field_slope: t.field_rate * step_s,
                 moment: t.moment / wavelength_m,
-                detour_rad: std::f64::consts::TAU * (detour_m(between, t.middle) - here_m) / wavelength_m,
+                detour_rad: gradient_rad_per_m.dot(t.middle - here),
             };
             let tracks =
                 first.iter().zip(*second).filter(|(a, b)| a.field != Complex64::ZERO || b.field != Complex64::ZERO);
@@ -141,11 +143,12 @@ impl Patch {
     }
 }
 
-/// What a way is longer by the transmitter and the middle of the receivers than by the middles of both, m: between an image and
-/// itself nothing, otherwise it changes by a tenth of a radian over a patch.
-fn detour_m([out, back]: [&Place; 2], place: DVec3) -> f64 {
-    let receiver = 2.0 * back.middle - back.tx;
-    out.tx.distance(place) + receiver.distance(place) - out.middle.distance(place) - back.middle.distance(place)
+/// How what a way is longer by the transmitter and the middle of the receivers than by the middles of both changes with the place:
+/// between an image and itself not at all, otherwise by up to a tenth of a radian over a patch.
+fn detour_gradient([out, back]: [&Place; 2], place: DVec3) -> DVec3 {
+    let away = |antenna: DVec3| (place - antenna).normalize_or_zero();
+    let receivers = 2.0 * back.middle - back.tx;
+    away(out.tx) - away(out.middle) + away(receivers) - away(back.middle)
 }
 
 /// Through the first, the middle and the last key, as powers of the chirp's number: keys span the chirps.
