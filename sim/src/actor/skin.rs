@@ -164,7 +164,8 @@ impl Skin {
         let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
         // Distance to what is nearest, less what the rest adds: -BLEND ln sum exp(-d / BLEND), the largest taken out.
         let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
-            let near = || parts.iter().filter(|(part, _)| of(part)).map(|(part, reach)| (part, reach.least_distance_m(p)));
+            let near =
+                || parts.iter().filter(|(part, _)| of(part)).map(|(part, reach)| (part, reach.least_distance_m(p)));
             // What cannot matter beside the part that seems the nearest is passed over.
             let Some((first, _)) = near().min_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::INFINITY };
             let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;

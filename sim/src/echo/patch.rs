@@ -7,7 +7,7 @@ use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use super::chirp_sum::{ChirpSums, Track};
 use crate::field::image::{Element, ImageIndex};
 use crate::stage::Stage;
-use crate::synthesis::EchoWay;
+use crate::synthesis::{EchoWay, phasor};
 
 /// Where the antennas behind an image are.
 pub(super) struct Place {
@@ -117,8 +117,27 @@ impl Patch {
         Some(Patch { places, base_m })
     }
 
-    /// Lays it down between a transmitter's and a receiver's image.
-    pub(super) fn way(&self, stage: &Stage, [out, back]: [&Place; 2], rx: usize, chirps: usize) -> EchoWay {
+    /// Factor from field to LSB at a receiver in the first chirp, and its change from chirp to chirp.
+    pub(super) fn response(&self, stage: &Stage, rx: usize, chirps: usize) -> [Complex<f32>; 2] {
+        let at = |place: Option<&(DVec3, f64, f64)>| {
+            let beat_hz =
+                place.map_or(0.0, |p| stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S));
+            let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
+            Complex::new(a.re as f32, a.im as f32)
+        };
+        let (begins, ends) = (at(self.places.first()), at(self.places.last()));
+        [begins, (ends - begins) / chirps as f32]
+    }
+
+    /// The way between a transmitter's and a receiver's image.
+    pub(super) fn way(
+        &self,
+        stage: &Stage,
+        [out, back]: [&Place; 2],
+        rx: usize,
+        response: [Complex<f32>; 2],
+        chirps: usize,
+    ) -> EchoWay {
         // What the way by transmitter and receiver is longer than that by their middles.
         let detour = |key: usize| {
             let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.0);
@@ -127,18 +146,11 @@ impl Patch {
         };
         let rate = |key: usize| self.places.get(key).map_or(0.0, |p| p.2);
         let [base, slope, bend] = parabola(&detour, self.places.len(), chirps);
-        let response = |place: Option<&(DVec3, f64, f64)>| {
-            let beat_hz =
-                place.map_or(0.0, |p| stage.chirp.beat_hz(p.1 / SPEED_OF_LIGHT_M_PER_S, p.2 / SPEED_OF_LIGHT_M_PER_S));
-            let a = stage.at_adc(rx, Complex64::ONE, beat_hz);
-            Complex::new(a.re as f32, a.im as f32)
-        };
-        let (begins, ends) = (response(self.places.first()), response(self.places.last()));
         EchoWay {
             length_m: [self.base_m + base, slope, bend],
             rate_m_per_s: parabola(&rate, self.places.len(), chirps),
             wavelength_m: stage.wavelength_m,
-            response: [begins, (ends - begins) / chirps as f32],
+            response,
         }
     }
 }
@@ -163,7 +175,6 @@ fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
 
 /// Squares of what cubics between keys miss of triangles' fields when every second key is left out, and of the fields.
 pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> (f64, f64) {
-    let k = std::f64::consts::TAU / wavelength_m;
     let [first_s, second_s, ..] = times_s else { return (0.0, 0.0) };
     let span_s = 2.0 * (second_s - first_s);
     let (mut missed, mut power) = (0.0, 0.0);
@@ -173,7 +184,9 @@ pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wa
             let length_m =
                 0.5 * (a.length_m + c.length_m) + 0.125 * span_s * (a.rate_m_per_s - c.rate_m_per_s) - b.length_m;
             let field = 0.5 * (a.field + c.field) + 0.125 * span_s * (a.field_rate - c.field_rate);
-            missed += (field * Complex64::from_polar(1.0, -k * length_m) - b.field).norm_sqr();
+            let turn = phasor(-length_m / wavelength_m);
+            let turn = Complex64::new(turn.re.into(), turn.im.into());
+            missed += (field * turn - b.field).norm_sqr();
             power += b.field.norm_sqr();
         }
     }

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use num_complex::Complex64;
+use num_complex::{Complex, Complex64};
 
 use super::chirp_sum::{ChirpSums, Direction};
 use super::demand::{Fineness, Missed};
@@ -20,10 +20,14 @@ use crate::field::quadrature::rule_for;
 use crate::lanes::{LANES, Row};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, EchoWay, phasor};
+use crate::synthesis::{ChirpGrids, EchoChirps, EchoPass, EchoWay, phasor};
 
 /// Step over which fields are differentiated, m.
 const FIELD_STEP_M: f64 = 0.03;
+
+/// A patch whose triangles the wave runs across by more than this is quieter than one in phase, in proportion, rad: measured, by
+/// leaving out what this says is not heard.
+const RUN_RAD: f32 = 0.8;
 
 /// Two images between which somebody is heard, whichever of them sends.
 pub(super) struct Pair {
@@ -75,6 +79,10 @@ pub(super) struct Workbench {
     level: usize,
     coarse: Vec<TriangleKey>,
     sums: ChirpSums,
+    /// There and back, by receiver.
+    responses: Vec<[Complex<f32>; 2]>,
+    ways: [Vec<EchoWay>; 2],
+    chirps: [Vec<EchoChirps>; 2],
     /// Of the patch, in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
@@ -102,6 +110,9 @@ impl Workbench {
             level: 0,
             coarse: Vec::new(),
             sums: ChirpSums::new(work.integrator.level),
+            responses: Vec::new(),
+            ways: Default::default(),
+            chirps: Default::default(),
             area_m2: 0.0,
             least,
             left_out: 0.0,
@@ -176,15 +187,19 @@ impl Workbench {
                 strongest = strongest.max(square);
             }
         }
-        // All of the patch in phase: what is not heard even then needs no integral.
-        if strongest.sqrt() * self.area_m2 < self.least || strongest == 0.0 {
-            return false;
-        }
         let Some(middle) = self.poses.get(self.poses.len() / 4 * 2) else { return false };
         let spans = spans_rad(work.integrator.level, [&middle.patch.views[out], &middle.patch.views[back]]);
         let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
-        let span = (0..patch.triangles.len()).filter(|&l| corners_live(l)).map(|l| spans[l]).fold(0.0, f32::max);
-        let rule = rule_for(span, pair.fineness.ease);
+        let (mut least, mut most) = (f32::INFINITY, 0f32);
+        for l in (0..patch.triangles.len()).filter(|&l| corners_live(l)) {
+            (least, most) = (least.min(spans[l]), most.max(spans[l]));
+        }
+        // A wave that runs across a triangle leaves less than two over its span, and of a patch still less: what is not heard
+        // even so needs no integral.
+        if strongest == 0.0 || strongest.sqrt() * self.area_m2 * (RUN_RAD / least).min(1.0) < self.least {
+            return false;
+        }
+        let rule = rule_for(most, pair.fineness.ease);
         self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
         self.find_keys(work, patch, pair, 0);
         let (missed, _) = missed_between_keys(&self.keys, &work.times[0].keys_s, work.stage.wavelength_m);
@@ -262,13 +277,19 @@ impl Workbench {
             self.left_out += ways * f64::from(loudest * loudest);
             return false;
         }
-        let mut chirps = Vec::new();
-        for (way, direction) in directions.iter().zip([Direction::There, Direction::Reverse]) {
-            sums.chirps(direction, &mut chirps);
-            let of_receiver = |rx| patch.way(stage, *way, rx, times.chirps_s.len());
-            let of_receivers: Vec<EchoWay> = (0..stage.rx.len()).map(of_receiver).collect();
-            grids.add(&stage.chirp, &of_receivers, &chirps);
+        let count = times.chirps_s.len();
+        self.responses.clear();
+        self.responses.extend((0..stage.rx.len()).map(|rx| patch.response(stage, rx, count)));
+        self.ways.iter_mut().for_each(Vec::clear);
+        let both =
+            directions.iter().zip([Direction::There, Direction::Reverse]).zip(&mut self.ways).zip(&mut self.chirps);
+        for (((way, direction), ways), chirps) in both {
+            sums.chirps(direction, chirps);
+            let of_receivers = self.responses.iter().enumerate();
+            ways.extend(of_receivers.map(|(rx, response)| patch.way(stage, *way, rx, *response, count)));
         }
+        let [there, back] = [0, 1].map(|i| EchoPass { ways: &self.ways[i], chirps: &self.chirps[i] });
+        grids.add(&stage.chirp, &[there, back][..directions.len()]);
         true
     }
 }

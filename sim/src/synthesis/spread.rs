@@ -10,6 +10,7 @@ use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, phasor};
 use crate::chirp::Chirp;
+use crate::lanes::compiled_for_levels;
 use crate::slow_time::Stretch;
 
 /// Chirps side by side.
@@ -206,21 +207,10 @@ impl ChirpGrids {
         ChirpGrids { blocks, kernel, level: synthesiser.level }
     }
 
-    /// Adds a moving echo to every chirp, by its way to each receiver. Receivers are so close together that its frequency is
-    /// the same for all of them.
-    pub fn add(&mut self, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps]) {
-        let (kernel, blocks) = (&self.kernel, &mut self.blocks);
-        match self.level {
-            KernelLevel::Portable => echo(kernel, chirp, ways, chirps, blocks),
-            // SAFETY: `level` is only ever one that the processor has.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => unsafe { echo_avx2(kernel, chirp, ways, chirps, blocks) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => unsafe { echo_avx512(kernel, chirp, ways, chirps, blocks) },
-            #[cfg(not(target_arch = "x86_64"))]
-            KernelLevel::Avx2 | KernelLevel::Avx512 => echo(kernel, chirp, ways, chirps, blocks),
-        }
+    /// Adds a moving echo to every chirp, by its ways to each receiver. Receivers are so close together, and a way and its
+    /// reverse so alike, that its frequency is the same for all of them.
+    pub fn add(&mut self, chirp: &Chirp, passes: &[EchoPass]) {
+        echo(self.level, &self.kernel, chirp, passes, &mut self.blocks);
     }
 
     /// Adds a chirp's grid to another.
@@ -263,40 +253,56 @@ pub struct EchoWay {
     pub response: [Complex<f32>; 2],
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn echo_avx2(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
-    echo(kernel, chirp, ways, chirps, blocks);
+/// A moving echo by one way to each receiver.
+#[derive(Debug, Clone, Copy)]
+pub struct EchoPass<'a> {
+    /// The ways, by receiver.
+    pub ways: &'a [EchoWay],
+    /// Its field in every chirp.
+    pub chirps: &'a [EchoChirps],
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
-fn echo_avx512(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
-    echo(kernel, chirp, ways, chirps, blocks);
+compiled_for_levels! {
+    fn echo(kernel: &EchoKernel, chirp: &Chirp, passes: &[EchoPass], blocks: &mut [Vec<Grids>]) = echo_body;
+}
+
+/// What chirps send back at one frequency and its derivative.
+#[derive(Clone, Copy, Default)]
+struct Laid {
+    re: Row,
+    im: Row,
+    rest_re: Row,
+    rest_im: Row,
 }
 
 #[inline(always)]
-fn echo(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChirps], blocks: &mut [Vec<Grids>]) {
-    let Some(first_way) = ways.first() else { return };
+fn echo_body(kernel: &EchoKernel, chirp: &Chirp, passes: &[EchoPass], blocks: &mut [Vec<Grids>]) {
+    let Some((first_pass, first_way)) = passes.first().and_then(|pass| Some((pass, pass.ways.first()?))) else {
+        return;
+    };
     let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
     let cells = kernel.cells;
     let (cells_per_hz, per_cell) = (cells / chirp.sample_rate_hz, 1.0 / cells);
     // By how much a wavelength of path moves a tone.
     let cells_per_wave = (chirp.slope_hz_per_s * first_way.wavelength_m * per_m * cells_per_hz) as f32;
-    let rate = first_way.rate_m_per_s.map(|c| c * per_m);
-    for (block, echo) in chirps.iter().enumerate() {
-        let numbers: [f64; CHIRPS] = std::array::from_fn(|i| (block * CHIRPS + i) as f64);
-        let delay_s = |way: &EchoWay| -> [f64; CHIRPS] {
-            let (length, beside_s) = (way.length_m.map(|c| c * per_m), way.wavelength_m * per_m);
-            std::array::from_fn(|i| {
-                let n = numbers[i];
-                length[0] + n * (length[1] + n * length[2]) + f64::from(echo.beside[i]) * beside_s
-            })
+    let rate = first_way.rate_m_per_s;
+    for (block, first_echo) in first_pass.chirps.iter().enumerate() {
+        let mut numbers = [0f64; CHIRPS];
+        for (i, number) in numbers.iter_mut().enumerate() {
+            *number = (block * CHIRPS + i) as f64;
+        }
+        let delays_s = |way: &EchoWay, echo: &EchoChirps| {
+            let mut delays_s = [0f64; CHIRPS];
+            for i in 0..CHIRPS {
+                let (n, [a, b, c]) = (numbers[i], way.length_m);
+                delays_s[i] = (a + n * (b + n * c) + f64::from(echo.beside[i]) * way.wavelength_m) * per_m;
+            }
+            delays_s
         };
         let (mut u, mut first) = ([0f32; CHIRPS], [0u32; CHIRPS]);
-        let delays = delay_s(first_way);
+        let delays = delays_s(first_way, first_echo);
         for i in 0..CHIRPS {
-            let delay_rate = rate[0] + numbers[i] * (rate[1] + numbers[i] * rate[2]);
+            let delay_rate = (rate[0] + numbers[i] * (rate[1] + numbers[i] * rate[2])) * per_m;
             let turns = chirp.beat_hz(delays[i], delay_rate) * cells_per_hz * per_cell;
             let nearest = turns - nearest_integer(turns);
             let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * cells;
@@ -306,25 +312,31 @@ fn echo(kernel: &EchoKernel, chirp: &Chirp, ways: &[EchoWay], chirps: &[EchoChir
             first[i] = (ceiling + SHIFT).to_bits() as u32;
         }
         let (slopes, weights) = (weights(&kernel.slopes, &u), weights(&kernel.taps, &u));
-        for (way, blocks) in ways.iter().zip(blocks.iter_mut()) {
+        for (receiver, blocks) in blocks.iter_mut().enumerate() {
             let Some(grids) = blocks.get_mut(block) else { continue };
-            let (delays, [begin, step]) = (delay_s(way), way.response);
-            let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
-            let (mut rest_re, mut rest_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
-            for i in 0..CHIRPS {
-                // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
-                let turn = phasor(chirp.phase_cycles(delays[i]) - f64::from(echo.beside[i]));
-                let n = numbers[i] as f32;
-                let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
-                let (a, b) = (a * turn.re - b * turn.im, a * turn.im + b * turn.re);
-                let (x, y) = (echo.re[i], -echo.im[i]);
-                (re[i], im[i]) = (x * a - y * b, x * b + y * a);
-                let (x, y) = (cells_per_wave * echo.rest_re[i], -cells_per_wave * echo.rest_im[i]);
-                (rest_re[i], rest_im[i]) = (x * a - y * b, x * b + y * a);
+            let mut laid = Laid::default();
+            for pass in passes {
+                let (Some(way), Some(echo)) = (pass.ways.get(receiver), pass.chirps.get(block)) else { continue };
+                let (delays, [begin, step]) = (delays_s(way, echo), way.response);
+                for i in 0..CHIRPS {
+                    // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
+                    let turn = phasor(chirp.phase_cycles(delays[i]) - f64::from(echo.beside[i]));
+                    let n = numbers[i] as f32;
+                    let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
+                    let (a, b) = (a * turn.re - b * turn.im, a * turn.im + b * turn.re);
+                    let (x, y) = (echo.re[i], -echo.im[i]);
+                    laid.re[i] += x * a - y * b;
+                    laid.im[i] += x * b + y * a;
+                    // About where the first pass is laid down.
+                    let beside = echo.beside[i] - first_echo.beside[i];
+                    let (x, y) = (echo.rest_re[i] + echo.re[i] * beside, -(echo.rest_im[i] + echo.im[i] * beside));
+                    laid.rest_re[i] += cells_per_wave * (x * a - y * b);
+                    laid.rest_im[i] += cells_per_wave * (x * b + y * a);
+                }
             }
-            lay_weighted(&weights, &mut grids.cells, &re, &im, &first);
+            lay_weighted(&weights, &mut grids.cells, &laid.re, &laid.im, &first);
             // To first order a tone that is moved is its derivative.
-            lay_weighted(&slopes, &mut grids.cells, &rest_re, &rest_im, &first);
+            lay_weighted(&slopes, &mut grids.cells, &laid.rest_re, &laid.rest_im, &first);
         }
     }
 }
