@@ -25,7 +25,7 @@ impl Fineness {
         // Found by measuring (`radome bench scene`): windows err by their tails.
         let part = (tolerance_db / 0.5).clamp(0.02, 16.0);
         let inner = (0.4 * part.powf(if part > 1.0 { -0.14 } else { -0.5 })).clamp(0.15, 0.7);
-        Fineness { window: [inner, (inner + 0.4).min(0.97)], ease: 1.1 * part.powf(0.1) as f32 }
+        Fineness { window: [inner, (inner + 0.4).min(0.97)], ease: (1.1 * part.powf(0.2)).min(1.15) as f32 }
     }
 }
 
