@@ -59,14 +59,24 @@ struct Cells {
     per_m: f32,
     /// Number of cells along both axes.
     count: [u32; 2],
-    /// Of each thing, the first and the last cell along both axes.
-    ranges: Vec<[u16; 4]>,
-    /// Where each cell's members begin.
-    starts: Vec<u32>,
-    members: Vec<u32>,
-    /// Least depth of each cell's members, m: most cells have nothing in front of what is looked at.
-    nearest_m: Vec<f32>,
+    /// Number of things so far.
+    things: u32,
+    cells: Vec<Cell>,
+    /// Things and where their cells' lists go on.
+    links: Vec<(u32, u32)>,
 }
+
+/// A cell's list.
+#[derive(Debug, Clone, Copy)]
+struct Cell {
+    /// Where it begins among the links.
+    head: u32,
+    /// Least depth of its members, m: most cells have nothing in front of what is looked at.
+    nearest_m: f32,
+}
+
+/// The end of a list.
+const END: u32 = u32::MAX;
 
 /// What an antenna sees of a body.
 struct View<'a> {
@@ -134,7 +144,8 @@ impl Cells {
         // A body is at most a few metres; what perspective makes larger shares the last cells.
         let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
         let count = [across(high.x - low.x), across(high.y - low.y)];
-        Cells { low, per_m: 1.0 / width_m, count, ranges: Vec::with_capacity(things), ..Cells::default() }
+        let cells = vec![Cell { head: END, nearest_m: f32::INFINITY }; (count[0] * count[1]) as usize];
+        Cells { low, per_m: 1.0 / width_m, count, things: 0, cells, links: Vec::with_capacity(4 * things) }
     }
 
     #[inline]
@@ -144,54 +155,33 @@ impl Cells {
         [(place.x as u32).min(self.count[0] - 1), (place.y as u32).min(self.count[1] - 1)]
     }
 
-    /// The next thing, by the box around it.
+    /// The next thing, by the box around it and its depth, m.
     #[inline]
-    fn push(&mut self, low: Vec2, high: Vec2) {
+    fn push(&mut self, low: Vec2, high: Vec2, depth_m: f32) {
         let ([x0, y0], [x1, y1]) = (self.cell(low), self.cell(high));
-        self.ranges.push([x0 as u16, x1 as u16, y0 as u16, y1 as u16]);
-    }
-
-    /// Lists every thing in its cells; `depths_m` are theirs.
-    fn list(&mut self, depths_m: impl Iterator<Item = f32>) {
-        let [across, down] = self.count.map(|n| n as usize);
-        let rows = |&[x0, x1, y0, y1]: &[u16; 4]| {
-            (usize::from(y0)..=usize::from(y1))
-                .map(move |y| y * across + usize::from(x0)..y * across + usize::from(x1) + 1)
-        };
-        let mut next = vec![0u32; across * down + 1];
-        for range in &self.ranges {
-            for row in rows(range) {
-                next[row].iter_mut().for_each(|n| *n += 1);
-            }
-        }
-        let mut total = 0;
-        for n in &mut next {
-            (*n, total) = (total, total + *n);
-        }
-        self.starts = next.clone();
-        self.members = vec![0; total as usize];
-        self.nearest_m = vec![f32::INFINITY; across * down];
-        for ((number, range), depth_m) in (0..).zip(&self.ranges).zip(depths_m) {
-            for row in rows(range) {
-                for (next, nearest_m) in next[row.clone()].iter_mut().zip(&mut self.nearest_m[row]) {
-                    self.members[*next as usize] = number;
-                    *next += 1;
-                    *nearest_m = nearest_m.min(depth_m);
-                }
+        let thing = self.things;
+        self.things += 1;
+        for y in y0..=y1 {
+            let row = (y * self.count[0] + x0) as usize..=(y * self.count[0] + x1) as usize;
+            for cell in self.cells.get_mut(row).into_iter().flatten() {
+                self.links.push((thing, cell.head));
+                cell.head = self.links.len() as u32 - 1;
+                cell.nearest_m = cell.nearest_m.min(depth_m);
             }
         }
     }
 
     /// What may be at a place and nearer than this, m.
     #[inline]
-    fn at(&self, at: Vec2, than_m: f32) -> &[u32] {
-        let [x, y] = self.cell(at);
-        let cell = (y * self.count[0] + x) as usize;
-        if self.nearest_m.get(cell).is_none_or(|nearest_m| *nearest_m >= than_m) {
-            return &[];
-        }
-        let range = self.starts.get(cell).zip(self.starts.get(cell + 1));
-        range.and_then(|(&from, &to)| self.members.get(from as usize..to as usize)).unwrap_or_default()
+    fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = usize> {
+        let [x, y] = if self.cells.is_empty() { [0; 2] } else { self.cell(at) };
+        let cell = self.cells.get((y * self.count[0] + x) as usize).filter(|cell| cell.nearest_m < than_m);
+        let mut next = cell.map_or(END, |cell| cell.head);
+        std::iter::from_fn(move || {
+            let &(thing, after) = self.links.get(next as usize)?;
+            next = after;
+            Some(thing as usize)
+        })
     }
 }
 
@@ -221,10 +211,10 @@ impl<'a> View<'a> {
                     deeper_m: [b.depth_m - a.depth_m, c.depth_m - a.depth_m],
                     nearest_m: a.depth_m.min(b.depth_m).min(c.depth_m),
                 });
-                triangles.push(a.at.min(b.at).min(c.at), a.at.max(b.at).max(c.at));
+                let nearest_m = a.depth_m.min(b.depth_m).min(c.depth_m);
+                triangles.push(a.at.min(b.at).min(c.at), a.at.max(b.at).max(c.at), nearest_m);
             }
         }
-        triangles.list(facets.iter().map(|facet| facet.nearest_m));
         let mut view = View { skin, seen, facing, facets, triangles, pieces: Vec::new(), outlines: Cells::default() };
         view.find_outlines(low, high);
         view
@@ -233,8 +223,8 @@ impl<'a> View<'a> {
     /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
     fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
         let mut nearest = than_m;
-        for &number in self.triangles.at(at, than_m) {
-            let Some(facet) = self.facets.get(number as usize) else { continue };
+        for number in self.triangles.at(at, than_m) {
+            let Some(facet) = self.facets.get(number) else { continue };
             if facet.nearest_m >= nearest {
                 continue;
             }
@@ -273,9 +263,9 @@ impl<'a> View<'a> {
         }
         self.outlines = Cells::new(low, high, CELL_M, pieces.len());
         for piece in &pieces {
-            self.outlines.push(piece.from.min(piece.to) - REACH_M, piece.from.max(piece.to) + REACH_M);
+            let (low, high) = (piece.from.min(piece.to) - REACH_M, piece.from.max(piece.to) + REACH_M);
+            self.outlines.push(low, high, piece.depth_m);
         }
-        self.outlines.list(pieces.iter().map(|piece| piece.depth_m));
         self.pieces = pieces;
     }
 
@@ -284,8 +274,8 @@ impl<'a> View<'a> {
         let least_m = depth_m - BEHIND_M;
         // Squared distance across in units of the first Fresnel zone, and in metres.
         let (mut nearest, mut across_m2) = (f32::INFINITY, f32::INFINITY);
-        for &member in self.outlines.at(at, least_m) {
-            let Some(piece) = self.pieces.get(member as usize) else { continue };
+        for member in self.outlines.at(at, least_m) {
+            let Some(piece) = self.pieces.get(member) else { continue };
             let behind_m = depth_m - piece.depth_m;
             if behind_m < BEHIND_M || piece.behind_m < least_m {
                 continue;
