@@ -52,7 +52,7 @@ pub fn cos_sin_of_turns(turns: f32) -> (f32, f32) {
     const SHIFT: f32 = 12_582_912.0;
     let y = turns - ((turns + SHIFT) - SHIFT);
     let z = y * y;
-    let sine = y * (3.141_582 + z * (-5.167_142_8 + z * (2.541_899 - z * 0.554_636_2)));
+    let sine = y * (3.141_582 + z * (-5.167_143 + z * (2.541_899 - z * 0.554_636_2)));
     let cosine = 1.0 + z * (-4.934_793 + z * (4.058_412 + z * (-1.331_880_2 + z * 0.219_696_8)));
     (1.0 - 2.0 * sine * sine, 2.0 * sine * cosine)
 }

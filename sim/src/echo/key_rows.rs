@@ -1,5 +1,8 @@
 //! A patch's triangles at a key: from moments and strengths at their corners to fields, paths and the rates of both.
 
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
 use num_complex::{Complex, Complex64};
 
 use super::patch::TriangleKey;
@@ -88,6 +91,7 @@ fn body(parts: &Parts) -> KeyRows {
 }
 
 /// Every triangle of a patch at a key.
+#[allow(clippy::too_many_arguments)]
 pub(super) fn triangle_keys(
     level: radome_dsp::KernelLevel,
     patch: &SkinPatch,

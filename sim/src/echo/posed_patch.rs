@@ -66,6 +66,7 @@ impl PosedPatch {
     }
 
     /// Takes a patch's pose. `left` is what clothes leave of the strength at every vertex of the skin.
+    #[allow(clippy::too_many_arguments)]
     pub(super) fn pose(
         &mut self,
         stage: &Stage,

@@ -1,6 +1,9 @@
 //! Strength of a skin at sixteen vertices: what one image antenna's field makes of it there and another hears, as it multiplies
 //! `exp(-j k L)` and an area. Physical optics as [`crate::field::current::heard_by`] has it, to which a test holds it.
 
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
 use glam::DVec3;
 use num_complex::Complex64;
 

@@ -9,6 +9,9 @@
 //! All lengths are differences from the path by the triangle's middle, in a form without cancellation, which is why single
 //! precision does: [`moments`] is held to [`exact_moments`] by test.
 
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
 use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::KernelLevel;
