@@ -17,13 +17,17 @@ const GRADIENT_STEP: f64 = 1e-3;
 
 /// The surface on which a function, negative inside, is zero, within a box that it does not touch; triangles face outwards and
 /// their edges are about as long as a cell. Features finer than two cells are lost or pinched.
-pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(DVec3) -> f64) -> Mesh {
+pub fn isosurface(least: DVec3, greatest: DVec3, cell_m: f64, function: impl Fn(DVec3) -> f64 + Sync) -> Mesh {
     let size = ((greatest - least) / cell_m).ceil().as_ivec3() + IVec3::ONE;
     let place = |p: IVec3| least + p.as_dvec3() * cell_m;
     let index = |p: IVec3| (p.x + size.x * (p.y + size.y * p.z)) as usize;
     let grid =
         || (0..size.z).flat_map(move |z| (0..size.y).flat_map(move |y| (0..size.x).map(move |x| IVec3::new(x, y, z))));
-    let values: Vec<f64> = grid().map(|p| function(place(p))).collect();
+    let mut values = vec![0.0; (size.x * size.y * size.z) as usize];
+    on_all_cores(&mut values, |i, value| {
+        let i = i as i32;
+        *value = function(place(IVec3::new(i % size.x, i / size.x % size.y, i / (size.x * size.y))));
+    });
     let value = |p: IVec3| values.get(index(p)).copied().unwrap_or(f64::INFINITY);
 
     let mut mesh = Mesh::default();
@@ -114,8 +118,21 @@ fn sheets(corners: &[f64; 8]) -> Vec<Vec<usize>> {
     sheets.into_values().collect()
 }
 
+/// Does something to every item, by its place in the list: the same on any number of threads. Not by a pool that others wait in:
+/// a body is made while somebody holds a lock for it.
+fn on_all_cores<T: Send>(items: &mut [T], each: impl Fn(usize, &mut T) + Sync) {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let share = items.len().div_ceil(threads).max(1);
+    std::thread::scope(|scope| {
+        for (number, items) in items.chunks_mut(share).enumerate() {
+            let each = &each;
+            scope.spawn(move || items.iter_mut().enumerate().for_each(|(i, item)| each(number * share + i, item)));
+        }
+    });
+}
+
 /// Moves every vertex to the middle of its neighbours, along the surface, and onto it.
-fn relax(mesh: &mut Mesh, cell_m: f64, function: &impl Fn(DVec3) -> f64) {
+fn relax(mesh: &mut Mesh, cell_m: f64, function: &(impl Fn(DVec3) -> f64 + Sync)) {
     let h = cell_m * GRADIENT_STEP;
     // Newton's step to the surface, and its normal there.
     let settle = |vertex: &mut DVec3| {
@@ -126,30 +143,33 @@ fn relax(mesh: &mut Mesh, cell_m: f64, function: &impl Fn(DVec3) -> f64) {
         *vertex -= newton.clamp_length_max(cell_m);
         slope.normalize_or_zero()
     };
-    let mut normals: Vec<DVec3> = mesh.vertices.iter_mut().map(settle).collect();
+    // Each with its normal.
+    let mut all: Vec<(DVec3, DVec3)> = mesh.vertices.iter().map(|&vertex| (vertex, DVec3::ZERO)).collect();
+    on_all_cores(&mut all, |_, (vertex, normal)| *normal = settle(vertex));
     for _ in 0..ROUNDS {
         // An inner edge is seen from both its triangles, in both directions: each neighbour is counted once.
-        let mut sums = vec![(DVec3::ZERO, 0.0); mesh.vertices.len()];
+        let mut sums = vec![(DVec3::ZERO, 0.0); all.len()];
         for &[a, b, c] in &mesh.triangles {
             for (from, to) in [(a, b), (b, c), (c, a)] {
-                let neighbour = mesh.vertices.get(to as usize).copied().unwrap_or_default();
+                let neighbour = all.get(to as usize).copied().unwrap_or_default().0;
                 if let Some((sum, count)) = sums.get_mut(from as usize) {
                     *sum += neighbour;
                     *count += 1.0;
                 }
             }
         }
-        for ((vertex, normal), (sum, count)) in mesh.vertices.iter_mut().zip(&mut normals).zip(sums) {
+        on_all_cores(&mut all, |i, (vertex, normal)| {
+            let (sum, count) = sums.get(i).copied().unwrap_or_default();
             let step = if count > 0.0 { sum / count - *vertex } else { DVec3::ZERO };
             *vertex += step - *normal * step.dot(*normal);
             *normal = settle(vertex);
-        }
+        });
     }
-    for _ in 0..2 {
-        for vertex in &mut mesh.vertices {
-            settle(vertex);
-        }
-    }
+    on_all_cores(&mut all, |_, (vertex, _)| {
+        settle(vertex);
+        settle(vertex);
+    });
+    mesh.vertices = all.into_iter().map(|(vertex, _)| vertex).collect();
 }
 
 #[cfg(test)]
