@@ -318,6 +318,8 @@ fn echo_body(kernel: &EchoKernel, chirp: &Chirp, passes: &[EchoPass], blocks: &m
             for pass in passes {
                 let (Some(way), Some(echo)) = (pass.ways.get(receiver), pass.chirps.get(block)) else { continue };
                 let (delays, [begin, step]) = (delays_s(way, echo), way.response);
+                // Rows of their own: sums in place would be computed one lane at a time.
+                let mut part = Laid::default();
                 for i in 0..CHIRPS {
                     // The field holds the carrier's phase but for the base, at one frequency; the chirp's own is this much else.
                     let turn = phasor(chirp.phase_cycles(delays[i]) - f64::from(echo.beside[i]));
@@ -325,13 +327,18 @@ fn echo_body(kernel: &EchoKernel, chirp: &Chirp, passes: &[EchoPass], blocks: &m
                     let (a, b) = (begin.re + n * step.re, begin.im + n * step.im);
                     let (a, b) = (a * turn.re - b * turn.im, a * turn.im + b * turn.re);
                     let (x, y) = (echo.re[i], -echo.im[i]);
-                    laid.re[i] += x * a - y * b;
-                    laid.im[i] += x * b + y * a;
+                    (part.re[i], part.im[i]) = (x * a - y * b, x * b + y * a);
                     // About where the first pass is laid down.
                     let beside = echo.beside[i] - first_echo.beside[i];
                     let (x, y) = (echo.rest_re[i] + echo.re[i] * beside, -(echo.rest_im[i] + echo.im[i] * beside));
-                    laid.rest_re[i] += cells_per_wave * (x * a - y * b);
-                    laid.rest_im[i] += cells_per_wave * (x * b + y * a);
+                    part.rest_re[i] = cells_per_wave * (x * a - y * b);
+                    part.rest_im[i] = cells_per_wave * (x * b + y * a);
+                }
+                for i in 0..CHIRPS {
+                    laid.re[i] += part.re[i];
+                    laid.im[i] += part.im[i];
+                    laid.rest_re[i] += part.rest_re[i];
+                    laid.rest_im[i] += part.rest_im[i];
                 }
             }
             lay_weighted(&weights, &mut grids.cells, &laid.re, &laid.im, &first);
