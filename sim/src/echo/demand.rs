@@ -29,6 +29,9 @@ impl Fineness {
     }
 }
 
+/// Where relaxation begins, over the noise of a cell: what is spread over some cells stands 25 dB above noise in all.
+const LOUD: f64 = 18.0;
+
 /// What is asked of a frame's echoes.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Demand {
@@ -41,8 +44,6 @@ pub struct Demand {
 impl Demand {
     /// For a pair of images that is this loud, LSB: one that hardly rises above noise may err by more.
     pub(super) fn fineness(&self, loudness_lsb: f64) -> Fineness {
-        /// Where relaxation begins: what is spread over some cells stands 25 dB above noise in all.
-        const LOUD: f64 = 18.0;
         let relaxed = (LOUD * self.noise_lsb / loudness_lsb.max(1e-300)).clamp(1.0, 2.0);
         Fineness::for_tolerance(self.tolerance_db * relaxed)
     }
@@ -57,9 +58,16 @@ impl Demand {
         0.06 * self.least_pair_lsb()
     }
 
-    /// Whether what limbs shade is found between the ends of a frame as well.
-    pub(super) fn shades_between_ends(&self) -> bool {
-        self.tolerance_db < 0.4
+    /// At which keys, of those up to the last, it is found what limbs shade of an image that is this loud, LSB: a limb's shadow
+    /// moves a few centimetres in a frame, on what is a small part of the echo.
+    pub(super) fn shade_keys(&self, loudness_lsb: f64, last: usize) -> Vec<usize> {
+        if self.tolerance_db < 0.4 {
+            (0..=last).collect()
+        } else if loudness_lsb > 2.0 * LOUD * self.noise_lsb {
+            vec![0, last]
+        } else {
+            vec![last / 2]
+        }
     }
 
     /// How much more than for half a decibel may be left out: more than that in less than proportion, for it adds to what

@@ -5,7 +5,8 @@
 //! outlines of limbs as the antenna sees them: edges of the mesh at which triangles turn away, each of which divides light from
 //! shadow only on what lies behind it and before the next thing that is seen just beside it. Seen from the antenna all are laid
 //! on a plane at the body's distance, in a grid, so that a vertex looks at the few triangles and outlines that are near: what
-//! a ray for each vertex and each outline would find, to which a test holds it.
+//! a ray for each vertex and each outline would find, to which a test holds it. Most of a body has nothing of itself behind it:
+//! only what lies before something that is asked about is entered in the grids.
 
 use glam::{DVec3, Vec2};
 
@@ -52,16 +53,14 @@ struct Facet {
     nearest_m: f32,
 }
 
-/// Lists of things by the cells of a grid that they touch.
-#[derive(Default)]
-struct Cells {
+/// Lists of things by the cells of a grid that they touch, of those in front of something that is asked about.
+struct Cells<T> {
     low: Vec2,
     per_m: f32,
     /// Number of cells along both axes.
     count: [u32; 2],
-    /// Number of things so far.
-    things: u32,
     cells: Vec<Cell>,
+    things: Vec<T>,
     /// Things and where their cells' lists go on.
     links: Vec<(u32, u32)>,
 }
@@ -73,22 +72,17 @@ struct Cell {
     head: u32,
     /// Least depth of its members, m: most cells have nothing in front of what is looked at.
     nearest_m: f32,
+    /// Only what is nearer than this is asked about here, m.
+    asked_m: f32,
 }
 
 /// The end of a list.
 const END: u32 = u32::MAX;
 
-/// What an antenna sees of a body.
-struct View<'a> {
-    skin: &'a Skin,
-    seen: Vec<Seen>,
-    /// Whether each triangle faces the antenna.
-    facing: Vec<bool>,
-    /// Those that do, and which are where.
-    facets: Vec<Facet>,
-    triangles: Cells,
-    pieces: Vec<Piece>,
-    outlines: Cells,
+/// What an antenna sees of a body, as far as it is in front of something that is asked about.
+struct View {
+    triangles: Cells<Facet>,
+    outlines: Cells<Piece>,
 }
 
 /// The plane on which a body is seen: perspective from the antenna, in metres at the body's distance.
@@ -128,103 +122,145 @@ impl Plane {
 pub fn weights(skin: &Skin, posed: &PosedSkin, antenna: DVec3, wavelength_m: f64, wanted: &[bool]) -> Vec<f64> {
     let mut all = vec![1.0; posed.vertices.len()];
     let Some(plane) = Plane::new(antenna, &posed.vertices) else { return all };
-    let view = View::new(skin, posed, &plane);
-    let looked_at = all.iter_mut().zip(&view.seen).zip(posed.vertices.iter().zip(&posed.normals)).zip(wanted);
-    for (((weight, seen), (v, normal)), _) in looked_at.filter(|(_, wanted)| **wanted) {
-        if normal.dot(antenna - *v) > 0.0 {
-            *weight = view.weight(seen, wavelength_m);
-        }
+    let seen: Vec<Seen> = posed.vertices.iter().map(|&v| plane.seen(v)).collect();
+    let is_asked = |&v: &usize| wanted[v] && posed.normals[v].dot(antenna - posed.vertices[v]) > 0.0;
+    let asked: Vec<usize> = (0..seen.len()).filter(is_asked).collect();
+    let view = View::new(skin, &plane, &seen, &asked);
+    for v in asked {
+        all[v] = view.weight(&seen[v], wavelength_m);
     }
     all
 }
 
-impl Cells {
-    /// An empty grid over a box, for so many things.
-    fn new(low: Vec2, high: Vec2, width_m: f32, things: usize) -> Self {
+impl<T> Cells<T> {
+    /// An empty grid over a box.
+    fn new(low: Vec2, high: Vec2, width_m: f32) -> Self {
         // A body is at most a few metres; what perspective makes larger shares the last cells.
         let across = |length: f32| ((length / width_m) as u32 + 1).min(400);
         let count = [across(high.x - low.x), across(high.y - low.y)];
-        let cells = vec![Cell { head: END, nearest_m: f32::INFINITY }; (count[0] * count[1]) as usize];
-        Cells { low, per_m: 1.0 / width_m, count, things: 0, cells, links: Vec::with_capacity(4 * things) }
+        let empty = Cell { head: END, nearest_m: f32::INFINITY, asked_m: f32::NEG_INFINITY };
+        let cells = vec![empty; (count[0] * count[1]) as usize];
+        Cells { low, per_m: 1.0 / width_m, count, cells, things: Vec::new(), links: Vec::new() }
     }
 
     #[inline]
     fn cell(&self, at: Vec2) -> [u32; 2] {
-        // Conversion saturates: what lies outside shares the cells of the rim.
+        // What lies outside shares the cells of the rim.
         let place = (at - self.low) * self.per_m;
-        [(place.x as u32).min(self.count[0] - 1), (place.y as u32).min(self.count[1] - 1)]
+        let number = |place: f32, count: u32| (place as i32).clamp(0, count as i32 - 1) as u32;
+        [number(place.x, self.count[0]), number(place.y, self.count[1])]
     }
 
-    /// The next thing, by the box around it and its depth, m.
-    #[inline]
-    fn push(&mut self, low: Vec2, high: Vec2, depth_m: f32) {
+    fn number(&self, at: Vec2) -> usize {
+        let [x, y] = self.cell(at);
+        (y * self.count[0] + x) as usize
+    }
+
+    /// What is nearer than this will be asked about at a place, m.
+    fn will_ask(&mut self, at: Vec2, than_m: f32) {
+        let number = self.number(at);
+        if let Some(cell) = self.cells.get_mut(number) {
+            cell.asked_m = cell.asked_m.max(than_m);
+        }
+    }
+
+    /// The first and the last cell along both axes that a box touches.
+    fn around(&self, (low, high): (Vec2, Vec2)) -> [[u32; 2]; 2] {
         let ([x0, y0], [x1, y1]) = (self.cell(low), self.cell(high));
-        let thing = self.things;
-        self.things += 1;
-        for y in y0..=y1 {
-            let row = (y * self.count[0] + x0) as usize..=(y * self.count[0] + x1) as usize;
-            for cell in self.cells.get_mut(row).into_iter().flatten() {
-                self.links.push((thing, cell.head));
+        [[x0, x1], [y0, y1]]
+    }
+
+    /// Whether anything at this depth, m, in these cells will be asked about.
+    #[inline]
+    fn is_asked(&self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32) -> bool {
+        let asked_m = |x: u32, y: u32| {
+            let cell = self.cells.get((y * self.count[0] + x) as usize);
+            cell.map_or(f32::NEG_INFINITY, |cell| cell.asked_m)
+        };
+        // Mostly those at the corners are all.
+        if x1 - x0 < 2 && y1 - y0 < 2 {
+            let below = (depth_m < asked_m(x0, y0)) | (depth_m < asked_m(x1, y0));
+            return below | (depth_m < asked_m(x0, y1)) | (depth_m < asked_m(x1, y1));
+        }
+        (y0..=y1).any(|y| (x0..=x1).any(|x| depth_m < asked_m(x, y)))
+    }
+
+    /// Another thing in these cells, as far as it is asked about there.
+    #[inline]
+    fn push(&mut self, [[x0, x1], [y0, y1]]: [[u32; 2]; 2], depth_m: f32, thing: T) {
+        let number = self.things.len() as u32;
+        for y in y0..y1 + 1 {
+            let row = (y * self.count[0] + x0) as usize..(y * self.count[0] + x1 + 1) as usize;
+            for cell in self.cells.get_mut(row).unwrap_or_default().iter_mut().filter(|cell| depth_m < cell.asked_m) {
+                self.links.push((number, cell.head));
                 cell.head = self.links.len() as u32 - 1;
                 cell.nearest_m = cell.nearest_m.min(depth_m);
             }
         }
+        self.things.push(thing);
     }
 
     /// What may be at a place and nearer than this, m.
     #[inline]
-    fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = usize> {
-        let [x, y] = if self.cells.is_empty() { [0; 2] } else { self.cell(at) };
-        let cell = self.cells.get((y * self.count[0] + x) as usize).filter(|cell| cell.nearest_m < than_m);
+    fn at(&self, at: Vec2, than_m: f32) -> impl Iterator<Item = &T> {
+        let cell = self.cells.get(self.number(at)).filter(|cell| cell.nearest_m < than_m);
         let mut next = cell.map_or(END, |cell| cell.head);
         std::iter::from_fn(move || {
             let &(thing, after) = self.links.get(next as usize)?;
             next = after;
-            Some(thing as usize)
+            self.things.get(thing as usize)
         })
     }
 }
 
-impl<'a> View<'a> {
-    fn new(skin: &'a Skin, posed: &PosedSkin, plane: &Plane) -> Self {
-        let seen: Vec<Seen> = posed.vertices.iter().map(|&v| plane.seen(v)).collect();
-        let corners_seen = skin.rest().triangles.iter().map(|t| t.map(|v| seen[v as usize]));
+impl View {
+    fn new(skin: &Skin, plane: &Plane, seen: &[Seen], asked: &[usize]) -> Self {
         let (low, high) =
             seen.iter().fold((Vec2::INFINITY, Vec2::NEG_INFINITY), |(l, h), s| (l.min(s.at), h.max(s.at)));
-        let count = skin.rest().triangles.len();
-        let (mut facing, mut facets) = (Vec::with_capacity(count), Vec::with_capacity(count));
-        let mut triangles = Cells::new(low, high, TRIANGLE_CELL_M, count);
+        let (mut triangles, mut outlines) = (Cells::new(low, high, TRIANGLE_CELL_M), Cells::new(low, high, CELL_M));
+        for Seen { at, depth_m } in asked.iter().map(|&v| seen[v]) {
+            triangles.will_ask(at, depth_m - BEHIND_M);
+            outlines.will_ask(at, depth_m - BEHIND_M);
+        }
+        let corners = |t: usize| {
+            let [a, b, c] = skin.rest().triangles[t];
+            [seen[a as usize], seen[b as usize], seen[c as usize]]
+        };
         // Counter-clockwise on the plane, whose third axis points away, is turned away.
         let handed = if plane.u.cross(plane.v).dot(plane.forward) < 0.0 { 1.0 } else { -1.0 };
-        for [a, b, c] in corners_seen {
-            let (u, v) = (b.at - a.at, c.at - a.at);
-            let area = u.perp_dot(v);
-            let faces = area * handed > 0.0;
-            facing.push(faces);
-            if faces {
-                let over = 1.0 / area;
-                facets.push(Facet {
-                    first: a.at,
-                    to_second: Vec2::new(v.y, -v.x) * over,
-                    to_third: Vec2::new(-u.y, u.x) * over,
-                    depth_m: a.depth_m,
-                    deeper_m: [b.depth_m - a.depth_m, c.depth_m - a.depth_m],
-                    nearest_m: a.depth_m.min(b.depth_m).min(c.depth_m),
-                });
-                let nearest_m = a.depth_m.min(b.depth_m).min(c.depth_m);
-                triangles.push(a.at.min(b.at).min(c.at), a.at.max(b.at).max(c.at), nearest_m);
+        let faces = |[a, b, c]: [Seen; 3]| (b.at - a.at).perp_dot(c.at - a.at) * handed > 0.0;
+        let facing: Vec<bool> = (0..skin.rest().triangles.len()).map(|t| faces(corners(t))).collect();
+        let pieces = pieces(skin, seen, &facing, &outlines);
+        for (_, beside) in &pieces {
+            triangles.will_ask(*beside, f32::INFINITY);
+        }
+        let cells: Vec<[u32; 2]> = seen.iter().map(|s| triangles.cell(s.at)).collect();
+        for t in (0..facing.len()).filter(|&t| facing[t]) {
+            let [p, q, r] = skin.rest().triangles[t];
+            let (p, q, r) = (cells[p as usize], cells[q as usize], cells[r as usize]);
+            let along = |axis: usize| [p[axis].min(q[axis]).min(r[axis]), p[axis].max(q[axis]).max(r[axis])];
+            let around = [along(0), along(1)];
+            let [a, b, c] = corners(t);
+            let nearest_m = a.depth_m.min(b.depth_m).min(c.depth_m);
+            if triangles.is_asked(around, nearest_m) {
+                triangles.push(around, nearest_m, Facet::new([a, b, c]));
             }
         }
-        let mut view = View { skin, seen, facing, facets, triangles, pieces: Vec::new(), outlines: Cells::default() };
-        view.find_outlines(low, high);
+        let mut view = View { triangles, outlines };
+        for (mut piece, beside) in pieces {
+            piece.behind_m = view.nearest_m(beside, f32::INFINITY);
+            // What is itself hidden hides nothing more.
+            if piece.behind_m > piece.depth_m - 1e-3 {
+                view.outlines.push(view.outlines.around(piece.reach()), piece.depth_m, piece);
+            }
+        }
         view
     }
 
     /// Depth of the nearest triangle at a place that is nearer than this, m; that itself where there is none.
     fn nearest_m(&self, at: Vec2, than_m: f32) -> f32 {
         let mut nearest = than_m;
-        for number in self.triangles.at(at, than_m) {
-            let Some(facet) = self.facets.get(number) else { continue };
+        for facet in self.triangles.at(at, than_m) {
             if facet.nearest_m >= nearest {
                 continue;
             }
@@ -237,45 +273,12 @@ impl<'a> View<'a> {
         nearest
     }
 
-    fn find_outlines(&mut self, low: Vec2, high: Vec2) {
-        let faces = |t: u32| self.facing.get(t as usize).copied().unwrap_or(false);
-        let mut pieces = Vec::new();
-        for edge in self.skin.edges() {
-            let [left, right] = edge.triangles;
-            if faces(left) == faces(right) {
-                continue;
-            }
-            let [p, q] = edge.vertices;
-            let (from, to) = (self.seen[p as usize], self.seen[q as usize]);
-            let along = to.at - from.at;
-            // Both triangles lie on the same side of it; the third corner of either says which.
-            let corners = self.skin.rest().triangles.get(left as usize);
-            let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
-            let Some(&third) = third else { continue };
-            let side = along.perp_dot(self.seen[third as usize].at - from.at);
-            let outward = (if side > 0.0 { -along.perp() } else { along.perp() }).normalize_or_zero();
-            let depth_m = 0.5 * (from.depth_m + to.depth_m);
-            let behind_m = self.nearest_m(0.5 * (from.at + to.at) + outward * BESIDE_M, f32::INFINITY);
-            // What is itself hidden hides nothing more.
-            if behind_m > depth_m - 1e-3 {
-                pieces.push(Piece { from: from.at, to: to.at, depth_m, behind_m });
-            }
-        }
-        self.outlines = Cells::new(low, high, CELL_M, pieces.len());
-        for piece in &pieces {
-            let (low, high) = (piece.from.min(piece.to) - REACH_M, piece.from.max(piece.to) + REACH_M);
-            self.outlines.push(low, high, piece.depth_m);
-        }
-        self.pieces = pieces;
-    }
-
     /// Field at a vertex.
     fn weight(&self, &Seen { at, depth_m }: &Seen, wavelength_m: f64) -> f64 {
         let least_m = depth_m - BEHIND_M;
         // Squared distance across in units of the first Fresnel zone, and in metres.
         let (mut nearest, mut across_m2) = (f32::INFINITY, f32::INFINITY);
-        for member in self.outlines.at(at, least_m) {
-            let Some(piece) = self.pieces.get(member) else { continue };
+        for piece in self.outlines.at(at, least_m) {
             let behind_m = depth_m - piece.depth_m;
             if behind_m < BEHIND_M || piece.behind_m < least_m {
                 continue;
@@ -300,6 +303,56 @@ impl<'a> View<'a> {
             knife_edge(nu) * (1.0 - part) * (1.0 - part)
         } else {
             knife_edge(-nu)
+        }
+    }
+}
+
+/// Pieces of outlines near which something behind them is asked about, what they hide not yet found, and where that is to be
+/// looked for: just beside them.
+fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) -> Vec<(Piece, Vec2)> {
+    let mut pieces = Vec::new();
+    for edge in skin.edges() {
+        let [left, right] = edge.triangles;
+        if facing[left as usize] == facing[right as usize] {
+            continue;
+        }
+        let [p, q] = edge.vertices;
+        let (from, to) = (seen[p as usize], seen[q as usize]);
+        let depth_m = 0.5 * (from.depth_m + to.depth_m);
+        let piece = Piece { from: from.at, to: to.at, depth_m, behind_m: f32::INFINITY };
+        if !outlines.is_asked(outlines.around(piece.reach()), depth_m) {
+            continue;
+        }
+        // Both triangles lie on the same side of it; the third corner of either says which.
+        let corners = skin.rest().triangles.get(left as usize);
+        let third = corners.and_then(|t| t.iter().find(|v| **v != p && **v != q));
+        let Some(&third) = third else { continue };
+        let along = to.at - from.at;
+        let side = along.perp_dot(seen[third as usize].at - from.at);
+        let outward = (if side > 0.0 { -along.perp() } else { along.perp() }).normalize_or_zero();
+        pieces.push((piece, 0.5 * (from.at + to.at) + outward * BESIDE_M));
+    }
+    pieces
+}
+
+impl Piece {
+    /// The box within which it matters.
+    fn reach(&self) -> (Vec2, Vec2) {
+        (self.from.min(self.to) - REACH_M, self.from.max(self.to) + REACH_M)
+    }
+}
+
+impl Facet {
+    fn new([a, b, c]: [Seen; 3]) -> Self {
+        let (u, v) = (b.at - a.at, c.at - a.at);
+        let over = 1.0 / u.perp_dot(v);
+        Facet {
+            first: a.at,
+            to_second: Vec2::new(v.y, -v.x) * over,
+            to_third: Vec2::new(-u.y, u.x) * over,
+            depth_m: a.depth_m,
+            deeper_m: [b.depth_m - a.depth_m, c.depth_m - a.depth_m],
+            nearest_m: a.depth_m.min(b.depth_m).min(c.depth_m),
         }
     }
 }

@@ -106,6 +106,7 @@ impl SkinnedPerson {
         let antenna = middle_antenna(stage);
         let pair = |&(way, loudness): &([ImageIndex; 2], f64)| Pair {
             images: way.map(|index| indices.binary_search(&index).unwrap_or(0)),
+            loudness_lsb: loudness,
             fineness: demand.fineness(loudness),
         };
         let mut work = Work {
@@ -123,7 +124,7 @@ impl SkinnedPerson {
             weights: Vec::new(),
         };
         let shining = self.shining(&work);
-        work.weights = self.weights(&work, people, me, &shining, demand.shades_between_ends());
+        work.weights = self.weights(&work, people, me, &shining, demand);
 
         let loudest = stage.lsb.iter().copied().fold(0.0, f64::max);
         // Patches add up: one alone this far below what can be seen is not missed.
@@ -180,16 +181,16 @@ impl SkinnedPerson {
         all
     }
 
-    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it, at the ends of the
-    /// frame, and between where that is asked for.
+    /// What people and limbs leave of every image antenna's light at the vertices of patches that shine by it, at as many keys as
+    /// its loudness asks for.
     fn weights(
         &self,
         work: &Work,
         people: &[Vec<Snapshot>],
         me: usize,
         shining: &[Vec<usize>],
-        between: bool,
-    ) -> Vec<(f64, Vec<Vec<f64>>)> {
+        demand: &Demand,
+    ) -> Vec<Vec<(f64, Vec<f64>)>> {
         let mut wanted = vec![vec![false; self.cloth.len()]; work.indices.len()];
         for (patch, pairs) in work.skin.patches().iter().zip(shining) {
             for image in pairs.iter().filter_map(|&number| work.pairs.get(number)).flat_map(|pair| pair.images) {
@@ -197,17 +198,20 @@ impl SkinnedPerson {
             }
         }
         let last = people.len().saturating_sub(1);
-        let of = |(key, people): (usize, &Vec<Snapshot>)| {
-            // Poses are twice as close as people's keys.
-            let posed = work.posed.get(2 * key).filter(|_| between || key == 0 || key == last)?;
-            let of_image = |((&index, place), wanted): ((&ImageIndex, &Place), &Vec<bool>)| {
-                let own = self_shadow::weights(work.skin, posed, place.middle, work.stage.wavelength_m, wanted);
-                own.iter().zip(self.past_people(work.stage, people, me, index)).map(|(a, b)| a * b).collect()
+        let of_image = |image: usize| {
+            let (index, place) = (work.indices[image], &work.places[image]);
+            let of = work.pairs.iter().filter(|pair| pair.images.contains(&image));
+            let keys = demand.shade_keys(of.map(|pair| pair.loudness_lsb).fold(0.0, f64::max), last);
+            let at = |key: usize| {
+                // Poses are twice as close as people's keys.
+                let posed = work.posed.get(2 * key)?;
+                let own = self_shadow::weights(work.skin, posed, place.middle, work.stage.wavelength_m, &wanted[image]);
+                let others = self.past_people(work.stage, people.get(key)?, me, index);
+                Some((2.0 * key as f64, own.iter().zip(others).map(|(a, b)| a * b).collect()))
             };
-            let images = work.indices.iter().zip(&work.places).zip(&wanted);
-            Some((2.0 * key as f64, images.map(of_image).collect()))
+            keys.into_iter().filter_map(at).collect()
         };
-        people.iter().enumerate().filter_map(of).collect()
+        (0..work.indices.len()).map(of_image).collect()
     }
 }
 

@@ -33,6 +33,7 @@ const RUN_RAD: f32 = 0.8;
 pub(super) struct Pair {
     /// Places in the list of images.
     pub(super) images: [usize; 2],
+    pub(super) loudness_lsb: f64,
     pub(super) fineness: Fineness,
 }
 
@@ -53,8 +54,8 @@ pub(super) struct Work<'a> {
     pub(super) pairs: Vec<Pair>,
     /// At the finer keys.
     pub(super) posed: Vec<PosedSkin>,
-    /// What people and limbs leave of light, `[image][vertex]`, at some of the finer keys by their numbers.
-    pub(super) weights: Vec<(f64, Vec<Vec<f64>>)>,
+    /// What people and limbs leave of light, `[image][key][vertex]`, at some of the finer keys by their numbers.
+    pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
 }
 
 /// A patch at one of the finer keys.
@@ -168,7 +169,7 @@ impl Workbench {
             pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
             clamped += pose.patch.lights[image].clamped();
             pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
-            pose.weights[image] = weights_at(&work.weights, key as f64, image, patch);
+            pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
         }
         clamped
     }
@@ -318,13 +319,18 @@ impl Pose {
 }
 
 /// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.
-fn weights_at(known: &[(f64, Vec<Vec<f64>>)], key: f64, image: usize, patch: &SkinPatch) -> Row {
+fn weights_at(known: &[(f64, Vec<f64>)], key: f64, patch: &SkinPatch) -> Row {
     let next = known.iter().position(|(at, _)| *at >= key).unwrap_or(known.len().saturating_sub(1));
     let Some((end, after)) = known.get(next) else { return [1.0; LANES] };
     let (start, before) = known.get(next.saturating_sub(1)).map_or((*end, after), |(at, of)| (*at, of));
     let part = if end > &start { (key - start) / (end - start) } else { 0.0 };
-    let at = |of: &Vec<Vec<f64>>, v: u32| of.get(image).and_then(|of| of.get(v as usize)).copied().unwrap_or(1.0);
-    patch.vertices.map(|v| (at(before, v) * (1.0 - part) + at(after, v) * part) as f32)
+    let mut weights = [1.0; LANES];
+    for (weight, &v) in weights.iter_mut().zip(&patch.vertices) {
+        if let Some((before, after)) = before.get(v as usize).zip(after.get(v as usize)) {
+            *weight = (before * (1.0 - part) + after * part) as f32;
+        }
+    }
+    weights
 }
 
 /// Rates of strengths by differences over equal steps: central ones, and at the ends those of the parabola through three keys.
