@@ -238,8 +238,8 @@ impl Renderer {
         let (start_s, middle) = (keys_s.first().copied().unwrap_or_default(), keys_s.len() / 2);
         let now = snapshots.get(middle).map(Vec::as_slice).unwrap_or_default();
         let chirp = |i: usize| start_s + i as f64 * self.waveform().chirp_interval_s;
-        let times =
-            FrameTimes { keys_s, chirps_s: (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect() };
+        let chirps_s = (0..shape.chirps).map(|i| chirp(i) + self.stage.chirp.middle_s).collect();
+        let times = FrameTimes::new(keys_s, chirps_s);
         let (demand, stage, integrator) = (self.demand(), &self.stage, &self.integrator);
         let mut grids = ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps);
         let mut most = Missed::default();

@@ -49,11 +49,6 @@ pub struct Stretch {
     stretch_s: f64,
 }
 
-/// Cubic Hermite over 0..1 by powers, from values and slopes at the ends.
-pub(crate) fn cubic(y0: f64, m0: f64, y1: f64, m1: f64) -> [f64; 4] {
-    [y0, m0, 3.0 * (y1 - y0) - 2.0 * m0 - m1, 2.0 * (y0 - y1) + m0 + m1]
-}
-
 /// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
 fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
     // What the parabola of the first end misses at the second.

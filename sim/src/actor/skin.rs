@@ -197,13 +197,11 @@ impl Skin {
                 let distance = blended(vertex, &|part| part.segment() == segment).max(0.0);
                 (1.0 - distance / REACH_M).max(0.0).powi(3)
             };
-            let total: f64 = (0..SEGMENTS).map(weight).sum();
-            for (segment, e) in segments.iter().enumerate() {
-                let weight = weight(segment) / total;
-                if weight > 0.0 {
-                    let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
-                    skin.influences.push((segment, weight, unit));
-                }
+            let weights: [f64; SEGMENTS] = std::array::from_fn(weight);
+            let total: f64 = weights.iter().sum();
+            for ((segment, e), weight) in segments.iter().enumerate().zip(weights).filter(|(_, weight)| *weight > 0.0) {
+                let unit = (e.axes.transpose() * (vertex - e.centre)) / e.semi_axes_m;
+                skin.influences.push((segment, weight / total, unit));
             }
             skin.bindings.push(Binding { first: first as u32, count: (skin.influences.len() - first) as u32 });
         }

@@ -3,12 +3,8 @@
 // Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
 #![allow(clippy::needless_range_loop)]
 
-use num_complex::{Complex, Complex64};
-
-use super::patch::TriangleKey;
 use super::posed_patch::{PosedPatch, at_corners};
-use crate::actor::skin::SkinPatch;
-use crate::field::curved_triangle::{MomentRows, TriangleRows, ViewRows};
+use crate::field::curved_triangle::MomentRows;
 use crate::lanes::{LANES, Row, Row3, compiled_for_levels, dot};
 
 /// Strengths at a patch's vertices, and their rates.
@@ -18,35 +14,69 @@ pub(super) struct StrengthRows {
     pub(super) rates: (Row, Row),
 }
 
-/// What a triangle's key holds, side by side.
+/// A patch's triangles at a key. In lanes without a triangle fields are zero.
 #[derive(Debug, Clone, Copy)]
-struct KeyRows {
-    rate_m_per_s: Row,
-    field: (Row, Row),
-    field_rate: (Row, Row),
-    moment: (Row, Row),
+pub(super) struct KeyRows {
+    /// Middles from the patch's origin, m.
+    pub(super) middles: Row3,
+    /// Path by the antennas' middles, m, and its rate, m/s.
+    pub(super) length_m: [f64; LANES],
+    pub(super) rate_m_per_s: Row,
+    /// Integral of the field relative to the path by the middle, real and imaginary part, and its rate.
+    pub(super) field: [Row; 2],
+    pub(super) field_rate: [Row; 2],
+    /// Moment of the field about that path: integral of the field times how much longer its own path is, m.
+    pub(super) moment: [Row; 2],
+}
+
+impl Default for KeyRows {
+    fn default() -> Self {
+        let (zero, both) = ([0.0; LANES], [[0.0; LANES]; 2]);
+        KeyRows {
+            middles: [zero; 3],
+            length_m: [0.0; LANES],
+            rate_m_per_s: zero,
+            field: both,
+            field_rate: both,
+            moment: both,
+        }
+    }
+}
+
+impl KeyRows {
+    /// Squares of the fields.
+    #[inline(always)]
+    pub(super) fn powers(&self) -> Row {
+        let mut powers = [0.0; LANES];
+        for l in 0..LANES {
+            powers[l] = self.field[0][l] * self.field[0][l] + self.field[1][l] * self.field[1][l];
+        }
+        powers
+    }
 }
 
 /// What goes into it.
-struct Parts<'a> {
-    triangles: &'a TriangleRows,
-    velocity: &'a Row3,
-    against: &'a [Row3; 3],
-    views: [&'a ViewRows; 2],
-    moments: &'a MomentRows,
-    corners: &'a [[usize; 3]; LANES],
-    strengths: &'a StrengthRows,
-    wavenumber_per_m: f32,
+pub(super) struct Parts<'a> {
+    pub(super) posed: &'a PosedPatch,
+    /// Places in the list of images.
+    pub(super) images: [usize; 2],
+    pub(super) moments: &'a MomentRows,
+    pub(super) corners: &'a [[usize; 3]; LANES],
+    pub(super) strengths: &'a StrengthRows,
+    pub(super) wavelength_m: f64,
 }
 
 compiled_for_levels! {
-    fn key_rows(parts: &Parts) -> KeyRows = body;
+    /// Every triangle of a patch at a key.
+    pub(super) fn key_rows(parts: &Parts) -> KeyRows = body;
 }
 
 #[inline(always)]
 fn body(parts: &Parts) -> KeyRows {
-    let Parts { triangles, velocity, against, views, moments, corners, strengths, wavenumber_per_m } = parts;
-    let zero = [0.0; LANES];
+    let Parts { posed, images: [first, second], moments, corners, strengths, wavelength_m } = parts;
+    let PosedPatch { triangles, velocity, against, .. } = posed;
+    let (views, wavenumber_per_m) =
+        ([&posed.views[*first], &posed.views[*second]], (std::f64::consts::TAU / wavelength_m) as f32);
     let (mut away_t, mut away_r, mut both): (Row3, Row3, Row3) = Default::default();
     for axis in 0..3 {
         for l in 0..LANES {
@@ -56,9 +86,10 @@ fn body(parts: &Parts) -> KeyRows {
         }
     }
     let speeds = [dot(&away_t, velocity), dot(&away_r, velocity)];
-    let mut keys = KeyRows { rate_m_per_s: zero, field: (zero, zero), field_rate: (zero, zero), moment: (zero, zero) };
+    let mut keys = KeyRows { middles: triangles.middles, ..KeyRows::default() };
     for l in 0..LANES {
         keys.rate_m_per_s[l] = speeds[0][l] + speeds[1][l];
+        keys.length_m[l] = views[0].distances_m[l] + views[1].distances_m[l];
     }
     let (re, im) = (at_corners(&strengths.now.0, corners), at_corners(&strengths.now.1, corners));
     let (rate_re, rate_im) = (at_corners(&strengths.rates.0, corners), at_corners(&strengths.rates.1, corners));
@@ -79,57 +110,13 @@ fn body(parts: &Parts) -> KeyRows {
             let (field_re, field_im) = (x * a - y * b, x * b + y * a);
             // About the path by the middle, which the corner's is longer than by this.
             let longer = along_t[l] + along_r[l];
-            keys.field.0[l] += field_re;
-            keys.field.1[l] += field_im;
-            keys.moment.0[l] += longer * field_re;
-            keys.moment.1[l] += longer * field_im;
-            keys.field_rate.0[l] += u * a - v * b;
-            keys.field_rate.1[l] += u * b + v * a;
+            keys.field[0][l] += field_re;
+            keys.field[1][l] += field_im;
+            keys.moment[0][l] += longer * field_re;
+            keys.moment[1][l] += longer * field_im;
+            keys.field_rate[0][l] += u * a - v * b;
+            keys.field_rate[1][l] += u * b + v * a;
         }
     }
     keys
-}
-
-/// Every triangle of a patch at a key.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn triangle_keys(
-    level: radome_dsp::KernelLevel,
-    patch: &SkinPatch,
-    posed: &PosedPatch,
-    origin: glam::DVec3,
-    [first, second]: [usize; 2],
-    moments: &MomentRows,
-    strengths: &StrengthRows,
-    wavelength_m: f64,
-    out: &mut Vec<TriangleKey>,
-) {
-    let views = [&posed.views[first], &posed.views[second]];
-    let rows = key_rows(
-        level,
-        &Parts {
-            triangles: &posed.triangles,
-            velocity: &posed.velocity,
-            against: &posed.against,
-            views,
-            moments,
-            corners: &patch.corners,
-            strengths,
-            wavenumber_per_m: (std::f64::consts::TAU / wavelength_m) as f32,
-        },
-    );
-    out.clear();
-    let complex =
-        |rows: &(Row, Row), l: usize| Complex64::from(Complex::new(f64::from(rows.0[l]), f64::from(rows.1[l])));
-    out.extend((0..patch.triangles.len()).map(|l| {
-        let middles = &posed.triangles.middles;
-        let from_origin = glam::DVec3::new(middles[0][l].into(), middles[1][l].into(), middles[2][l].into());
-        TriangleKey {
-            middle: origin + from_origin,
-            length_m: views[0].distances_m[l] + views[1].distances_m[l],
-            rate_m_per_s: rows.rate_m_per_s[l].into(),
-            field: complex(&rows.field, l),
-            field_rate: complex(&rows.field_rate, l),
-            moment: complex(&rows.moment, l),
-        }
-    }));
 }

@@ -1,13 +1,18 @@
 //! Triangles of a skin that hang together, as one tone in every chirp.
 
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
 use glam::DVec3;
 use num_complex::{Complex, Complex64};
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
-use super::chirp_sum::{ChirpSums, Track};
+use super::chirp_sum::{ChirpRow, ChirpSums, TrackRows, chirp_rows};
+use super::key_rows::KeyRows;
 use crate::field::image::{Element, ImageIndex};
+use crate::lanes::{LANES, Row, compiled_for_levels, cos_sin_of_turns};
 use crate::stage::Stage;
-use crate::synthesis::{EchoWay, phasor};
+use crate::synthesis::EchoWay;
 
 /// Where the antennas behind an image are.
 pub(super) struct Place {
@@ -17,35 +22,40 @@ pub(super) struct Place {
     pub(super) rx: Vec<DVec3>,
 }
 
-/// When a frame's keys and chirps are, s.
+/// When a frame's keys and chirps are.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FrameTimes {
-    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's.
+    /// Key times, equally far apart: the first no later than the first chirp's middle, the last no earlier than the last's, s.
     pub keys_s: Vec<f64>,
-    /// Middles of the chirps.
+    /// Middles of the chirps, s.
     pub chirps_s: Vec<f64>,
+    /// Chirps by the stretch between keys that they are in.
+    stretches: Vec<Vec<ChirpRow>>,
 }
 
 impl FrameTimes {
+    /// From keys and the middles of chirps, s.
+    pub fn new(keys_s: Vec<f64>, chirps_s: Vec<f64>) -> Self {
+        let first_s = keys_s.first().copied().unwrap_or_default();
+        let length_s = keys_s.last().copied().unwrap_or_default() - first_s;
+        let places: Vec<f64> = chirps_s.iter().map(|t| (t - first_s) / length_s).collect();
+        let stretches = chirp_rows(&places, keys_s.len().saturating_sub(1));
+        FrameTimes { keys_s, chirps_s, stretches }
+    }
+
     /// With keys half-way between as well.
     pub(super) fn halved(&self) -> Self {
         let between = self.keys_s.windows(2).flat_map(|pair| [pair[0], 0.5 * (pair[0] + pair[1])]);
-        FrameTimes { keys_s: between.chain(self.keys_s.last().copied()).collect(), chirps_s: self.chirps_s.clone() }
+        FrameTimes::new(between.chain(self.keys_s.last().copied()).collect(), self.chirps_s.clone())
     }
-}
 
-/// A triangle at a key.
-#[derive(Debug, Clone, Copy, Default)]
-pub(super) struct TriangleKey {
-    pub(super) middle: DVec3,
-    /// Path by the antennas' middles, m, and its rate, m/s.
-    pub(super) length_m: f64,
-    pub(super) rate_m_per_s: f64,
-    /// Integral of the field relative to the path by the middle, and its rate.
-    pub(super) field: Complex64,
-    pub(super) field_rate: Complex64,
-    /// Moment of the field about that path: integral of the field times how much longer its own path is, m.
-    pub(super) moment: Complex64,
+    /// Between keys, s.
+    pub(super) fn step_s(&self) -> f64 {
+        match self.keys_s.as_slice() {
+            [first, second, ..] => second - first,
+            _ => 0.0,
+        }
+    }
 }
 
 /// Triangles that hang together, as one moving place.
@@ -57,62 +67,47 @@ pub(super) struct Patch {
 }
 
 impl Patch {
-    /// Sums the triangles in every chirp, on their way from one image to another; `None` where there is nothing.
+    /// Sums the triangles in every chirp, on their way from one image to another; `None` where there is nothing. Places of
+    /// triangles are from `origin`.
     pub(super) fn new(
-        keys: &[Vec<TriangleKey>],
-        members: std::ops::Range<usize>,
+        keys: &[KeyRows],
+        origin: DVec3,
         between: [&Place; 2],
         times: &FrameTimes,
         wavelength_m: f64,
         sums: &mut ChirpSums,
     ) -> Option<Self> {
-        let of: Vec<&[TriangleKey]> = keys.iter().filter_map(|key| key.get(members.clone())).collect();
         // The same weights at all keys, so that the place moves smoothly.
-        let weights: Vec<f64> =
-            (0..members.len()).map(|i| of.iter().map(|key| key[i].field.norm_sqr()).sum()).collect();
-        let total: f64 = weights.iter().sum();
+        let mut weights = [0f32; LANES];
+        for key in keys {
+            let powers = key.powers();
+            (0..LANES).for_each(|l| weights[l] += powers[l]);
+        }
+        let total: f32 = weights.iter().sum();
         if !(total > 0.0 && total.is_finite()) {
             return None;
         }
-        let place = |key: &&[TriangleKey]| {
-            let (mut middle, mut length_m, mut rate) = (DVec3::ZERO, 0.0, 0.0);
-            for (triangle, weight) in key.iter().zip(&weights) {
-                middle += triangle.middle * (weight / total);
-                length_m += triangle.length_m * (weight / total);
-                rate += triangle.rate_m_per_s * (weight / total);
-            }
-            (middle, length_m, rate)
+        weights.iter_mut().for_each(|weight| *weight /= total);
+        let place = |key: &KeyRows| {
+            let mean = |row: &Row| f64::from((0..LANES).map(|l| row[l] * weights[l]).sum::<f32>());
+            let length_m = (0..LANES).map(|l| key.length_m[l] * f64::from(weights[l])).sum::<f64>();
+            let middle = DVec3::new(mean(&key.middles[0]), mean(&key.middles[1]), mean(&key.middles[2]));
+            // Weights sum to one but for rounding, which lengths would show.
+            let whole = weights.iter().map(|&weight| f64::from(weight)).sum::<f64>();
+            (origin + middle, length_m / whole, mean(&key.rate_m_per_s))
         };
-        let places: Vec<_> = of.iter().map(place).collect();
-        let base_m = places.get(places.len() / 2)?.1;
-        let gradient_rad_per_m =
-            detour_gradient(between, places.get(places.len() / 2)?.0) * (std::f64::consts::TAU / wavelength_m);
+        let places: Vec<_> = keys.iter().map(place).collect();
+        let (middle, base_m, _) = *places.get(places.len() / 2)?;
+        let gradient_rad_per_m = detour_gradient(between, middle) * (std::f64::consts::TAU / wavelength_m);
+        let step_s = times.step_s();
+        let end = |(key, (place, ..)): (&KeyRows, &(DVec3, f64, f64))| {
+            track_rows(key, *place - origin, base_m, gradient_rad_per_m, step_s, wavelength_m)
+        };
+        let ends: Vec<TrackRows> = keys.iter().zip(&places).map(end).collect();
         sums.clear(times.chirps_s.len());
-        let step_s = times.keys_s.get(1)? - times.keys_s.first()?;
-        for (stretch, pair) in of.windows(2).enumerate() {
+        for (pair, chirps) in ends.windows(2).zip(&times.stretches) {
             let [first, second] = pair else { continue };
-            let here = places.get(stretch)?.0;
-            let end = |t: &TriangleKey| Track {
-                length: (t.length_m - base_m) / wavelength_m,
-                length_slope: t.rate_m_per_s * step_s / wavelength_m,
-                field: t.field,
-                field_slope: t.field_rate * step_s,
-                moment: t.moment / wavelength_m,
-                detour_rad: gradient_rad_per_m.dot(t.middle - here),
-            };
-            let tracks =
-                first.iter().zip(*second).filter(|(a, b)| a.field != Complex64::ZERO || b.field != Complex64::ZERO);
-            sums.load(tracks.map(|(a, b)| (end(a), end(b))));
-            let from_s = times.keys_s.first()? + stretch as f64 * step_s;
-            let last = stretch + 2 == of.len();
-            sums.add(
-                times
-                    .chirps_s
-                    .iter()
-                    .map(|t| (t - from_s) / step_s)
-                    .enumerate()
-                    .filter(|&(_, u)| (stretch == 0 || u >= 0.0) && (last || u < 1.0)),
-            );
+            sums.add([first, second], chirps);
         }
         Some(Patch { places, base_m })
     }
@@ -173,24 +168,69 @@ fn parabola(of: &dyn Fn(usize) -> f64, keys: usize, chirps: usize) -> [f64; 3] {
     [a, (4.0 * b - 3.0 * a - c) / n, 2.0 * (a + c - 2.0 * b) / (n * n)]
 }
 
+/// Triangles at a key as one end of a stretch of so many seconds, with lengths from a base.
+fn track_rows(
+    key: &KeyRows,
+    place: DVec3,
+    base_m: f64,
+    detour_rad_per_m: DVec3,
+    step_s: f64,
+    wavelength_m: f64,
+) -> TrackRows {
+    let per_wavelength = 1.0 / wavelength_m;
+    let [slope, step, per_m] = [step_s * per_wavelength, step_s, per_wavelength].map(|factor| factor as f32);
+    let (place, gradient) = (place.as_vec3().to_array(), detour_rad_per_m.as_vec3().to_array());
+    let mut rows = TrackRows { field: key.field, ..TrackRows::default() };
+    for l in 0..LANES {
+        rows.length[l] = (key.length_m[l] - base_m) * per_wavelength;
+        rows.length_slope[l] = key.rate_m_per_s[l] * slope;
+    }
+    for part in 0..2 {
+        for l in 0..LANES {
+            rows.field_slope[part][l] = key.field_rate[part][l] * step;
+            rows.moment[part][l] = key.moment[part][l] * per_m;
+        }
+    }
+    for axis in 0..3 {
+        for l in 0..LANES {
+            rows.detour_rad[l] += gradient[axis] * (key.middles[axis][l] - place[axis]);
+        }
+    }
+    rows
+}
+
 /// Squares of what cubics between keys miss of triangles' fields when every second key is left out, and of the fields.
-pub(super) fn missed_between_keys(keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) -> (f64, f64) {
-    let [first_s, second_s, ..] = times_s else { return (0.0, 0.0) };
-    let span_s = 2.0 * (second_s - first_s);
+pub(super) fn missed_between_keys(level: KernelLevel, keys: &[KeyRows], step_s: f64, wavelength_m: f64) -> (f64, f64) {
     let (mut missed, mut power) = (0.0, 0.0);
     for triple in keys.windows(3).step_by(2) {
         let [first, middle, last] = triple else { continue };
-        for ((a, b), c) in first.iter().zip(middle).zip(last) {
-            let length_m =
-                0.5 * (a.length_m + c.length_m) + 0.125 * span_s * (a.rate_m_per_s - c.rate_m_per_s) - b.length_m;
-            let field = 0.5 * (a.field + c.field) + 0.125 * span_s * (a.field_rate - c.field_rate);
-            let turn = phasor(-length_m / wavelength_m);
-            let turn = Complex64::new(turn.re.into(), turn.im.into());
-            missed += (field * turn - b.field).norm_sqr();
-            power += b.field.norm_sqr();
-        }
+        let (more, of) = missed_in_stretch(level, [first, middle, last], step_s, wavelength_m);
+        (missed, power) = (missed + more, power + of);
     }
     (missed, power)
+}
+
+compiled_for_levels! {
+    fn missed_in_stretch(keys: [&KeyRows; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) = missed_body;
+}
+
+#[inline(always)]
+fn missed_body([a, b, c]: [&KeyRows; 3], step_s: f64, wavelength_m: f64) -> (f64, f64) {
+    let slope = (0.25 * step_s) as f32;
+    let mut missed = [0f32; LANES];
+    for l in 0..LANES {
+        let bend_m = slope * (a.rate_m_per_s[l] - c.rate_m_per_s[l]);
+        let length_m = 0.5 * (a.length_m[l] + c.length_m[l]) + f64::from(bend_m) - b.length_m[l];
+        let (cosine, sine) = cos_sin_of_turns((-length_m / wavelength_m) as f32);
+        let between = |part: usize| {
+            0.5 * (a.field[part][l] + c.field[part][l]) + slope * (a.field_rate[part][l] - c.field_rate[part][l])
+        };
+        let (x, y) = (between(0), between(1));
+        let (re, im) = (x * cosine - y * sine - b.field[0][l], x * sine + y * cosine - b.field[1][l]);
+        missed[l] = re * re + im * im;
+    }
+    let sum = |row: Row| f64::from(row.iter().sum::<f32>());
+    (sum(missed), sum(b.powers()))
 }
 
 /// An antenna in the middle of transmitter and receivers.

@@ -8,8 +8,8 @@ use num_complex::{Complex, Complex64};
 
 use super::chirp_sum::{ChirpSums, Direction};
 use super::demand::{Fineness, Missed};
-use super::key_rows::{StrengthRows, triangle_keys};
-use super::patch::{FrameTimes, Patch, Place, TriangleKey, missed_between_keys};
+use super::key_rows::{KeyRows, Parts, StrengthRows, key_rows};
+use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
 use super::posed_patch::PosedPatch;
 use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
@@ -75,10 +75,11 @@ pub(super) struct Workbench {
     /// Whether it has been posed half-way between keys.
     between: bool,
     images: Vec<usize>,
+    /// Fields of those around it.
+    around: Vec<FieldAround>,
     /// Triangles at the keys that they were found to need, and which those are.
-    keys: Vec<Vec<TriangleKey>>,
+    keys: Vec<KeyRows>,
     level: usize,
-    coarse: Vec<TriangleKey>,
     sums: ChirpSums,
     /// There and back, by receiver.
     responses: Vec<[Complex<f32>; 2]>,
@@ -107,9 +108,9 @@ impl Workbench {
             poses: work.posed.iter().map(pose).collect(),
             between: false,
             images: Vec::new(),
+            around: Vec::new(),
             keys: Vec::new(),
             level: 0,
-            coarse: Vec::new(),
             sums: ChirpSums::new(work.integrator.level),
             responses: Vec::new(),
             ways: Default::default(),
@@ -133,11 +134,8 @@ impl Workbench {
         self.images.sort_unstable();
         self.images.dedup();
         self.between = false;
-        let around = self.fields_around(work, patch);
-        let mut clamped = 0;
-        for key in (0..self.poses.len()).step_by(2) {
-            clamped += self.pose_at(work, patch, key, &around);
-        }
+        self.around = self.fields_around(work, patch);
+        let clamped = (0..self.poses.len()).step_by(2).map(|key| self.pose_at(work, patch, key)).sum();
         self.area_m2 = self.poses.get(work.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
         clamped
     }
@@ -160,12 +158,12 @@ impl Workbench {
         self.images.iter().map(around).collect()
     }
 
-    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize, around: &[FieldAround]) -> usize {
+    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) -> usize {
         let level = work.integrator.level;
         let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return 0 };
         pose.patch.pose(work.stage, level, work.skin, patch, posed, work.cloth, work.origin);
         let mut clamped = 0;
-        for (&image, around) in self.images.iter().zip(around) {
+        for (&image, around) in self.images.iter().zip(&self.around) {
             pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
             clamped += pose.patch.lights[image].clamped();
             pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
@@ -203,13 +201,12 @@ impl Workbench {
         let rule = rule_for(most, pair.fineness.ease);
         self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
         self.find_keys(work, patch, pair, 0);
-        let (missed, _) = missed_between_keys(&self.keys, &work.times[0].keys_s, work.stage.wavelength_m);
+        let (missed, _) = self.missed_between_keys(work);
         // Cubics err with the fourth power of the step.
         if missed.sqrt() / 16.0 > f64::from(self.least) {
             if !self.between {
-                let around = self.fields_around(work, patch);
                 for key in (1..self.poses.len()).step_by(2) {
-                    self.pose_at(work, patch, key, &around);
+                    self.pose_at(work, patch, key);
                 }
                 self.between = true;
             }
@@ -225,54 +222,51 @@ impl Workbench {
     /// Every triangle at the keys of a level.
     fn find_keys(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, level: usize) {
         self.level = level;
-        let every = 2 - level;
-        let of_keys: Vec<&Pose> = self.poses.iter().step_by(every).collect();
-        self.keys.resize(of_keys.len(), Vec::new());
-        for (key, (pose, keys)) in of_keys.iter().zip(&mut self.keys).enumerate() {
-            let strengths =
-                StrengthRows { now: pose.strengths, rates: rates(&of_keys, key, &work.times[level].keys_s) };
-            let wavelength_m = work.stage.wavelength_m;
-            let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
-            triangle_keys(lanes, patch, patch_then, work.origin, pair.images, moments, &strengths, wavelength_m, keys);
-        }
+        let of_keys: Vec<&Pose> = self.poses.iter().step_by(2 - level).collect();
+        self.keys.clear();
+        self.keys.extend(of_keys.iter().enumerate().map(|(key, pose)| {
+            let rates = rates(&of_keys, key, &work.times[level].keys_s);
+            pose.keys(work, patch, pair, &StrengthRows { now: pose.strengths, rates })
+        }));
+    }
+
+    /// Squares of what is missed between the keys of the patch's level and of the fields.
+    fn missed_between_keys(&self, work: &Work) -> (f64, f64) {
+        let step_s = work.times[self.level].step_s();
+        missed_between_keys(work.integrator.level, &self.keys, step_s, work.stage.wavelength_m)
     }
 
     /// Adds what is missed of a pair that has been integrated: between keys, and at each of them against a coarser field.
     pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
         let coarse = &pair.fineness.coarser();
-        let ([out, back], wavelength_m) = (pair.images, work.stage.wavelength_m);
-        missed.add_between_keys(&self.keys, &work.times[self.level].keys_s, wavelength_m);
-        for (key, (pose, keys)) in
-            self.poses.iter_mut().step_by(2).zip(self.keys.iter().step_by(1 + self.level)).enumerate()
-        {
+        let [out, back] = pair.images;
+        missed.add_between_keys(self.missed_between_keys(work));
+        let found = self.keys.iter().step_by(1 + self.level);
+        for (key, (pose, fine)) in self.poses.iter_mut().step_by(2).zip(found).enumerate() {
             let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
             let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
             let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
             pose.find_moments(work, pair, rule_for(span, coarse.ease));
-            let (lanes, patch_then, moments) = (work.integrator.level, &pose.patch, &pose.moments);
-            let found = &mut self.coarse;
-            triangle_keys(lanes, patch, patch_then, work.origin, pair.images, moments, &strengths, wavelength_m, found);
-            missed.add_integration(key, keys, found, wavelength_m);
+            missed.add_integration(key, fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
         }
     }
 
     /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
     pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
         let (stage, times) = (work.stage, work.times[self.level]);
-        let in_phase = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm_sqr().sqrt()).sum::<f64>();
+        let in_phase = |keys: &KeyRows| keys.powers().into_iter().map(f32::sqrt).sum::<f32>();
         let ways = if pair.images[0] == pair.images[1] { 1.0 } else { 2.0 };
-        if self.keys.iter().map(in_phase).fold(0.0, f64::max) < f64::from(self.least) {
+        if self.keys.iter().map(in_phase).fold(0.0, f32::max) < self.least {
             // As if its triangles had nothing to do with each other.
-            let power = |keys: &Vec<TriangleKey>| keys.iter().map(|key| key.field.norm_sqr()).sum::<f64>();
-            self.left_out += ways * self.keys.iter().map(power).fold(0.0, f64::max);
+            let power = |keys: &KeyRows| keys.powers().into_iter().sum::<f32>();
+            self.left_out += ways * f64::from(self.keys.iter().map(power).fold(0.0, f32::max));
             return false;
         }
         let between = pair.images.map(|i| &work.places[i]);
         let both = [between, [between[1], between[0]]];
         let directions = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
-        let members = 0..self.keys.first().map_or(0, Vec::len);
         let (keys, sums) = (&self.keys, &mut self.sums);
-        let Some(patch) = Patch::new(keys, members, between, times, stage.wavelength_m, sums) else { return false };
+        let Some(patch) = Patch::new(keys, work.origin, between, times, stage.wavelength_m, sums) else { return false };
         let loudest = sums.loudest();
         if loudest < self.least {
             self.left_out += ways * f64::from(loudest * loudest);
@@ -308,6 +302,18 @@ impl Pose {
             factor: common_factor(work.stage.wavelength_m),
         };
         strengths(work.integrator.level, &between)
+    }
+
+    fn keys(&self, work: &Work, patch: &SkinPatch, pair: &Pair, strengths: &StrengthRows) -> KeyRows {
+        let parts = Parts {
+            posed: &self.patch,
+            images: pair.images,
+            moments: &self.moments,
+            corners: &patch.corners,
+            strengths,
+            wavelength_m: work.stage.wavelength_m,
+        };
+        key_rows(work.integrator.level, &parts)
     }
 
     fn find_moments(&mut self, work: &Work, pair: &Pair, rule: usize) {
@@ -372,18 +378,18 @@ pub(super) struct Tally {
 }
 
 impl Tally {
-    fn add_between_keys(&mut self, keys: &[Vec<TriangleKey>], times_s: &[f64], wavelength_m: f64) {
-        let (missed, power) = missed_between_keys(keys, times_s, wavelength_m);
+    fn add_between_keys(&mut self, (missed, power): (f64, f64)) {
         self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
     }
 
-    fn add_integration(&mut self, key: usize, fine: &[TriangleKey], coarse: &[TriangleKey], wavelength_m: f64) {
-        for (a, b) in fine.iter().zip(coarse) {
-            let turn = phasor(-a.length_m / wavelength_m);
+    fn add_integration(&mut self, key: usize, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
+        let field = |of: &KeyRows, l: usize| Complex64::new(of.field[0][l].into(), of.field[1][l].into());
+        for l in 0..LANES {
+            let turn = phasor(-fine.length_m[l] / wavelength_m);
             let turn = Complex64::new(turn.re.into(), turn.im.into());
-            let [apart, sum] = self.by_integration.entry((key, (a.length_m / APART_M) as i64)).or_default();
-            *apart += (a.field - b.field) * turn;
-            *sum += a.field * turn;
+            let [apart, sum] = self.by_integration.entry((key, (fine.length_m[l] / APART_M) as i64)).or_default();
+            *apart += (field(fine, l) - field(coarse, l)) * turn;
+            *sum += field(fine, l) * turn;
         }
     }
 
