@@ -78,7 +78,6 @@ fn skins_are_dense_physical_optics_in_every_chirp() {
         let samples: Vec<f64> = simulator.echo_samples(frame).into_iter().map(f64::from).collect();
         let error = relative_error(&exact, &spectra(&samples, 256));
         let estimate_db = simulator.render_with_report(frame).1.estimate_db.expect("a skin has an estimate");
-        eprintln!("{tolerance_db} dB: {error}, estimated {estimate_db} dB");
         assert!(error < most, "{tolerance_db} dB: {error}");
         assert!(
             error < last && estimate_db < last_estimate_db,
