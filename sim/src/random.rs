@@ -24,6 +24,8 @@ pub enum Purpose {
     Fidget,
     /// How people sit at a desk.
     Desk,
+    /// What differs between scenes of one file.
+    Scene,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

@@ -47,6 +47,12 @@ pub enum SimError {
         /// Most possible.
         most: usize,
     },
+    /// The seed makes no scene of the file's random values.
+    #[error("simulation: {reason}")]
+    Scene {
+        /// Why.
+        reason: String,
+    },
     /// The tolerance is not a number in range.
     #[error("simulation: tolerance_db is {got}, expected 0.01 to 20 dB")]
     Tolerance {
@@ -121,7 +127,7 @@ impl Clone for Simulator {
 }
 
 impl Simulator {
-    /// Prepares a scene: traces what is static, draws who comes.
+    /// Prepares a scene: draws what differs between seeds, traces what is static, draws who comes.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         let people = &scene.file().people;
         let most = if people.actor.is_empty() { 2 } else { people.actor.len() };
@@ -133,7 +139,8 @@ impl Simulator {
         if !(options.tolerance_db >= 0.01 && options.tolerance_db <= 20.0) {
             return Err(SimError::Tolerance { got: options.tolerance_db });
         }
-        let inner = Renderer::new(scene, options);
+        let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
+        let inner = Renderer::new(&scene, options);
         Ok(Simulator { inner: Arc::new(inner), next: 0, ahead: VecDeque::new(), spare: Vec::new(), last_report: None })
     }
 
@@ -189,7 +196,7 @@ impl Simulator {
         self.inner.people(index)
     }
 
-    /// The scene.
+    /// The scene, as its seed drew it.
     pub fn scene(&self) -> &Scene {
         &self.inner.scene
     }

@@ -3,10 +3,13 @@
 //! Frames of reference: the room is the box `0..size_m`, x and y horizontal, z up. Azimuth turns from +x towards +y. The radar's
 //! own axes are x boresight, y left, z up (before tilt); `tilt_down_deg` lowers the boresight.
 
+use std::collections::BTreeMap;
+
 use radome_dsp::WaveformRequest;
 use serde::Deserialize;
 use toml::Spanned;
 
+use super::draw::RandomFile;
 use super::material::Material;
 
 /// Version of the schema that this crate reads.
@@ -40,6 +43,9 @@ pub struct SceneFile {
     pub door: Vec<DoorFile>,
     /// Who comes, and what they do.
     pub people: PeopleFile,
+    /// Keys, by their dotted paths, whose values are drawn for each seed.
+    #[serde(default)]
+    pub random: BTreeMap<String, RandomFile>,
 }
 
 /// The room: a box with a slab for each surface.

@@ -4,8 +4,12 @@ pub mod file;
 pub mod material;
 
 mod check;
+mod draw;
+
+pub use draw::RandomFile;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
@@ -14,6 +18,7 @@ use thiserror::Error;
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
+use draw::Draw;
 use file::{SceneFile, SurfaceFile};
 use material::Material;
 
@@ -52,6 +57,30 @@ pub enum SceneError {
         /// What would do.
         expected: String,
     },
+    /// A key of `[random]` cannot be drawn.
+    #[error("{path}:{line}: random: {key}: found {found}, expected {expected}")]
+    Random {
+        /// The file.
+        path: PathBuf,
+        /// Line, from 1; the file's first if the key is not written there.
+        line: usize,
+        /// Key.
+        key: String,
+        /// What was found.
+        found: String,
+        /// What would do.
+        expected: String,
+    },
+    /// Values within the ranges of `[random]` make no scene.
+    #[error("{path}: values drawn from [random] ({which}) make no scene: {reason}")]
+    Drawn {
+        /// The file.
+        path: PathBuf,
+        /// Which values.
+        which: String,
+        /// Why, in lines of the scene with those values.
+        reason: String,
+    },
     /// The chip cannot produce the waveform.
     #[error("{path}:{line}: {source}")]
     Waveform {
@@ -88,6 +117,10 @@ pub struct Scene {
     path: PathBuf,
     waveform: Waveform,
     receiver: Receiver,
+    /// A receiver that was given instead of the file's.
+    given: Option<Receiver>,
+    /// The file, where its `[random]` table has keys.
+    text: Option<Arc<str>>,
 }
 
 impl Scene {
@@ -99,6 +132,56 @@ impl Scene {
 
     /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
+        let mut scene = Self::parse_fixed(text, path)?;
+        if !scene.file.random.is_empty() {
+            scene.text = Some(text.into());
+            for end in [Draw::Least, Draw::Greatest] {
+                scene.drawn_at(end)?;
+            }
+        }
+        Ok(scene)
+    }
+
+    /// The scene that a seed makes of this one: the same where the file has no `[random]` table.
+    pub fn drawn(&self, seed: u64) -> Result<Self, SceneError> {
+        self.drawn_at(Draw::Seed(seed))
+    }
+
+    fn drawn_at(&self, draw: Draw) -> Result<Self, SceneError> {
+        let Some(text) = &self.text else { return Ok(self.clone()) };
+        let path = &self.path;
+        let mut table: toml::Table = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        if let Some(toml::Value::String(relative)) = table.get("receiver")
+            && self.file.random.keys().any(|key| key.starts_with("receiver."))
+        {
+            let of_receiver = path.parent().unwrap_or(Path::new("")).join(relative);
+            let receiver = read(&of_receiver)?;
+            let receiver = toml::from_str(&receiver).map_err(|e| parse_error(&of_receiver, &receiver, &e))?;
+            table.insert("receiver".to_owned(), toml::Value::Table(receiver));
+        }
+        let table = draw::drawn(&table, &self.file.random, draw).map_err(|fault| SceneError::Random {
+            path: path.clone(),
+            line: line_of_key(text, &fault.key),
+            key: fault.key,
+            found: fault.found,
+            expected: fault.expected.to_owned(),
+        })?;
+        let scene = Self::parse_fixed(&table.to_string(), path).map_err(|reason| SceneError::Drawn {
+            path: path.clone(),
+            which: match draw {
+                Draw::Seed(seed) => format!("seed {seed}"),
+                Draw::Least => "all the least".to_owned(),
+                Draw::Greatest => "all the greatest".to_owned(),
+            },
+            reason: reason.to_string(),
+        })?;
+        Ok(match &self.given {
+            Some(receiver) => scene.with_receiver(receiver.clone()),
+            None => scene,
+        })
+    }
+
+    fn parse_fixed(text: &str, path: &Path) -> Result<Self, SceneError> {
         let file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
         let receiver = match &file.receiver {
             None => Receiver::typical(),
@@ -125,7 +208,7 @@ impl Scene {
             SceneError::Waveform { path: path.to_owned(), line, source }
         })?;
         check::check(&file).map_err(|fault| fault.at(path, text))?;
-        Ok(Scene { file, path: path.to_owned(), waveform, receiver })
+        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, text: None })
     }
 
     /// The waveform as the chip realises it.
@@ -155,6 +238,7 @@ impl Scene {
 
     /// The same scene with another receiver.
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
+        self.given = Some(receiver.clone());
         self.receiver = receiver;
         self
     }

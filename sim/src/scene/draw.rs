@@ -1,0 +1,267 @@
+//! Scenes that differ from seed to seed: values of any key, drawn from what the file's `[random]` table says.
+//!
+//! ```toml
+//! [random]
+//! "room.size_m" = { between = [[3.0, 3.0, 2.4], [8.0, 8.0, 3.0]] }
+//! "room.floor.material" = { of = ["concrete", "floorboard"] }
+//! "receiver.gain_correction_db" = { between = [-2.0, 2.0] }
+//! ```
+//!
+//! A draw depends on the seed and on the key alone: another key in the table changes no other value.
+
+use std::collections::BTreeMap;
+
+use rand::Rng;
+use rand_xoshiro::Xoshiro256PlusPlus;
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use crate::random::{Purpose, generator};
+
+/// What a key's value is drawn from: exactly one of the two.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RandomFile {
+    /// The least and the greatest value: numbers, each evenly drawn (whole ones where both are), or lists of as many.
+    #[serde(default)]
+    pub between: Option<[Value; 2]>,
+    /// Values of which each is as likely.
+    #[serde(default)]
+    pub of: Option<Vec<Value>>,
+}
+
+/// A key that cannot be drawn: which, what was found and what would do.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct DrawFault {
+    pub(super) key: String,
+    pub(super) found: String,
+    pub(super) expected: &'static str,
+}
+
+/// Where in its range every value is taken.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Draw {
+    /// By chance.
+    Seed(u64),
+    /// At the least value, or the first.
+    Least,
+    /// At the greatest, or the last.
+    Greatest,
+}
+
+/// What must be the same for all seeds, since frames of all of them go together.
+const FIXED: [&str; 4] = ["format", "name", "waveform", "random"];
+
+/// A scene's table with every key of `random` drawn.
+pub(super) fn drawn(scene: &Table, random: &BTreeMap<String, RandomFile>, draw: Draw) -> Result<Table, DrawFault> {
+    let mut scene = scene.clone();
+    scene.remove("random");
+    for (key, from) in random {
+        let fault = |found: String, expected| Err(DrawFault { key: key.clone(), found, expected });
+        if FIXED.iter().any(|fixed| key.split('.').next() == Some(fixed)) {
+            return fault(key.clone(), "a key under room, radar, receiver, furniture, seat, door or people");
+        }
+        let mut source = Source { draw, rng: generator(seed_of(draw), Purpose::Scene, [hash(key), 0]) };
+        let value = match (&from.between, &from.of) {
+            (Some([low, high]), None) => match source.between(low, high) {
+                Some(value) => value,
+                None => {
+                    return fault(format!("[{low}, {high}]"), "two numbers, or two lists of as many, low before high");
+                }
+            },
+            (None, Some(values)) if !values.is_empty() => values[source.index(values.len())].clone(),
+            _ => return fault(format!("{from:?}"), "either `between = [low, high]` or `of = [...]`"),
+        };
+        if place(&mut scene, key).map(|place| *place = value).is_none() {
+            return fault(
+                key.clone(),
+                "the path of a key, such as room.size_m or furniture.0.position_m, in a table that the file has",
+            );
+        }
+    }
+    Ok(scene)
+}
+
+/// Where a dotted path leads; its last key may be new.
+fn place<'a>(scene: &'a mut Table, path: &str) -> Option<&'a mut Value> {
+    let mut keys: Vec<&str> = path.split('.').collect();
+    let last = keys.pop()?;
+    let Some((&first, rest)) = keys.split_first() else {
+        return scene.get_mut(last);
+    };
+    let mut at = scene.get_mut(first)?;
+    for key in rest {
+        at = match at {
+            Value::Array(items) => items.get_mut(key.parse::<usize>().ok()?)?,
+            Value::Table(table) => table.get_mut(*key)?,
+            _ => return None,
+        };
+    }
+    match at {
+        Value::Array(items) => items.get_mut(last.parse::<usize>().ok()?),
+        Value::Table(table) => Some(table.entry(last).or_insert(Value::Boolean(false))),
+        _ => None,
+    }
+}
+
+struct Source {
+    draw: Draw,
+    rng: Xoshiro256PlusPlus,
+}
+
+impl Source {
+    /// A number of 0..1.
+    fn part(&mut self) -> f64 {
+        match self.draw {
+            Draw::Seed(_) => self.rng.random(),
+            Draw::Least => 0.0,
+            Draw::Greatest => 1.0,
+        }
+    }
+
+    fn index(&mut self, count: usize) -> usize {
+        ((self.part() * count as f64) as usize).min(count - 1)
+    }
+
+    fn between(&mut self, low: &Value, high: &Value) -> Option<Value> {
+        match (low, high) {
+            (Value::Integer(low), Value::Integer(high)) if low <= high => {
+                let count = usize::try_from(high.checked_sub(*low)?.checked_add(1)?).ok()?;
+                Some(Value::Integer(low + self.index(count) as i64))
+            }
+            (Value::Array(low), Value::Array(high)) if low.len() == high.len() => {
+                low.iter().zip(high).map(|(low, high)| self.between(low, high)).collect::<Option<_>>().map(Value::Array)
+            }
+            _ => {
+                let (low, high) = (number(low)?, number(high)?);
+                (low <= high).then(|| Value::Float(low + (high - low) * self.part()))
+            }
+        }
+    }
+}
+
+fn number(value: &Value) -> Option<f64> {
+    match value {
+        Value::Float(number) => Some(*number).filter(|number| number.is_finite()),
+        Value::Integer(number) => Some(*number as f64),
+        _ => None,
+    }
+}
+
+fn seed_of(draw: Draw) -> u64 {
+    match draw {
+        Draw::Seed(seed) => seed,
+        Draw::Least | Draw::Greatest => 0,
+    }
+}
+
+/// FNV-1a: the same on every machine and in every version.
+fn hash(key: &str) -> u64 {
+    key.bytes().fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::super::{Scene, SceneError};
+
+    const SCENE: &str = r#"
+format = 1
+name = "hall"
+
+[room]
+size_m = [4.0, 4.0, 2.5]
+x_low = { material = "concrete" }
+x_high = { material = "concrete" }
+y_low = { material = "concrete" }
+y_high = { material = "concrete" }
+floor = { material = "concrete" }
+ceiling = { material = "concrete" }
+
+[radar]
+position_m = [0.1, 1.5, 1.2]
+
+[waveform]
+start_frequency_hz = 60.5e9
+end_frequency_hz = 61.5e9
+samples_per_chirp = 128
+chirps_per_frame = 64
+sample_rate_hz = 2e6
+chirp_interval_s = 391.55e-6
+frame_interval_s = 0.1
+rx_antennas = [1]
+tx_power_level = 31
+if_gain_db = 48.0
+high_pass_cutoff_hz = 80e3
+anti_alias_cutoff_hz = 500e3
+
+[[furniture]]
+name = "shelf"
+position_m = [2.0, 0.1, 0.0]
+size_m = [0.8, 0.3, 1.5]
+
+[people]
+[[people.actor]]
+step = [{ walk_to_m = [2.0, 2.0] }]
+"#;
+
+    fn scene(random: &str) -> Result<Scene, SceneError> {
+        Scene::parse(&format!("{SCENE}\n[random]\n{random}"), Path::new("hall.toml"))
+    }
+
+    #[test]
+    fn seeds_draw_within_the_range_and_the_same_every_time() {
+        let all = scene(
+            r#"
+"room.size_m" = { between = [[3.0, 3.0, 2.4], [8.0, 8.0, 3.0]] }
+"room.floor.material" = { of = ["concrete", "glass", "wood"] }
+"furniture.0.points" = { between = [2, 5] }
+"furniture.0.cross_section_dbsm" = { between = [-20, -5] }
+"#,
+        )
+        .expect("a scene");
+        let mut points = std::collections::BTreeSet::new();
+        let mut floors = std::collections::BTreeSet::new();
+        for seed in 0..200 {
+            let drawn = all.drawn(seed).expect("a draw");
+            let size = drawn.file().room.size_m;
+            assert!((3.0..=8.0).contains(&size[0]) && (2.4..=3.0).contains(&size[2]) && size[0] != size[1]);
+            assert_eq!(size, all.drawn(seed).expect("the same").file().room.size_m);
+            let shelf = &drawn.file().furniture[0];
+            assert!((-20.0..=-5.0).contains(&shelf.cross_section_dbsm));
+            points.insert(shelf.points);
+            floors.insert(format!("{:?}", drawn.file().room.floor.material));
+        }
+        assert_eq!(points.into_iter().collect::<Vec<_>>(), [2, 3, 4, 5]);
+        assert_eq!(floors.len(), 3);
+        // Another key changes no other draw.
+        let one = scene(r#""room.size_m" = { between = [[3.0, 3.0, 2.4], [8.0, 8.0, 3.0]] }"#).expect("a scene");
+        assert_eq!(one.drawn(7).expect("one").file().room.size_m, all.drawn(7).expect("all").file().room.size_m);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn what_cannot_be_drawn_is_refused_by_name() {
+            let cases = [
+                (r#""room.sise_m.0" = { between = [3.0, 8.0] }"#, "room.sise_m.0"),
+                (r#""room.size_m" = { between = [[3.0, 3.0], [8.0, 8.0, 3.0]] }"#, "lists of as many"),
+                (r#""room.size_m" = { between = [[8.0, 3.0, 3.0], [3.0, 8.0, 3.0]] }"#, "low before high"),
+                (r#""radar.tilt_down_deg" = { of = [] }"#, "between"),
+                (r#""radar.tilt_down_deg" = { of = [1.0], between = [0.0, 1.0] }"#, "either"),
+                (r#""waveform.if_gain_db" = { of = [30.0, 48.0] }"#, "a key under room"),
+                (r#""furniture.3.points" = { between = [1, 2] }"#, "furniture.3.points"),
+                (r#""room.floor.material" = { of = ["concrete", "cheese"] }"#, "cheese"),
+                (r#""room.floor.colour" = { of = ["red"] }"#, "colour"),
+                (r#""radar.position_m" = { between = [[0.1, 1.0, 1.0], [0.1, 9.0, 1.0]] }"#, "all the greatest"),
+                (r#""radar.tilt_down_deg" = { between = [nan, 1.0] }"#, "numbers"),
+            ];
+            for (random, expected) in cases {
+                let error = scene(random).expect_err(random).to_string();
+                assert!(error.contains(expected) && error.starts_with("hall.toml"), "{random}: {error}");
+            }
+        }
+    }
+}
