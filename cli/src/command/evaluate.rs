@@ -1,19 +1,25 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use radome_dsp::Occupancy;
+use anyhow::{Context, bail};
+use radome_dsp::{Frame, FrameSource, MapStatus, Occupancy, RdmProcessor, SourceEvent};
+use radome_models::Classifier;
 use radome_models::dataset::{self, Dataset, SplitSpec};
-use radome_models::{Classifier, evaluate::evaluate};
+use radome_models::evaluate::{Metrics, evaluate, most_probable};
+use serde::Serialize;
+use serde_json::json;
 
 use crate::output;
 
 /// `radome evaluate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model file
-    model: PathBuf,
-    /// Dataset folder
-    dataset: PathBuf,
-    /// Which split
+    /// Model file; the first of what follows if not given here
+    #[arg(long)]
+    model: Option<PathBuf>,
+    /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two
+    #[arg(required = true, value_name = "DATASET|RECORDING=LABEL")]
+    inputs: Vec<String>,
+    /// Which split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
     /// One object
@@ -29,10 +35,112 @@ enum Split {
     All,
 }
 
-/// Metrics of a model on one split of a dataset.
+/// Metrics of a model on one split of a dataset, or on recordings of which each shows one thing.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let mut classifier = Classifier::load(&arguments.model)?;
-    let dataset = Dataset::open(&arguments.dataset)?;
+    let (model, inputs) = match (&arguments.model, arguments.inputs.split_first()) {
+        (Some(model), _) => (model.clone(), arguments.inputs.as_slice()),
+        (None, Some((model, inputs))) => (PathBuf::from(model), inputs),
+        (None, None) => bail!("nothing to evaluate"),
+    };
+    let mut classifier = Classifier::load(&model)?;
+    match inputs {
+        [] => bail!("nothing to evaluate {} on\n\nhint: name a dataset folder, or RECORDING=LABEL", model.display()),
+        [folder] if labelled(folder).is_err() && Path::new(folder).is_dir() => {
+            on_dataset(&mut classifier, Path::new(folder), arguments)
+        }
+        recordings => on_recordings(&mut classifier, recordings, arguments.json),
+    }
+}
+
+/// A recording and what it shows.
+fn labelled(input: &str) -> anyhow::Result<(&Path, Occupancy)> {
+    let (path, label) = input.rsplit_once('=').with_context(|| {
+        format!(
+            "{input}: no label\n\nhint: RECORDING=empty, RECORDING=one or RECORDING=two, or one dataset folder alone"
+        )
+    })?;
+    let label = Occupancy::from_name(label).with_context(|| format!("{input}: {label} is not empty, one or two"))?;
+    Ok((Path::new(path), label))
+}
+
+/// How a recording was judged.
+#[derive(Serialize)]
+struct Judged {
+    path: PathBuf,
+    label: Occupancy,
+    /// What most of its frames were called, and the share of them.
+    majority: Occupancy,
+    share: f64,
+    frames: u64,
+    /// Share of its frames that were called what the label says.
+    right: f64,
+}
+
+fn on_recordings(classifier: &mut Classifier, inputs: &[String], json: bool) -> anyhow::Result<()> {
+    let all = inputs.iter().map(|input| labelled(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut confusion = [[0u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+    let mut recordings = Vec::new();
+    for (path, label) in all {
+        let counts = judge(classifier, path)?;
+        let frames: u64 = counts.iter().sum();
+        if frames == 0 {
+            bail!(
+                "{}: no frame of it makes a map\n\nhint: it is shorter than the slow time of the model's maps",
+                path.display()
+            );
+        }
+        for (sum, count) in confusion[label.index()].iter_mut().zip(counts) {
+            *sum += count;
+        }
+        // The first of equals, as for a map.
+        let most = counts.iter().copied().max().unwrap_or_default();
+        let majority = Occupancy::ALL.into_iter().find(|o| counts[o.index()] == most).unwrap_or(Occupancy::Empty);
+        let share = |count: u64| count as f64 / frames as f64;
+        let (share, right) = (share(most), share(counts[label.index()]));
+        recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
+    }
+    let metrics = Metrics::from_confusion(confusion);
+    if json {
+        return output::json_line(&json!({
+            "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion, "recordings": recordings,
+        }));
+    }
+    for of in &recordings {
+        let mark = if of.majority == of.label { ' ' } else { '!' };
+        output::text_line(&format!(
+            "{mark} {}: {} frames, {:.0} % {} (is {})",
+            of.path.display(),
+            of.frames,
+            100.0 * of.share,
+            of.majority,
+            of.label
+        ))?;
+    }
+    print(&metrics)
+}
+
+/// How often each class was the most probable one in a recording.
+fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[u64; Occupancy::ALL.len()]> {
+    let mut source = radome_driver::recording::open(path)?;
+    source.waveform().check_compatible(classifier.waveform()).with_context(|| path.display().to_string())?;
+    let mut processor = RdmProcessor::new(classifier.rdm_spec(), source.waveform())?;
+    let (mut frame, mut map) = (Frame::zeroed(source.waveform().shape()), processor.empty_map());
+    let mut counts = [0; Occupancy::ALL.len()];
+    loop {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => return Ok(counts),
+            SourceEvent::Gap(_) => processor.reset(),
+            SourceEvent::Frame => {
+                if processor.process(&frame, &mut map)? == MapStatus::Ready {
+                    counts[most_probable(&classifier.classify(&map)?).index()] += 1;
+                }
+            }
+        }
+    }
+}
+
+fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
+    let dataset = Dataset::open(folder)?;
     let wanted = match arguments.split {
         Split::Train => Some(dataset::Split::Train),
         Split::Validation => Some(dataset::Split::Validation),
@@ -42,10 +150,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let splits = dataset.splits(&SplitSpec::default())?;
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
-    let metrics = evaluate(&mut classifier, &dataset, &indices)?;
+    let metrics = evaluate(classifier, &dataset, &indices)?;
     if arguments.json {
         return output::json_line(&metrics);
     }
+    print(&metrics)
+}
+
+fn print(metrics: &Metrics) -> anyhow::Result<()> {
     output::text_line(&format!(
         "{} maps: balanced accuracy {:.4}, macro-F1 {:.4}, accuracy {:.4}, populated recall {}",
         metrics.samples,

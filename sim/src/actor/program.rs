@@ -24,6 +24,8 @@ struct Visits {
     seed: u64,
     file: VisitsFile,
     size_m: [f64; 2],
+    /// Place on the ground plan and azimuth, rad.
+    radar: ([f64; 2], f64),
     doors: Vec<DoorFile>,
     seats: Vec<SeatFile>,
     slots: Vec<Mutex<Vec<Arc<Motion>>>>,
@@ -40,6 +42,7 @@ impl Program {
                 seed,
                 file: visits.clone(),
                 size_m: [file.room.size_m[0], file.room.size_m[1]],
+                radar: ([file.radar.position_m[0], file.radar.position_m[1]], file.radar.azimuth_deg.to_radians()),
                 doors: file.door.clone(),
                 seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
@@ -163,6 +166,9 @@ fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 
+/// Draws of a place to pace to.
+const PLACES: usize = 40;
+
 impl Visits {
     fn between(&self, slot: usize, start_s: f64, end_s: f64) -> Vec<Arc<Motion>> {
         let Some(visits) = self.slots.get(slot) else { return Vec::new() };
@@ -206,8 +212,30 @@ impl Visits {
 
     fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         let [w, d] = self.size_m;
-        let [low, high] = self.file.pace_area_m.unwrap_or([[0.25 * w, 0.25 * d], [0.75 * w, 0.75 * d]]);
-        [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])]
+        let within = |x: f64, y: f64| [[x, y], [w - x, d - y]];
+        let by_margin = |margin: f64| within(margin.min(0.5 * w), margin.min(0.5 * d));
+        let area = self.file.pace_area_m.or(self.file.pace_margin_m.map(by_margin));
+        let [low, high] = area.unwrap_or(within(0.25 * w, 0.25 * d));
+        let mut at = [0.0; 2];
+        // A place that will not do is drawn again; where the room has none, the last one has to.
+        for _ in 0..PLACES {
+            at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
+            if self.is_in_view(at) {
+                break;
+            }
+        }
+        at
+    }
+
+    /// Whether the file lets people pace there.
+    fn is_in_view(&self, [x, y]: [f64; 2]) -> bool {
+        let ([radar_x, radar_y], azimuth) = self.radar;
+        let (forward, left) = ((x - radar_x, y - radar_y), azimuth.sin_cos());
+        let along = forward.0 * left.1 + forward.1 * left.0;
+        let across = forward.1 * left.1 - forward.0 * left.0;
+        let off_deg = across.atan2(along).to_degrees().abs();
+        self.file.pace_off_boresight_deg.is_none_or(|most| off_deg <= most)
+            && self.file.pace_range_m.is_none_or(|[least, most]| (least..=most).contains(&along.hypot(across)))
     }
 
     fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {

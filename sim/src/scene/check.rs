@@ -155,6 +155,9 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         ] {
             within(key, p, 0.0, 1.0, "(probability)")?;
         }
+        within("pace_margin_m", v.pace_margin_m.unwrap_or(0.0), 0.0, 50.0, "m")?;
+        within("pace_off_boresight_deg", v.pace_off_boresight_deg.unwrap_or(180.0), 1.0, 180.0, "degrees")?;
+        interval("pace_range_m", v.pace_range_m.unwrap_or([0.0, 1.0]), 0.0, 100.0, "m")?;
         if let Some([low, high]) = v.pace_area_m {
             let size = file.room.size_m;
             if !(0..2).all(|i| low[i] >= 0.0 && low[i] <= high[i] && high[i] <= size[i]) {

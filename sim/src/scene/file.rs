@@ -242,6 +242,12 @@ pub struct VisitsFile {
     pub pace_legs: [f64; 2],
     /// Where people pace: `[[x_low, y_low], [x_high, y_high]]`, m. The inner half of the room if absent.
     pub pace_area_m: Option<[[f64; 2]; 2]>,
+    /// How far from the walls people keep where they pace, m: the rest of the room is the area, if that is absent.
+    pub pace_margin_m: Option<f64>,
+    /// How far off the radar's boresight people pace at most, on the ground plan, degrees. Anywhere if absent.
+    pub pace_off_boresight_deg: Option<f64>,
+    /// How far from the radar people pace, on the ground plan, m. Anywhere if absent.
+    pub pace_range_m: Option<[f64; 2]>,
 }
 
 /// Nobody, one or two people sitting before the radar, for good.
@@ -308,6 +314,9 @@ impl Default for VisitsFile {
             pace_probability: 0.0,
             pace_legs: [3.0, 8.0],
             pace_area_m: None,
+            pace_margin_m: None,
+            pace_off_boresight_deg: None,
+            pace_range_m: None,
         }
     }
 }
