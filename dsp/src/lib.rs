@@ -23,7 +23,9 @@
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
 pub mod decibel;
+pub mod distance;
 mod frame;
+
 mod kernel;
 mod noise;
 pub mod rdm;

@@ -21,7 +21,7 @@ use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_chirp_lsb, quantise};
-use crate::receiver::noise::{NoiseScratch, NoiseShaper, density_lsb2};
+use crate::receiver::noise::{NoiseScratch, NoiseShaper, channel_density_lsb2};
 use crate::scene::Scene;
 use crate::scene::file::BodyFile;
 use crate::shadow;
@@ -95,7 +95,6 @@ impl Renderer {
         let stage = Stage::new(scene, options.seed, margin_db(options.tolerance_db));
         let waveform = scene.waveform();
         let samples = waveform.request.samples_per_chirp;
-        let shaper = NoiseShaper::new(&density_lsb2(scene.receiver(), waveform), samples);
         let (noise_db, leakage_jitter) = match &scene.file().people.desk {
             Some(desk) => {
                 let mut rng = generator(options.seed, Purpose::Desk, [3, 0]);
@@ -106,8 +105,11 @@ impl Renderer {
             }
             None => (0.0, 1.0),
         };
-        let scale = |c: &RxChannel| 10f64.powf(0.05 * (c.noise_db + noise_db)) as f32;
-        let noise = stage.channels.iter().map(|c| (shaper.clone(), scale(c))).collect();
+        let noise = |c: &RxChannel| {
+            let density_lsb2 = channel_density_lsb2(scene.receiver(), c, waveform);
+            (NoiseShaper::new(&density_lsb2, samples), 10f64.powf(0.05 * noise_db) as f32)
+        };
+        let noise = stage.channels.iter().map(noise).collect();
         let leakage = stage.channels.iter().map(|c| leakage_chirp_lsb(c, waveform)).collect();
         tracing::debug!(scene = scene.name(), static_paths = stage.static_paths.len(), "scene traced");
         Renderer {

@@ -8,6 +8,8 @@ use radome_models::evaluate::{Metrics, evaluate, most_probable};
 use serde::Serialize;
 use serde_json::json;
 
+use crate::live::classify::Smoothing;
+use crate::live::occupancy::OccupancyFilter;
 use crate::output;
 
 /// `radome evaluate`
@@ -19,6 +21,10 @@ pub struct Arguments {
     /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two
     #[arg(required = true, value_name = "DATASET|RECORDING=LABEL")]
     inputs: Vec<String>,
+    /// Each frame of a recording by itself, as a dataset's maps are, rather than as `live` answers: through the causal filter
+    /// over the frames before it
+    #[arg(long)]
+    no_smoothing: bool,
     /// Which split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
@@ -48,7 +54,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         [folder] if labelled(folder).is_err() && Path::new(folder).is_dir() => {
             on_dataset(&mut classifier, Path::new(folder), arguments)
         }
-        recordings => on_recordings(&mut classifier, recordings, arguments.json),
+        recordings => on_recordings(&mut classifier, recordings, arguments),
     }
 }
 
@@ -76,12 +82,19 @@ struct Judged {
     right: f64,
 }
 
-fn on_recordings(classifier: &mut Classifier, inputs: &[String], json: bool) -> anyhow::Result<()> {
+/// How often each class was what frames were called.
+type Counts = [u64; Occupancy::ALL.len()];
+
+fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
     let all = inputs.iter().map(|input| labelled(input)).collect::<anyhow::Result<Vec<_>>>()?;
-    let mut confusion = [[0u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+    let (mut confusion, mut confusion_alone) = ([Counts::default(); 3], [Counts::default(); 3]);
     let mut recordings = Vec::new();
     for (path, label) in all {
-        let counts = judge(classifier, path)?;
+        let [filtered, alone] = judge(classifier, path)?;
+        let counts = if arguments.no_smoothing { alone } else { filtered };
+        for (sum, count) in confusion_alone[label.index()].iter_mut().zip(alone) {
+            *sum += count;
+        }
         let frames: u64 = counts.iter().sum();
         if frames == 0 {
             bail!(
@@ -99,10 +112,11 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], json: bool) -> 
         let (share, right) = (share(most), share(counts[label.index()]));
         recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
     }
-    let metrics = Metrics::from_confusion(confusion);
-    if json {
+    let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+    if arguments.json {
         return output::json_line(&json!({
-            "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion, "recordings": recordings,
+            "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
+            "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
         }));
     }
     for of in &recordings {
@@ -116,23 +130,35 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], json: bool) -> 
             of.label
         ))?;
     }
+    if !arguments.no_smoothing {
+        eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
+    }
     print(&metrics)
 }
 
-/// How often each class was the most probable one in a recording.
-fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[u64; Occupancy::ALL.len()]> {
+/// How often frames of a recording were called each class, through the filter and by themselves.
+fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[Counts; 2]> {
     let mut source = radome_driver::recording::open(path)?;
     source.waveform().check_compatible(classifier.waveform()).with_context(|| path.display().to_string())?;
     let mut processor = RdmProcessor::new(classifier.rdm_spec(), source.waveform())?;
     let (mut frame, mut map) = (Frame::zeroed(source.waveform().shape()), processor.empty_map());
-    let mut counts = [0; Occupancy::ALL.len()];
+    let smoothing = Smoothing::default();
+    let new_filter = || OccupancyFilter::new(smoothing.dwell_s, smoothing.weight);
+    let (mut filter, mut counts) = (new_filter(), [Counts::default(); 2]);
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => return Ok(counts),
-            SourceEvent::Gap(_) => processor.reset(),
+            SourceEvent::Gap(_) => {
+                processor.reset();
+                filter = new_filter();
+            }
             SourceEvent::Frame => {
                 if processor.process(&frame, &mut map)? == MapStatus::Ready {
-                    counts[most_probable(&classifier.classify(&map)?).index()] += 1;
+                    let alone = classifier.classify(&map)?;
+                    let filtered = filter.update(frame.time_s(), alone);
+                    for (counts, probabilities) in counts.iter_mut().zip([filtered, alone]) {
+                        counts[most_probable(&probabilities).index()] += 1;
+                    }
                 }
             }
         }

@@ -114,6 +114,9 @@ pub struct RxChannel {
     pub gain_db: f64,
     /// Deviation of the channel's noise, dB. Default 0.
     pub noise_db: f64,
+    /// Measured density of this channel's noise for each fast-time bin 0..=N/2, LSB^2: as [`Noise::psd_lsb2`], and before it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub psd_lsb2: Option<Vec<f64>>,
     /// TX-to-RX leakage as tones.
     pub leakage: Vec<Leakage>,
     /// Settling at the start of each chirp as exponentials.
@@ -231,7 +234,14 @@ impl Default for Noise {
 
 impl Default for RxChannel {
     fn default() -> Self {
-        RxChannel { dc_code: 2048.0, gain_db: 0.0, noise_db: 0.0, leakage: Vec::new(), transient: Vec::new() }
+        RxChannel {
+            dc_code: 2048.0,
+            gain_db: 0.0,
+            noise_db: 0.0,
+            psd_lsb2: None,
+            leakage: Vec::new(),
+            transient: Vec::new(),
+        }
     }
 }
 
@@ -337,10 +347,10 @@ impl Receiver {
                 }
             }
         }
-        if let Some(psd) = &noise.psd_lsb2
-            && (psd.len() < 5 || psd.iter().any(|v| !(*v >= 0.0 && *v < 1e9)))
-        {
-            return fault("psd_lsb2", format!("{} values", psd.len()), "N/2 + 1 finite densities of at least 0");
+        for psd in self.rx.iter().map(|rx| &rx.psd_lsb2).chain([&noise.psd_lsb2]).flatten() {
+            if psd.len() < 5 || psd.iter().any(|v| !(*v >= 0.0 && *v < 1e9)) {
+                return fault("psd_lsb2", format!("{} values", psd.len()), "N/2 + 1 finite densities of at least 0");
+            }
         }
         None
     }

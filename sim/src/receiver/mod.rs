@@ -2,6 +2,7 @@
 
 pub mod adc;
 pub mod budget;
+pub mod calibration;
 mod file;
 pub mod noise;
 

@@ -8,8 +8,8 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use realfft::{ComplexToReal, RealFftPlanner};
 
-use super::Receiver;
 use super::budget::{Filters, thermal_lsb2};
+use super::{Receiver, RxChannel};
 
 /// Variance that rounding adds, LSB^2.
 const ROUNDING_LSB2: f64 = 1.0 / 12.0;
@@ -47,6 +47,14 @@ pub fn density_lsb2(receiver: &Receiver, waveform: &Waveform) -> Vec<f64> {
                 + noise.flicker_lsb2_at_100khz * (1e5 / f).powf(noise.flicker_exponent)
         })
         .collect()
+}
+
+/// The same of one channel, with its own deviations.
+pub fn channel_density_lsb2(receiver: &Receiver, channel: &RxChannel, waveform: &Waveform) -> Vec<f64> {
+    let factor = 10f64.powf(0.1 * channel.noise_db);
+    let bins = waveform.request.samples_per_chirp / 2 + 1;
+    let measured = channel.psd_lsb2.clone().filter(|psd| psd.len() == bins);
+    measured.unwrap_or_else(|| density_lsb2(receiver, waveform)).iter().map(|density| density * factor).collect()
 }
 
 /// Adds noise of a density to chirps.

@@ -1,0 +1,90 @@
+//! The mean chirp as an offset, two settlings and a few slow tones.
+
+use radome_dsp::Waveform;
+
+use crate::receiver::{Leakage, Transient};
+
+/// Cycles a chirp of the tones.
+const CYCLES: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
+/// Time constants that are tried, s: a fast and a slow one.
+const FAST_S: [f64; 3] = [1e-6, 2e-6, 4e-6];
+const SLOW_S: [f64; 4] = [6e-6, 8e-6, 12e-6, 20e-6];
+
+/// A fitted mean chirp.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Shape {
+    pub(super) constant_lsb: f64,
+    pub(super) transient: Vec<Transient>,
+    pub(super) leakage: Vec<Leakage>,
+    /// What is left, LSB rms.
+    pub(super) residual_lsb: f64,
+}
+
+/// Fits a chirp, by the pair of time constants that leaves the least.
+pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
+    let n = chirp_lsb.len() as f64;
+    let sample_s = 1.0 / waveform.sample_rate_hz;
+    let mut best = Shape { residual_lsb: f64::INFINITY, ..Shape::default() };
+    for (fast_s, slow_s) in FAST_S.iter().flat_map(|&fast| SLOW_S.iter().map(move |&slow| (fast, slow))) {
+        let row = |i: usize| {
+            let at = i as f64;
+            let mut row = vec![1.0, (-at * sample_s / fast_s).exp(), (-at * sample_s / slow_s).exp()];
+            for cycles in CYCLES {
+                let (sine, cosine) = (std::f64::consts::TAU * cycles * at / n).sin_cos();
+                row.extend([cosine, -sine]);
+            }
+            row
+        };
+        let rows: Vec<Vec<f64>> = (0..chirp_lsb.len()).map(row).collect();
+        let Some(x) = least_squares(&rows, chirp_lsb) else { continue };
+        let miss = |(row, y): (&Vec<f64>, &f64)| (row.iter().zip(&x).map(|(a, b)| a * b).sum::<f64>() - y).powi(2);
+        let residual_lsb = (rows.iter().zip(chirp_lsb).map(miss).sum::<f64>() / n).sqrt();
+        if residual_lsb < best.residual_lsb {
+            let tone = |(k, cycles): (usize, f64)| {
+                let (re, im) = (x[3 + 2 * k], x[4 + 2 * k]);
+                // `slope delay` cycles a second.
+                let delay_s = cycles / (n * sample_s * waveform.slope_hz_per_s);
+                Leakage { delay_s, amplitude_lsb: re.hypot(im), phase_rad: im.atan2(re) }
+            };
+            let settling = |amplitude_lsb, time_constant_s| Transient { amplitude_lsb, time_constant_s };
+            best = Shape {
+                constant_lsb: x[0],
+                transient: vec![settling(x[1], fast_s), settling(x[2], slow_s)],
+                leakage: CYCLES.into_iter().enumerate().map(tone).collect(),
+                residual_lsb,
+            };
+        }
+    }
+    best
+}
+
+/// Least squares by Householder's reflections; `None` where columns depend on each other.
+fn least_squares(rows: &[Vec<f64>], values: &[f64]) -> Option<Vec<f64>> {
+    let columns = rows.first()?.len();
+    if rows.len() < columns {
+        return None;
+    }
+    let (mut a, mut b) = (rows.to_vec(), values.to_vec());
+    for k in 0..columns {
+        let norm = a[k..].iter().map(|row| row[k] * row[k]).sum::<f64>().sqrt();
+        if norm < 1e-9 {
+            return None;
+        }
+        let alpha = if a[k][k] > 0.0 { -norm } else { norm };
+        let mut v: Vec<f64> = a[k..].iter().map(|row| row[k]).collect();
+        v[0] -= alpha;
+        let square = v.iter().map(|x| x * x).sum::<f64>();
+        for column in k..columns {
+            let part = 2.0 * a[k..].iter().zip(&v).map(|(row, v)| row[column] * v).sum::<f64>() / square;
+            a[k..].iter_mut().zip(&v).for_each(|(row, v)| row[column] -= part * v);
+        }
+        let part = 2.0 * b[k..].iter().zip(&v).map(|(b, v)| b * v).sum::<f64>() / square;
+        b[k..].iter_mut().zip(&v).for_each(|(b, v)| *b -= part * v);
+    }
+    let mut x = vec![0.0; columns];
+    for k in (0..columns).rev() {
+        let known: f64 = (k + 1..columns).map(|column| a[k][column] * x[column]).sum();
+        x[k] = (b[k] - known) / a[k][k];
+    }
+    Some(x)
+}
