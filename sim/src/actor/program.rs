@@ -37,6 +37,7 @@ impl Program {
         let file = scene.file();
         let mut program = Program { fixed: Vec::new(), visits: None };
         if let Some(visits) = &file.people.visits {
+            program.fixed = passer_by(visits, file.room.size_m, seed).into_iter().map(Arc::new).collect();
             let slots = people.unwrap_or(visits.max_people);
             program.visits = Some(Visits {
                 seed,
@@ -62,6 +63,9 @@ impl Program {
         let overlaps = |m: &Motion| m.start_s <= end_s && m.end_s >= start_s;
         let mut all: Vec<_> =
             self.fixed.iter().enumerate().filter(|(_, m)| overlaps(m)).map(|(slot, m)| (slot, Arc::clone(m))).collect();
+        // Those beside visits have slots after theirs.
+        let visitors = self.visits.as_ref().map_or(0, |visits| visits.slots.len());
+        all.iter_mut().for_each(|(slot, _)| *slot += visitors);
         if let Some(visits) = &self.visits {
             for slot in 0..visits.slots.len() {
                 all.extend(visits.between(slot, start_s, end_s).into_iter().map(|m| (slot, m)));
@@ -95,6 +99,33 @@ fn scripted(actor: &ActorFile, seats: &[SeatFile], seed: u64, index: u64) -> Mot
     let mut motion = builder.stay();
     motion.start_s = f64::NEG_INFINITY;
     motion
+}
+
+/// Somebody beyond the far wall, where there is one.
+fn passer_by(visits: &VisitsFile, size_m: [f64; 3], seed: u64) -> Option<Motion> {
+    /// How far beyond the wall, m.
+    const BEYOND_M: [f64; 2] = [0.6, 3.0];
+    /// Ways there and back: more than a run lasts.
+    const LEGS: usize = 400;
+    let mut rng = generator(seed, Purpose::Visit, [u64::MAX, 0]);
+    if rng.random::<f64>() >= visits.passer_by_probability {
+        return None;
+    }
+    let mut person = Person::draw(seed, [u64::MAX, 0], draw(&mut rng, visits.height_m));
+    let level = 10f64.powf(0.05 * draw(&mut rng, visits.passer_by_level_db));
+    person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
+    let place = |rng: &mut Xoshiro256PlusPlus| [size_m[0] + draw(rng, BEYOND_M), draw(rng, [0.0, size_m[1]])];
+    let mut path = MotionBuilder::new(person, 0.0, place(&mut rng), 0.0);
+    for _ in 0..LEGS {
+        let (to, speed) = (place(&mut rng), draw(&mut rng, visits.speed_m_per_s));
+        path = path.walk_to(to, speed);
+        if rng.random::<f64>() < visits.pause_probability {
+            path = path.stand(draw(&mut rng, visits.pause_s));
+        }
+    }
+    let mut motion = path.stay();
+    motion.start_s = f64::NEG_INFINITY;
+    Some(motion)
 }
 
 fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>) -> Vec<Motion> {

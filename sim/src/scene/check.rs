@@ -152,11 +152,13 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
             ("pause_probability", v.pause_probability),
             ("sit_probability", v.sit_probability),
             ("pace_probability", v.pace_probability),
+            ("passer_by_probability", v.passer_by_probability),
         ] {
             within(key, p, 0.0, 1.0, "(probability)")?;
         }
         within("pace_margin_m", v.pace_margin_m.unwrap_or(0.0), 0.0, 50.0, "m")?;
         within("pace_off_boresight_deg", v.pace_off_boresight_deg.unwrap_or(180.0), 1.0, 180.0, "degrees")?;
+        interval("passer_by_level_db", v.passer_by_level_db, -60.0, 20.0, "dB")?;
         interval("pace_range_m", v.pace_range_m.unwrap_or([0.0, 1.0]), 0.0, 100.0, "m")?;
         if let Some([low, high]) = v.pace_area_m {
             let size = file.room.size_m;

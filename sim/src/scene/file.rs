@@ -248,6 +248,11 @@ pub struct VisitsFile {
     pub pace_off_boresight_deg: Option<f64>,
     /// How far from the radar people pace, on the ground plan, m. Anywhere if absent.
     pub pace_range_m: Option<[f64; 2]>,
+    /// Probability that somebody walks about beyond the wall at the far end of the room (x = size) all the time, who is seen
+    /// faintly and does not count. Drawn for each seed. Default 0.
+    pub passer_by_probability: f64,
+    /// What that wall and the way around it leave of such a one's echoes, dB. Default [-25, -10].
+    pub passer_by_level_db: [f64; 2],
 }
 
 /// Nobody, one or two people sitting before the radar, for good.
@@ -317,6 +322,8 @@ impl Default for VisitsFile {
             pace_margin_m: None,
             pace_off_boresight_deg: None,
             pace_range_m: None,
+            passer_by_probability: 0.0,
+            passer_by_level_db: [-25.0, -10.0],
         }
     }
 }
