@@ -1,6 +1,7 @@
 //! One file per command.
 
 mod bench;
+mod calibrate;
 mod circuit;
 mod config;
 mod convert;
@@ -48,11 +49,13 @@ pub enum Command {
     Rdm(rdm::Arguments),
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
+    /// Fit a receiver to a recording; how far simulations are from it, before and after
+    Calibrate(calibrate::Arguments),
     /// Datasets of labelled maps
     Dataset(dataset::Arguments),
     /// Train a network on a dataset
     Train(train::Arguments),
-    /// Metrics of a model on a dataset
+    /// Metrics of a model on a dataset or on labelled recordings
     Evaluate(evaluate::Arguments),
     /// The networks: parameters, multiply-adds, input
     Models(models::Arguments),
@@ -77,6 +80,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),

@@ -1,8 +1,8 @@
 //! Fits a receiver to a recording: what the chip shows with anything or nothing in front of it.
 //!
 //! - *Noise.* Second differences of three chirps in a row: what stands still, and what moves evenly, cancels (a breathing chest
-//!   to far below noise, somebody who walks only while he is in a bin). The median over a recording of their periodograms over
-//!   ln 2 is the density of Gaussian noise, whatever a few frames held (reference: median of an exponential distribution).
+//!   to far below noise, somebody who walks only while he is in a bin). Of a recording's periodograms, which are exponentially
+//!   distributed, the mean of the lower seven tenths over its expectation is the density, whatever the others held.
 //! - *Offset, settling and leakage.* Median over the frames of each sample's mean over chirps, so that what moves is left out;
 //!   fitted by a constant, two exponentials and four tones of up to two cycles a chirp, by least squares. Echoes of what stands
 //!   still lie at higher beats and are left alone.
@@ -112,7 +112,7 @@ impl Calibration {
             channels,
             fft: RealFftPlanner::new().plan_fft_forward(shape.samples),
             seen: 0,
-            stride: (frames * (shape.chirps / 3)).div_ceil(MOST_PERIODOGRAMS).max(1),
+            stride: (frames * (shape.chirps - 2)).div_ceil(MOST_PERIODOGRAMS).max(1),
         })
     }
 
@@ -132,8 +132,8 @@ impl Calibration {
                 *mean = (sum as f64 / chirps.len() as f64) as f32;
             }
             channel.chirps.push(mean);
-            for (triple, three) in chirps.chunks_exact(3).enumerate() {
-                if !(self.seen * (shape.chirps / 3) + triple).is_multiple_of(self.stride) {
+            for (triple, three) in chirps.windows(3).enumerate() {
+                if !(self.seen * (shape.chirps - 2) + triple).is_multiple_of(self.stride) {
                     continue;
                 }
                 let [a, b, c] = [three[0], three[1], three[2]].map(|chirp| chirp.iter().map(|&code| f64::from(code)));
@@ -180,7 +180,8 @@ impl Calibration {
         let bins = self.waveform.request.samples_per_chirp / 2 + 1;
         let mean = |bin: usize| channels.iter().map(|(fit, _)| fit.density_lsb2[bin]).sum::<f64>() / count;
         receiver.noise.psd_lsb2 = Some((0..bins).map(mean).collect());
-        self.fit_changes(&mut receiver);
+        let shapes: Vec<&Shape> = channels.iter().map(|(_, shape)| shape).collect();
+        self.fit_changes(&shapes, &mut receiver);
         Ok(Fit { receiver, channels: channels.into_iter().map(|(fit, _)| fit).collect(), frames: self.seen })
     }
 
@@ -190,8 +191,7 @@ impl Calibration {
             .map(|bin| {
                 let powers = channel.periodograms.iter().map(|powers| f64::from(powers[bin])).collect();
                 // Real at both ends: the median of a squared normal number.
-                let median_of_one = if bin == 0 || 2 * bin == n { 0.454_936 } else { std::f64::consts::LN_2 };
-                median(powers) / median_of_one
+                if bin == 0 || 2 * bin == n { median(powers) / 0.454_936 } else { exponential_mean(powers) }
             })
             .collect();
         let sample = |i: usize| median(channel.chirps.iter().map(|chirp| f64::from(chirp[i])).collect());
@@ -201,13 +201,12 @@ impl Calibration {
     }
 
     /// Jitter and drift of offsets and of the leakage: the median of the channels'.
-    fn fit_changes(&self, receiver: &mut Receiver) {
+    fn fit_changes(&self, shapes: &[&Shape], receiver: &mut Receiver) {
         let interval_s = self.waveform.frame_interval_s();
         let (n, chirps) = (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
-        let ten_seconds = ((10.0 / interval_s).round() as usize).clamp(1, self.seen.saturating_sub(1) / 2);
-        let per_10_s = 10.0 / (ten_seconds as f64 * interval_s);
+        let second = ((1.0 / interval_s).round() as usize).max(1);
         let (mut dc_jitter, mut dc_rate, mut jitter, mut drift) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        for channel in &self.channels {
+        for (channel, shape) in self.channels.iter().zip(shapes) {
             let offsets: Vec<f64> = channel
                 .chirps
                 .iter()
@@ -221,21 +220,25 @@ impl Calibration {
                 offsets.iter().zip(offsets.iter().skip(half)).map(|(a, b)| (b - a) / (half as f64 * interval_s));
             dc_rate.push(median(slopes.collect()).abs());
             // One cycle a chirp: where the leakage is, and few echoes.
-            let levels: Vec<Complex64> = channel
-                .chirps
-                .iter()
-                .map(|chirp| {
-                    let turn = |i: usize| Complex64::from_polar(1.0, -std::f64::consts::TAU * i as f64 / n as f64);
-                    let hann = |i: usize| 0.5 - 0.5 * (std::f64::consts::TAU * i as f64 / n as f64).cos();
-                    chirp.iter().enumerate().map(|(i, &x)| turn(i) * (hann(i) * f64::from(x))).sum()
-                })
+            let level = |chirp: &mut dyn Iterator<Item = f64>| -> Complex64 {
+                let turn = |i: usize| Complex64::from_polar(1.0, -std::f64::consts::TAU * i as f64 / n as f64);
+                let hann = |i: usize| 0.5 - 0.5 * (std::f64::consts::TAU * i as f64 / n as f64).cos();
+                chirp.enumerate().map(|(i, x)| turn(i) * (hann(i) * x)).sum()
+            };
+            let whole = level(&mut shape.leakage_lsb(n, &self.waveform).into_iter());
+            let along: Vec<f64> = (channel.chirps.iter())
+                .map(|chirp| (level(&mut chirp.iter().map(|&x| f64::from(x))) * whole.conj()).re / whole.norm_sqr())
                 .collect();
-            let mean = levels.iter().sum::<Complex64>() / levels.len().max(1) as f64;
-            let along: Vec<f64> = levels.iter().map(|z| (z * mean.conj()).re / mean.norm_sqr()).collect();
-            let noise = density(1) / std::f64::consts::LN_2 * 0.375 * n as f64 / chirps / mean.norm_sqr() / 2.0;
+            // Hann's window leaves three eighths of the power, of which half is along.
+            let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps / whole.norm_sqr();
             jitter.push((step_variance(&along) - noise).max(0.0).sqrt());
-            let later = along.iter().zip(along.iter().skip(ten_seconds)).map(|(a, b)| (b - a).abs());
-            drift.push(median(later.collect()) * MAD * per_10_s.sqrt());
+            // Seconds instead of frames, so that jitter is no drift.
+            let seconds: Vec<f64> = along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
+            let lag = 10.min(seconds.len().saturating_sub(1));
+            let later = seconds.iter().zip(seconds.iter().skip(lag)).map(|(a, b)| (b - a).abs());
+            let own = 2.0 * step_variance(&along) / second as f64;
+            let change = (median(later.collect()) * MAD).powi(2) - own;
+            drift.push((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt());
         }
         receiver.drift.dc_jitter_lsb = median(dc_jitter);
         receiver.drift.dc_lsb_per_s = median(dc_rate);
@@ -250,6 +253,19 @@ fn step_variance(values: &[f64]) -> f64 {
     (median(steps) * MAD).powi(2) / 2.0
 }
 
+/// Mean of exponentially distributed values, of which some of the upper ones may be anything.
+fn exponential_mean(mut values: Vec<f64>) -> f64 {
+    /// The part that is taken, from below, and its mean where that of all is one: `1 + ln(1 - q) (1 - q) / q`.
+    const KEPT: f64 = 0.7;
+    let kept = (values.len() as f64 * KEPT) as usize;
+    if kept == 0 {
+        return median(values);
+    }
+    values.select_nth_unstable_by(kept, f64::total_cmp);
+    let mean_of_one = 1.0 + (1.0 - KEPT).ln() * (1.0 - KEPT) / KEPT;
+    values[..kept].iter().sum::<f64>() / kept as f64 / mean_of_one
+}
+
 /// The value in the middle; zero of nothing.
 fn median(mut values: Vec<f64>) -> f64 {
     let middle = values.len() / 2;
@@ -257,4 +273,112 @@ fn median(mut values: Vec<f64>) -> f64 {
         return 0.0;
     }
     *values.select_nth_unstable_by(middle, f64::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::WaveformRequest;
+
+    use super::*;
+    use crate::receiver::noise::channel_density_lsb2;
+    use crate::{Scene, SimulateOptions, Simulator};
+
+    fn waveform() -> Waveform {
+        let request: WaveformRequest = toml::from_str(
+            r#"
+            start_frequency_hz = 58e9
+            end_frequency_hz = 63.5e9
+            samples_per_chirp = 64
+            chirps_per_frame = 16
+            sample_rate_hz = 2e6
+            chirp_interval_s = 591e-6
+            frame_interval_s = 0.077
+            rx_antennas = [1, 2, 3]
+            tx_power_level = 31
+            if_gain_db = 23.0
+            high_pass_cutoff_hz = 80e3
+            anti_alias_cutoff_hz = 500e3
+            "#,
+        )
+        .expect("a request");
+        Waveform::realise(request).expect("a waveform")
+    }
+
+    fn frames(receiver: &Receiver, count: u64) -> Vec<Frame> {
+        let scene = Scene::nothing(&waveform()).expect("nothing").with_receiver(receiver.clone());
+        let simulator = Simulator::new(&scene, SimulateOptions::default()).expect("a simulator");
+        (0..count).map(|index| simulator.render(index)).collect()
+    }
+
+    fn fit(frames: &[Frame]) -> Result<Fit, CalibrationError> {
+        let mut calibration = Calibration::new(&waveform(), frames.len())?;
+        frames.iter().try_for_each(|frame| calibration.push(frame))?;
+        calibration.fit(&Receiver::typical(), "fitted", "a test")
+    }
+
+    /// What is put in comes out: noise by bin, offsets, mean chirps, jitter.
+    #[test]
+    fn a_known_receiver_is_found_again() {
+        let mut receiver = Receiver::typical();
+        receiver.rx[1].noise_db = 2.0;
+        receiver.drift.dc_jitter_lsb = 0.8;
+        receiver.clutter.leakage_jitter = 0.004;
+        let all = frames(&receiver, 160);
+        let found = fit(&all).expect("a fit");
+        for (channel, rx) in found.channels.iter().zip(&receiver.rx) {
+            let exact = channel_density_lsb2(&receiver, rx, &waveform());
+            for (bin, (got, exact)) in channel.density_lsb2.iter().zip(&exact).enumerate().skip(1).take(31) {
+                let off_db = 10.0 * (got / exact).log10();
+                assert!(off_db.abs() < 0.8, "bin {bin}: {got} beside {exact}");
+            }
+            assert!(channel.residual_lsb < 1.0, "{}", channel.residual_lsb);
+        }
+        // Through the simulator again: the same chirps and the same noise.
+        let again = fit(&frames(&found.receiver, 160)).expect("a fit of the fit");
+        for (first, second) in found.channels.iter().zip(&again.channels) {
+            let apart: Vec<f64> = first.chirp_lsb.iter().zip(&second.chirp_lsb).map(|(a, b)| a - b).collect();
+            // Offsets drift.
+            let mean = apart.iter().sum::<f64>() / apart.len() as f64;
+            assert!(mean.abs() < 10.0, "{mean} LSB");
+            assert!(apart.iter().all(|d| (d - mean).abs() < 4.0), "{apart:?}");
+        }
+        // Which part of a mean chirp is called leakage is a matter of taste; how much it jitters in the end is not.
+        let jitters = [&found, &again].map(|fit| fit.receiver.clutter.leakage_jitter);
+        assert!(jitters[0] > 0.002 && (0.5..2.0).contains(&(jitters[1] / jitters[0])), "{jitters:?}");
+        let dc = found.receiver.drift.dc_jitter_lsb;
+        assert!((0.5..1.1).contains(&dc), "{dc}");
+        assert_eq!(found.receiver.first_fault(), None);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn what_cannot_be_fitted_is_refused() {
+            let all = frames(&Receiver::typical(), 17);
+            assert!(matches!(fit(&all[..15]), Err(CalibrationError::TooShort { got: 15 })));
+            let mut silent = all.clone();
+            silent.iter_mut().for_each(|frame| frame.codes.fill(2048));
+            assert_eq!(fit(&silent).err(), Some(CalibrationError::Silent { rx: 0 }));
+            let mut cut = all;
+            cut[3].codes.pop();
+            assert!(matches!(fit(&cut), Err(CalibrationError::Frame { sequence: 3 })));
+        }
+
+        /// Codes that stick to an end in some frames, as a hand before the antenna makes them, move nothing.
+        #[test]
+        fn some_frames_that_are_clipped_do_not_matter() {
+            let clean = frames(&Receiver::typical(), 80);
+            let mut spoiled = clean.clone();
+            for frame in spoiled.iter_mut().step_by(5) {
+                frame.codes.iter_mut().step_by(3).for_each(|code| *code = 4095);
+            }
+            let (clean, spoiled) = (fit(&clean).expect("clean"), fit(&spoiled).expect("spoiled"));
+            for (a, b) in clean.channels.iter().zip(&spoiled.channels) {
+                for (a, b) in a.density_lsb2.iter().zip(&b.density_lsb2).skip(1).take(30) {
+                    assert!((10.0 * (b / a).log10()).abs() < 2.5, "{a} {b}");
+                }
+            }
+        }
+    }
 }

@@ -130,6 +130,19 @@ impl Scene {
         Self::parse(&text, path)
     }
 
+    /// Empty space before a radar of a waveform: what a receiver shows by itself.
+    pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
+        let request = toml::to_string(&waveform.request).unwrap_or_default();
+        let open = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"]
+            .map(|s| format!("{s} = {{ material = \"open\" }}\n"));
+        let text = format!(
+            "format = 1\nname = \"nothing\"\n[room]\nsize_m = [50.0, 50.0, 50.0]\n{}[radar]\nposition_m = [25.0, 25.0, 25.0]\n\
+             [people.desk]\nmax_people = 0\nobjects_probability = 0.0\n[waveform]\n{request}",
+            open.concat()
+        );
+        Self::parse(&text, Path::new("(nothing)"))
+    }
+
     /// A scene from text; `path` is for messages, and receiver files are sought relative to it.
     pub fn parse(text: &str, path: &Path) -> Result<Self, SceneError> {
         let mut scene = Self::parse_fixed(text, path)?;

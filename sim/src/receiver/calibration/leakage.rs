@@ -10,6 +10,9 @@ const CYCLES: [f64; 4] = [0.5, 1.0, 1.5, 2.0];
 const FAST_S: [f64; 3] = [1e-6, 2e-6, 4e-6];
 const SLOW_S: [f64; 4] = [6e-6, 8e-6, 12e-6, 20e-6];
 
+/// Weight of every part's level in the fit: misses of some LSB beside levels of some hundreds.
+const MODERATION: f64 = 0.0125;
+
 /// A fitted mean chirp.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Shape {
@@ -18,6 +21,21 @@ pub(super) struct Shape {
     pub(super) leakage: Vec<Leakage>,
     /// What is left, LSB rms.
     pub(super) residual_lsb: f64,
+}
+
+impl Shape {
+    /// The tones alone in every sample, LSB.
+    pub(super) fn leakage_lsb(&self, samples: usize, waveform: &Waveform) -> Vec<f64> {
+        let at = |i: usize| {
+            let time_s = i as f64 / waveform.sample_rate_hz;
+            let tone = |l: &Leakage| {
+                let turns = waveform.slope_hz_per_s * l.delay_s * time_s;
+                l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).cos()
+            };
+            self.leakage.iter().map(tone).sum()
+        };
+        (0..samples).map(at).collect()
+    }
 }
 
 /// Fits a chirp, by the pair of time constants that leaves the least.
@@ -36,7 +54,15 @@ pub(super) fn fit_shape(chirp_lsb: &[f64], waveform: &Waveform) -> Shape {
             row
         };
         let rows: Vec<Vec<f64>> = (0..chirp_lsb.len()).map(row).collect();
-        let Some(x) = least_squares(&rows, chirp_lsb) else { continue };
+        // Slow tones and settlings are much alike: of all sums that fit, one of moderate parts.
+        let (mut all, mut values) = (rows.clone(), chirp_lsb.to_vec());
+        for k in 1..rows.first().map_or(0, Vec::len) {
+            let mut row = vec![0.0; rows[0].len()];
+            row[k] = MODERATION;
+            all.push(row);
+            values.push(0.0);
+        }
+        let Some(x) = least_squares(&all, &values) else { continue };
         let miss = |(row, y): (&Vec<f64>, &f64)| (row.iter().zip(&x).map(|(a, b)| a * b).sum::<f64>() - y).powi(2);
         let residual_lsb = (rows.iter().zip(chirp_lsb).map(miss).sum::<f64>() / n).sqrt();
         if residual_lsb < best.residual_lsb {
