@@ -57,6 +57,8 @@ struct Channel {
     /// Greatest difference of the noise densities of any range bin but the first and last, dB, and the mean of all.
     noise_worst_db: f64,
     noise_mean_db: f64,
+    /// By range bin, from the second to the last but one, dB.
+    noise_by_bin_db: Vec<f64>,
     /// What differs between the mean chirps' lowest range bins, over what is there in the recording.
     leakage_error: f64,
     /// Standard deviation of the map's cells, dB, in the recording and in the simulation.
@@ -100,7 +102,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let fit = measure(&waveform, fitted)?.fit(&base, &name, &measured_from)?;
     let real = Sample::new(&waveform, rest)?;
     let judge = |receiver: &Receiver| -> anyhow::Result<Vec<Channel>> {
-        let simulated = simulate(arguments, &waveform, receiver, rest.len())?;
+        // More than were recorded, so that what chance makes of the simulation does not count.
+        let simulated = simulate(arguments, &waveform, receiver, 4 * rest.len())?;
         real.beside(&Sample::new(&waveform, &simulated)?, &waveform)
     };
     let (before, after) = (judge(&base)?, judge(&fit.receiver)?);
@@ -135,7 +138,7 @@ fn measure(waveform: &Waveform, frames: &[Frame]) -> anyhow::Result<Calibration>
     Ok(calibration)
 }
 
-/// As many frames of the scene, or of nothing, through a receiver.
+/// Frames of the scene, or of nothing, through a receiver.
 fn simulate(
     arguments: &Arguments,
     waveform: &Waveform,
@@ -197,6 +200,7 @@ impl Sample {
                 rx,
                 noise_worst_db: differences.iter().map(|d| d.abs()).fold(0.0, f64::max),
                 noise_mean_db: differences.iter().sum::<f64>() / differences.len().max(1) as f64,
+                noise_by_bin_db: differences,
                 leakage_error: leakage_error(&real.chirp_lsb, &simulated.chirp_lsb),
                 sigma_real_db: self.maps[i].sigma_db(),
                 sigma_simulated_db: other.maps[i].sigma_db(),

@@ -36,13 +36,12 @@ pub(super) fn vertex_rows(posed: &PosedSkin, patch: &SkinPatch, origin: DVec3) -
     rows
 }
 
-/// A vector of vertices at one corner of each triangle.
-fn at_corner(of: &Row3, patch: &SkinPatch, corner: usize) -> Row3 {
-    let mut rows = Row3::default();
-    for (of, row) in of.iter().zip(&mut rows) {
-        for (value, corners) in row.iter_mut().zip(&patch.corners) {
-            *value = of[corners[corner] % LANES];
-        }
+/// A vector of vertices at every corner of triangles: `[corner]`.
+fn vectors_at_corners(of: &Row3, corners: &[[usize; 3]; LANES]) -> [Row3; 3] {
+    let mut rows: [Row3; 3] = Default::default();
+    for axis in 0..3 {
+        let at = at_corners(&of[axis], corners);
+        (rows[0][axis], rows[1][axis], rows[2][axis]) = (at[0], at[1], at[2]);
     }
     rows
 }
@@ -65,7 +64,7 @@ impl PosedPatch {
         }
     }
 
-    /// Takes a patch's pose. `left` is what clothes leave of the strength at every vertex of the skin.
+    /// Takes a patch's pose. `cloth` is what clothes leave of the strength at every vertex of the skin.
     #[allow(clippy::too_many_arguments)]
     pub(super) fn pose(
         &mut self,
@@ -96,10 +95,10 @@ impl PosedPatch {
         for (l, _) in patch.corners.iter().enumerate().skip(patch.triangles.len()) {
             bulges.iter_mut().flatten().for_each(|row| row[l] = 0.0);
         }
-        let corners = [0, 1, 2].map(|corner| at_corner(&places, patch, corner));
-        let corner_normals = [0, 1, 2].map(|corner| at_corner(&normals, patch, corner));
+        let corners = vectors_at_corners(&places, &patch.corners);
+        let corner_normals = vectors_at_corners(&normals, &patch.corners);
         self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
-        let all = [0, 1, 2].map(|corner| at_corner(&velocities, patch, corner));
+        let all = vectors_at_corners(&velocities, &patch.corners);
         self.velocity = std::array::from_fn(|axis| {
             std::array::from_fn(|l| (all[0][axis][l] + all[1][axis][l] + all[2][axis][l]) * (1.0 / 3.0))
         });

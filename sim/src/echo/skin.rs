@@ -70,7 +70,7 @@ impl SkinnedPerson {
 
     /// Adds somebody's echoes in a frame to grids. `people` are everybody's snapshots at the keys, of whom this is number `me`.
     /// `pairs` are those that can be heard and how loud, the loudest first; each way and its reverse count as one. Returns what
-    /// is missed of the loudest pair's field.
+    /// is missed of the loudest pair's field, and what of the others is left out.
     #[allow(clippy::too_many_arguments)]
     pub fn add_echoes(
         &self,

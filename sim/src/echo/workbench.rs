@@ -372,8 +372,8 @@ const APART_M: f64 = 0.15;
 pub(super) struct Tally {
     /// Squares of what is missed and of the fields.
     between_keys: [f64; 2],
-    /// Difference to the coarser field and the field itself, by key and path length: far from highlights neighbours cancel, and what is
-    /// left of each must not be counted by itself.
+    /// Difference to the coarser field and the field itself, by key and path length: far from highlights neighbours cancel, and
+    /// what is left of each must not be counted by itself.
     by_integration: BTreeMap<(usize, i64), [Complex64; 2]>,
 }
 

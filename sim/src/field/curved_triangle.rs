@@ -119,9 +119,7 @@ impl TriangleRows {
         }
         rows
     }
-}
 
-impl TriangleRows {
     /// Area of all of them, m^2.
     pub fn area_m2(&self) -> f32 {
         (0..LANES).map(|l| 0.5 * self.twice_area([1.0 / 3.0; 3], l)).sum()

@@ -1,8 +1,8 @@
 //! A closed mesh of where a smooth function is zero.
 //!
 //! Naive surface nets (Gibson, "Constrained elastic surface nets", MICCAI 1998): one vertex in every cell for each
-//! sheet of the surface in it, one quadrilateral across every edge of the grid that it crosses. Vertices are then relaxed along the surface, which
-//! makes triangles even, and put on it by Newton's step.
+//! sheet of the surface in it, one quadrilateral across every edge of the grid that it crosses. Vertices are then relaxed along
+//! the surface, which makes triangles even, and put on it by Newton's step.
 
 use std::collections::BTreeMap;
 

@@ -2,7 +2,8 @@
 //!
 //! - *Noise.* Second differences of three chirps in a row: what stands still, and what moves evenly, cancels (a breathing chest
 //!   to far below noise, somebody who walks only while he is in a bin). Of a recording's periodograms, which are exponentially
-//!   distributed, the mean of the lower seven tenths over its expectation is the density, whatever the others held.
+//!   distributed, the mean of the lower seven tenths over its expectation is the density, whatever the others held. A
+//!   receiver's is smooth over neighbouring bins.
 //! - *Offset, settling and leakage.* Median over the frames of each sample's mean over chirps, so that what moves is left out;
 //!   fitted by a constant, two exponentials and four tones of up to two cycles a chirp, by least squares. Echoes of what stands
 //!   still lie at higher beats and are left alone.
@@ -171,7 +172,7 @@ impl Calibration {
             if let Some(rx) = receiver.rx.get_mut(usize::from(antenna).saturating_sub(1)) {
                 rx.dc_code = shape.constant_lsb.clamp(0.0, 4095.0);
                 rx.noise_db = 0.0;
-                rx.psd_lsb2 = Some(fit.density_lsb2.clone());
+                rx.psd_lsb2 = Some(smoothed(&fit.density_lsb2));
                 rx.leakage.clone_from(&shape.leakage);
                 rx.transient.clone_from(&shape.transient);
             }
@@ -179,7 +180,7 @@ impl Calibration {
         let count = channels.len().max(1) as f64;
         let bins = self.waveform.request.samples_per_chirp / 2 + 1;
         let mean = |bin: usize| channels.iter().map(|(fit, _)| fit.density_lsb2[bin]).sum::<f64>() / count;
-        receiver.noise.psd_lsb2 = Some((0..bins).map(mean).collect());
+        receiver.noise.psd_lsb2 = Some(smoothed(&(0..bins).map(mean).collect::<Vec<_>>()));
         let shapes: Vec<&Shape> = channels.iter().map(|(_, shape)| shape).collect();
         self.fit_changes(&shapes, &mut receiver);
         Ok(Fit { receiver, channels: channels.into_iter().map(|(fit, _)| fit).collect(), frames: self.seen })
@@ -187,7 +188,7 @@ impl Calibration {
 
     fn measure(&self, channel: &Channel) -> (ChannelFit, Shape) {
         let n = self.waveform.request.samples_per_chirp;
-        let density_lsb2 = (0..=n / 2)
+        let density_lsb2: Vec<f64> = (0..=n / 2)
             .map(|bin| {
                 let powers = channel.periodograms.iter().map(|powers| f64::from(powers[bin])).collect();
                 // Real at both ends: the median of a squared normal number.
@@ -251,6 +252,22 @@ impl Calibration {
 fn step_variance(values: &[f64]) -> f64 {
     let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
     (median(steps) * MAD).powi(2) / 2.0
+}
+
+/// A density as smooth as a receiver's is beyond its steep lowest bins: the binomial mean of five logarithms.
+fn smoothed(density: &[f64]) -> Vec<f64> {
+    /// Leakage and 1/f noise are steep below this bin.
+    const FIRST: usize = 3;
+    const WEIGHTS: [f64; 5] = [1.0, 4.0, 6.0, 4.0, 1.0];
+    let at = |bin: usize| {
+        let near = WEIGHTS.iter().enumerate().filter_map(|(i, weight)| {
+            let other = (bin + i).checked_sub(2).filter(|&other| other >= FIRST)?;
+            Some((weight, density.get(other)?.max(1e-12).ln()))
+        });
+        let (sum, whole) = near.fold((0.0, 0.0), |(sum, whole), (weight, ln)| (sum + weight * ln, whole + weight));
+        (sum / whole).exp()
+    };
+    density.iter().enumerate().map(|(bin, &raw)| if bin < FIRST { raw } else { at(bin) }).collect()
 }
 
 /// Mean of exponentially distributed values, of which some of the upper ones may be anything.
