@@ -15,6 +15,7 @@
 pub mod actor;
 pub mod chirp;
 pub mod echo;
+pub mod fault;
 pub mod field;
 pub mod geometry;
 pub mod keys;

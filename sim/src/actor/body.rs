@@ -54,6 +54,33 @@ pub struct Posture {
     pub chest_m: f64,
 }
 
+/// How the parts of a body are turned at one time: x forward, y left, z up of each; limbs hang along -z. Sides are left, right.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Frames {
+    /// Middle of the hips, m.
+    pub hips: DVec3,
+    /// Pelvis.
+    pub pelvis: DMat3,
+    /// Trunk, from the hips to the neck.
+    pub trunk: DMat3,
+    /// Chest: the trunk, twisted.
+    pub chest: DMat3,
+    /// Head.
+    pub head: DMat3,
+    /// Upper arms.
+    pub upper_arm: [DMat3; 2],
+    /// Forearms.
+    pub forearm: [DMat3; 2],
+    /// Thighs.
+    pub thigh: [DMat3; 2],
+    /// Shanks.
+    pub shank: [DMat3; 2],
+    /// Feet: x towards the toes.
+    pub foot: [DMat3; 2],
+    /// Chest surface outward of its mean, by breath and heart, m.
+    pub chest_m: f64,
+}
+
 /// Lengths of a body, m. Proportions follow Drillis and Contini's fractions of body height.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Build {
@@ -93,47 +120,70 @@ impl Build {
 
     /// The ellipsoids for a posture, in the room.
     pub fn segments(&self, p: &Posture) -> [Ellipsoid; SEGMENTS] {
+        self.hang(&p.frames())
+    }
+
+    /// The ellipsoids for parts turned so, in the room.
+    pub fn hang(&self, f: &Frames) -> [Ellipsoid; SEGMENTS] {
         let (h, g) = (self.height_m, self.girth);
-        let heading = DMat3::from_rotation_z(p.heading_rad);
-        let hips = DVec3::new(p.position_m[0], p.position_m[1], p.hip_height_m);
-        // Pitching about the body's left axis: positive angles carry what points up forward.
-        let trunk = heading * DMat3::from_rotation_y(p.lean_rad);
-        let chest_frame = trunk * DMat3::from_rotation_z(p.twist_rad);
+        let &Frames { hips, pelvis, trunk, chest, .. } = f;
         let ellipsoid =
             |centre, axes, a: f64, b: f64, c: f64| Ellipsoid { centre, axes, semi_axes_m: DVec3::new(a, b, c) };
         let neck = hips + trunk * DVec3::Z * (0.288 * h);
-        let mut all = [ellipsoid(hips, heading, 0.1, 0.1, 0.1); SEGMENTS];
-        all[0] = ellipsoid(neck + trunk * DVec3::new(0.01, 0.0, 0.108 * h), trunk, 0.095, 0.078, 0.068 * h);
-        all[1] =
-            ellipsoid(hips + trunk * DVec3::Z * (0.190 * h), chest_frame, 0.115 * g + p.chest_m, 0.165 * g, 0.125 * h);
-        all[2] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), heading, 0.110 * g, 0.165 * g, 0.085 * h);
+        let mut all = [ellipsoid(hips, pelvis, 0.1, 0.1, 0.1); SEGMENTS];
+        all[0] = ellipsoid(neck + f.head * DVec3::new(0.01, 0.0, 0.108 * h), f.head, 0.095, 0.078, 0.068 * h);
+        all[1] = ellipsoid(hips + trunk * DVec3::Z * (0.190 * h), chest, 0.115 * g + f.chest_m, 0.165 * g, 0.125 * h);
+        all[2] = ellipsoid(hips + trunk * DVec3::Z * (0.035 * h), pelvis, 0.110 * g, 0.165 * g, 0.085 * h);
         for side in 0..2 {
             let left = if side == 0 { 1.0 } else { -1.0 };
-            // A limb hangs along -z of a frame that flexion turns about the left axis.
-            let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
+            // A limb hangs along -z of its frame.
             let limb = |joint: DVec3, frame: DMat3, length: f64, thick: f64| {
                 let centre = joint - frame * DVec3::Z * (0.5 * length);
                 (ellipsoid(centre, frame, thick, thick, 0.5 * length + 0.3 * thick), joint - frame * DVec3::Z * length)
             };
-            let shoulder = neck + chest_frame * DVec3::new(0.0, left * 0.112 * h, 0.0);
-            let upper = hang(chest_frame, p.shoulder_rad[side]);
-            let (segment, elbow) = limb(shoulder, upper, 0.186 * h, 0.047 * g);
+            let shoulder = neck + chest * DVec3::new(0.0, left * 0.112 * h, 0.0);
+            let (segment, elbow) = limb(shoulder, f.upper_arm[side], 0.186 * h, 0.047 * g);
             all[3 + side] = segment;
-            let fore = hang(upper, p.elbow_rad[side]);
-            let (segment, _) = limb(elbow, fore, 0.215 * h, 0.038 * g);
+            let (segment, _) = limb(elbow, f.forearm[side], 0.215 * h, 0.038 * g);
             all[5 + side] = segment;
-            let hip = hips + heading * DVec3::new(0.0, left * 0.052 * h, 0.0);
-            let thigh = hang(heading, p.hip_rad[side]);
-            let (segment, knee) = limb(hip, thigh, self.thigh_m(), 0.075 * g);
+            let hip = hips + pelvis * DVec3::new(0.0, left * 0.052 * h, 0.0);
+            let (segment, knee) = limb(hip, f.thigh[side], self.thigh_m(), 0.075 * g);
             all[7 + side] = segment;
-            let shank = hang(thigh, -p.knee_rad[side]);
-            let (segment, ankle) = limb(knee, shank, 0.246 * h, 0.053 * g);
+            let (segment, ankle) = limb(knee, f.shank[side], 0.246 * h, 0.053 * g);
             all[9 + side] = segment;
-            let foot = hang(shank, p.ankle_rad[side]);
+            let foot = f.foot[side];
             all[11 + side] =
                 ellipsoid(ankle + foot * DVec3::new(0.05, 0.0, -0.02), foot, 0.075 * h, 0.028 * h, 0.022 * h);
         }
         all
+    }
+}
+
+impl Posture {
+    /// How every part is turned.
+    pub fn frames(&self) -> Frames {
+        let heading = DMat3::from_rotation_z(self.heading_rad);
+        // Pitching about the body's left axis: positive angles carry what points up forward.
+        let trunk = heading * DMat3::from_rotation_y(self.lean_rad);
+        let chest = trunk * DMat3::from_rotation_z(self.twist_rad);
+        // Flexion turns a limb about the left axis.
+        let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
+        let upper_arm = self.shoulder_rad.map(|flexion| hang(chest, flexion));
+        let thigh = self.hip_rad.map(|flexion| hang(heading, flexion));
+        let shank = std::array::from_fn(|side| hang(thigh[side], -self.knee_rad[side]));
+        Frames {
+            hips: DVec3::new(self.position_m[0], self.position_m[1], self.hip_height_m),
+            pelvis: heading,
+            trunk,
+            chest,
+            head: trunk,
+            upper_arm,
+            forearm: std::array::from_fn(|side| hang(upper_arm[side], self.elbow_rad[side])),
+            thigh,
+            shank,
+            foot: std::array::from_fn(|side| hang(shank[side], self.ankle_rad[side])),
+            chest_m: self.chest_m,
+        }
     }
 }
 

@@ -1,8 +1,19 @@
-//! People: thirteen ellipsoids or a skin around them, a gait, small motions, and what they do.
+//! People: thirteen ellipsoids or a skin around them, a gait, small motions, and what they do; or actors and captured steps from
+//! files.
 
 pub mod body;
+pub mod bvh;
+pub mod clip;
+mod collada;
+mod cycle;
 pub mod gait;
+mod gltf;
+pub mod imported;
 pub mod motion;
 pub mod program;
+mod refine;
+mod rig;
 pub mod skin;
 pub mod track;
+
+pub use cycle::FootSliding;

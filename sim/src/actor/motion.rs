@@ -1,12 +1,15 @@
 //! One person's motion: corners laid down by a script, smoothed by [`Track`]s, with gait and small motions on top.
 
 use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
 
 use glam::DVec3;
 use rand::Rng;
 
 use super::body::{Build, Posture};
+use super::clip::BodyClip;
 use super::gait;
+use super::imported::Actor;
 use super::track::{Track, smooth_step};
 use crate::field::highlight::Ellipsoid;
 use crate::random::{Purpose, generator};
@@ -17,6 +20,31 @@ const CORNER_S: f64 = 0.35;
 const SIT_S: f64 = 0.8;
 /// Fidgets happen at most once in an epoch of this length, s.
 const FIDGET_EPOCH_S: f64 = 5.0;
+
+/// Where a person's steps come from.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub enum Steps {
+    /// The gait of [`gait`].
+    #[default]
+    Gait,
+    /// A captured clip, on the parametric body.
+    Clip(Arc<BodyClip>),
+    /// An actor from a file, with a body of its own.
+    Actor(Arc<Actor>),
+}
+
+/// Where somebody is on the ground plan, and in the cycle of steps, at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Walk {
+    /// Place, m.
+    pub position_m: [f64; 2],
+    /// Facing, from +x towards +y, rad.
+    pub heading_rad: f64,
+    /// Cycles (two steps) made.
+    pub phase: f64,
+    /// 0 standing, 1 walking.
+    pub vigour: f64,
+}
 
 /// What makes a person this person: all draws that do not depend on what they do.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +66,8 @@ pub struct Person {
     pub fidget_probability: f64,
     /// What a person at a desk has besides. None elsewhere.
     pub at_desk: Option<AtDesk>,
+    /// How they walk.
+    pub steps: Steps,
 }
 
 /// What is known of a person close before the radar.
@@ -88,6 +118,7 @@ impl Person {
             phases: std::array::from_fn(|_| rng.random_range(0.0..TAU)),
             fidget_probability: 0.4,
             at_desk: None,
+            steps: Steps::Gait,
         }
     }
 
@@ -207,8 +238,15 @@ impl MotionBuilder {
         let (vx, vy) = (dx / distance * speed_m_per_s, dy / distance * speed_m_per_s);
         let m = &mut self.motion;
         let leg_m = m.person.build.standing_hip_height_m();
-        let vigour = (speed_m_per_s / 1.3).sqrt().min(1.35);
-        let cycles = gait::cycles_per_second(speed_m_per_s, leg_m);
+        // A clip goes with the ground covered, so that feet rest on it.
+        let (vigour, cycles) = match &m.person.steps {
+            Steps::Gait => {
+                let vigour = (speed_m_per_s / 1.3).sqrt().min(1.35);
+                (vigour, gait::cycles_per_second(speed_m_per_s, leg_m))
+            }
+            Steps::Clip(clip) => (1.0, speed_m_per_s / clip.cycle_m(leg_m)),
+            Steps::Actor(actor) => (1.0, speed_m_per_s / actor.cycle_m()),
+        };
         for (t, sign) in [(begin, 1.0), (end, -1.0)] {
             m.x.bend(t, sign * vx);
             m.y.bend(t, sign * vy);
@@ -267,6 +305,8 @@ impl Motion {
         let build = &self.person.build;
         let heading_rad = self.heading.at(time_s);
         let (phase, vigour, sit) = (self.phase.at(time_s), self.vigour.at(time_s).max(0.0), self.sit.at(time_s));
+        // What walks by a clip stands here.
+        let vigour = if matches!(self.person.steps, Steps::Gait) { vigour } else { 0.0 };
         let (forward, left) = gait::sway(phase, vigour);
         let (sway_x, sway_y) = self.person.sway_m(time_s);
         let (sine, cosine) = heading_rad.sin_cos();
@@ -304,8 +344,27 @@ impl Motion {
         posture
     }
 
-    /// The body at a time.
+    /// Place and steps at a time.
+    pub fn walk(&self, time_s: f64) -> Walk {
+        let (sway_x, sway_y) = self.person.sway_m(time_s);
+        Walk {
+            position_m: [self.x.at(time_s) + sway_x, self.y.at(time_s) + sway_y],
+            heading_rad: self.heading.at(time_s),
+            phase: self.phase.at(time_s),
+            vigour: self.vigour.at(time_s).clamp(0.0, 1.0),
+        }
+    }
+
+    /// The body at a time; of an actor from a file, ellipsoids about its parts.
     pub fn body(&self, time_s: f64) -> [Ellipsoid; super::body::SEGMENTS] {
-        self.person.build.segments(&self.posture(time_s))
+        let build = &self.person.build;
+        match &self.person.steps {
+            Steps::Gait => build.segments(&self.posture(time_s)),
+            Steps::Clip(clip) => {
+                let walk = self.walk(time_s);
+                clip.body(build, &self.posture(time_s), &walk)
+            }
+            Steps::Actor(actor) => actor.body(&self.walk(time_s)),
+        }
     }
 }

@@ -6,7 +6,7 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::motion::{AtDesk, BodyPoint, Motion, MotionBuilder, Person};
+use super::motion::{AtDesk, BodyPoint, Motion, MotionBuilder, Person, Steps};
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, SeatFile, VisitsFile};
@@ -53,7 +53,9 @@ impl Program {
         } else {
             let all = file.people.actor.iter().enumerate();
             let count = people.unwrap_or(usize::MAX);
-            program.fixed = all.take(count).map(|(i, a)| Arc::new(scripted(a, &file.seat, seed, i as u64))).collect();
+            let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
+            let one = |(i, a)| Arc::new(scripted(a, steps(i), &file.seat, seed, i as u64));
+            program.fixed = all.take(count).map(one).collect();
         }
         program
     }
@@ -75,8 +77,10 @@ impl Program {
     }
 }
 
-fn scripted(actor: &ActorFile, seats: &[SeatFile], seed: u64, index: u64) -> Motion {
-    let person = Person::draw(seed, [index, 0], actor.height_m);
+fn scripted(actor: &ActorFile, steps: Steps, seats: &[SeatFile], seed: u64, index: u64) -> Motion {
+    let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
+    let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
+    person.steps = steps;
     let place = actor.step.first().and_then(|s| s.walk_to_m).unwrap_or_default();
     let next = actor.step.iter().skip(1).find_map(|s| s.walk_to_m).unwrap_or(place);
     let facing = (next[1] - place[1]).atan2(next[0] - place[0]);

@@ -1,16 +1,17 @@
-//! A person as one closed skin: a smooth surface around bones and flesh, made once in a pose with limbs apart, whose vertices
-//! then follow the thirteen ellipsoids of [`super::body`].
+//! A person as one skin whose vertices follow bones. The parametric walker's is a closed smooth surface around bones and flesh,
+//! made once in a pose with limbs apart, whose bones are the thirteen ellipsoids of [`super::body`]; that of an actor from a file
+//! ([`super::imported`]) follows the file's joints.
 //!
-//! A vertex is a weighted mean of points, each of which moves with one ellipsoid as its own surface does
-//! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`): it takes part in gait, twist and breath alike. Its velocity is the same sum
-//! over the ellipsoids' rates, which come from the pose in f64 and never from differences of vertices.
+//! A vertex is a weighted mean of points, each of which moves with one bone: of the walker's, as the ellipsoid's own surface does
+//! (`sum w_i (centre_i + axes_i (semi_axes_i u_i))`), so that it takes part in gait, twist and breath alike. Its velocity is the
+//! same sum over the bones' rates, which come from the pose in f64 and never from differences of vertices.
 
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
 
 use super::body::{Build, CHEST, PELVIS, SEGMENTS};
-use super::motion::Motion;
+use super::motion::{Motion, Steps};
 use crate::field::highlight::Ellipsoid;
 use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
@@ -94,17 +95,20 @@ impl Part {
     }
 }
 
-/// What moves a vertex: segments, weights that sum to one, and the point in units of each segment's semi-axes.
+/// What moves a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units of
+/// the segment's semi-axes).
 #[derive(Debug, Clone, PartialEq)]
 struct Binding {
     first: u32,
     count: u32,
 }
 
-/// A skin that can take any posture of a build.
+/// A skin that can take any posture of its bones.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
     rest: Mesh,
+    /// The segment of the body to which each bone belongs.
+    segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
     /// Edges of each triangle: first to second corner, second to third, third to first.
     sides: Vec<[u32; 3]>,
@@ -125,12 +129,12 @@ pub struct SkinPatch {
     pub corners: [[usize; 3]; LANES],
 }
 
-/// An edge of a closed skin.
+/// An edge of a skin.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SkinEdge {
     /// Its vertices.
     pub vertices: [u32; 2],
-    /// The triangles on either side.
+    /// The triangles on either side; the same twice where the surface ends.
     pub triangles: [u32; 2],
 }
 
@@ -187,10 +191,12 @@ impl Skin {
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
 
-        let (rest, patches) = in_patch_order(&rest);
+        let (rest, patches, _) = in_patch_order(&rest);
         let (edges, sides) = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
-        let mut skin = Skin { rest, edges, sides, bindings: Vec::new(), influences: Vec::new(), patches, narrowing };
+        let segment_of = (0..SEGMENTS).collect();
+        let (bindings, influences) = Default::default();
+        let mut skin = Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -206,6 +212,20 @@ impl Skin {
             skin.bindings.push(Binding { first: first as u32, count: (skin.influences.len() - first) as u32 });
         }
         skin
+    }
+
+    /// A skin of a mesh in a rest pose, every edge with one triangle or two. Of each vertex, what moves it: bone, weight, and
+    /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
+    pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
+        let (rest, patches, from) = in_patch_order(rest);
+        let (edges, sides) = skin_edges(&rest);
+        let narrowing = narrowing(&rest, &edges);
+        let (mut bindings, mut influences) = (Vec::new(), Vec::new());
+        for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
+            bindings.push(Binding { first: influences.len() as u32, count: of.len() as u32 });
+            influences.extend_from_slice(of);
+        }
+        Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing }
     }
 
     /// The mesh in its rest pose, over the origin, facing +x.
@@ -236,7 +256,8 @@ impl Skin {
 
     /// A quantity of the segments as each vertex has it: weighted as the vertex follows them.
     pub fn blend(&self, of_segment: &[f64; SEGMENTS]) -> Vec<f64> {
-        self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_segment[s]).sum()).collect()
+        let of_bone: Vec<f64> = self.segment_of.iter().map(|&s| of_segment[s]).collect();
+        self.bindings.iter().map(|b| self.influences(b).map(|&(s, weight, _)| weight * of_bone[s]).sum()).collect()
     }
 
     fn influences(&self, binding: &Binding) -> impl Iterator<Item = &(usize, f64, DVec3)> {
@@ -244,21 +265,12 @@ impl Skin {
         self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
     }
 
-    /// Vertices for the segments of a posture.
-    pub fn pose(&self, segments: &[Ellipsoid; SEGMENTS]) -> Vec<DVec3> {
-        let maps = segments.map(|e| Map::of(&e));
-        self.bindings.iter().map(|b| self.follow(b, &maps)).collect()
+    /// Vertices for a pose of the bones; their velocities for its rate.
+    pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
+        self.bindings.iter().map(|b| self.follow(b, maps)).collect()
     }
 
-    /// Vertices, and velocities from the segments' rates.
-    fn pose_with(&self, maps: &[Map; SEGMENTS], rates: &[Map; SEGMENTS]) -> MovingVertices {
-        MovingVertices {
-            vertices: self.bindings.iter().map(|b| self.follow(b, maps)).collect(),
-            velocities_m_per_s: self.bindings.iter().map(|b| self.follow(b, rates)).collect(),
-        }
-    }
-
-    fn follow(&self, binding: &Binding, maps: &[Map; SEGMENTS]) -> DVec3 {
+    fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
         self.influences(binding)
             .map(|&(segment, weight, unit)| (maps[segment].centre + maps[segment].stretch * unit) * weight)
             .sum()
@@ -289,7 +301,7 @@ fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
     curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
 }
 
-/// Edges of a closed mesh, and those of each triangle: first to second corner, second to third, third to first.
+/// Edges of a mesh, and those of each triangle: first to second corner, second to third, third to first.
 fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
     let mut sides = vec![[0; 3]; mesh.triangles.len()];
     let edges = edges(mesh)
@@ -312,19 +324,20 @@ fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
 }
 
 /// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
-/// together in memory.
-fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>) {
+/// together in memory. And of every vertex, which it was.
+fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
     let numbers_of = patches(mesh, &skin_edges(mesh).0);
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
     order.sort_by_key(|&t| numbers_of[t]);
     let mut numbers = vec![u32::MAX; mesh.vertices.len()];
-    let mut sorted = Mesh::default();
+    let (mut sorted, mut from) = (Mesh::default(), Vec::new());
     for triangle in order.iter().map(|&t| mesh.triangles[t]) {
         sorted.triangles.push(triangle.map(|v| {
             let number = &mut numbers[v as usize];
             if *number == u32::MAX {
                 *number = sorted.vertices.len() as u32;
                 sorted.vertices.push(mesh.vertices[v as usize]);
+                from.push(v);
             }
             *number
         }));
@@ -336,7 +349,7 @@ fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>) {
         begin = triangles.end;
         all.push(SkinPatch::new(triangles.clone(), &sorted.triangles[triangles]));
     }
-    (sorted, all)
+    (sorted, all, from)
 }
 
 impl SkinPatch {
@@ -403,16 +416,42 @@ fn patches(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<u32> {
     patches
 }
 
-/// From the unit sphere to an ellipsoid; or the rate of that.
-#[derive(Debug, Clone, Copy)]
-struct Map {
-    centre: DVec3,
-    stretch: DMat3,
+/// From a bone's own frame (of an ellipsoid: the unit sphere) to where it is; or the rate of that.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Map {
+    pub(super) centre: DVec3,
+    pub(super) stretch: DMat3,
 }
 
 impl Map {
-    fn of(e: &Ellipsoid) -> Self {
+    pub(super) fn of(e: &Ellipsoid) -> Self {
         Map { centre: e.centre, stretch: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
+    }
+}
+
+impl Map {
+    /// What adds nothing.
+    pub(super) const NOTHING: Map = Map { centre: DVec3::ZERO, stretch: DMat3::ZERO };
+}
+
+impl std::ops::Add for Map {
+    type Output = Map;
+    fn add(self, other: Map) -> Map {
+        Map { centre: self.centre + other.centre, stretch: self.stretch + other.stretch }
+    }
+}
+
+impl std::ops::Sub for Map {
+    type Output = Map;
+    fn sub(self, other: Map) -> Map {
+        Map { centre: self.centre - other.centre, stretch: self.stretch - other.stretch }
+    }
+}
+
+impl std::ops::Mul<f64> for Map {
+    type Output = Map;
+    fn mul(self, factor: f64) -> Map {
+        Map { centre: self.centre * factor, stretch: self.stretch * factor }
     }
 }
 
@@ -424,9 +463,13 @@ pub struct WalkingMesh {
 }
 
 impl WalkingMesh {
-    /// A mesh for a motion; see [`Skin::new`] for `edge_m`.
+    /// A mesh for a motion: the actor's own skin, or one of the person's build; see [`Skin::new`] for `edge_m`.
     pub fn new(motion: Arc<Motion>, edge_m: f64) -> Self {
-        WalkingMesh { skin: Arc::new(Skin::new(&motion.person.build, edge_m)), motion }
+        let skin = match &motion.person.steps {
+            Steps::Actor(actor) => Arc::clone(actor.skin()),
+            Steps::Gait | Steps::Clip(_) => Arc::new(Skin::new(&motion.person.build, edge_m)),
+        };
+        WalkingMesh { skin, motion }
     }
 
     /// A mesh for a motion, with the skin of its build that somebody has made already.
@@ -444,20 +487,31 @@ impl WalkingMesh {
         &self.motion
     }
 
+    /// The skin's bones at a time, in the room.
+    fn maps(&self, time_s: f64) -> Vec<Map> {
+        match &self.motion.person.steps {
+            Steps::Actor(actor) => actor.maps(&self.motion.walk(time_s)),
+            Steps::Gait | Steps::Clip(_) => self.motion.body(time_s).iter().map(Map::of).collect(),
+        }
+    }
+
     /// Vertices and their velocities at a time, in the room.
     pub fn at(&self, time_s: f64) -> MovingVertices {
-        let maps = |t: f64| self.motion.body(t).map(|e| Map::of(&e));
         let h = RATE_STEP_S;
-        let [far_before, before, after, far_after] = [-2.0 * h, -h, h, 2.0 * h].map(|offset| maps(time_s + offset));
+        let [far_before, before, after, far_after] =
+            [-2.0 * h, -h, h, 2.0 * h].map(|offset| self.maps(time_s + offset));
         // The five-point rule: (f(-2h) - 8 f(-h) + 8 f(h) - f(2h)) / 12 h.
-        let rates = std::array::from_fn(|i| {
-            let (a, b, c, d) = (far_before[i], before[i], after[i], far_after[i]);
-            Map {
+        let near = before.iter().zip(&after);
+        let rates: Vec<Map> = far_before
+            .iter()
+            .zip(&far_after)
+            .zip(near)
+            .map(|((a, d), (b, c))| Map {
                 centre: (a.centre - d.centre + (c.centre - b.centre) * 8.0) / (12.0 * h),
                 stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
-            }
-        });
-        self.skin.pose_with(&maps(time_s), &rates)
+            })
+            .collect();
+        MovingVertices { vertices: self.skin.pose(&self.maps(time_s)), velocities_m_per_s: self.skin.pose(&rates) }
     }
 
     /// The skin at a time, in the room, with what a surface integral needs.
@@ -477,7 +531,7 @@ impl WalkingMesh {
 
     /// The mesh at a time, in the room.
     pub fn mesh_at(&self, time_s: f64) -> Mesh {
-        Mesh { vertices: self.skin.pose(&self.motion.body(time_s)), triangles: self.skin.rest.triangles.clone() }
+        Mesh { vertices: self.skin.pose(&self.maps(time_s)), triangles: self.skin.rest.triangles.clone() }
     }
 }
 

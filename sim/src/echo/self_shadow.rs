@@ -313,7 +313,9 @@ fn pieces(skin: &Skin, seen: &[Seen], facing: &[bool], outlines: &Cells<Piece>) 
     let mut pieces = Vec::new();
     for edge in skin.edges() {
         let [left, right] = edge.triangles;
-        if facing[left as usize] == facing[right as usize] {
+        // Where the surface ends, what faces the antenna ends.
+        let ends = left == right && facing[left as usize];
+        if facing[left as usize] == facing[right as usize] && !ends {
             continue;
         }
         let [p, q] = edge.vertices;

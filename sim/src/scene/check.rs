@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::file::{BodyFile, SCENE_FORMAT, SceneFile};
+use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile};
+use super::material::Material;
 use super::{SceneError, line_of_key};
 
 /// A value that makes no sense.
@@ -24,7 +25,11 @@ impl Fault {
     }
 }
 
-fn fault(key: &'static str, value: impl std::fmt::Debug, expected: impl Into<String>) -> Result<(), Fault> {
+pub(super) fn fault<T>(
+    key: &'static str,
+    value: impl std::fmt::Debug,
+    expected: impl Into<String>,
+) -> Result<T, Fault> {
     Err(Fault { key, value: format!("{value:?}"), expected: expected.into() })
 }
 
@@ -42,6 +47,73 @@ fn interval(key: &'static str, [low, high]: [f64; 2], min: f64, max: f64, unit: 
     fault(key, [low, high], format!("[least, largest] within {min} to {max} {unit}"))
 }
 
+/// The six surfaces by key.
+pub(super) fn surfaces(room: &RoomFile) -> [(&'static str, &SurfaceFile); 6] {
+    [
+        ("x_low", &room.x_low),
+        ("x_high", &room.x_high),
+        ("y_low", &room.y_low),
+        ("y_high", &room.y_high),
+        ("floor", &room.floor),
+        ("ceiling", &room.ceiling),
+    ]
+}
+
+/// The scene's own materials, and what a room is made of: before its meshes are read.
+pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
+    for (name, own) in &file.materials {
+        if Material::named(name).is_some() {
+            return fault("materials", name, "another name: this one is the table's");
+        }
+        if own.permittivity.is_some() == own.p2040.is_some() {
+            return fault("materials", name, "either permittivity = [real, loss] or p2040 = [a, b, c, d]");
+        }
+        if let Some([real, loss]) = own.permittivity {
+            within("permittivity", real, 1.0, 1000.0, "(real part)")?;
+            within("permittivity", loss, 0.0, 1e6, "(loss: the imaginary part, counted positive)")?;
+        }
+        if let Some([a, b, c, d]) = own.p2040 {
+            within("p2040", a, 1.0, 1000.0, "(a)")?;
+            within("p2040", b, -5.0, 5.0, "(b)")?;
+            within("p2040", c, 0.0, 1e6, "(c)")?;
+            within("p2040", d, -5.0, 5.0, "(d)")?;
+        }
+        interval("band_ghz", own.band_ghz.unwrap_or([1.0, 100.0]), 0.0, 1e4, "GHz")?;
+    }
+    let room = &file.room;
+    for (key, surface) in surfaces(room) {
+        match (room.mesh.is_empty(), surface.material.is_empty()) {
+            (true, true) => {
+                return fault(key, "missing", "{ material = \"...\", thickness_m = ... }, or [[room.mesh]]");
+            }
+            (false, false) => {
+                return fault(key, &surface.material, "none beside [[room.mesh]]: walls come from the meshes");
+            }
+            (true, false) => check_material(file, key, &surface.material)?,
+            (false, true) => {}
+        }
+    }
+    if !room.mesh.is_empty() && room.size_m != [0.0; 3] {
+        return fault("size_m", room.size_m, "none beside [[room.mesh]]: the size comes from the meshes");
+    }
+    for mesh in &room.mesh {
+        within("thickness_m", mesh.thickness_m, 0.0, 10.0, "m")?;
+        for name in mesh.material.iter().chain(mesh.materials.values()) {
+            check_material(file, "material", name)?;
+        }
+    }
+    Ok(())
+}
+
+fn check_material(file: &SceneFile, key: &'static str, name: &str) -> Result<(), Fault> {
+    if Material::named(name).is_some() || file.materials.contains_key(name) {
+        return Ok(());
+    }
+    let own: Vec<&String> = file.materials.keys().collect();
+    let table = Material::NAMES.join(", ");
+    fault(key, name, format!("one of {table}, or of the scene's own [materials.NAME], which are {own:?}"))
+}
+
 pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     if file.format != SCENE_FORMAT {
         return fault("format", file.format, "1, the only version that this program reads");
@@ -53,7 +125,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     }
     within("max_reflections", f64::from(room.max_reflections), 0.0, 4.0, "reflections")?;
     within("max_body_reflections", f64::from(room.max_body_reflections), 0.0, 3.0, "reflections")?;
-    for surface in [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] {
+    for (_, surface) in surfaces(room) {
         within("thickness_m", surface.thickness_m, 0.0, 10.0, "m")?;
     }
     let radar = &file.radar;
@@ -99,6 +171,40 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     check_people(file)
 }
 
+/// What goes with an actor's file, and what only with one.
+fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
+    let Some(file) = &actor.file else {
+        let given = [
+            ("animation", actor.animation.is_some()),
+            ("cycle_s", actor.cycle_s.is_some()),
+            ("unit", actor.unit.is_some()),
+            ("up", actor.up.is_some()),
+        ];
+        return match given.iter().find(|(_, given)| *given) {
+            Some((key, _)) => fault(key, "given", "none without the actor's file"),
+            None => Ok(()),
+        };
+    };
+    if file.to_lowercase().ends_with(".bvh") {
+        return match (&actor.animation, actor.unit) {
+            (Some(name), _) => fault("animation", name, "none for a BVH file, which holds one clip"),
+            (_, Some(unit)) => fault("unit", unit, "none for a BVH file: only its angles and proportions count"),
+            _ => Ok(()),
+        };
+    }
+    if body != BodyFile::Mesh {
+        return fault(
+            "file",
+            file,
+            "body = \"mesh\" in [people] with it: an actor from a file has a skin and no ellipsoids",
+        );
+    }
+    if actor.step.iter().any(|s| s.sit_s.is_some()) {
+        return fault("sit_s", "given", "walk_to_m and stand_s: an actor from a file cannot sit");
+    }
+    Ok(())
+}
+
 fn check_people(file: &SceneFile) -> Result<(), Fault> {
     let people = &file.people;
     let programs = usize::from(!people.actor.is_empty())
@@ -109,7 +215,8 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     }
     within("actor", people.actor.len() as f64, 0.0, 2.0, "people (the classes end at two)")?;
     for actor in &people.actor {
-        within("height_m", actor.height_m, 0.5, 2.5, "m")?;
+        within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
+        check_actor_file(people.body, actor)?;
         within("start_s", actor.start_s, -1e6, 1e9, "s")?;
         if actor.step.first().is_none_or(|s| s.walk_to_m.is_none()) {
             return fault("step", actor.step.len(), "a first step with walk_to_m: where the person begins");

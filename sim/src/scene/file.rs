@@ -10,7 +10,8 @@ use serde::Deserialize;
 use toml::Spanned;
 
 use super::draw::RandomFile;
-use super::material::Material;
+use super::material::OwnMaterial;
+use crate::geometry::import::{LengthUnit, UpAxis};
 
 /// Version of the schema that this crate reads.
 pub const SCENE_FORMAT: u32 = 1;
@@ -28,6 +29,9 @@ pub struct SceneFile {
     pub receiver: Option<Spanned<toml::Value>>,
     /// The room.
     pub room: RoomFile,
+    /// Materials beside those of the table, by name.
+    #[serde(default)]
+    pub materials: BTreeMap<String, OwnMaterial>,
     /// Where the radar is.
     pub radar: RadarFile,
     /// What it transmits and samples.
@@ -48,12 +52,17 @@ pub struct SceneFile {
     pub random: BTreeMap<String, RandomFile>,
 }
 
-/// The room: a box with a slab for each surface.
+/// The room: a box with a slab for each surface, written here (`size_m` and six surfaces) or taken from meshes (`[[room.mesh]]`).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoomFile {
     /// Inner size along x, y, z, m.
+    #[serde(default)]
     pub size_m: [f64; 3],
+    /// Instead of size and surfaces: the room's walls and what stands in it, as meshes. The low corner of the box that the walls
+    /// make becomes the origin of the scene.
+    #[serde(default)]
+    pub mesh: Vec<RoomMeshFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 4.
     #[serde(default = "three")]
     pub max_reflections: u32,
@@ -65,26 +74,55 @@ pub struct RoomFile {
     #[serde(default)]
     pub transmission: bool,
     /// Surface at x = 0.
+    #[serde(default)]
     pub x_low: SurfaceFile,
     /// Surface at x = size.
+    #[serde(default)]
     pub x_high: SurfaceFile,
     /// Surface at y = 0.
+    #[serde(default)]
     pub y_low: SurfaceFile,
     /// Surface at y = size.
+    #[serde(default)]
     pub y_high: SurfaceFile,
     /// Floor.
+    #[serde(default)]
     pub floor: SurfaceFile,
     /// Ceiling.
+    #[serde(default)]
     pub ceiling: SurfaceFile,
 }
 
 /// A slab.
-#[derive(Debug, Clone, Copy, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SurfaceFile {
-    /// Material.
-    pub material: Material,
+    /// Material: one of the table's ([`super::material::Material`]) or of the scene's own.
+    pub material: String,
     /// Thickness, m. Default 0.1.
+    #[serde(default = "tenth")]
+    pub thickness_m: f64,
+}
+
+/// A mesh of the room: walls, furniture, or both.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoomMeshFile {
+    /// STL, OBJ or glTF file (`.stl`, `.obj`, `.gltf`, `.glb`), relative to the scene file.
+    pub file: String,
+    /// What one of its numbers is: "m", "cm", "mm" or "in". Needed of STL and OBJ, which do not say; glTF is in metres.
+    #[serde(default)]
+    pub unit: Option<LengthUnit>,
+    /// Which of its axes points up: "z" or "y". Needed of STL and OBJ; glTF has y up.
+    #[serde(default)]
+    pub up: Option<UpAxis>,
+    /// Material of its parts, but for those of `materials`.
+    #[serde(default)]
+    pub material: Option<String>,
+    /// Materials by the names that the file gives to materials or parts.
+    #[serde(default)]
+    pub materials: BTreeMap<String, String>,
+    /// Thickness of what it stands for, m. Default 0.1.
     #[serde(default = "tenth")]
     pub thickness_m: f64,
 }
@@ -182,9 +220,25 @@ pub struct ActorFile {
     /// When the script begins, s. Default 0. Before that the person waits at the first way-point.
     #[serde(default)]
     pub start_s: f64,
-    /// Body height, m. Default 1.75.
-    #[serde(default = "body_height")]
-    pub height_m: f64,
+    /// Body height, m. Default 1.75; of an actor from a file, what the file says.
+    #[serde(default)]
+    pub height_m: Option<f64>,
+    /// Whose steps these are: a skinned actor with an animation of it walking (`.glb`, `.gltf`, `.dae`; only with `body = "mesh"`),
+    /// or captured steps for the house's own body (`.bvh`). A path relative to the scene file. The built-in gait if absent.
+    #[serde(default)]
+    pub file: Option<String>,
+    /// Name of the actor's animation. Default the only one, or the only one with "walk" in its name.
+    #[serde(default)]
+    pub animation: Option<String>,
+    /// The part of the animation or clip that is one cycle of two steps, s. Found if absent.
+    #[serde(default)]
+    pub cycle_s: Option<[f64; 2]>,
+    /// Unit of the actor's file: "m", "cm", "mm" or "in". Default what the format says.
+    #[serde(default)]
+    pub unit: Option<LengthUnit>,
+    /// Axis of the actor's file that points up: "y" or "z". Default what the format says; y for BVH.
+    #[serde(default)]
+    pub up: Option<UpAxis>,
     /// What they do, in order. The first one must be a position.
     pub step: Vec<StepFile>,
 }
@@ -373,7 +427,4 @@ fn seat_height() -> f64 {
 }
 fn door_width() -> f64 {
     0.9
-}
-fn body_height() -> f64 {
-    1.75
 }

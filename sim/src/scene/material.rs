@@ -33,7 +33,74 @@ pub enum Material {
     Open,
 }
 
+/// A material of a scene's own: `permittivity`, or coefficients as the table's.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnMaterial {
+    /// Relative permittivity `[real, loss]`: `real - j loss` at whatever frequency.
+    #[serde(default)]
+    pub permittivity: Option<[f64; 2]>,
+    /// Coefficients `[a, b, c, d]` of the recommendation.
+    #[serde(default)]
+    pub p2040: Option<[f64; 4]>,
+    /// Where that holds, GHz. Everywhere if absent.
+    #[serde(default)]
+    pub band_ghz: Option<[f64; 2]>,
+}
+
+impl OwnMaterial {
+    /// Complex relative permittivity `eps' - j eps''`.
+    pub fn permittivity(&self, frequency_hz: f64) -> Complex64 {
+        match (self.permittivity, self.p2040) {
+            (Some([real, loss]), _) => Complex64::new(real, -loss),
+            (None, coefficients) => p2040(coefficients.unwrap_or([1.0, 0.0, 0.0, 0.0]), frequency_hz),
+        }
+    }
+}
+
+fn p2040([a, b, c, d]: [f64; 4], frequency_hz: f64) -> Complex64 {
+    let ghz = frequency_hz * 1e-9;
+    Complex64::new(a * ghz.powf(b), -17.98 * c * ghz.powf(d) / ghz)
+}
+
 impl Material {
+    /// Names by which scenes call them.
+    pub const NAMES: [&str; 12] = [
+        "concrete",
+        "brick",
+        "plasterboard",
+        "wood",
+        "glass",
+        "ceiling_board",
+        "chipboard",
+        "plywood",
+        "marble",
+        "floorboard",
+        "metal",
+        "open",
+    ];
+
+    /// The material of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        use serde::de::IntoDeserializer;
+        let name: serde::de::value::StrDeserializer<serde::de::value::Error> = name.into_deserializer();
+        Material::deserialize(name).ok()
+    }
+
+    /// Where the table's constants hold, GHz.
+    pub fn band_ghz(self) -> [f64; 2] {
+        match self {
+            Material::Concrete | Material::Plasterboard | Material::CeilingBoard | Material::Chipboard => [1.0, 100.0],
+            Material::Brick | Material::Plywood => [1.0, 40.0],
+            Material::Wood => [0.001, 100.0],
+            Material::Glass => [0.1, 100.0],
+            Material::Marble => [1.0, 60.0],
+            Material::Floorboard => [50.0, 100.0],
+            Material::Metal => [1.0, 100.0],
+            Material::Open => [0.0, f64::INFINITY],
+        }
+    }
+
     /// Coefficients (a, b, c, d); `None` for what is no dielectric.
     pub fn coefficients(self) -> Option<[f64; 4]> {
         match self {
@@ -53,9 +120,7 @@ impl Material {
 
     /// Complex relative permittivity `eps' - j eps''`; `None` for what is no dielectric.
     pub fn permittivity(self, frequency_hz: f64) -> Option<Complex64> {
-        let [a, b, c, d] = self.coefficients()?;
-        let ghz = frequency_hz * 1e-9;
-        Some(Complex64::new(a * ghz.powf(b), -17.98 * c * ghz.powf(d) / ghz))
+        Some(p2040(self.coefficients()?, frequency_hz))
     }
 }
 

@@ -3,8 +3,10 @@
 pub mod file;
 pub mod material;
 
+mod actors;
 mod check;
 mod draw;
+mod room;
 
 pub use draw::RandomFile;
 
@@ -15,12 +17,13 @@ use glam::{DMat3, DVec3};
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
 use thiserror::Error;
 
+use crate::actor::motion::Steps;
+use crate::fault::FileFault;
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
 use draw::Draw;
-use file::{SceneFile, SurfaceFile};
-use material::Material;
+use file::SceneFile;
 
 /// A scene that cannot be used.
 #[derive(Debug, Error)]
@@ -81,6 +84,18 @@ pub enum SceneError {
         /// Why, in lines of the scene with those values.
         reason: String,
     },
+    /// A file that the scene names, an actor's or a room's, cannot be used.
+    #[error("{path}:{line}: {file}: {source}")]
+    File {
+        /// The scene file.
+        path: PathBuf,
+        /// Line of it that names the file.
+        line: usize,
+        /// The file.
+        file: PathBuf,
+        /// Where in it, what is wrong, and what to do.
+        source: Box<FileFault>,
+    },
     /// The chip cannot produce the waveform.
     #[error("{path}:{line}: {source}")]
     Waveform {
@@ -121,6 +136,8 @@ pub struct Scene {
     given: Option<Receiver>,
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
+    walls: [Wall; 6],
+    steps: Vec<Steps>,
 }
 
 impl Scene {
@@ -195,7 +212,7 @@ impl Scene {
     }
 
     fn parse_fixed(text: &str, path: &Path) -> Result<Self, SceneError> {
-        let file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
+        let mut file: SceneFile = toml::from_str(text).map_err(|e| parse_error(path, text, &e))?;
         let receiver = match &file.receiver {
             None => Receiver::typical(),
             Some(value) => {
@@ -220,8 +237,13 @@ impl Scene {
             let line = line_of_key(text, "[waveform]");
             SceneError::Waveform { path: path.to_owned(), line, source }
         })?;
-        check::check(&file).map_err(|fault| fault.at(path, text))?;
-        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, text: None })
+        let fault = |fault: check::Fault| fault.at(path, text);
+        check::check_materials(&file).map_err(fault)?;
+        room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?;
+        check::check(&file).map_err(fault)?;
+        let walls = room::walls(&file, &waveform).map_err(fault)?;
+        let steps = actors::load(&file, path, text)?;
+        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, text: None, walls, steps })
     }
 
     /// The waveform as the chip realises it.
@@ -237,6 +259,11 @@ impl Scene {
     /// The scene as its file states it.
     pub fn file(&self) -> &SceneFile {
         &self.file
+    }
+
+    /// By `[[people.actor]]`, where the person's steps come from.
+    pub fn steps(&self) -> &[Steps] {
+        &self.steps
     }
 
     /// Name of the scene.
@@ -276,11 +303,9 @@ impl Scene {
     /// The room with its walls.
     pub fn room(&self) -> BoxRoom {
         let room = &self.file.room;
-        let surfaces = [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling];
-        let frequency_hz = self.waveform.centre_frequency_hz();
         BoxRoom {
             size_m: DVec3::from_array(room.size_m),
-            walls: surfaces.map(|s| wall(s, frequency_hz)),
+            walls: self.walls,
             wavenumber_per_m: self.wavenumber_per_m(),
             transmission: room.transmission,
         }
@@ -306,14 +331,6 @@ impl Scene {
         let offsets = ANTENNA_OFFSETS_M.rx;
         let rx = enabled.iter().filter_map(|&a| offsets.get(usize::from(a) - 1)).map(|&o| element(o)).collect();
         (element(ANTENNA_OFFSETS_M.tx), rx)
-    }
-}
-
-fn wall(surface: SurfaceFile, frequency_hz: f64) -> Wall {
-    match (surface.material, surface.material.permittivity(frequency_hz)) {
-        (_, Some(permittivity)) => Wall::Slab { permittivity, thickness_m: surface.thickness_m },
-        (Material::Metal, None) => Wall::Conductor,
-        _ => Wall::Open,
     }
 }
 

@@ -1,8 +1,9 @@
-//! Meshes from files: STL and OBJ.
+//! Meshes from files: STL, OBJ and glTF.
 //!
-//! Neither format says in which unit its numbers are, nor which way is up; whoever imports has to. What comes out is in metres
-//! with z up, not yet welded ([`super::weld`]): an STL file has three vertices a triangle.
+//! STL and OBJ do not say in which unit their numbers are, nor which way is up; whoever imports has to. (glTF does: metres, y
+//! up.) What comes out is in metres with z up, not yet welded ([`super::weld`]): an STL file has three vertices a triangle.
 
+pub(crate) mod gltf;
 mod lines;
 mod obj;
 mod stl;
@@ -10,6 +11,7 @@ mod stl;
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
+use serde::Deserialize;
 use thiserror::Error;
 
 use super::{Mesh, MeshError};
@@ -18,15 +20,20 @@ pub use obj::parse_obj;
 pub use stl::parse_stl;
 
 /// What one of a file's numbers means.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 pub enum LengthUnit {
     /// 1 m.
+    #[default]
+    #[serde(rename = "m")]
     Metre,
     /// 0.01 m.
+    #[serde(rename = "cm")]
     Centimetre,
     /// 0.001 m: most CAD programs.
+    #[serde(rename = "mm")]
     Millimetre,
     /// 0.0254 m.
+    #[serde(rename = "in")]
     Inch,
 }
 
@@ -43,12 +50,25 @@ impl LengthUnit {
 }
 
 /// Which of a file's axes points up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 pub enum UpAxis {
     /// z: CAD, and this house. Nothing is turned.
+    #[default]
+    #[serde(rename = "z")]
     Z,
     /// y, with z towards the viewer: games and animation. (x, y, z) becomes (x, -z, y).
+    #[serde(rename = "y")]
     Y,
+}
+
+impl UpAxis {
+    /// A place or direction with z up.
+    pub fn to_z_up(self, v: DVec3) -> DVec3 {
+        match self {
+            UpAxis::Z => v,
+            UpAxis::Y => DVec3::new(v.x, -v.z, v.y),
+        }
+    }
 }
 
 /// A part of a file.
@@ -81,6 +101,14 @@ pub enum ParseError {
         /// What is wrong.
         problem: String,
     },
+    /// At a part of a structured file.
+    #[error("{place}: {problem}")]
+    Place {
+        /// Which part.
+        place: String,
+        /// What is wrong.
+        problem: String,
+    },
     /// Something that is no mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),
@@ -102,7 +130,7 @@ pub enum ImportError {
         source: std::io::Error,
     },
     /// Its content is damaged.
-    #[error("{path}: {source}\n\nhint: export it again as binary STL or as OBJ with triangles")]
+    #[error("{path}: {source}\n\nhint: export it again as binary STL, OBJ with triangles, or glTF")]
     Content {
         /// The file.
         path: PathBuf,
@@ -110,7 +138,7 @@ pub enum ImportError {
         source: ParseError,
     },
     /// No format of ours.
-    #[error("{path}: the name ends in {extension:?}, expected .stl or .obj")]
+    #[error("{path}: the name ends in {extension:?}, expected .stl, .obj, .gltf or .glb")]
     Format {
         /// The file.
         path: PathBuf,
@@ -122,20 +150,20 @@ pub enum ImportError {
 /// Reads a mesh file; its name's ending tells the format.
 pub fn import(path: &Path, unit: LengthUnit, up: UpAxis) -> Result<Vec<Part>, ImportError> {
     let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
-    let parse = match extension.as_str() {
-        "stl" => parse_stl,
-        "obj" => parse_obj,
-        _ => return Err(ImportError::Format { path: path.to_owned(), extension }),
-    };
+    if !["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {
+        return Err(ImportError::Format { path: path.to_owned(), extension });
+    }
     let bytes = std::fs::read(path).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
     let content = |source| ImportError::Content { path: path.to_owned(), source };
-    let mut parts = parse(&bytes).map_err(content)?;
+    let mut parts = match extension.as_str() {
+        "stl" => parse_stl(&bytes),
+        "obj" => parse_obj(&bytes),
+        _ => gltf::parse_gltf(&bytes, path.parent().unwrap_or(Path::new(""))),
+    }
+    .map_err(content)?;
     for part in &mut parts {
         for vertex in &mut part.mesh.vertices {
-            *vertex *= unit.metres();
-            if up == UpAxis::Y {
-                *vertex = DVec3::new(vertex.x, -vertex.z, vertex.y);
-            }
+            *vertex = up.to_z_up(*vertex * unit.metres());
         }
         part.mesh.check().map_err(|e| content(e.into()))?;
     }

@@ -1,0 +1,254 @@
+//! BVH files: a hierarchy of joints with offsets and channels, and a line of numbers for each frame.
+//!
+//! Lengths are in whatever unit the studio had; y is up and angles are in degrees, applied in the order of the channels from the
+//! parent outwards (`R = R_1 R_2 R_3` of the joint's own lines).
+
+use glam::{DMat3, DVec3};
+use thiserror::Error;
+
+/// A clip.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Bvh {
+    /// Joints, parents first. An end site is a joint without channels and name.
+    pub joints: Vec<BvhJoint>,
+    /// Time from frame to frame, s.
+    pub frame_time_s: f64,
+    /// Numbers of each frame, joint by joint in the order of their channels.
+    pub frames: Vec<Vec<f64>>,
+}
+
+/// A joint.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BvhJoint {
+    /// Name; empty of an end site.
+    pub name: String,
+    /// Its parent; none of the root.
+    pub parent: Option<usize>,
+    /// From the parent when nothing is turned, in the file's unit.
+    pub offset: DVec3,
+    /// What each frame says of it.
+    pub channels: Vec<Channel>,
+}
+
+/// A number of a frame: along or about x, y or z.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Channel {
+    /// Place along an axis (0, 1, 2), in the file's unit.
+    Position(usize),
+    /// Turn about an axis, degrees.
+    Rotation(usize),
+}
+
+/// What is wrong with a file.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("line {line}: {problem}, expected {expected}")]
+pub struct BvhError {
+    /// Counted from one.
+    pub line: usize,
+    /// What was found.
+    pub problem: String,
+    /// What would do.
+    pub expected: String,
+}
+
+/// Joints, and frames times channels, beyond this are refused.
+const MOST_JOINTS: usize = 4096;
+const MOST_NUMBERS: usize = 100_000_000;
+
+const CHANNELS: [(&str, Channel); 6] = [
+    ("Xposition", Channel::Position(0)),
+    ("Yposition", Channel::Position(1)),
+    ("Zposition", Channel::Position(2)),
+    ("Xrotation", Channel::Rotation(0)),
+    ("Yrotation", Channel::Rotation(1)),
+    ("Zrotation", Channel::Rotation(2)),
+];
+
+/// Words with the lines they are on.
+struct Words<'a> {
+    all: Vec<(usize, &'a str)>,
+    at: usize,
+    last_line: usize,
+}
+
+impl<'a> Words<'a> {
+    fn new(text: &'a str) -> Self {
+        let line = |(i, line): (usize, &'a str)| line.split_whitespace().map(move |word| (i + 1, word));
+        Words { all: text.lines().enumerate().flat_map(line).collect(), at: 0, last_line: text.lines().count().max(1) }
+    }
+
+    fn peek(&self) -> Option<&'a str> {
+        self.all.get(self.at).map(|(_, word)| *word)
+    }
+
+    fn line(&self) -> usize {
+        self.all.get(self.at).map_or(self.last_line, |(line, _)| *line)
+    }
+
+    fn fault(&self, expected: impl Into<String>) -> BvhError {
+        let problem = self.peek().map_or("the file ends".to_owned(), |word| format!("found {word:?}"));
+        BvhError { line: self.line(), problem, expected: expected.into() }
+    }
+
+    fn expect(&mut self, word: &str) -> Result<(), BvhError> {
+        if self.peek().is_some_and(|w| w.eq_ignore_ascii_case(word)) {
+            self.at += 1;
+            return Ok(());
+        }
+        Err(self.fault(format!("{word:?}")))
+    }
+
+    fn next(&mut self, expected: &str) -> Result<&'a str, BvhError> {
+        let word = self.peek().ok_or_else(|| self.fault(expected))?;
+        self.at += 1;
+        Ok(word)
+    }
+
+    fn number(&mut self, expected: &str) -> Result<f64, BvhError> {
+        let number = self.peek().and_then(|w| w.parse::<f64>().ok()).filter(|n| n.is_finite());
+        let number = number.ok_or_else(|| self.fault(expected))?;
+        self.at += 1;
+        Ok(number)
+    }
+
+    fn count(&mut self, expected: &str) -> Result<usize, BvhError> {
+        let count = self.peek().and_then(|w| w.parse::<usize>().ok()).ok_or_else(|| self.fault(expected))?;
+        self.at += 1;
+        Ok(count)
+    }
+
+    fn offset(&mut self) -> Result<DVec3, BvhError> {
+        self.expect("OFFSET")?;
+        let mut number = || self.number("three finite numbers after OFFSET");
+        Ok(DVec3::new(number()?, number()?, number()?))
+    }
+}
+
+/// Parses a BVH file.
+pub fn parse_bvh(text: &str) -> Result<Bvh, BvhError> {
+    let mut words = Words::new(text);
+    words.expect("HIERARCHY")?;
+    words.expect("ROOT")?;
+    let mut joints: Vec<BvhJoint> = Vec::new();
+    // Joints whose braces are open.
+    let mut open: Vec<usize> = Vec::new();
+    let mut name = joint_name(&mut words);
+    loop {
+        if joints.len() >= MOST_JOINTS {
+            return Err(words.fault(format!("at most {MOST_JOINTS} joints")));
+        }
+        words.expect("{")?;
+        let end_site = name.is_empty();
+        let offset = words.offset()?;
+        let channels = if end_site { Vec::new() } else { channels(&mut words)? };
+        joints.push(BvhJoint { name: std::mem::take(&mut name), parent: open.last().copied(), offset, channels });
+        open.push(joints.len() - 1);
+        if end_site {
+            words.expect("}")?;
+            open.pop();
+        }
+        while words.peek() == Some("}") && !open.is_empty() {
+            words.at += 1;
+            open.pop();
+        }
+        if open.is_empty() {
+            break;
+        }
+        match words.next("JOINT, End Site or }")? {
+            word if word.eq_ignore_ascii_case("JOINT") => name = joint_name(&mut words),
+            word if word.eq_ignore_ascii_case("End") => words.expect("Site")?,
+            _ => {
+                words.at -= 1;
+                return Err(words.fault("JOINT, End Site or }"));
+            }
+        }
+        if name.is_empty() && words.peek() != Some("{") {
+            return Err(words.fault("{"));
+        }
+    }
+    words.expect("MOTION")?;
+    words.expect("Frames:")?;
+    let count = words.count("the number of frames")?;
+    words.expect("Frame")?;
+    words.expect("Time:")?;
+    let frame_time_s = words.number("the time of a frame, s")?;
+    if !(1e-4..=1.0).contains(&frame_time_s) {
+        words.at -= 1;
+        return Err(words.fault("0.0001 to 1 s from frame to frame"));
+    }
+    let wide: usize = joints.iter().map(|j| j.channels.len()).sum();
+    if count.saturating_mul(wide) > MOST_NUMBERS {
+        return Err(words.fault(format!("at most {MOST_NUMBERS} numbers in all")));
+    }
+    // What is not there is not reserved for.
+    let mut frames = Vec::new();
+    for frame in 0..count {
+        let begins = words.line();
+        let row: Result<Vec<f64>, BvhError> =
+            (0..wide).map(|_| words.number(&format!("{wide} finite numbers for frame {frame} of {count}"))).collect();
+        let row = row?;
+        // A line that is too short would take its numbers from the next.
+        let ends = words.all.get(words.at - 1).map_or(begins, |(line, _)| *line);
+        if wide > 0 && ends != begins {
+            let problem = format!("frame {frame} has too few numbers");
+            return Err(BvhError { line: begins, problem, expected: format!("{wide} on its line") });
+        }
+        frames.push(row);
+    }
+    if words.peek().is_some() {
+        return Err(words.fault(format!("the end of the file after {count} frames of {wide} numbers")));
+    }
+    Ok(Bvh { joints, frame_time_s, frames })
+}
+
+/// Names may have blanks in them.
+fn joint_name(words: &mut Words) -> String {
+    let line = words.line();
+    let mut parts = Vec::new();
+    while let Some(word) = words.peek().filter(|w| *w != "{" && words.line() == line) {
+        parts.push(word);
+        words.at += 1;
+    }
+    if parts.is_empty() { "joint".to_owned() } else { parts.join(" ") }
+}
+
+fn channels(words: &mut Words) -> Result<Vec<Channel>, BvhError> {
+    words.expect("CHANNELS")?;
+    let count = words.count("the number of channels")?;
+    if count > 6 {
+        words.at -= 1;
+        return Err(words.fault("at most 6 channels"));
+    }
+    let mut all = Vec::new();
+    for _ in 0..count {
+        let found = words.peek().and_then(|w| CHANNELS.iter().find(|(name, _)| name.eq_ignore_ascii_case(w)));
+        let channel = found.map(|(_, c)| *c).ok_or_else(|| words.fault("Xposition, Yrotation or the like"))?;
+        words.at += 1;
+        all.push(channel);
+    }
+    Ok(all)
+}
+
+impl Bvh {
+    /// Where the joints are in a frame, in the file's unit and axes; when nothing is turned, without one.
+    pub fn places(&self, frame: Option<usize>) -> Vec<DVec3> {
+        let mut numbers = frame.and_then(|f| self.frames.get(f)).into_iter().flatten();
+        let mut world: Vec<(DVec3, DMat3)> = Vec::with_capacity(self.joints.len());
+        for joint in &self.joints {
+            let (place, turned) =
+                joint.parent.and_then(|p| world.get(p).copied()).unwrap_or((DVec3::ZERO, DMat3::IDENTITY));
+            let (mut offset, mut turn) = (joint.offset, DMat3::IDENTITY);
+            for channel in &joint.channels {
+                let Some(&number) = numbers.next() else { break };
+                match *channel {
+                    Channel::Position(axis) => offset[axis] = number,
+                    Channel::Rotation(0) => turn *= DMat3::from_rotation_x(number.to_radians()),
+                    Channel::Rotation(1) => turn *= DMat3::from_rotation_y(number.to_radians()),
+                    Channel::Rotation(_) => turn *= DMat3::from_rotation_z(number.to_radians()),
+                }
+            }
+            world.push((place + turned * offset, turned * turn));
+        }
+        world.into_iter().map(|(place, _)| place).collect()
+    }
+}

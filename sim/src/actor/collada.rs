@@ -1,0 +1,435 @@
+//! Skinned actors from COLLADA 1.4 and 1.5 files (`.dae`).
+//!
+//! Read: the unit and the up axis, polygons, skins, the tree of nodes with whatever transforms they are made of, and animations
+//! of those. All animations of a file are one clip; curves between keys become straight lines.
+
+use std::collections::BTreeMap;
+
+use glam::{DAffine3, DMat4, DQuat, DVec3};
+use roxmltree::{Document, Node as Element};
+
+use super::rig::{Between, Clip, Joint, Local, Node, Rig, Track, Values};
+use crate::fault::FileFault;
+use crate::geometry::import::UpAxis;
+
+/// Deeper trees than this are refused.
+const DEEPEST: usize = 256;
+
+/// One of the transforms that a node is made of.
+#[derive(Clone)]
+struct Step {
+    sid: String,
+    kind: Kind,
+    numbers: Vec<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Matrix,
+    Translate,
+    Rotate,
+    Scale,
+}
+
+/// What a node is called, and what it is made of.
+struct Place {
+    id: String,
+    sid: String,
+    steps: Vec<Step>,
+}
+
+/// A curve over one number, or all, of one of a node's transforms.
+struct Curve {
+    step: usize,
+    /// The first of the numbers, and how many.
+    member: usize,
+    width: usize,
+    times_s: Vec<f64>,
+    values: Vec<f64>,
+    stepped: bool,
+}
+
+struct Reader<'a> {
+    doc: Document<'a>,
+}
+
+/// Parses a COLLADA document.
+pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
+    let export = "export the actor again as COLLADA 1.4, or as glTF 2.0";
+    let text = std::str::from_utf8(bytes).map_err(|e| {
+        let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
+        FileFault::new(format!("line {line}"), "this is no UTF-8 text", export)
+    })?;
+    let doc = Document::parse(text)
+        .map_err(|e| FileFault::new(format!("line {}", e.pos().row), format!("no XML: {e}"), export))?;
+    let reader = Reader { doc };
+    let root = reader.doc.root_element();
+    if root.tag_name().name() != "COLLADA" {
+        return Err(reader.fault(root, format!("the document is a {:?}, expected COLLADA", root.tag_name().name())));
+    }
+    let mut rig = Rig { metres: 1.0, up: UpAxis::Y, ..Rig::default() };
+    for element in root.descendants() {
+        match element.tag_name().name() {
+            "unit" => {
+                let metres = element.attribute("meter").unwrap_or("1").parse::<f64>().ok();
+                rig.metres = metres.filter(|m| *m > 0.0 && m.is_finite()).ok_or_else(|| {
+                    reader.fault(
+                        element,
+                        format!("meter is {:?}, expected a positive number", element.attribute("meter")),
+                    )
+                })?;
+            }
+            "up_axis" => {
+                rig.up = match element.text().unwrap_or_default().trim() {
+                    "Y_UP" => UpAxis::Y,
+                    "Z_UP" => UpAxis::Z,
+                    other => return Err(reader.fault(element, format!("up_axis is {other:?}, expected Y_UP or Z_UP"))),
+                };
+            }
+            _ => {}
+        }
+    }
+    let mut places = Vec::new();
+    for scene in reader.all("visual_scene") {
+        for node in scene.children().filter(|c| c.has_tag_name_of("node")) {
+            reader.add_node(&mut rig, &mut places, node, None, 0)?;
+        }
+    }
+    for controller in reader.all("instance_controller") {
+        let url = controller.attribute("url").unwrap_or_default();
+        let skin = reader.target(controller, url)?.descendants().find(|d| d.has_tag_name_of("skin"));
+        let skin = skin.ok_or_else(|| reader.fault(controller, format!("{url:?} has no skin, expected one")))?;
+        reader.add_skin(&mut rig, &places, skin)?;
+    }
+    reader.add_clip(&mut rig, &places)?;
+    Ok(rig)
+}
+
+/// Names without their space.
+trait Tagged {
+    fn has_tag_name_of(&self, name: &str) -> bool;
+}
+
+impl Tagged for Element<'_, '_> {
+    fn has_tag_name_of(&self, name: &str) -> bool {
+        self.tag_name().name() == name
+    }
+}
+
+impl<'a> Reader<'a> {
+    fn fault(&self, at: Element, problem: impl Into<String>) -> FileFault {
+        let line = self.doc.text_pos_at(at.range().start).row;
+        FileFault::new(format!("line {line}"), problem, "export the actor again as COLLADA 1.4, or as glTF 2.0")
+    }
+
+    fn all<'s>(&'s self, name: &'s str) -> impl Iterator<Item = Element<'s, 'a>> {
+        self.doc.descendants().filter(move |d| d.has_tag_name_of(name))
+    }
+
+    /// What a reference points to.
+    fn target(&self, at: Element, url: &str) -> Result<Element<'_, 'a>, FileFault> {
+        let id = url.trim_start_matches('#');
+        let found = self.doc.descendants().find(|d| d.attribute("id") == Some(id));
+        found.ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
+    }
+
+    fn numbers(&self, element: Element) -> Result<Vec<f64>, FileFault> {
+        let number = |word: &str| {
+            word.parse::<f64>().ok().filter(|n| n.is_finite()).ok_or_else(|| {
+                self.fault(element, format!("{word:?} in {:?}, expected finite numbers", element.tag_name().name()))
+            })
+        };
+        element.text().unwrap_or_default().split_whitespace().map(number).collect()
+    }
+
+    fn counts(&self, element: Element) -> Result<Vec<usize>, FileFault> {
+        let number = |word: &str| {
+            let problem =
+                || self.fault(element, format!("{word:?} in {:?}, expected indices", element.tag_name().name()));
+            word.parse::<usize>().map_err(|_| problem())
+        };
+        element.text().unwrap_or_default().split_whitespace().map(number).collect()
+    }
+
+    /// The source that an input of some meaning names.
+    fn source(&self, of: Element, semantic: &str) -> Result<Element<'_, 'a>, FileFault> {
+        let input = of.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
+        let input = input.ok_or_else(|| {
+            self.fault(of, format!("{:?} has no input of the semantic {semantic}", of.tag_name().name()))
+        })?;
+        self.target(input, input.attribute("source").unwrap_or_default())
+    }
+
+    /// Numbers of a source.
+    fn floats(&self, source: Element) -> Result<Vec<f64>, FileFault> {
+        let array = source.children().find(|c| c.has_tag_name_of("float_array"));
+        self.numbers(array.ok_or_else(|| self.fault(source, "the source has no float_array, expected one"))?)
+    }
+
+    fn names(&self, source: Element) -> Result<Vec<String>, FileFault> {
+        let is_names = |c: &Element| c.has_tag_name_of("Name_array") || c.has_tag_name_of("IDREF_array");
+        let array =
+            source.children().find(is_names).ok_or_else(|| self.fault(source, "the source has no Name_array"))?;
+        Ok(array.text().unwrap_or_default().split_whitespace().map(str::to_owned).collect())
+    }
+
+    /// Adds a node and what is below it.
+    fn add_node(
+        &self,
+        rig: &mut Rig,
+        places: &mut Vec<Place>,
+        node: Element,
+        parent: Option<usize>,
+        depth: usize,
+    ) -> Result<(), FileFault> {
+        if depth > DEEPEST {
+            return Err(self.fault(node, format!("nodes are nested more than {DEEPEST} deep")));
+        }
+        let mut steps = Vec::new();
+        for child in node.children().filter(|c| c.is_element()) {
+            let (kind, width) = match child.tag_name().name() {
+                "matrix" => (Kind::Matrix, 16),
+                "translate" => (Kind::Translate, 3),
+                "rotate" => (Kind::Rotate, 4),
+                "scale" => (Kind::Scale, 3),
+                other @ ("lookat" | "skew") => {
+                    return Err(
+                        self.fault(child, format!("{other:?} is not read, expected matrix, translate, rotate, scale"))
+                    );
+                }
+                _ => continue,
+            };
+            let numbers = self.numbers(child)?;
+            if numbers.len() != width {
+                return Err(self.fault(child, format!("{} numbers, expected {width}", numbers.len())));
+            }
+            steps.push(Step { sid: child.attribute("sid").unwrap_or_default().to_owned(), kind, numbers });
+        }
+        let words = |name: &str| node.attribute(name).unwrap_or_default().to_owned();
+        let name = [words("name"), words("id")].into_iter().find(|n| !n.is_empty()).unwrap_or_default();
+        let index = rig.nodes.len();
+        rig.nodes.push(Node { name, parent, local: Local::from_matrix(matrix(&steps)) });
+        places.push(Place { id: words("id"), sid: words("sid"), steps });
+        for child in node.children().filter(|c| c.has_tag_name_of("node")) {
+            self.add_node(rig, places, child, Some(index), depth + 1)?;
+        }
+        Ok(())
+    }
+
+    fn add_skin(&self, rig: &mut Rig, places: &[Place], skin: Element) -> Result<(), FileFault> {
+        let child = |name: &str| skin.children().find(|c| c.has_tag_name_of(name));
+        let needs =
+            |name: &str| child(name).ok_or_else(|| self.fault(skin, format!("the skin has no {name}, expected one")));
+        let shape = match child("bind_shape_matrix") {
+            Some(element) => {
+                let numbers: [f64; 16] = self
+                    .numbers(element)?
+                    .try_into()
+                    .map_err(|n: Vec<f64>| self.fault(element, format!("{} numbers, expected 16", n.len())))?;
+                DMat4::from_cols_array(&numbers).transpose()
+            }
+            None => DMat4::IDENTITY,
+        };
+        let joints = needs("joints")?;
+        let names = self.names(self.source(joints, "JOINT")?)?;
+        let inverse = self.floats(self.source(joints, "INV_BIND_MATRIX")?)?;
+        if inverse.len() != 16 * names.len() {
+            let problem = format!(
+                "{} numbers of inverse bind matrices for {} joints, expected 16 each",
+                inverse.len(),
+                names.len()
+            );
+            return Err(self.fault(joints, problem));
+        }
+        let first = rig.joints.len();
+        for (name, matrix) in names.iter().zip(inverse.as_chunks::<16>().0) {
+            let by_sid = places.iter().position(|p| p.sid == *name);
+            let node = by_sid.or_else(|| places.iter().position(|p| p.id == *name));
+            let node = node.ok_or_else(|| self.fault(joints, format!("joint {name:?} is no node of the scene")))?;
+            rig.joints.push(Joint { node, inverse_bind: DMat4::from_cols_array(matrix).transpose() });
+        }
+        // Weights by vertex.
+        let weights = needs("vertex_weights")?;
+        let input = |semantic: &str| {
+            let found =
+                weights.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
+            let offset = found.and_then(|i| i.attribute("offset")).and_then(|o| o.parse::<usize>().ok());
+            offset.ok_or_else(|| self.fault(weights, format!("vertex_weights has no input {semantic} with an offset")))
+        };
+        let (joint_at, weight_at) = (input("JOINT")?, input("WEIGHT")?);
+        let of = self.floats(self.source(weights, "WEIGHT")?)?;
+        let list = |name: &str| {
+            let element = weights.children().find(|c| c.has_tag_name_of(name));
+            self.counts(element.ok_or_else(|| self.fault(weights, format!("vertex_weights has no {name}")))?)
+        };
+        let (counts, indices) = (list("vcount")?, list("v")?);
+        let stride =
+            1 + weights.children().filter_map(|c| c.attribute("offset")?.parse::<usize>().ok()).max().unwrap_or(1);
+        let mut at = 0;
+        let start = rig.vertices.len();
+        for count in counts {
+            let mut all = Vec::with_capacity(count.min(64));
+            for _ in 0..count {
+                let pair = (indices.get(at + joint_at), indices.get(at + weight_at).and_then(|&i| of.get(i)));
+                let (Some(&joint), Some(&weight)) = pair else {
+                    let problem =
+                        format!("weights of vertex {} name numbers that are not there", rig.weights.len() - start);
+                    return Err(self.fault(weights, problem));
+                };
+                all.push((first + joint, weight));
+                at += stride;
+            }
+            rig.weights.push(all);
+        }
+        let geometry = self.target(skin, skin.attribute("source").unwrap_or_default())?;
+        self.add_geometry(rig, geometry, shape)?;
+        if rig.vertices.len() != rig.weights.len() {
+            let problem =
+                format!("{} vertices, but weights for {}", rig.vertices.len() - start, rig.weights.len() - start);
+            return Err(self.fault(weights, problem));
+        }
+        Ok(())
+    }
+
+    fn add_geometry(&self, rig: &mut Rig, geometry: Element, shape: DMat4) -> Result<(), FileFault> {
+        let mesh = geometry.children().find(|c| c.has_tag_name_of("mesh"));
+        let mesh = mesh.ok_or_else(|| self.fault(geometry, "the geometry is no mesh, expected one"))?;
+        let vertices = mesh.children().find(|c| c.has_tag_name_of("vertices"));
+        let vertices = vertices.ok_or_else(|| self.fault(mesh, "the mesh has no vertices"))?;
+        let start = rig.vertices.len() as u32;
+        let floats = self.floats(self.source(vertices, "POSITION")?)?;
+        rig.vertices.extend(floats.as_chunks::<3>().0.iter().map(|&p| shape.transform_point3(DVec3::from(p))));
+        for faces in mesh.children().filter(|c| ["triangles", "polylist", "polygons"].contains(&c.tag_name().name())) {
+            let inputs = || faces.children().filter(|c| c.has_tag_name_of("input"));
+            let offset = |input: Element| input.attribute("offset").and_then(|o| o.parse::<usize>().ok()).unwrap_or(0);
+            let stride = 1 + inputs().map(offset).max().unwrap_or(0);
+            let at = inputs().find(|i| i.attribute("semantic") == Some("VERTEX")).map(offset);
+            let at = at.ok_or_else(|| self.fault(faces, "the faces have no input VERTEX"))?;
+            let polygons = faces.has_tag_name_of("polygons");
+            let counts = match faces.children().find(|c| c.has_tag_name_of("vcount")) {
+                Some(element) => Some(self.counts(element)?),
+                None => None,
+            };
+            for list in faces.children().filter(|c| c.has_tag_name_of("p")) {
+                let corners: Vec<u32> =
+                    self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(|&v| v as u32).collect();
+                let all;
+                let counts: &[usize] = match (&counts, polygons) {
+                    (Some(counts), _) => counts,
+                    (None, true) => {
+                        all = vec![corners.len()];
+                        &all
+                    }
+                    (None, false) => {
+                        all = vec![3; corners.len() / 3];
+                        &all
+                    }
+                };
+                let mut from = 0usize;
+                for &count in counts {
+                    let polygon = corners.get(from..from.saturating_add(count));
+                    let polygon =
+                        polygon.ok_or_else(|| self.fault(list, "faces have more corners than there are indices"))?;
+                    from += count;
+                    for pair in polygon.get(1..).unwrap_or_default().windows(2) {
+                        rig.triangles.push([polygon[0], pair[0], pair[1]].map(|v| v.saturating_add(start)));
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn add_clip(&self, rig: &mut Rig, places: &[Place]) -> Result<(), FileFault> {
+        let mut curves: BTreeMap<usize, Vec<Curve>> = BTreeMap::new();
+        for channel in self.all("channel") {
+            let target = channel.attribute("target").unwrap_or_default();
+            let Some((node, path)) = target.split_once('/') else { continue };
+            let Some(index) = places.iter().position(|p| p.id == node) else { continue };
+            let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
+            let Some(step) = places[index].steps.iter().position(|s| s.sid == sid) else {
+                return Err(self.fault(channel, format!("{target:?} names no transform of the node")));
+            };
+            let all = places[index].steps[step].numbers.len();
+            let (member, width) = match member {
+                None => (0, all),
+                Some("X") => (0, 1),
+                Some("Y") => (1, 1),
+                Some("Z") => (2, 1),
+                Some("ANGLE") => (3, 1),
+                Some(other) => {
+                    return Err(self.fault(channel, format!("{other:?} is animated, expected X, Y, Z or ANGLE")));
+                }
+            };
+            let sampler = self.target(channel, channel.attribute("source").unwrap_or_default())?;
+            let times_s = self.floats(self.source(sampler, "INPUT")?)?;
+            let values = self.floats(self.source(sampler, "OUTPUT")?)?;
+            if times_s.is_empty() || values.len() != width * times_s.len() || member + width > all {
+                let problem = format!("{} numbers for {} keys, expected {width} each", values.len(), times_s.len());
+                return Err(self.fault(sampler, problem));
+            }
+            let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
+            let stepped = between.first().is_some_and(|b| b == "STEP");
+            curves.entry(index).or_default().push(Curve { step, member, width, times_s, values, stepped });
+        }
+        if curves.is_empty() {
+            return Ok(());
+        }
+        let mut clip = Clip { name: "animation".to_owned(), tracks: Vec::new() };
+        for (node, curves) in curves {
+            let mut times_s: Vec<f64> = curves.iter().flat_map(|c| &c.times_s).copied().collect();
+            times_s.sort_by(f64::total_cmp);
+            times_s.dedup_by(|a, b| *a - *b < 1e-6);
+            let at = |time_s: f64| {
+                let mut steps = places[node].steps.clone();
+                for curve in &curves {
+                    let values = curve.at(time_s);
+                    let slots = steps
+                        .get_mut(curve.step)
+                        .and_then(|s| s.numbers.get_mut(curve.member..curve.member + curve.width));
+                    slots.into_iter().flatten().zip(values).for_each(|(slot, value)| *slot = value);
+                }
+                Local::from_matrix(matrix(&steps))
+            };
+            let locals: Vec<Local> = times_s.iter().map(|&t| at(t)).collect();
+            let between = if curves.iter().all(|c| c.stepped) { Between::Step } else { Between::Linear };
+            let track = |values| Track { node, between, times_s: times_s.clone(), values };
+            clip.tracks.push(track(Values::Translation(locals.iter().map(|l| l.translation).collect())));
+            clip.tracks.push(track(Values::Rotation(locals.iter().map(|l| l.rotation).collect())));
+            clip.tracks.push(track(Values::Scale(locals.iter().map(|l| l.scale).collect())));
+        }
+        rig.clips.push(clip);
+        Ok(())
+    }
+}
+
+impl Curve {
+    fn at(&self, time_s: f64) -> Vec<f64> {
+        let after = self.times_s.partition_point(|&t| t <= time_s);
+        let (before, after) = (after.saturating_sub(1), after.min(self.times_s.len() - 1));
+        let (a, b) = (self.times_s[before], self.times_s[after]);
+        let u = if b > a && !self.stepped { (time_s - a) / (b - a) } else { 0.0 };
+        let key = |k: usize| &self.values[k * self.width..(k + 1) * self.width];
+        key(before).iter().zip(key(after)).map(|(a, b)| a + (b - a) * u).collect()
+    }
+}
+
+/// The product of a node's transforms, the first outermost.
+fn matrix(steps: &[Step]) -> DMat4 {
+    steps.iter().fold(DMat4::IDENTITY, |product, step| {
+        let n = &step.numbers;
+        let vector = || DVec3::new(n[0], n[1], n[2]);
+        product
+            * match step.kind {
+                Kind::Matrix => DMat4::from_cols_array(&std::array::from_fn(|i| n[i])).transpose(),
+                Kind::Translate => DMat4::from_translation(vector()),
+                Kind::Scale => DMat4::from_scale(vector()),
+                Kind::Rotate => {
+                    let turn = vector()
+                        .try_normalize()
+                        .map_or(DQuat::IDENTITY, |axis| DQuat::from_axis_angle(axis, n[3].to_radians()));
+                    DAffine3::from_quat(turn).into()
+                }
+            }
+    })
+}

@@ -1,0 +1,273 @@
+//! A cycle of steps: poses at even phases, joined by a periodic cubic spline, so that velocities are continuous; and what feet
+//! do on the floor in it.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+
+use super::skin::Map;
+
+/// A foot's places within this of the lowest rest on the floor, as a part of the body's height: 5 mm of 1.75 m.
+const CONTACT: f64 = 0.003;
+/// Feet whose lowest place is higher than this above the floor do not touch it: 2 cm.
+const FLIGHT: f64 = 0.0115;
+/// Harmonics of a cycle in which the body's speed is let follow its feet: up to about 5 Hz.
+const SURGE_HARMONICS: usize = 6;
+/// Rounds in which the spline's coefficients settle: each takes half of what is left.
+const ROUNDS: usize = 60;
+
+/// Poses of bones over one cycle.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Cycle {
+    /// Coefficients of cubic B-splines: `[phase][bone]`.
+    coefficients: Vec<Vec<Map>>,
+}
+
+impl Cycle {
+    /// A curve through poses at the phases `k / count`. The last is followed by the first.
+    pub fn through(poses: &[Vec<Map>]) -> Self {
+        let count = poses.len();
+        let mut coefficients = poses.to_vec();
+        // c[k-1] + 4 c[k] + c[k+1] = 6 p[k], by Gauss and Seidel.
+        for _ in 0..ROUNDS {
+            for k in 0..count {
+                for bone in 0..coefficients[k].len() {
+                    let around = coefficients[(k + count - 1) % count][bone] + coefficients[(k + 1) % count][bone];
+                    coefficients[k][bone] = poses[k][bone] * 1.5 - around * 0.25;
+                }
+            }
+        }
+        Cycle { coefficients }
+    }
+
+    /// The pose at a phase, in cycles.
+    pub fn at(&self, phase: f64) -> Vec<Map> {
+        let count = self.coefficients.len();
+        let place = phase.rem_euclid(1.0) * count as f64;
+        let (k, u) = (place.floor(), place - place.floor());
+        let v = 1.0 - u;
+        let weights = [
+            v * v * v / 6.0,
+            (4.0 - 6.0 * u * u + 3.0 * u * u * u) / 6.0,
+            (4.0 - 6.0 * v * v + 3.0 * v * v * v) / 6.0,
+            u * u * u / 6.0,
+        ];
+        let around: [&[Map]; 4] = std::array::from_fn(|i| {
+            let at = (k as usize + count + i).checked_sub(1).and_then(|i| i.checked_rem(count));
+            at.and_then(|i| self.coefficients.get(i)).map(Vec::as_slice).unwrap_or_default()
+        });
+        let bones = around.iter().map(|a| a.len()).min().unwrap_or(0);
+        let blend =
+            |bone: usize| weights.iter().zip(around).map(|(&w, a)| a[bone] * w).fold(Map::NOTHING, |s, m| s + m);
+        (0..bones).map(blend).collect()
+    }
+}
+
+/// What feet do in a cycle.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Stance {
+    /// Over which ground the body goes in a cycle, m, that feet on the floor rest.
+    pub travel_m: DVec3,
+    /// Height of the floor under the feet, m.
+    pub floor_m: f64,
+    /// By phase, how fast what touches the floor even so goes over it, m a cycle; none in flight.
+    slips_m: Vec<Option<DVec3>>,
+    /// By phase, how high over the floor it is, m.
+    heights_m: Vec<f64>,
+}
+
+/// How feet that touch the floor slide over it.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct FootSliding {
+    /// Of whatever touches the floor, rms over a cycle, m/s: also feet that are just put down or taken up.
+    pub rms_m_per_s: f64,
+    /// Of feet that stand, rms, m/s: of those that go back under the body, at no more than twice its speed.
+    pub standing_rms_m_per_s: f64,
+    /// Part of the cycle in which a foot stands.
+    pub standing: f64,
+}
+
+impl Stance {
+    /// From points at even phases of a cycle that goes nowhere: `[phase][point]`. z is up; `height_m` is that of the body.
+    pub fn of(points: &[Vec<DVec3>], height_m: f64) -> Self {
+        let count = points.len();
+        let lowest: Vec<f64> = points.iter().map(|p| p.iter().map(|p| p.z).fold(f64::INFINITY, f64::min)).collect();
+        let floor_m = median(lowest.iter().copied());
+        // Velocity, m a cycle, of what touches the floor; nothing does in flight.
+        let touching = |k: usize| {
+            let (before, now, after) = (&points[(k + count - 1) % count], &points[k], &points[(k + 1) % count]);
+            let rates = now.iter().enumerate().filter(|(_, p)| p.z < lowest[k] + CONTACT * height_m);
+            let rates: Vec<DVec3> = rates.map(|(i, _)| (after[i] - before[i]) * (0.5 * count as f64)).collect();
+            let lands = lowest[k] <= floor_m + FLIGHT * height_m;
+            lands.then(|| DVec3::new(median(rates.iter().map(|r| r.x)), median(rates.iter().map(|r| r.y)), 0.0))
+        };
+        let touching: Vec<Option<DVec3>> = (0..count).map(touching).collect();
+        let all = || touching.iter().flatten();
+        let middle = DVec3::new(median(all().map(|r| r.x)), median(all().map(|r| r.y)), 0.0);
+        // A foot that swings low is none that stands.
+        let standing: Vec<DVec3> = all().filter(|r| stands(**r, middle)).copied().collect();
+        let mean = standing.iter().sum::<DVec3>() / standing.len().max(1) as f64;
+        let slips_m = touching.iter().map(|t| t.map(|rate| rate - mean)).collect();
+        Stance { travel_m: -mean, floor_m, slips_m, heights_m: lowest.iter().map(|z| z - floor_m).collect() }
+    }
+
+    /// The same for a body that goes over this ground.
+    pub fn over(mut self, travel_m: DVec3) -> Self {
+        let more = travel_m - self.travel_m;
+        self.slips_m.iter_mut().flatten().for_each(|slip| *slip += more);
+        Stance { travel_m, ..self }
+    }
+
+    fn stands(&self, slip_m: DVec3) -> bool {
+        stands(slip_m - self.travel_m, -self.travel_m)
+    }
+
+    /// By phase, how much farther and higher the body is to be than an even way brings it, m, for feet that stand to rest on the
+    /// floor: smooth, of the first harmonics of the cycle.
+    pub fn surge_m(&self) -> Vec<DVec3> {
+        let count = self.slips_m.len();
+        let slip = |k: usize| self.slips_m[k].filter(|&s| self.stands(s)).unwrap_or_default();
+        // Heights need no integral.
+        let height = |k: usize| if self.slips_m[k].is_some() { self.heights_m[k] } else { 0.0 };
+        let mut surge = vec![DVec3::NEG_Z * (0..count).map(height).sum::<f64>() / count.max(1) as f64; count];
+        for harmonic in 1..=SURGE_HARMONICS.min(count / 4) {
+            let angle = |k: usize| TAU * (harmonic * k) as f64 / count as f64;
+            let part =
+                |of: fn(f64) -> f64| (0..count).map(|k| slip(k) * of(angle(k))).sum::<DVec3>() * (2.0 / count as f64);
+            let (cosine, sine) = (part(f64::cos), part(f64::sin));
+            let up =
+                |of: fn(f64) -> f64| (0..count).map(|k| height(k) * of(angle(k))).sum::<f64>() * (2.0 / count as f64);
+            let (up_cosine, up_sine) = (up(f64::cos), up(f64::sin));
+            // Less the integral of `cosine cos + sine sin` over phase.
+            let over = 1.0 / (TAU * harmonic as f64);
+            for (k, surge) in surge.iter_mut().enumerate() {
+                *surge -= (cosine * angle(k).sin() - sine * angle(k).cos()) * over;
+                surge.z -= up_cosine * angle(k).cos() + up_sine * angle(k).sin();
+            }
+        }
+        surge
+    }
+
+    /// How feet slide at a speed of walking.
+    pub fn sliding(&self, speed_m_per_s: f64) -> FootSliding {
+        let factor = speed_m_per_s / self.travel_m.length().max(1e-9);
+        let rms = |slips: &[DVec3]| {
+            let squares: f64 = slips.iter().map(|s| s.length_squared()).sum();
+            (squares / slips.len().max(1) as f64).sqrt() * factor
+        };
+        let all: Vec<DVec3> = self.slips_m.iter().flatten().copied().collect();
+        let standing: Vec<DVec3> = all.iter().copied().filter(|&s| self.stands(s)).collect();
+        FootSliding {
+            rms_m_per_s: rms(&all),
+            standing_rms_m_per_s: rms(&standing),
+            standing: standing.len() as f64 / self.slips_m.len().max(1) as f64,
+        }
+    }
+}
+
+/// Whether what touches the floor stands on it, by its velocity under the body and that of most: it goes back, at no more than
+/// twice the speed. What swings goes forward.
+fn stands(rate: DVec3, most: DVec3) -> bool {
+    rate.dot(most) > 0.0 && rate.length() < 2.0 * most.length()
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut all: Vec<f64> = values.collect();
+    all.sort_by(f64::total_cmp);
+    all.get(all.len() / 2).copied().unwrap_or(0.0)
+}
+
+/// The part of a sequence of poses that is the best cycle: first and last number. `places` are joints, `[pose][joint]`, at even
+/// times; `shortest` and `longest` count poses. Poses are alike when the joints are, seen from their middle, and move alike.
+pub(super) fn best_cycle(places: &[Vec<DVec3>], shortest: usize, longest: usize) -> Option<(usize, usize, f64)> {
+    let centred: Vec<Vec<DVec3>> = places
+        .iter()
+        .map(|p| {
+            let middle = p.iter().sum::<DVec3>() / p.len().max(1) as f64;
+            p.iter().map(|&place| place - middle).collect()
+        })
+        .collect();
+    let apart = |a: usize, b: usize| -> f64 {
+        let squares: f64 = centred[a].iter().zip(&centred[b]).map(|(p, q)| p.distance_squared(*q)).sum();
+        (squares / centred[a].len().max(1) as f64).sqrt()
+    };
+    let last = places.len().checked_sub(1)?;
+    let mut best: Option<(usize, usize, f64)> = None;
+    for a in 1..last {
+        for b in a + shortest..=(a + longest).min(last - 1) {
+            // A few times the step either way: velocities count as places do.
+            let cost = apart(a, b) + apart(a - 1, b - 1) + apart(a + 1, b + 1);
+            // What stands still is alike everywhere.
+            let moves = (a..b).step_by(2).map(|i| apart(a, i)).fold(0.0, f64::max);
+            let cost = cost / moves.max(1e-12);
+            if best.is_none_or(|(_, _, least)| cost < least) {
+                best = Some((a, b, cost));
+            }
+        }
+    }
+    best
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+
+    #[test]
+    fn the_curve_goes_through_the_poses_and_between_them_smoothly() {
+        let pose = |phase: f64| {
+            let centre = DVec3::new((TAU * phase).cos(), (2.0 * TAU * phase).sin(), 1.0);
+            vec![Map { centre, stretch: DMat3::from_rotation_y(0.6 * (TAU * phase).sin()) }]
+        };
+        let poses: Vec<_> = (0..48).map(|k| pose(f64::from(k) / 48.0)).collect();
+        let cycle = Cycle::through(&poses);
+        for i in -500..500 {
+            let phase = f64::from(i) / 333.0;
+            let (found, exact) = (cycle.at(phase)[0], pose(phase)[0]);
+            assert!(found.centre.distance(exact.centre) < 2e-5, "{phase}");
+            assert!((found.stretch.determinant() - 1.0).abs() < 1e-5, "turned without stretching at {phase}");
+        }
+    }
+
+    /// Two feet, each on the floor for half of the cycle and swung forward over it in the other.
+    #[test]
+    fn the_ground_covered_is_that_over_which_feet_rest() {
+        let foot = |phase: f64| {
+            let p = phase.rem_euclid(1.0);
+            // 1.4 m a cycle: 0.7 m back in half of it.
+            if p < 0.5 {
+                DVec3::new(0.35 - 1.4 * p, 0.0, 0.0)
+            } else {
+                DVec3::new(-0.35 + 1.4 * (p - 0.5), 0.0, 0.1 * (TAU * (p - 0.5)).sin())
+            }
+        };
+        let points: Vec<Vec<DVec3>> =
+            (0..60).map(|k| f64::from(k) / 60.0).map(|p| vec![foot(p), foot(p + 0.5)]).collect();
+        let stance = Stance::of(&points, 1.75);
+        assert!((stance.travel_m.x - 1.4).abs() < 0.03 && stance.travel_m.y.abs() < 1e-9, "{stance:?}");
+        assert!(stance.floor_m.abs() < 1e-9);
+        let sliding = stance.sliding(1.2);
+        assert!(sliding.standing > 0.9 && sliding.standing_rms_m_per_s < 0.1, "{sliding:?}");
+    }
+
+    /// A body that is carried forward evenly over feet that go back unevenly makes them slide; surging it does not.
+    #[test]
+    fn a_body_that_surges_with_its_feet_does_not_slide() {
+        let at = |p: f64| -1.4 * p + 0.03 * (2.0 * TAU * p).sin();
+        let foot = |p: f64, side: f64| {
+            let p = (p + side).rem_euclid(1.0);
+            let z = if p < 0.52 { 0.0 } else { 0.2 };
+            DVec3::new(at(p.min(0.55)) + (p - 0.55).max(0.0) * 2.0, 0.0, z)
+        };
+        let points = |surge: &dyn Fn(usize) -> DVec3| -> Vec<Vec<DVec3>> {
+            let of = |k: usize| (k, k as f64 / 100.0);
+            (0..100).map(of).map(|(k, p)| vec![foot(p, 0.0) + surge(k), foot(p, 0.5) + surge(k)]).collect()
+        };
+        let even = Stance::of(&points(&|_| DVec3::ZERO), 1.75);
+        let surge = even.surge_m();
+        let surging = Stance::of(&points(&|k| surge[k]), 1.75);
+        let [before, after] = [&even, &surging].map(|s| s.sliding(1.2).standing_rms_m_per_s);
+        assert!(before > 0.1 && after < 0.5 * before, "{before} to {after} m/s");
+    }
+}

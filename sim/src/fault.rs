@@ -1,0 +1,21 @@
+//! What is wrong with a file that a scene names.
+
+use thiserror::Error;
+
+/// What is wrong, where, what was expected and what to do. Whoever reads the file adds its name.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("{place}: {problem}\n\nhint: {hint}")]
+pub struct FileFault {
+    /// Where in the file: a line, an accessor, a node, a clip, a part.
+    pub place: String,
+    /// What was found, and what was expected.
+    pub problem: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+impl FileFault {
+    pub(crate) fn new(place: impl Into<String>, problem: impl Into<String>, hint: impl Into<String>) -> Self {
+        FileFault { place: place.into(), problem: problem.into(), hint: hint.into() }
+    }
+}

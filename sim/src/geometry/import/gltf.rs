@@ -1,0 +1,211 @@
+//! glTF 2.0: a tree of nodes, meshes on them, and numbers in buffers, read here with every reach into a buffer checked.
+
+use std::path::Path;
+
+use base64::Engine;
+use glam::{DMat4, DVec3};
+use gltf::accessor::{DataType, Dimensions};
+
+use super::{Mesh, ParseError, Part};
+
+/// A file and its buffers.
+pub(crate) struct GltfFile {
+    pub document: gltf::Document,
+    buffers: Vec<Vec<u8>>,
+}
+
+/// What is wrong with a file, and where.
+pub(crate) struct GltfFault {
+    pub place: String,
+    pub problem: String,
+}
+
+fn fault(place: impl Into<String>, problem: impl Into<String>) -> GltfFault {
+    GltfFault { place: place.into(), problem: problem.into() }
+}
+
+/// Numbers of an accessor: so many a row.
+pub(crate) struct Rows {
+    pub width: usize,
+    pub numbers: Vec<f64>,
+}
+
+impl Rows {
+    /// Rows of so many numbers.
+    pub fn of<const N: usize>(&self) -> impl Iterator<Item = [f64; N]> {
+        self.numbers.as_chunks::<N>().0.iter().copied()
+    }
+
+    pub fn vectors(&self) -> Vec<DVec3> {
+        self.of::<3>().map(DVec3::from).collect()
+    }
+}
+
+impl GltfFile {
+    /// A `.glb`, or a `.gltf` whose buffers lie inside it or in files beside it, in `folder`.
+    pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, GltfFault> {
+        let gltf::Gltf { document, mut blob } =
+            gltf::Gltf::from_slice(bytes).map_err(|e| fault("glTF", e.to_string()))?;
+        let mut buffers = Vec::new();
+        for buffer in document.buffers() {
+            let place = format!("buffer {}", buffer.index());
+            let bytes = match buffer.source() {
+                gltf::buffer::Source::Bin => {
+                    blob.take().ok_or_else(|| fault(&place, "the file has no binary part, expected one"))?
+                }
+                gltf::buffer::Source::Uri(uri) => match uri.strip_prefix("data:") {
+                    Some(data) => {
+                        let text = data.split_once("base64,").map_or("", |(_, text)| text);
+                        let decoded = base64::engine::general_purpose::STANDARD.decode(text.trim());
+                        decoded.map_err(|e| fault(&place, format!("its data is no base64: {e}")))?
+                    }
+                    None => std::fs::read(folder.join(uri))
+                        .map_err(|e| fault(&place, format!("{:?} beside the file cannot be read: {e}", uri)))?,
+                },
+            };
+            if bytes.len() < buffer.length() {
+                let problem =
+                    format!("it has {} bytes, expected {}: the file is cut off", bytes.len(), buffer.length());
+                return Err(fault(place, problem));
+            }
+            buffers.push(bytes);
+        }
+        Ok(GltfFile { document, buffers })
+    }
+
+    /// An accessor's numbers; integers that stand for fractions become those.
+    pub fn rows(&self, accessor: &gltf::Accessor, what: &str) -> Result<Rows, GltfFault> {
+        let place = format!("accessor {} ({what})", accessor.index());
+        if accessor.sparse().is_some() {
+            return Err(fault(place, "it is sparse, expected all its values: export without sparse accessors"));
+        }
+        let view = accessor.view().ok_or_else(|| fault(&place, "it has no buffer view"))?;
+        let width = match accessor.dimensions() {
+            Dimensions::Scalar => 1,
+            Dimensions::Vec2 => 2,
+            Dimensions::Vec3 => 3,
+            Dimensions::Vec4 | Dimensions::Mat2 => 4,
+            Dimensions::Mat3 => 9,
+            Dimensions::Mat4 => 16,
+        };
+        let size = match accessor.data_type() {
+            DataType::I8 | DataType::U8 => 1,
+            DataType::I16 | DataType::U16 => 2,
+            DataType::U32 | DataType::F32 => 4,
+        };
+        let bytes = self.buffers.get(view.buffer().index()).map(Vec::as_slice).unwrap_or_default();
+        let stride = view.stride().unwrap_or(width * size).max(1);
+        let first = view.offset().saturating_add(accessor.offset());
+        let reach = accessor.count().saturating_sub(1).saturating_mul(stride).saturating_add(width * size);
+        let end = (view.offset().saturating_add(view.length())).min(bytes.len());
+        if accessor.count() > 0 && first.saturating_add(reach) > end {
+            let problem = format!("it reaches to byte {}, but its view ends at {end}", first.saturating_add(reach));
+            return Err(fault(place, problem));
+        }
+        let mut numbers = Vec::with_capacity(accessor.count() * width);
+        for row in 0..accessor.count() {
+            for column in 0..width {
+                let at = first + row * stride + column * size;
+                numbers.push(number(
+                    bytes.get(at..at + size).unwrap_or_default(),
+                    accessor.data_type(),
+                    accessor.normalized(),
+                ));
+            }
+        }
+        Ok(Rows { width, numbers })
+    }
+
+    /// The nodes with their parents, parents first.
+    pub fn tree(&self) -> Result<Vec<(usize, Option<usize>)>, GltfFault> {
+        let count = self.document.nodes().count();
+        let mut parent: Vec<Option<usize>> = vec![None; count];
+        for node in self.document.nodes() {
+            for child in node.children() {
+                let slot = parent.get_mut(child.index());
+                if let Some(slot @ None) = slot {
+                    *slot = Some(node.index());
+                } else {
+                    return Err(fault(format!("node {}", child.index()), "it has two parents, expected a tree"));
+                }
+            }
+        }
+        let mut order: Vec<(usize, Option<usize>)> =
+            (0..count).filter(|&n| parent[n].is_none()).map(|n| (n, None)).collect();
+        let mut reached = 0;
+        while let Some(&(at, _)) = order.get(reached) {
+            reached += 1;
+            let children = self
+                .document
+                .nodes()
+                .nth(at)
+                .into_iter()
+                .flat_map(|n| n.children().map(|c| c.index()).collect::<Vec<_>>());
+            order.extend(children.map(|c| (c, Some(at))));
+        }
+        if order.len() < count {
+            return Err(fault("nodes", "some are their own ancestors, expected a tree"));
+        }
+        Ok(order)
+    }
+
+    /// Places and triangles of a primitive; none of points and lines.
+    pub fn triangles(&self, primitive: &gltf::Primitive, what: &str) -> Result<Mesh, GltfFault> {
+        if primitive.mode() != gltf::mesh::Mode::Triangles {
+            return Ok(Mesh::default());
+        }
+        let Some(positions) = primitive.get(&gltf::Semantic::Positions) else {
+            return Err(fault(what, "it has no positions"));
+        };
+        let vertices = self.rows(&positions, &format!("positions of {what}"))?.vectors();
+        let indices: Vec<u32> = match primitive.indices() {
+            Some(indices) => {
+                let rows = self.rows(&indices, &format!("indices of {what}"))?;
+                rows.numbers.iter().map(|&i| i as u32).collect()
+            }
+            None => (0..vertices.len() as u32).collect(),
+        };
+        Ok(Mesh { vertices, triangles: indices.as_chunks::<3>().0.to_vec() })
+    }
+}
+
+fn number(bytes: &[u8], kind: DataType, normalised: bool) -> f64 {
+    let le = |n: usize| bytes.iter().take(n).rev().fold(0u32, |sum, &b| sum << 8 | u32::from(b));
+    let (value, most) = match kind {
+        DataType::I8 => (f64::from(le(1) as u8 as i8), 127.0),
+        DataType::U8 => (f64::from(le(1)), 255.0),
+        DataType::I16 => (f64::from(le(2) as u16 as i16), 32767.0),
+        DataType::U16 => (f64::from(le(2)), 65535.0),
+        DataType::U32 => (f64::from(le(4)), 1.0),
+        DataType::F32 => return f64::from(f32::from_bits(le(4))),
+    };
+    if normalised { (value / most).max(-1.0) } else { value }
+}
+
+/// Parses what stands still in a glTF file: a part for each primitive of each node that has a mesh, where its node puts it.
+pub(super) fn parse_gltf(bytes: &[u8], folder: &Path) -> Result<Vec<Part>, ParseError> {
+    let content = |f: GltfFault| ParseError::Place { place: f.place, problem: f.problem };
+    let file = GltfFile::parse(bytes, folder).map_err(content)?;
+    let mut world: Vec<DMat4> = vec![DMat4::IDENTITY; file.document.nodes().count()];
+    let mut parts = Vec::new();
+    for (node, parent) in file.tree().map_err(content)? {
+        let Some(node) = file.document.nodes().nth(node) else { continue };
+        let local = DMat4::from_cols_array_2d(&node.transform().matrix().map(|c| c.map(f64::from)));
+        let matrix = parent.map_or(DMat4::IDENTITY, |p| world[p]) * local;
+        world[node.index()] = matrix;
+        for primitive in node.mesh().iter().flat_map(|m| m.primitives()) {
+            let name = node.name().unwrap_or_default().to_owned();
+            let mut mesh = file.triangles(&primitive, &format!("mesh of node {name:?}")).map_err(content)?;
+            mesh.check()?;
+            mesh.vertices.iter_mut().for_each(|v| *v = matrix.transform_point3(*v));
+            // What is mirrored goes round the other way.
+            if matrix.determinant() < 0.0 {
+                mesh.triangles.iter_mut().for_each(|t| t.swap(1, 2));
+            }
+            if !mesh.triangles.is_empty() {
+                parts.push(Part { name, material: primitive.material().name().map(str::to_owned), mesh });
+            }
+        }
+    }
+    if parts.is_empty() { Err(ParseError::Empty) } else { Ok(parts) }
+}

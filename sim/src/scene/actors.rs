@@ -1,0 +1,72 @@
+//! The actors' files that a scene names.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use super::file::{ActorFile, SceneFile};
+use super::{SceneError, line_of_key};
+use crate::actor::clip::BodyClip;
+use crate::actor::imported::{Actor, ActorOptions};
+use crate::actor::motion::Steps;
+use crate::fault::FileFault;
+use crate::geometry::import::UpAxis;
+
+/// At this speed sliding is told, m/s.
+const USUAL_M_PER_S: f64 = 1.2;
+
+/// By `[[people.actor]]`, where the person's steps come from.
+pub(super) fn load(scene: &SceneFile, path: &Path, text: &str) -> Result<Vec<Steps>, SceneError> {
+    scene.people.actor.iter().map(|actor| load_one(actor, path, text)).collect()
+}
+
+fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneError> {
+    let Some(name) = &actor.file else { return Ok(Steps::Gait) };
+    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    let fault = |source: FileFault| SceneError::File {
+        path: path.to_owned(),
+        line: line_of_key(text, name),
+        file: file.clone(),
+        source: Box::new(source),
+    };
+    let bytes = std::fs::read(&file).map_err(|e| {
+        let hint = "paths are relative to the scene file";
+        fault(FileFault { place: "file".to_owned(), problem: format!("cannot be read: {e}"), hint: hint.to_owned() })
+    })?;
+    if name.to_lowercase().ends_with(".bvh") {
+        let text = std::str::from_utf8(&bytes).map_err(|e| {
+            let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
+            let hint = "BVH files are plain text: export the clip again";
+            fault(FileFault {
+                place: format!("line {line}"),
+                problem: "this is no text".to_owned(),
+                hint: hint.to_owned(),
+            })
+        })?;
+        let clip = BodyClip::parse(text, actor.up.unwrap_or(UpAxis::Y), actor.cycle_s).map_err(fault)?;
+        tracing::info!(
+            file = %file.display(),
+            cycle_s = ?clip.span_s(),
+            foot_sliding = ?clip.foot_sliding(USUAL_M_PER_S),
+            "captured steps; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
+        );
+        return Ok(Steps::Clip(Arc::new(clip)));
+    }
+    let options = ActorOptions {
+        animation: actor.animation.clone(),
+        height_m: actor.height_m,
+        unit: actor.unit,
+        up: actor.up,
+        cycle_s: actor.cycle_s,
+    };
+    let loaded = Actor::parse(&bytes, &file, &options).map_err(fault)?;
+    tracing::info!(
+        file = %file.display(),
+        triangles = loaded.skin().rest().triangles.len(),
+        open_edges = loaded.open_edges(),
+        height_m = loaded.height_m(),
+        cycle_m = loaded.cycle_m(),
+        foot_sliding = ?loaded.foot_sliding(USUAL_M_PER_S),
+        "actor; sliding is at {USUAL_M_PER_S} m/s and goes with the speed"
+    );
+    Ok(Steps::Actor(Arc::new(loaded)))
+}

@@ -1,0 +1,323 @@
+//! What a room is made of, and rooms from meshes.
+//!
+//! Of meshes, the six largest planes along the axes that look at each other make the box of image antennas; each wall has the
+//! material of the mesh that most of it belongs to. Openings in a wall are not seen: it reflects as a whole. What stands inside
+//! the box is furniture: each piece that hangs together scatters from points on its bounding box, with the mean cross-section of
+//! a convex body turned at random, a quarter of its area, times what its material reflects. Its shape, mirror reflections in its
+//! faces, and its shadow are not modelled; nor is what lies outside the box.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use glam::DVec3;
+use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
+
+use super::check::{Fault, fault, surfaces};
+use super::file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
+use super::material::Material;
+use super::{SceneError, line_of_key};
+use crate::fault::FileFault;
+use crate::field::fresnel;
+use crate::field::image::Wall;
+use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
+use crate::geometry::{Mesh, lint, planes, weld};
+
+/// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
+const WELD_M: f64 = 1e-4;
+/// Planes so near are one wall, m.
+const SAME_WALL_M: f64 = 0.01;
+/// A wall looks along an axis within this, as the cosine of 2 degrees.
+const ALONG: f64 = 0.9994;
+/// A wall covers at least this part of its side of the meshes' bounding box.
+const LEAST_WALL: f64 = 0.3;
+/// Rooms are no smaller and no larger, m.
+const SIZES_M: [f64; 2] = [0.5, 100.0];
+/// Pieces of furniture that are kept, the largest, and points of each on a square metre.
+const MOST_PIECES: usize = 64;
+const POINTS_PER_M2: f64 = 4.0;
+/// Names of the six walls and the axis and end that each is at.
+const WALLS: [(&str, usize, bool); 6] = [
+    ("x_low", 0, false),
+    ("x_high", 0, true),
+    ("y_low", 1, false),
+    ("y_high", 1, true),
+    ("floor", 2, false),
+    ("ceiling", 2, true),
+];
+
+/// What the six surfaces do to waves. Warns of materials whose constants are for another band.
+pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], Fault> {
+    let mut walls = [Wall::Open; 6];
+    for ((key, surface), wall) in surfaces(&file.room).into_iter().zip(&mut walls) {
+        *wall = slab(file, surface, waveform.centre_frequency_hz())
+            .map_or_else(|| fault(key, &surface.material, "a material"), Ok)?;
+        let [low, high] = match (Material::named(&surface.material), file.materials.get(&surface.material)) {
+            (Some(material), _) => material.band_ghz(),
+            (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
+        };
+        let ghz = waveform.centre_frequency_hz() * 1e-9;
+        if !(low..=high).contains(&ghz) {
+            tracing::warn!(
+                material = surface.material,
+                wall = key,
+                "its constants hold from {low} to {high} GHz; the waveform is at {ghz:.2} GHz, where they are extrapolated"
+            );
+        }
+    }
+    Ok(walls)
+}
+
+fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
+    let thickness_m = surface.thickness_m;
+    let Some(material) = Material::named(&surface.material) else {
+        let permittivity = file.materials.get(&surface.material)?.permittivity(frequency_hz);
+        return Some(Wall::Slab { permittivity, thickness_m });
+    };
+    Some(match (material, material.permittivity(frequency_hz)) {
+        (_, Some(permittivity)) => Wall::Slab { permittivity, thickness_m },
+        (Material::Metal, None) => Wall::Conductor,
+        _ => Wall::Open,
+    })
+}
+
+/// A part of a mesh file with its material.
+struct Piece {
+    surface: SurfaceFile,
+    mesh: Mesh,
+}
+
+/// Faces in one plane.
+#[derive(Default)]
+struct Face {
+    area_m2: f64,
+    offset_m2: f64,
+    /// Area by piece.
+    of: BTreeMap<usize, f64>,
+}
+
+/// Where there are meshes: reads them, and puts the room's size, surfaces and furniture in their place.
+pub(super) fn read_meshes(file: &mut SceneFile, path: &Path, text: &str, frequency_hz: f64) -> Result<(), SceneError> {
+    let mut pieces = Vec::new();
+    for mesh in &file.room.mesh {
+        pieces.extend(read(mesh, path, text)?);
+    }
+    let Some(first) = file.room.mesh.first() else { return Ok(()) };
+    let of_room = |source: FileFault| SceneError::File {
+        path: path.to_owned(),
+        line: line_of_key(text, &first.file),
+        file: path.parent().unwrap_or(Path::new("")).join(&first.file),
+        source: Box::new(source),
+    };
+    let [low, high] = bounds(pieces.iter().flat_map(|p| &p.mesh.vertices));
+    if !(0..3).all(|i| (SIZES_M[0]..=2.0 * SIZES_M[1]).contains(&(high - low)[i])) {
+        let size = high - low;
+        let problem =
+            format!("all meshes together are {:.4} x {:.4} x {:.4} m, expected {SIZES_M:?} m", size.x, size.y, size.z);
+        let hint = "say which unit the file is in: unit = \"mm\", \"cm\" or \"m\"";
+        return Err(of_room(FileFault::new("size", problem, hint)));
+    }
+    let faces = faces(&pieces);
+    let mut found: [f64; 6] = [0.0; 6];
+    let mut made: [SurfaceFile; 6] = Default::default();
+    for (i, &(name, axis, is_high)) in WALLS.iter().enumerate() {
+        let face = wall(&faces[axis], axis, is_high, [low, high]).map_err(|largest_m2| {
+            let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
+            let problem = format!(
+                "{name} is missing: the largest plane there is {largest_m2:.2} m^2, expected at least {:.2} m^2 of {across:.2} m^2",
+                LEAST_WALL * across
+            );
+            let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, or check up";
+            of_room(FileFault::new("walls", problem, hint))
+        })?;
+        found[i] = face.offset_m2 / face.area_m2;
+        let most = face.of.iter().max_by(|a, b| a.1.total_cmp(b.1)).and_then(|(&piece, _)| pieces.get(piece));
+        made[i] = most.map(|p| p.surface.clone()).unwrap_or_default();
+    }
+    let [corner, end] = [0, 1].map(|e| DVec3::new(found[e], found[2 + e], found[4 + e]));
+    let room = &mut file.room;
+    room.size_m = (end - corner).to_array();
+    [room.x_low, room.x_high, room.y_low, room.y_high, room.floor, room.ceiling] = made;
+    let furniture = furniture(file, &pieces, corner, end, frequency_hz);
+    tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
+    file.furniture.extend(furniture);
+    Ok(())
+}
+
+fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
+    let file = path.parent().unwrap_or(Path::new("")).join(&mesh.file);
+    let fault = |source: FileFault| SceneError::File {
+        path: path.to_owned(),
+        line: line_of_key(text, &mesh.file),
+        file: file.clone(),
+        source: Box::new(source),
+    };
+    let extension = file.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+    let says = ["gltf", "glb"].contains(&extension.as_str());
+    let (unit, up) = match (mesh.unit, mesh.up) {
+        (Some(unit), Some(up)) => (unit, up),
+        (unit, up) if says => (unit.unwrap_or(LengthUnit::Metre), up.unwrap_or(UpAxis::Y)),
+        (unit, _) => {
+            let what = if unit.is_none() { "unit" } else { "up" };
+            let problem = format!("{what} is not said, and the format does not say it either");
+            let hint = "add unit = \"m\" (or \"cm\", \"mm\", \"in\") and up = \"z\" (or \"y\") to this [[room.mesh]]";
+            return Err(fault(FileFault::new(what, problem, hint)));
+        }
+    };
+    let parts = import(&file, unit, up).map_err(|e| {
+        let (place, problem) = match &e {
+            ImportError::Read { source, .. } => ("file".to_owned(), format!("cannot be read: {source}")),
+            ImportError::Content { source, .. } => ("content".to_owned(), source.to_string()),
+            ImportError::Format { extension, .. } => {
+                ("name".to_owned(), format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
+            }
+        };
+        let hint = match &e {
+            ImportError::Read { .. } => "paths are relative to the scene file",
+            _ => "export it again as binary STL, OBJ with triangles, or glTF",
+        };
+        fault(FileFault::new(place, problem, hint))
+    })?;
+    let mut pieces = Vec::new();
+    for part in parts {
+        let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];
+        let material =
+            names.iter().find_map(|n| mesh.materials.get(*n)).or(mesh.material.as_ref()).ok_or_else(|| {
+                let problem =
+                    format!("the part {:?} with the material {:?} has none in the scene", part.name, names[0]);
+                fault(FileFault::new("material", problem, "add material = \"...\", or its name to materials = { ... }"))
+            })?;
+        let welded = weld(&part.mesh, WELD_M)
+            .map_err(|e| fault(FileFault::new("mesh", e.to_string(), "export the mesh again; check its unit")))?;
+        if welded.mesh.triangles.is_empty() {
+            let problem = format!("no triangle of the part {:?} has an area in this unit", part.name);
+            return Err(fault(FileFault::new("mesh", problem, "check unit: the numbers may be in metres")));
+        }
+        let findings = lint(&welded.mesh);
+        if findings.tangled_edges > 0 || !findings.overlaps.is_empty() {
+            tracing::warn!(
+                file = %file.display(),
+                part = part.name,
+                tangled_edges = findings.tangled_edges,
+                overlaps = findings.overlaps.len(),
+                "the mesh meets itself: faces that lie on each other count twice"
+            );
+        }
+        let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };
+        pieces.push(Piece { surface, mesh: welded.mesh });
+    }
+    Ok(pieces)
+}
+
+/// Low and high corner of places.
+fn bounds<'a>(places: impl Iterator<Item = &'a DVec3>) -> [DVec3; 2] {
+    places.fold([DVec3::INFINITY, DVec3::NEG_INFINITY], |[l, h], &v| [l.min(v), h.max(v)])
+}
+
+/// Planes along each axis, by place.
+fn faces(pieces: &[Piece]) -> [Vec<Face>; 3] {
+    let mut all: [Vec<(f64, f64, usize)>; 3] = Default::default();
+    for (number, piece) in pieces.iter().enumerate() {
+        for plane in planes(&piece.mesh, WELD_M).planes {
+            let Some(axis) = (0..3).find(|&axis| plane.normal[axis].abs() > ALONG) else { continue };
+            // The offset is along the normal, which may look the other way.
+            all[axis].push((plane.offset_m * plane.normal[axis].signum(), plane.area_m2, number));
+        }
+    }
+    all.map(|mut planes| {
+        planes.sort_by(|a, b| a.0.total_cmp(&b.0));
+        planes
+            .chunk_by(|a, b| b.0 - a.0 < SAME_WALL_M)
+            .map(|same| {
+                let mut face = Face::default();
+                for &(offset_m, area_m2, piece) in same {
+                    face.area_m2 += area_m2;
+                    face.offset_m2 += offset_m * area_m2;
+                    *face.of.entry(piece).or_default() += area_m2;
+                }
+                face
+            })
+            .collect()
+    })
+}
+
+/// The innermost of the large planes at an end of an axis: walls that are solids have an outer one too. If there is none, the
+/// largest area.
+fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> Result<&Face, f64> {
+    let middle = 0.5 * (low + high)[axis];
+    let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
+    let at = |f: &&Face| (f.offset_m2 / f.area_m2 > middle) == is_high;
+    let largest = faces.iter().filter(at).map(|f| f.area_m2).fold(0.0, f64::max);
+    let is_wall = |f: &&Face| f.area_m2 >= LEAST_WALL * across && f.area_m2 >= 0.5 * largest;
+    let inner = |f: &&Face| (f.offset_m2 / f.area_m2 - middle).abs();
+    faces.iter().filter(at).filter(is_wall).min_by(|a, b| inner(a).total_cmp(&inner(b))).ok_or(largest)
+}
+
+/// What stands within the walls.
+fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, frequency_hz: f64) -> Vec<FurnitureFile> {
+    let mut all: Vec<(f64, FurnitureFile)> = Vec::new();
+    for piece in pieces {
+        let reflected = match slab(file, &piece.surface, frequency_hz) {
+            Some(Wall::Slab { permittivity, thickness_m }) => {
+                let wavenumber = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
+                fresnel::slab(permittivity, thickness_m, wavenumber, 1.0).reflection.te.norm_sqr()
+            }
+            Some(Wall::Conductor) => 1.0,
+            _ => continue,
+        };
+        let in_wall = |t: u32| {
+            let corners = piece.mesh.corners(t as usize).unwrap_or_default();
+            let near = |at: f64, i: usize| corners.iter().all(|c| (c[i] - at).abs() < SAME_WALL_M);
+            (0..3).any(|i| near(corner[i], i) || near(end[i], i))
+        };
+        for shell in shells(&piece.mesh, |t| !in_wall(t)) {
+            let places = shell.iter().filter_map(|&t| piece.mesh.corners(t as usize)).flatten().collect::<Vec<_>>();
+            let [low, high] = bounds(places.iter());
+            if !(0..3).all(|i| low[i] > corner[i] - SAME_WALL_M && high[i] < end[i] + SAME_WALL_M) {
+                continue;
+            }
+            let area_m2: f64 = shell.iter().map(|&t| 0.5 * piece.mesh.area_vector(t as usize).length()).sum();
+            let cross_section_dbsm = 10.0 * (0.25 * area_m2 * reflected).max(1e-10).log10();
+            let low = (low - corner).max(DVec3::ZERO);
+            let high = (high - corner).min(end - corner);
+            let furniture = FurnitureFile {
+                name: format!("{} {}", piece.surface.material, all.len() + 1),
+                position_m: low.to_array(),
+                size_m: (high - low).max(DVec3::ZERO).to_array(),
+                cross_section_dbsm,
+                points: ((area_m2 * POINTS_PER_M2) as usize).clamp(6, 64),
+            };
+            all.push((area_m2 * reflected, furniture));
+        }
+    }
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    if all.len() > MOST_PIECES {
+        tracing::warn!(pieces = all.len(), "only the {MOST_PIECES} largest pieces of furniture are kept");
+        all.truncate(MOST_PIECES);
+    }
+    all.into_iter().map(|(_, furniture)| furniture).collect()
+}
+
+/// Those triangles that count and hang together by vertices.
+fn shells(mesh: &Mesh, counts: impl Fn(u32) -> bool) -> Vec<Vec<u32>> {
+    let mut root: Vec<usize> = (0..mesh.vertices.len()).collect();
+    fn find(root: &mut [usize], mut of: usize) -> usize {
+        while root[of] != of {
+            root[of] = root[root[of]];
+            of = root[of];
+        }
+        of
+    }
+    let counted = || (0u32..).zip(&mesh.triangles).filter(|(t, _)| counts(*t));
+    for (_, triangle) in counted() {
+        let [a, b, c] = triangle.map(|v| v as usize);
+        for (a, b) in [(a, b), (b, c)] {
+            let (a, b) = (find(&mut root, a), find(&mut root, b));
+            root[a.max(b)] = a.min(b);
+        }
+    }
+    let mut shells: BTreeMap<usize, Vec<u32>> = BTreeMap::new();
+    for (t, triangle) in counted() {
+        shells.entry(find(&mut root, triangle[0] as usize)).or_default().push(t);
+    }
+    shells.into_values().collect()
+}

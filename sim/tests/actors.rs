@@ -1,0 +1,375 @@
+//! People and rooms from files: actors walk upright, ahead and without sliding, and what is wrong with a file is said.
+
+#[path = "actors/biped.rs"]
+mod biped;
+mod common;
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use glam::DVec3;
+use radome_sim::actor::clip::BodyClip;
+use radome_sim::actor::imported::{Actor, ActorOptions};
+use radome_sim::actor::motion::{Motion, MotionBuilder, Person, Steps};
+use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::fault::FileFault;
+use radome_sim::geometry::import::UpAxis;
+
+fn options() -> ActorOptions {
+    ActorOptions { height_m: Some(1.75), ..ActorOptions::default() }
+}
+
+fn parse(bytes: &[u8], name: &str) -> Result<Actor, FileFault> {
+    Actor::parse(bytes, Path::new(name), &options())
+}
+
+fn gltf_actor() -> Steps {
+    Steps::Actor(Arc::new(parse(&biped::gltf(1.0).bytes(), "biped.gltf").expect("a good file")))
+}
+
+fn bvh_clip() -> Steps {
+    Steps::Clip(Arc::new(BodyClip::parse(&biped::bvh(), UpAxis::Y, None).expect("a good file")))
+}
+
+/// Data of others; `None` with a message where they are not at hand.
+fn shared(path: &str) -> Option<PathBuf> {
+    let shared = std::env::var_os("RADOME_SHARED")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared"), PathBuf::from);
+    let path = shared.join(path);
+    if !path.exists() {
+        #[allow(clippy::print_stderr)]
+        {
+            eprintln!("skipped: {} is not there; set RADOME_SHARED", path.display());
+        }
+        return None;
+    }
+    Some(path)
+}
+
+/// Straight ahead at 30 degrees to the room, at 1.2 m/s from second 0 to 5.
+fn walker(steps: Steps) -> WalkingMesh {
+    let mut person = Person::draw(1, [0, 0], 1.75);
+    person.steps = steps;
+    let ahead = DVec3::new(30f64.to_radians().cos(), 30f64.to_radians().sin(), 0.0);
+    let to = DVec3::new(2.0, 2.0, 0.0) + ahead * 6.0;
+    let motion: Motion = MotionBuilder::new(person, 0.0, [2.0, 2.0], 0.0).walk_to([to.x, to.y], 1.2).stand(5.0).stay();
+    WalkingMesh::new(Arc::new(motion), EDGE_M)
+}
+
+/// Feet stand where they are put, the head is at the top, the trunk goes with the motion, and velocities are the rates of
+/// vertices.
+fn check_walk(walker: &WalkingMesh, feet_m_per_s: f64, below_m: f64) {
+    let ahead = DVec3::new(30f64.to_radians().cos(), 30f64.to_radians().sin(), 0.0);
+    let mut standing = Vec::new();
+    for i in 0..60 {
+        let time_s = 1.5 + 0.03 * f64::from(i);
+        let now = walker.at(time_s);
+        let z = |v: &DVec3| v.z;
+        let low = now.vertices.iter().map(z).fold(f64::INFINITY, f64::min);
+        let high = now.vertices.iter().map(z).fold(f64::NEG_INFINITY, f64::max);
+        assert!(low.abs() < below_m, "soles are at {low} m at {time_s} s");
+        assert!(high > 1.5 && high < 1.85, "the head is at {high} m at {time_s} s");
+        let middle = now.vertices.iter().sum::<DVec3>() / now.vertices.len() as f64;
+        let along = DVec3::new(2.0, 2.0, middle.z) + ahead * (1.2 * time_s);
+        assert!(middle.distance(along) < 0.2, "{middle} at {time_s} s, expected {along}");
+        let mut rates: Vec<f64> = now
+            .vertices
+            .iter()
+            .zip(&now.velocities_m_per_s)
+            .filter(|(v, _)| v.z < low + 0.006)
+            .map(|(_, u)| u.truncate().length())
+            .collect();
+        rates.sort_by(f64::total_cmp);
+        standing.push(rates[rates.len() / 2]);
+        let h = 1e-4;
+        let (before, after) = (walker.at(time_s - h).vertices, walker.at(time_s + h).vertices);
+        for ((u, a), b) in now.velocities_m_per_s.iter().zip(&before).zip(&after) {
+            assert!((*u - (*b - *a) / (2.0 * h)).length() < 2e-3, "{u}");
+        }
+    }
+    standing.sort_by(f64::total_cmp);
+    let median = standing[standing.len() / 2];
+    assert!(median < feet_m_per_s, "feet on the floor go at {median} m/s");
+}
+
+#[test]
+fn a_person_of_boxes_from_gltf_walks_upright_ahead_and_without_sliding() {
+    let Steps::Actor(actor) = gltf_actor() else { unreachable!() };
+    assert_eq!(actor.open_edges(), 0);
+    // Legs of 0.9 m that swing by 0.4 rad either way, twice a cycle.
+    assert!((1.2..1.6).contains(&actor.cycle_m()), "{} m a cycle", actor.cycle_m());
+    let sliding = actor.foot_sliding(1.2);
+    assert!(sliding.standing_rms_m_per_s < 0.15 && sliding.standing > 0.8, "{sliding:?}");
+    let walker = walker(Steps::Actor(actor));
+    check_walk(&walker, 0.15, 0.04);
+    // Feet are ahead of the shanks. And left is left.
+    let standing = &walker.skin().rest().vertices;
+    let shanks: Vec<f64> = standing.iter().filter(|v| v.z > 0.12 && v.z < 0.25).map(|v| v.x).collect();
+    let ankles = shanks.iter().sum::<f64>() / shanks.len() as f64;
+    let low = || standing.iter().filter(|v| v.z < 0.05).map(|v| v.x - ankles);
+    let (behind, ahead) = (low().fold(0.0, f64::min), low().fold(0.0, f64::max));
+    assert!(ahead > -behind + 0.02, "feet from {behind} to {ahead} m");
+    let body = walker.motion().body(3.0);
+    let left = DVec3::new(-0.5, 30f64.to_radians().cos(), 0.0);
+    assert!((body[7].centre - body[8].centre).dot(left) > 0.1, "the left thigh is on the left");
+    assert!(body[0].centre.z > 1.5 && body[11].centre.z < 0.3 && body[2].centre.z < body[1].centre.z);
+}
+
+#[test]
+fn collada_in_centimetres_and_gltf_in_inches_are_the_same_actor() {
+    let exact = parse(&biped::gltf(1.0).bytes(), "a.gltf").expect("a good file");
+    let file = ActorOptions::default();
+    let from_collada = Actor::parse(biped::collada().as_bytes(), Path::new("a.dae"), &file).expect("a good file");
+    let inches = ActorOptions { unit: Some(radome_sim::geometry::import::LengthUnit::Inch), ..file };
+    let from_inches =
+        Actor::parse(&biped::gltf(1.0 / 0.0254).bytes(), Path::new("a.gltf"), &inches).expect("a good file");
+    for other in [&from_collada, &from_inches] {
+        assert!((other.height_m() - 1.75).abs() < 0.03, "{} m", other.height_m());
+        let scale = exact.height_m() / other.height_m();
+        assert!((other.cycle_m() * scale / exact.cycle_m() - 1.0).abs() < 1e-3);
+        let (a, b) = (exact.skin().rest(), other.skin().rest());
+        assert!((b.volume_m3() * scale.powi(3) / a.volume_m3() - 1.0).abs() < 0.01);
+    }
+    check_walk(&walker(Steps::Actor(Arc::new(from_collada))), 0.15, 0.04);
+}
+
+#[test]
+fn a_captured_clip_walks_on_the_house_s_own_body() {
+    let Steps::Clip(clip) = bvh_clip() else { unreachable!() };
+    let [begin, end] = clip.span_s();
+    assert!((end - begin - 1.0).abs() < 0.05, "a cycle of {begin} to {end} s");
+    // Legs of 0.86 m that swing by 0.4 rad either way, twice a cycle, and soles that roll.
+    let cycle_m = clip.cycle_m(0.53 * 1.75);
+    assert!((1.3..1.6).contains(&cycle_m), "{cycle_m} m a cycle");
+    check_walk(&walker(Steps::Clip(clip)), 0.25, 0.05);
+}
+
+/// Two kinds of files that were not made for this house.
+#[test]
+fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
+    let (Some(man), Some(walk)) =
+        (shared("data/actors/cesium-man/CesiumMan.glb"), shared("data/actors/cmu-131-walk/131_01.bvh"))
+    else {
+        return;
+    };
+    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor-mesh.toml");
+    let text = std::fs::read_to_string(&fixture).expect("fixture");
+    // The man's clip is a jog, whose feet come down while they still swing.
+    for (file, body, sliding_m_per_s) in [(&man, "mesh", 0.35), (&walk, "mesh", 0.15), (&walk, "ellipsoids", 0.15)] {
+        let text = text
+            .replace("height_m = 1.75", &format!("height_m = 1.75\nfile = {:?}", file.display().to_string()))
+            .replace("body = \"mesh\"", &format!("body = {body:?}"));
+        let scene = radome_sim::Scene::parse(&text, &fixture).expect("a good scene");
+        let sliding = match &scene.steps()[0] {
+            Steps::Actor(actor) => actor.foot_sliding(1.2),
+            Steps::Clip(clip) => clip.foot_sliding(1.2),
+            Steps::Gait => unreachable!("a file is named"),
+        };
+        assert!(sliding.standing_rms_m_per_s < sliding_m_per_s && sliding.standing > 0.5, "{sliding:?}");
+        let simulator = common::simulator(&scene, 3, None);
+        let (frame, report) = simulator.render_with_report(40);
+        assert!(report.moving_paths > 0 && report.clamped == 0, "{report:?}");
+        assert_eq!(frame.truth.expect("truth").occupancy, radome_dsp::Occupancy::One);
+        // The strongest cell is at the person's distance.
+        let map = common::map_db(&frame, 0);
+        let (_, range) = common::peak(&map, frame.shape.samples / 2);
+        let found_m = range as f64 * scene.waveform().range_step_m(frame.shape.samples);
+        let person = simulator.people(40)[0];
+        assert!((found_m - person.range_m).abs() < 0.6, "{found_m} m, expected {} m", person.range_m);
+    }
+}
+
+#[test]
+fn the_cesium_man_stands_on_the_floor_as_he_walks() {
+    let Some(man) = shared("data/actors/cesium-man/CesiumMan.glb") else { return };
+    let actor = parse(&std::fs::read(&man).expect("file"), "CesiumMan.glb").expect("a good file");
+    let triangles = actor.skin().rest().triangles.len();
+    assert!((8_000..30_000).contains(&triangles) && actor.open_edges() == 0, "{triangles} triangles");
+    check_walk(&walker(Steps::Actor(Arc::new(actor))), 0.35, 0.04);
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn refused(result: Result<Actor, FileFault>, expected: &[&str]) {
+        let message = result.map(|_| ()).expect_err("a fault").to_string();
+        for word in expected.iter().chain(&["hint: "]) {
+            assert!(message.contains(word), "{word:?} is not in {message:?}");
+        }
+    }
+
+    #[test]
+    fn gltf_actors_that_are_wrong_are_told_how() {
+        let wrong = |change: &dyn Fn(&mut biped::Gltf), expected: &[&str]| {
+            let mut file = biped::gltf(1.0);
+            change(&mut file);
+            refused(parse(&file.bytes(), "a.gltf"), expected);
+        };
+        refused(parse(b"glTF nonsense", "a.glb"), &["glTF"]);
+        refused(parse(b"", "a.fbx"), &["\"fbx\"", ".glb"]);
+        wrong(
+            &|f| drop(f.json["nodes"][7].as_object_mut().expect("node").remove("skin")),
+            &["skin", "joints and weights"],
+        );
+        wrong(&|f| f.buffer[..4].copy_from_slice(&f32::NAN.to_le_bytes()), &["vertex 0", "finite"]);
+        wrong(
+            &|f| f.json["nodes"][1]["scale"] = serde_json::json!([1.0, 0.0, 1.0]),
+            &["thigh_left", "scale", "not zero"],
+        );
+        wrong(&|f| f.buffer.truncate(500), &["buffer 0", "500 bytes", "cut off"]);
+        wrong(&|f| f.json["accessors"][0]["count"] = serde_json::json!(90_000), &["accessor 0", "reaches to byte"]);
+        // Joints are bytes after the positions, then come the weights.
+        let places = biped::vertices().len();
+        wrong(&|f| f.buffer[12 * places] = 77, &["vertex 0", "joint 77", "has 7"]);
+        wrong(&|f| f.buffer[16 * places..16 * places + 4].fill(0), &["weights of vertex 0", "sum to 0"]);
+        wrong(&|f| drop(f.json.as_object_mut().expect("file").remove("animations")), &["animations", "walk"]);
+        wrong(&|f| f.json["nodes"][2]["children"] = serde_json::json!([0]), &["their own ancestors"]);
+        wrong(&|f| f.json["nodes"][3]["children"] = serde_json::json!([2]), &["two parents"]);
+        let inverse = |f: &biped::Gltf| {
+            let accessor = f.json["skins"][0]["inverseBindMatrices"].as_u64().expect("accessor") as usize;
+            f.json["bufferViews"][accessor]["byteOffset"].as_u64().expect("offset") as usize
+        };
+        wrong(&|f| (inverse(f)..inverse(f) + 64).for_each(|i| f.buffer[i] = 0), &["joint 0", "hips", "inverted"]);
+        wrong(&|f| (inverse(f) + 448..inverse(f) + 452).for_each(|i| f.buffer[i] = 0xff), &["key times", "ascend"]);
+    }
+
+    #[test]
+    fn options_that_do_not_fit_an_actor_are_told_what_would() {
+        let bytes = biped::gltf(1000.0).bytes();
+        let with = |options: ActorOptions| Actor::parse(&bytes, Path::new("a.gltf"), &options);
+        // Millimetres: told, unless a height or the unit is asked for.
+        refused(with(ActorOptions::default()), &["m tall", "0.5 to 2.5 m", "unit = \"mm\"", "height_m"]);
+        assert!(with(options()).is_ok());
+        refused(with(ActorOptions { animation: Some("run".to_owned()), ..options() }), &["\"run\"", "\"walk\""]);
+        refused(with(ActorOptions { cycle_s: Some([0.5, 3.0]), ..options() }), &["0 to 1 s", "cycle_s"]);
+        // Nobody's feet move in half a frame of it, nor when it lies on its back.
+        refused(with(ActorOptions { cycle_s: Some([0.2, 0.2]), ..options() }), &["at least 0.1 s"]);
+        let mut still = biped::gltf(1.0);
+        still.json["animations"][0]["channels"].as_array_mut().expect("channels").truncate(1);
+        refused(parse(&still.bytes(), "a.gltf"), &["\"walk\"", "expected a walk"]);
+        let mut two = biped::gltf(1.0);
+        let walk = two.json["animations"][0].clone();
+        two.json["animations"].as_array_mut().expect("animations").push(walk);
+        refused(parse(&two.bytes(), "a.gltf"), &["which of them", "animation = "]);
+    }
+
+    #[test]
+    fn collada_actors_that_are_wrong_are_told_where() {
+        let good = biped::collada();
+        assert!(parse(good.as_bytes(), "a.dae").is_ok());
+        let wrong = |from: &str, to: &str, expected: &[&str]| {
+            assert!(good.contains(from), "{from}");
+            refused(parse(good.replacen(from, to, 1).as_bytes(), "a.dae"), expected);
+        };
+        refused(parse(&[0xff, 0xfe], "a.dae"), &["line 1", "UTF-8"]);
+        wrong("</geometry>", "", &["line ", "no XML"]);
+        refused(parse(b"<svg/>", "a.dae"), &["line 1", "\"svg\"", "COLLADA"]);
+        wrong("Z_UP", "X_UP", &["line 4", "X_UP", "Z_UP"]);
+        wrong("meter=\"0.01\"", "meter=\"0\"", &["line 3", "meter", "positive"]);
+        wrong("<instance_controller url=\"#skin\"/>", "", &["skin", "joints and weights"]);
+        wrong("<float_array>-18", "<float_array>NaN", &["line 6", "NaN", "finite"]);
+        wrong("<Name_array>hips", "<Name_array>pelvis", &["\"pelvis\"", "no node"]);
+        wrong(
+            "</float_array></source>\n<source id=\"weights\">",
+            " 1</float_array></source>\n<source id=\"weights\">",
+            &["113 numbers", "16 each"],
+        );
+        wrong("<p>0 2 3", "<p>0 2 999", &["triangle 0", "999", "80"]);
+        wrong("<scale>1 1 1", "<scale>1 0 1", &["hips", "scale", "not zero"]);
+        wrong("<skin source=\"#mesh\"", "<skin source=\"#mash\"", &["#mash", "nowhere"]);
+        wrong("thigh_left/turn.ANGLE", "thigh_left/spin.ANGLE", &["spin", "no transform"]);
+        wrong("<translate sid=\"at\">", "<translate sid=\"at\">1 ", &["4 numbers", "expected 3"]);
+        wrong("<vcount>1 ", "<vcount>900 ", &["weights of vertex", "not there"]);
+    }
+
+    #[test]
+    fn bvh_clips_that_are_wrong_are_told_where() {
+        let good = biped::bvh();
+        let told = |text: &str, expected: &[&str]| {
+            let fault = BodyClip::parse(text, UpAxis::Y, None).map(|_| ()).expect_err("a fault").to_string();
+            for word in expected.iter().chain(&["hint: "]) {
+                assert!(fault.contains(word), "{word:?} is not in {fault:?}");
+            }
+        };
+        let wrong = |from: &str, to: &str, expected: &[&str]| {
+            assert!(good.contains(from), "{from}");
+            told(&good.replacen(from, to, 1), expected);
+        };
+        told("", &["line 1", "the file ends", "HIERARCHY"]);
+        wrong("HIERARCHY", "HIERARCHIE", &["line 1", "HIERARCHIE"]);
+        wrong("CHANNELS 6 Xposition", "CHANNELS 6 Wposition", &["line 5", "Wposition", "Yrotation"]);
+        wrong("CHANNELS 6", "CHANNELS 7", &["line 5", "\"7\"", "at most 6"]);
+        wrong("OFFSET 0 0 0", "OFFSET 0 nan 0", &["line 4", "nan", "finite"]);
+        wrong("Frame Time: 0.0333333", "Frame Time: 0", &["\"0\"", "0.0001 to 1 s"]);
+        wrong("Frames: 90", "Frames: 91", &["the file ends", "frame 90 of 91"]);
+        wrong("Frames: 90", "Frames: 89", &["the end of the file", "89 frames"]);
+        wrong(
+            "JOINT LeftLeg",
+            "JOINT Kneeish",
+            &["left shank", "\"leftleg\"".trim_matches('"').get(4..).unwrap_or(""), "Kneeish"],
+        );
+        wrong("MOTION", "}\nMOTION", &["found \"}\"", "MOTION"]);
+        let (head, motion) = good.split_once("Frame Time: 0.0333333\n").expect("written");
+        let short = motion.replacen(' ', "\n", 1);
+        told(&format!("{head}Frame Time: 0.0333333\n{short}"), &["frame 0", "too few"]);
+        let flat: String = head
+            .lines()
+            .map(|l| if l.trim_start().starts_with("OFFSET") { "OFFSET 0 0 0\n".to_owned() } else { format!("{l}\n") })
+            .collect();
+        told(&format!("{flat}Frame Time: 0.0333333\n{motion}"), &["legs are 0 long", "OFFSET"]);
+        let first = motion.lines().next().expect("a frame");
+        let still = vec![first; 90].join("\n");
+        told(&format!("{head}Frame Time: 0.0333333\n{still}\n"), &["MOTION", "cycle_s"]);
+    }
+
+    proptest::proptest! {
+        #![proptest_config(proptest::prelude::ProptestConfig { cases: 200, ..Default::default() })]
+
+        /// Whatever is done to a clip, it is refused or whole: every frame has a number for every channel.
+        #[test]
+        fn damaged_clips_are_refused_or_whole(
+            cuts in proptest::collection::vec((0usize..4000, 0u8..128), 1..6),
+            end in 0usize..60_000,
+        ) {
+            let mut bytes = biped::bvh().into_bytes();
+            for (at, byte) in cuts {
+                if let Some(slot) = bytes.get_mut(at) {
+                    *slot = byte;
+                }
+            }
+            bytes.truncate(end);
+            let text = String::from_utf8_lossy(&bytes);
+            if let Ok(bvh) = radome_sim::actor::bvh::parse_bvh(&text) {
+                let wide: usize = bvh.joints.iter().map(|j| j.channels.len()).sum();
+                proptest::prop_assert!(bvh.frames.iter().all(|f| f.len() == wide && f.iter().all(|n| n.is_finite())));
+                let parents_first = bvh.joints.iter().enumerate().all(|(i, j)| j.parent.is_none_or(|p| p < i));
+                proptest::prop_assert!(parents_first && bvh.frame_time_s > 0.0);
+            }
+            // Nor does anything made of it panic.
+            let _ = BodyClip::parse(&text, UpAxis::Y, None);
+        }
+    }
+
+    #[test]
+    fn damaged_gltf_and_collada_never_panic() {
+        let (gltf, collada) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes());
+        let mut state = 7u64;
+        let mut draw = |below: usize| {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (state >> 33) as usize % below
+        };
+        for (good, name) in [(&gltf, "a.gltf"), (&collada, "a.dae")] {
+            for _ in 0..60 {
+                let mut bytes = good.clone();
+                for _ in 0..1 + draw(4) {
+                    let at = draw(bytes.len());
+                    bytes[at] = draw(128) as u8;
+                }
+                if draw(4) == 0 {
+                    bytes.truncate(draw(bytes.len()));
+                }
+                let _ = parse(&bytes, name);
+            }
+        }
+    }
+}

@@ -1,0 +1,248 @@
+//! Rooms from meshes, and materials of a scene's own.
+
+mod common;
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use radome_sim::Scene;
+use radome_sim::field::image::Wall;
+use radome_sim::scene::material::Material;
+
+type Quad = [[f64; 3]; 4];
+
+/// A text STL of quadrilaterals, in so many units a metre.
+fn stl(quads: &[Quad], per_metre: f64) -> String {
+    let mut text = String::from("solid part\n");
+    for [a, b, c, d] in quads {
+        for triangle in [[a, b, c], [a, c, d]] {
+            text += "facet normal 0 0 0\nouter loop\n";
+            for v in triangle {
+                let [x, y, z] = v.map(|c| c * per_metre);
+                writeln!(text, "vertex {x} {y} {z}").expect("text");
+            }
+            text += "endloop\nendfacet\n";
+        }
+    }
+    text + "endsolid part\n"
+}
+
+/// The faces of a box: low and high x, y, z.
+fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
+    let at = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
+    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
+}
+
+const MESHES: &str = r#"
+[[room.mesh]]
+file = "walls.stl"
+unit = "mm"
+up = "z"
+material = "plasterboard"
+thickness_m = 0.0125
+[[room.mesh]]
+file = "floor.stl"
+unit = "mm"
+up = "z"
+material = "oak"
+thickness_m = 0.02
+[[room.mesh]]
+file = "ceiling.stl"
+unit = "m"
+up = "z"
+material = "concrete"
+thickness_m = 0.2
+[[room.mesh]]
+file = "desk.stl"
+unit = "m"
+up = "z"
+material = "metal"
+[materials.oak]
+permittivity = [2.4, 0.15]
+band_ghz = [50, 70]
+"#;
+
+/// A room of 5 by 4 by 2.5 m whose low corner is at (-1, -2, 0), with a metal box in it, in a folder of its own.
+fn folder() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    let room = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
+    let write = |name: &str, text: String| std::fs::write(folder.path().join(name), text).expect("written");
+    write("walls.stl", stl(&room[..4], 1000.0));
+    write("floor.stl", stl(&room[4..5], 1000.0));
+    write("ceiling.stl", stl(&room[5..], 1.0));
+    write("desk.stl", stl(&faces([1.0, 0.0, 0.0], [2.0, 0.5, 0.7]), 1.0));
+    folder
+}
+
+/// A scene in that folder.
+fn scene(folder: &tempfile::TempDir, meshes: &str) -> Result<Scene, radome_sim::SceneError> {
+    let hall = common::hall("[people.desk]\nmax_people = 0\n");
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    let text = format!("{before}\n{meshes}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    Scene::parse(&text, &folder.path().join("scene.toml"))
+}
+
+#[test]
+fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
+    let folder = folder();
+    let scene = scene(&folder, MESHES).expect("a good scene");
+    let room = scene.room();
+    assert!((room.size_m - glam::DVec3::new(5.0, 4.0, 2.5)).length() < 1e-6, "{}", room.size_m);
+    let f = scene.waveform().centre_frequency_hz();
+    let slab = |material: Material, thickness_m| Wall::Slab {
+        permittivity: material.permittivity(f).expect("a dielectric"),
+        thickness_m,
+    };
+    assert_eq!(room.walls[..4], [slab(Material::Plasterboard, 0.0125); 4]);
+    assert_eq!(room.walls[4], Wall::Slab { permittivity: num_complex::Complex64::new(2.4, -0.15), thickness_m: 0.02 });
+    assert_eq!(room.walls[5], slab(Material::Concrete, 0.2));
+    // The desk is where it was, from the corner of the room.
+    let [desk] = scene.file().furniture.as_slice() else { panic!("{:?}", scene.file().furniture) };
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+    assert!(near(desk.position_m, [2.0, 2.0, 0.0]) && near(desk.size_m, [1.0, 0.5, 0.7]), "{desk:?}");
+    // A quarter of the sides and the top; what stands on the floor has no underside.
+    let area_m2 = 2.0 * 0.7 * 1.5 + 0.5;
+    assert!((desk.cross_section_dbsm - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
+    let simulator = common::simulator(&scene, 1, None);
+    assert!(simulator.render_with_report(0).1.static_paths > 10);
+}
+
+/// Walls drawn as solids have an outer face as well: the room is what lies within.
+#[test]
+fn an_obj_room_of_solid_walls_is_what_lies_within() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut text = String::new();
+    let mut count = 0;
+    let slabs = [
+        ("brickwork", [-0.2, -0.2, 0.0], [0.0, 4.2, 3.0]),
+        ("brickwork", [5.0, -0.2, 0.0], [5.2, 4.2, 3.0]),
+        ("drywall", [0.0, -0.2, 0.0], [5.0, 0.0, 3.0]),
+        ("drywall", [0.0, 4.0, 0.0], [5.0, 4.2, 3.0]),
+        ("boards", [-0.2, -0.2, -0.1], [5.2, 4.2, 0.0]),
+        ("boards", [-0.2, -0.2, 3.0], [5.2, 4.2, 3.1]),
+    ];
+    for (material, low, high) in slabs {
+        writeln!(text, "o slab\nusemtl {material}").expect("text");
+        for quad in faces(low, high) {
+            // y up: (x, y, z) with z up is (x, z, -y).
+            quad.iter().for_each(|[x, y, z]| writeln!(text, "v {x} {z} {}", -y).expect("text"));
+            writeln!(text, "f {} {} {} {}", count + 1, count + 2, count + 3, count + 4).expect("text");
+            count += 4;
+        }
+    }
+    std::fs::write(folder.path().join("house.obj"), text).expect("written");
+    let meshes = "[[room.mesh]]\nfile = \"house.obj\"\nunit = \"m\"\nup = \"y\"\n\
+                  materials = { brickwork = \"brick\", drywall = \"plasterboard\", boards = \"floorboard\" }\n";
+    let scene = scene(&folder, meshes).expect("a good scene");
+    assert!((scene.room().size_m - glam::DVec3::new(5.0, 4.0, 3.0)).length() < 1e-6, "{}", scene.room().size_m);
+    let room = &scene.file().room;
+    let names =
+        [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling].map(|s| s.material.as_str());
+    assert_eq!(names, ["brick", "brick", "plasterboard", "plasterboard", "floorboard", "floorboard"]);
+    assert!(scene.file().furniture.is_empty());
+}
+
+/// Counts warnings.
+struct Warnings(AtomicUsize);
+
+impl tracing::Subscriber for &'static Warnings {
+    fn enabled(&self, metadata: &tracing::Metadata<'_>) -> bool {
+        *metadata.level() == tracing::Level::WARN
+    }
+    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
+        tracing::span::Id::from_u64(1)
+    }
+    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
+    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
+    fn event(&self, _: &tracing::Event<'_>) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+    fn enter(&self, _: &tracing::span::Id) {}
+    fn exit(&self, _: &tracing::span::Id) {}
+}
+
+#[test]
+fn a_material_outside_its_band_is_warned_of() {
+    static WARNINGS: Warnings = Warnings(AtomicUsize::new(0));
+    let folder = folder();
+    tracing::subscriber::with_default(&WARNINGS, || {
+        scene(&folder, MESHES).expect("a good scene");
+        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 0);
+        scene(&folder, &MESHES.replace("[50, 70]", "[1, 10]")).expect("a good scene");
+        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 1, "the floor");
+        // The table's brick ends at 40 GHz: four walls.
+        scene(&folder, &MESHES.replace("plasterboard", "brick")).expect("a good scene");
+        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 4);
+    });
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn told(result: Result<Scene, radome_sim::SceneError>, expected: &[&str]) {
+        let message = result.map(|_| ()).expect_err("a fault").to_string();
+        for word in expected.iter().chain(&["scene.toml:"]) {
+            assert!(message.contains(word), "{word:?} is not in {message:?}");
+        }
+    }
+
+    #[test]
+    fn rooms_that_are_wrong_are_told_how() {
+        let folder = folder();
+        let wrong = |from: &str, to: &str, expected: &[&str]| {
+            assert!(MESHES.contains(from), "{from}");
+            told(scene(&folder, &MESHES.replacen(from, to, 1)), expected);
+        };
+        wrong("unit = \"mm\"\n", "", &["walls.stl", "unit is not said", "hint: add unit"]);
+        wrong("up = \"z\"\n", "", &["walls.stl", "up is not said", "hint: "]);
+        told(scene(&folder, &MESHES.replace("\"mm\"", "\"m\"")), &["5000.0000 x 4000", "unit = \"mm\"", "hint: "]);
+        wrong("\"mm\"", "\"furlong\"", &["furlong", "`mm`"]);
+        wrong("\"plasterboard\"", "\"cheese\"", &["material", "cheese", "concrete", "oak"]);
+        wrong("material = \"plasterboard\"\n", "", &["walls.stl", "has none in the scene", "materials = {"]);
+        wrong("walls.stl", "walls.step", &["walls.step", "\"step\"", ".stl", "hint: "]);
+        wrong("walls.stl", "walks.stl", &["walks.stl", "cannot be read", "relative to the scene file"]);
+        wrong("[[room.mesh]]", "size_m = [5, 4, 2.5]\n[[room.mesh]]", &["size_m", "beside [[room.mesh]]"]);
+        wrong("[[room.mesh]]", "x_low = { material = \"wood\" }\n[[room.mesh]]", &["x_low", "beside [[room.mesh]]"]);
+        wrong("[materials.oak]", "[materials.wood]", &["materials", "wood"]);
+        wrong("[2.4, 0.15]", "[2.4, -0.15]", &["permittivity", "-0.15", "positive"]);
+        wrong("permittivity = [2.4, 0.15]", "", &["materials", "oak", "p2040"]);
+        wrong("thickness_m = 0.02", "thickness_m = -0.02", &["thickness_m", "0 to 10 m"]);
+    }
+
+    #[test]
+    fn meshes_that_are_wrong_are_told_how() {
+        let wrong = |name: &str, change: &dyn Fn(String) -> String, expected: &[&str]| {
+            let folder = folder();
+            let path = folder.path().join(name);
+            let text = std::fs::read_to_string(&path).expect("written");
+            std::fs::write(&path, change(text)).expect("written");
+            told(scene(&folder, MESHES), expected);
+        };
+        let all = faces([-1.0, -2.0, 0.0], [4.0, 2.0, 2.5]);
+        wrong("walls.stl", &|_| stl(&all[1..4], 1000.0), &["x_low is missing", "hint: "]);
+        wrong("ceiling.stl", &|_| stl(&all[4..5], 1.0), &["ceiling is missing", "hint: "]);
+        wrong("walls.stl", &|t| t.replacen("vertex -1000", "vertex nan", 1), &["walls.stl", "hint: "]);
+        wrong("walls.stl", &|t| t[..t.len() / 2].to_owned(), &["walls.stl", "line ", "hint: "]);
+        wrong("walls.stl", &|_| "solid x\nendsolid x\n".to_owned(), &["walls.stl", "no triangle", "hint: "]);
+        wrong("desk.stl", &|t| t.replace("vertex 1 ", "vertex 1e30 "), &["desk.stl", "hint: "]);
+        wrong("desk.stl", &|_| stl(&[[[0.0; 3]; 4]], 1.0), &["desk.stl", "no triangle", "hint: "]);
+        // Turned by 30 degrees, nothing faces along the axes but floor and ceiling.
+        let turned = |quads: &[Quad]| {
+            let turn = |[x, y, z]: [f64; 3]| [0.866 * x - 0.5 * y, 0.5 * x + 0.866 * y, z];
+            stl(&quads.iter().map(|q| q.map(turn)).collect::<Vec<_>>(), 1000.0)
+        };
+        wrong("walls.stl", &|_| turned(&all[..4]), &["is missing", "along the axes", "hint: "]);
+    }
+
+    #[test]
+    fn a_scene_without_walls_names_the_one_that_is_missing() {
+        let text = common::hall("[people.desk]\nmax_people = 0\n").replace("x_high = { material = \"open\" }\n", "");
+        let message = Scene::parse(&text, Path::new("scene.toml")).map(|_| ()).expect_err("a fault").to_string();
+        assert!(
+            message.contains("x_high") && message.contains("missing") && message.contains("[[room.mesh]]"),
+            "{message}"
+        );
+    }
+}
