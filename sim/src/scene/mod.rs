@@ -19,7 +19,7 @@ use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
 use draw::Draw;
-use file::{SceneFile, SurfaceFile};
+use file::{BodyFile, SceneFile, SurfaceFile};
 use material::Material;
 
 /// A scene that cannot be used.
@@ -119,6 +119,8 @@ pub struct Scene {
     receiver: Receiver,
     /// A receiver that was given instead of the file's.
     given: Option<Receiver>,
+    /// What people are made of, if somebody said so instead of the file.
+    body: Option<BodyFile>,
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
 }
@@ -188,6 +190,10 @@ impl Scene {
             },
             reason: reason.to_string(),
         })?;
+        let scene = match self.body {
+            Some(body) => scene.with_body(body),
+            None => scene,
+        };
         Ok(match &self.given {
             Some(receiver) => scene.with_receiver(receiver.clone()),
             None => scene,
@@ -221,7 +227,7 @@ impl Scene {
             SceneError::Waveform { path: path.to_owned(), line, source }
         })?;
         check::check(&file).map_err(|fault| fault.at(path, text))?;
-        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, text: None })
+        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, body: None, text: None })
     }
 
     /// The waveform as the chip realises it.
@@ -253,6 +259,15 @@ impl Scene {
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
         self.given = Some(receiver.clone());
         self.receiver = receiver;
+        self
+    }
+
+    /// The same scene with people made of something else. People at a desk have no skin: they stay as they are.
+    pub fn with_body(mut self, body: BodyFile) -> Self {
+        if self.file.people.desk.is_none() {
+            self.file.people.body = body;
+            self.body = Some(body);
+        }
         self
     }
 

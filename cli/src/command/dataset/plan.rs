@@ -9,10 +9,11 @@ use radome_dsp::{FrameSource, KernelLevel, Occupancy};
 use radome_driver::recording::Recording;
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
+use radome_sim::scene::file::BodyFile;
 use serde::{Deserialize, Serialize};
 
 use super::folders::{self, Found, Reading, Rules};
-use super::spec::{BuildSpec, FolderLabel, Recorded, Simulated};
+use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
 use super::print::Fingerprints;
 use crate::shard::Shard;
 
@@ -122,7 +123,17 @@ impl List<'_> {
     }
 
     fn simulated(&mut self, path: &Path, source: &Simulated) -> anyhow::Result<()> {
-        let scene = Arc::new(Scene::load(path)?);
+        let mut scene = Scene::load(path)?;
+        if let Some(body) = source.body {
+            if scene.file().people.desk.is_some() {
+                bail!("{}: people at a desk are made of one thing only; leave `body` out of the spec", path.display());
+            }
+            scene = scene.with_body(match body {
+                Body::Ellipsoids => BodyFile::Ellipsoids,
+                Body::Mesh => BodyFile::Mesh,
+            });
+        }
+        let scene = Arc::new(scene);
         self.check_waveform(&path.display().to_string(), scene.waveform())?;
         self.prints.scene(&source.scene)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -131,7 +142,8 @@ impl List<'_> {
         for seed in source.seeds.0..=source.seeds.1 {
             for &people in &forced {
                 let suffix = people.map_or(String::new(), |p| format!("-people{p}"));
-                let recording = format!("{name}-seed{seed}{suffix}");
+                let body = if source.body == Some(Body::Mesh) { "-mesh" } else { "" };
+                let recording = format!("{name}-seed{seed}{suffix}{body}");
                 self.units.push(Unit {
                     scene: name.clone(),
                     sequence: recording.clone(),

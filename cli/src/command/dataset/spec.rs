@@ -49,12 +49,25 @@ pub struct Simulated {
     /// Take one map in so many.
     #[serde(default = "one")]
     pub every: u64,
+    /// What people are made of; what the scene says if absent.
+    #[serde(default)]
+    pub body: Option<Body>,
     /// Error of the echoes that is asked for, dB; the simulator's own if absent.
     #[serde(default)]
     pub tolerance_db: Option<f64>,
     /// Split of all runs; dealt out by sequence if absent.
     #[serde(default)]
     pub split: Option<Split>,
+}
+
+/// What people are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Body {
+    /// Ellipsoids: analytic, fast.
+    Ellipsoids,
+    /// Skins.
+    Mesh,
 }
 
 /// A recording, or all recordings in a folder.
