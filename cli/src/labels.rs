@@ -1,10 +1,12 @@
-//! Files of labels, by the end of their name.
+//! Labels of recordings: in the recording where it can hold them, else in a file beside it.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
-use radome_driver::recording::label_text;
+use radome_driver::recording::span_check::check_spans;
+use radome_driver::recording::{Recording, label_text, mcap};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 use crate::files;
 
@@ -64,4 +66,47 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
         }
     }
     places.into_iter().find(|path| path.is_file())
+}
+
+/// All labels of a recording.
+pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+    match Recording::open(recording)? {
+        Recording::Mcap(reader) => Ok(reader.labels()?),
+        _ => file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file)),
+    }
+}
+
+/// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's
+/// range, or that overlap each other or those that are there, are refused, and nothing is written.
+pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
+    let mut source = Recording::open(recording)?;
+    let mut all = of(recording)?;
+    all.extend_from_slice(spans);
+    let named = || format!("{}: labels refused", recording.display());
+    check_spans(&all, None).with_context(named)?;
+    check_spans(&all, extent_s(&mut source)?).with_context(named)?;
+    if let Recording::Mcap(_) = source {
+        mcap::append_labels(recording, spans)?;
+        return Ok(recording.to_owned());
+    }
+    let file = file_beside(recording).unwrap_or_else(|| name_beside(recording));
+    write(&file, &all)?;
+    Ok(file)
+}
+
+/// When a recording's first frame begins and its last one ends, by the frames' own clock, s; `None` if it has none.
+fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
+    let interval_s = source.waveform().frame_interval_s();
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut extent: Option<(f64, f64)> = None;
+    loop {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => return Ok(extent),
+            SourceEvent::Gap(_) => {}
+            SourceEvent::Frame => {
+                let first_s = extent.map_or(frame.time_s(), |(first_s, _)| first_s);
+                extent = Some((first_s, frame.time_s() + interval_s));
+            }
+        }
+    }
 }

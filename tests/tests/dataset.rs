@@ -27,7 +27,7 @@ floor_db = -200.0
 [[simulated]]
 scene = {corridor:?}
 seeds = [1, {runs}]
-people = [0, 2]
+people = [2]
 frames = 200
 every = 50
 [[simulated]]
@@ -82,7 +82,7 @@ fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
 fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let spec = spec(folder.path(), 4, "");
+    let spec = spec(folder.path(), 8, "");
     let said = json_lines(&mut build(&spec, &path("whole"))).remove(0);
     assert_eq!((said["maps"].as_u64(), said["units"].as_u64(), said["units_found"].as_u64()), (Some(38), Some(10), Some(0)));
 
@@ -110,7 +110,7 @@ fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
 fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let spec = spec(folder.path(), 8, "split = { by = \"sequence\", test = 0.25, validation = 0.25 }");
+    let spec = spec(folder.path(), 16, "split = { by = \"sequence\", test = 0.25, validation = 0.25 }");
     json_lines(&mut build(&spec, &path("single")));
     let shard = |index: usize| {
         let mut command = build(&spec, &path("shards"));
@@ -163,7 +163,7 @@ fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
 fn two_builds_at_once_in_one_place_are_refused() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = |name: &str| folder.path().join(name);
-    let spec = spec(folder.path(), 200, "");
+    let spec = spec(folder.path(), 400, "");
     let mut first = build(&spec, &path("set")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
     while !path("set.parts/plan.json").exists() {
         assert!(first.try_wait().expect("a child").is_none(), "ended before it began");
@@ -178,7 +178,7 @@ fn two_builds_at_once_in_one_place_are_refused() {
 #[test]
 fn a_zero_sigma_is_not_hidden() {
     let folder = tempfile::tempdir().expect("a folder");
-    let spec = spec(folder.path(), 2, "");
+    let spec = spec(folder.path(), 4, "");
     json_lines(&mut build(&spec, &folder.path().join("set")));
     let stats = |set: &Path| {
         let mut command = radome();

@@ -1,7 +1,7 @@
 use std::path::PathBuf;
 
 use radome_driver::recording::Recording;
-use radome_driver::recording::mcap::{self, LabelSpan};
+use radome_driver::recording::mcap::LabelSpan;
 use serde_json::json;
 
 use crate::{labels, output};
@@ -30,7 +30,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.import {
         let mut spans = labels::read(path)?;
         spans.iter_mut().for_each(|span| span.who.clone_from(&arguments.who));
-        mcap::append_labels(&arguments.file, &spans)?;
+        labels::add(&arguments.file, &spans)?;
         eprintln!("{} labels added to {}", spans.len(), arguments.file.display());
     }
     let spans = Recording::open(&arguments.file)?.labels()?;

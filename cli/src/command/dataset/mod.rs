@@ -5,7 +5,9 @@
 //! bytes that come out depend neither on how many processes made the units nor on how often one was killed.
 
 mod build;
+mod detector;
 mod folders;
+mod label;
 mod merge;
 mod plan;
 mod print;
@@ -26,6 +28,8 @@ pub struct Arguments {
 enum Action {
     /// Maps, labels and manifest from simulated and recorded sources; goes on where an earlier run was stopped
     Build(build::Arguments),
+    /// Label a recording by hand, from a file, or as truth or a classical detector proposes
+    Label(label::Arguments),
     /// One dataset of all shards of a build, or of several datasets
     Merge(merge::Arguments),
     /// Mean and sigma of the cells by scene, class and domain, and how much people raise them
@@ -40,6 +44,7 @@ enum Action {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::Build(arguments) => build::run(arguments),
+        Action::Label(arguments) => label::run(arguments),
         Action::Merge(arguments) => merge::run(arguments),
         Action::Stats(arguments) => stats::run(arguments),
         Action::Verify(arguments) => verify::run(arguments),
