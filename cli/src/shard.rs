@@ -50,12 +50,13 @@ fn parse(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Result<Shard,
     let shard = match text.split_once('/') {
         Some((index, count)) => {
             let count = number("the number of shards", count)?;
-            let index = match index {
-                "auto" => INDEX_VARIABLES.iter().find_map(|name| from_variable(name).transpose()).unwrap_or_else(|| {
-                    Err(format!("this is no task of an array: none of {} is set", INDEX_VARIABLES.join(", ")))
-                })?,
-                index => number("the shard", index)?,
-            };
+            let index =
+                match index {
+                    "auto" => INDEX_VARIABLES.iter().find_map(|name| from_variable(name).transpose()).unwrap_or_else(
+                        || Err(format!("this is no task of an array: none of {} is set", INDEX_VARIABLES.join(", "))),
+                    )?,
+                    index => number("the shard", index)?,
+                };
             Shard { index, count }
         }
         None if text == "auto" => {

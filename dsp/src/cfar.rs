@@ -195,7 +195,9 @@ impl Cfar {
                 CfarMethod::CellAveraging => {
                     self.sum_columns(power, doppler, &mut columns);
                     let [all, outer] = &columns;
-                    let sum = |columns: &[f64], of: &std::ops::Range<usize>| columns.get(of.clone()).map_or(0.0, |c| c.iter().sum());
+                    let sum = |columns: &[f64], of: &std::ops::Range<usize>| {
+                        columns.get(of.clone()).map_or(0.0, |c| c.iter().sum())
+                    };
                     out.extend(self.plan.iter().map(|plan| {
                         let level: f64 = sum(all, &plan.low) + sum(all, &plan.high) + sum(outer, &plan.middle);
                         plan.factor * level
@@ -229,7 +231,8 @@ impl Cfar {
         let Some(db) = map.db.get(rx * plane..(rx + 1) * plane).filter(|_| fits) else { return Vec::new() };
         let power: Vec<f64> = db.iter().map(|&db| 10f64.powf(f64::from(db) / 10.0)).collect();
         let Some(thresholds) = self.thresholds(&power) else { return Vec::new() };
-        let above = power.iter().zip(&thresholds).zip(db).enumerate().filter(|(_, ((power, threshold), _))| power > threshold);
+        let above =
+            power.iter().zip(&thresholds).zip(db).enumerate().filter(|(_, ((power, threshold), _))| power > threshold);
         let detection = |(index, ((_, threshold), db)): (usize, ((&f64, &f64), &f32))| Detection {
             doppler: index / self.range,
             range: index % self.range,
@@ -243,7 +246,8 @@ impl Cfar {
     fn rows(&self, doppler: usize) -> impl Iterator<Item = (usize, bool)> + use<'_> {
         let CfarSpec { guard, training, .. } = self.spec;
         let reach = guard.doppler + training.doppler;
-        (0..2 * reach + 1).map(move |i| ((doppler + self.doppler + i - reach) % self.doppler, i.abs_diff(reach) > guard.doppler))
+        (0..2 * reach + 1)
+            .map(move |i| ((doppler + self.doppler + i - reach) % self.doppler, i.abs_diff(reach) > guard.doppler))
     }
 
     /// Sums over the window's rows, and over those beyond the guard cells alone. Nothing is ever subtracted: a strong target
@@ -306,13 +310,15 @@ fn ordered_factor_by_integral(cells: usize, order: usize, looks: usize, false_al
     const STEPS: usize = 6000;
     let (low, high) = (-30.0f64, 6.0f64);
     let step = (high - low) / STEPS as f64;
-    let ln_choose: f64 = (1..order).map(|i| ((cells - order + i) as f64 / i as f64).ln()).sum::<f64>() + (cells as f64).ln();
+    let ln_choose: f64 =
+        (1..order).map(|i| ((cells - order + i) as f64 / i as f64).ln()).sum::<f64>() + (cells as f64).ln();
     let weights: Vec<(f64, f64)> = (0..=STEPS)
         .map(|i| {
             let x = (low + i as f64 * step).exp();
             let (above, below) = erlang(looks, x);
             let ln_density = (looks as f64 - 1.0) * x.ln() - x - (1..looks).map(|k| (k as f64).ln()).sum::<f64>();
-            let ln = ln_choose + (order - 1) as f64 * below.ln() + (cells - order) as f64 * above.ln() + ln_density + x.ln();
+            let ln =
+                ln_choose + (order - 1) as f64 * below.ln() + (cells - order) as f64 * above.ln() + ln_density + x.ln();
             (x, ln.exp())
         })
         .collect();

@@ -76,12 +76,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => path.clone(),
     });
     let scene = Scene::load(&arguments.scene)?;
-    let mut options = SimulateOptions {
-        seed: arguments.seed,
-        people: arguments.people,
-        frames: Some(end),
-        ..Default::default()
-    };
+    let mut options =
+        SimulateOptions { seed: arguments.seed, people: arguments.people, frames: Some(end), ..Default::default() };
     if let Some(tolerance_db) = arguments.tolerance_db {
         options.tolerance_db = tolerance_db;
     }

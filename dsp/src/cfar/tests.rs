@@ -22,7 +22,13 @@ impl Draw {
 const CA: CfarMethod = CfarMethod::CellAveraging;
 const OS: CfarMethod = CfarMethod::OrderedStatistic { rank: 0.75 };
 
-fn spec(method: CfarMethod, guard: (usize, usize), training: (usize, usize), false_alarm_rate: f64, looks: usize) -> CfarSpec {
+fn spec(
+    method: CfarMethod,
+    guard: (usize, usize),
+    training: (usize, usize),
+    false_alarm_rate: f64,
+    looks: usize,
+) -> CfarSpec {
     let reach = |(doppler, range)| CellReach { doppler, range };
     CfarSpec { method, guard: reach(guard), training: reach(training), false_alarm_rate, looks }
 }
@@ -30,11 +36,13 @@ fn spec(method: CfarMethod, guard: (usize, usize), training: (usize, usize), fal
 /// The definition: walk over the whole window, sort, look up.
 fn reference(spec: &CfarSpec, power: &[f64], (rows, columns): (usize, usize), doppler: usize, range: usize) -> f64 {
     let reach = |guard: usize, training: usize| (guard + training) as i64;
-    let (across, along) = (reach(spec.guard.doppler, spec.training.doppler), reach(spec.guard.range, spec.training.range));
+    let (across, along) =
+        (reach(spec.guard.doppler, spec.training.doppler), reach(spec.guard.range, spec.training.range));
     let mut cells = Vec::new();
     for d in -across..=across {
         for r in -along..=along {
-            let guarded = d.unsigned_abs() as usize <= spec.guard.doppler && r.unsigned_abs() as usize <= spec.guard.range;
+            let guarded =
+                d.unsigned_abs() as usize <= spec.guard.doppler && r.unsigned_abs() as usize <= spec.guard.range;
             let at = range as i64 + r;
             if !guarded && (0..columns as i64).contains(&at) {
                 let row = (doppler as i64 + d).rem_euclid(rows as i64) as usize;
@@ -57,7 +65,9 @@ fn thresholds_are_those_of_the_definition_everywhere() {
     let mut power: Vec<f64> = (0..rows * columns).map(|_| draw.power(1)).collect();
     power[5 * columns + 3] = 1e12;
     for method in [CA, OS] {
-        for (guard, training) in [((1, 2), (2, 3)), ((0, 0), (0, 4)), ((0, 1), (5, 0)), ((2, 0), (0, 1)), ((0, 0), (1, 1))] {
+        for (guard, training) in
+            [((1, 2), (2, 3)), ((0, 0), (0, 4)), ((0, 1), (5, 0)), ((2, 0), (0, 1)), ((0, 0), (1, 1))]
+        {
             let spec = spec(method, guard, training, 1e-3, 1);
             let cfar = Cfar::new(spec, rows, columns).expect("fits");
             let fast = cfar.thresholds(&power).expect("as many");
@@ -74,11 +84,13 @@ fn thresholds_are_those_of_the_definition_everywhere() {
 fn factors_give_the_rates_that_they_are_for() {
     // Textbook: N = 16, 1e-4 is a factor of 12.45 on the mean of CA (Rohling's table has 17.2 for OS with k = 10).
     assert!((16.0 * averaging_factor(16, 1, 1e-4) - 12.452).abs() < 1e-3);
-    let known: f64 = (0..10).map(|i| f64::from(16 - i) / (f64::from(16 - i) + ordered_factor(16, 10, 1, 1e-4))).product();
+    let known: f64 =
+        (0..10).map(|i| f64::from(16 - i) / (f64::from(16 - i) + ordered_factor(16, 10, 1, 1e-4))).product();
     assert!((known / 1e-4 - 1.0).abs() < 1e-9);
     for (cells, order, rate) in [(16, 12, 1e-2), (40, 30, 1e-4), (100, 75, 1e-6), (3, 1, 0.1)] {
         // The integral that serves several looks, asked for one, is the product.
-        let (product, integral) = (ordered_factor(cells, order, 1, rate), ordered_factor_by_integral(cells, order, 1, rate));
+        let (product, integral) =
+            (ordered_factor(cells, order, 1, rate), ordered_factor_by_integral(cells, order, 1, rate));
         assert!((integral / product - 1.0).abs() < 1e-5, "{cells} {order}: {integral} {product}");
         assert!(ordered_factor(cells, order, 2, rate) < product, "two looks spread less");
     }
@@ -107,13 +119,18 @@ fn measured_rate(spec: CfarSpec, cell: usize, columns: usize, trials: usize, see
 fn noise_alone_alarms_at_the_stated_rate_in_the_middle_and_at_the_edge() {
     let trials = 100_000;
     for (seed, (method, looks, rate)) in
-        [(CA, 1, 1e-2), (OS, 1, 1e-2), (CA, 3, 1e-2), (OS, 3, 1e-2), (CA, 1, 1e-3), (OS, 2, 1e-1)].into_iter().enumerate()
+        [(CA, 1, 1e-2), (OS, 1, 1e-2), (CA, 3, 1e-2), (OS, 3, 1e-2), (CA, 1, 1e-3), (OS, 2, 1e-1)]
+            .into_iter()
+            .enumerate()
     {
         let spec = spec(method, (0, 1), (0, 8), rate, looks);
         for cell in [9, 0, 3] {
             let measured = measured_rate(spec, cell, 19, trials, seed as u64);
             let sigma = (rate * (1.0 - rate) / trials as f64).sqrt();
-            assert!((measured - rate).abs() < 4.5 * sigma, "{method:?}, {looks} looks, cell {cell}: {measured}, asked {rate}");
+            assert!(
+                (measured - rate).abs() < 4.5 * sigma,
+                "{method:?}, {looks} looks, cell {cell}: {measured}, asked {rate}"
+            );
         }
     }
 }
@@ -139,7 +156,8 @@ fn a_target_is_found_where_it_is_across_the_seam_of_doppler_too() {
     }
     for method in [CA, OS] {
         let cfar = Cfar::new(spec(method, (1, 1), (4, 4), 1e-6, 1), rows, columns).expect("fits");
-        let found: Vec<(usize, usize)> = cfar.detect(&map(rows, columns, &power), 0).iter().map(|d| (d.doppler, d.range)).collect();
+        let found: Vec<(usize, usize)> =
+            cfar.detect(&map(rows, columns, &power), 0).iter().map(|d| (d.doppler, d.range)).collect();
         assert_eq!(found, [(0, 40), (20, 30), (63, 0)], "{method:?}");
     }
 }
@@ -166,7 +184,8 @@ fn hann_windows_raise_the_rate_less_than_twofold() {
     use crate::{Frame, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
     let request = WaveformRequest { samples_per_chirp: 128, chirps_per_frame: 64, ..WaveformRequest::paper() };
     let waveform = Waveform::realise(request).expect("waveform");
-    let mut processor = RdmProcessor::new(&RdmSpec { floor_db: -300.0, ..RdmSpec::paper() }, &waveform).expect("processor");
+    let mut processor =
+        RdmProcessor::new(&RdmSpec { floor_db: -300.0, ..RdmSpec::paper() }, &waveform).expect("processor");
     let (mut frame, mut out) = (Frame::zeroed(waveform.shape()), processor.empty_map());
     let mut draw = Draw(5);
     for method in [CA, OS] {
@@ -217,7 +236,10 @@ mod hard_cases {
             power[40] = f64::NAN;
             assert!(cfar.detect(&map(16, 16, &power), 0).is_empty());
             assert!(cfar.detect(&map(16, 16, &vec![0.0; 256]), 0).is_empty());
-            assert!(cfar.detect(&map(8, 16, &power[..128]), 0).is_empty() && cfar.detect(&map(16, 16, &power), 3).is_empty());
+            assert!(
+                cfar.detect(&map(8, 16, &power[..128]), 0).is_empty()
+                    && cfar.detect(&map(16, 16, &power), 3).is_empty()
+            );
         }
     }
 }

@@ -28,7 +28,11 @@ pub fn merge(parts: &[(&Path, &Dataset)], dir: &Path, split: Option<&SplitSpec>)
             () if header != expected => "the header",
             () => continue,
         };
-        return Err(DatasetError::Unlike { path: path.to_path_buf(), what: what.into(), first: first_path.to_path_buf() });
+        return Err(DatasetError::Unlike {
+            path: path.to_path_buf(),
+            what: what.into(),
+            first: first_path.to_path_buf(),
+        });
     }
     let splits = match split {
         Some(spec) => {

@@ -163,7 +163,8 @@ impl SplitSpec {
 /// The name of each sequence's group: of the sequences that hang together, the first in the order of letters.
 fn group_names(rows: &[ManifestRow], by: SplitBy) -> BTreeMap<&str, &str> {
     // Every sequence points to an earlier one of its group, or to itself.
-    let mut before: BTreeMap<&str, &str> = rows.iter().map(|row| (row.sequence.as_str(), row.sequence.as_str())).collect();
+    let mut before: BTreeMap<&str, &str> =
+        rows.iter().map(|row| (row.sequence.as_str(), row.sequence.as_str())).collect();
     fn first<'a>(before: &BTreeMap<&'a str, &'a str>, mut name: &'a str) -> &'a str {
         while let Some(earlier) = before.get(name).filter(|earlier| **earlier != name) {
             name = earlier;

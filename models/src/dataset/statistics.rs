@@ -135,7 +135,8 @@ mod tests {
     fn a_mixture_gives_back_its_share_and_level() {
         let spread = |k: u64| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1u64 << 24) as f32;
         let noise: Vec<f32> = (0..100_000).map(|k| 20.0 * spread(k)).collect();
-        let raised_cells: Vec<f32> = noise.iter().enumerate().map(|(k, v)| if k % 20 == 0 { v + 9.0 } else { *v }).collect();
+        let raised_cells: Vec<f32> =
+            noise.iter().enumerate().map(|(k, v)| if k % 20 == 0 { v + 9.0 } else { *v }).collect();
         let (mut empty, mut people) = (Moments::default(), Moments::default());
         noise.chunks(97).for_each(|block| empty.add(block));
         raised_cells.chunks(1000).for_each(|block| people.add(block));

@@ -92,7 +92,12 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     }
     let duplicate = |what: &'static str, maps: Vec<usize>| Duplicate {
         splits: maps.iter().map(|&map| split_of(map)).collect::<BTreeSet<_>>().into_iter().collect(),
-        labels: maps.iter().filter_map(|&map| Some(rows.get(map)?.label)).collect::<BTreeSet<_>>().into_iter().collect(),
+        labels: maps
+            .iter()
+            .filter_map(|&map| Some(rows.get(map)?.label))
+            .collect::<BTreeSet<_>>()
+            .into_iter()
+            .collect(),
         maps,
         what,
     };

@@ -179,7 +179,10 @@ pub fn lock_folder(folder: &Path) -> Result<File, DatasetError> {
         Ok(()) => Ok(file),
         Err(TryLockError::WouldBlock) => Err(DatasetError::Busy { path: folder.to_owned() }),
         Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {
-            tracing::warn!("{}: this file system knows no locks; see that only one process writes here", path.display());
+            tracing::warn!(
+                "{}: this file system knows no locks; see that only one process writes here",
+                path.display()
+            );
             Ok(file)
         }
         Err(TryLockError::Error(error)) => Err(DatasetError::io(&path, "locking")(error)),

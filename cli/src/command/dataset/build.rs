@@ -167,7 +167,8 @@ impl Parts {
 
     /// Gives a shard's units the shard's name.
     fn finish_shard(&self, target: &Path) -> anyhow::Result<()> {
-        fs::rename(&self.folder, target).with_context(|| format!("cannot rename {} to {}", self.folder.display(), target.display()))
+        fs::rename(&self.folder, target)
+            .with_context(|| format!("cannot rename {} to {}", self.folder.display(), target.display()))
     }
 
     fn remove(&self) -> anyhow::Result<()> {
@@ -210,7 +211,14 @@ impl Counts {
     }
 
     /// Says it, of what was made of so many units of which some had been found.
-    pub fn tell(&self, folder: &Path, shard: Option<Shard>, units: usize, found: usize, json: bool) -> anyhow::Result<()> {
+    pub fn tell(
+        &self,
+        folder: &Path,
+        shard: Option<Shard>,
+        units: usize,
+        found: usize,
+        json: bool,
+    ) -> anyhow::Result<()> {
         let [empty, one, two] = self.classes;
         let maps = empty + one + two;
         let name = folder.display().to_string();

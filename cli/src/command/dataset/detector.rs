@@ -54,14 +54,20 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let cfar = Cfar::new(cfar_spec(looks, shape.doppler, shape.range), shape.doppler, shape.range)?;
     // The sum over slow time is of as many looks as there are frames: far more than a threshold needs, and not independent.
     let energy_cfar = Cfar::new(
-        CfarSpec { guard: reach(0, 2), training: reach(0, 8), false_alarm_rate: 1e-4, ..cfar_spec(looks, 1, shape.range) },
+        CfarSpec {
+            guard: reach(0, 2),
+            training: reach(0, 8),
+            false_alarm_rate: 1e-4,
+            ..cfar_spec(looks, 1, shape.range)
+        },
         1,
         shape.range,
     )?;
 
     let (mut map, mut slow_map) = (moving.empty_map(), still.empty_map());
     let mut frame = Frame::zeroed(waveform.shape());
-    let mut believed = Vec::new();
+    // Of each frame: when, how many walk, and whether somebody breathes in the window that ends with it.
+    let mut looked: Vec<(f64, usize, bool)> = Vec::new();
     loop {
         match recording.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
@@ -70,25 +76,32 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
                 still.reset();
             }
             SourceEvent::Frame => {
-                let mut people = 0;
-                if moving.process(&frame, &mut map)? == MapStatus::Ready {
-                    people = count(&cfar.detect(&map, 0), &map);
-                }
-                if still.process(&frame, &mut slow_map)? == MapStatus::Ready && people == 0 {
-                    people = usize::from(breathes(&energy_cfar, &slow_map));
-                }
-                believed.push((frame.time_s(), Occupancy::from_index(people.min(2)).unwrap_or(Occupancy::Two)));
+                let is_map = moving.process(&frame, &mut map)? == MapStatus::Ready;
+                let people = if is_map { count(&cfar.detect(&map, 0), &map) } else { 0 };
+                let is_slow_map = still.process(&frame, &mut slow_map)? == MapStatus::Ready;
+                looked.push((frame.time_s(), people, is_slow_map && breathes(&energy_cfar, &slow_map)));
             }
         }
     }
-    if believed.is_empty() {
+    if looked.is_empty() {
         bail!("{}: no frame", path.display());
     }
+    let believe = |index: usize, (time_s, moving, _): &(f64, usize, bool)| {
+        // Who has just left still fills the window of who breathes: it counts where few of its frames held a walker.
+        let half = frames / 2;
+        let window = looked.get(index.saturating_sub(half)..(index + half).min(looked.len())).unwrap_or(&[]);
+        let walked = window.iter().filter(|(_, people, _)| *people > 0).count();
+        let breathes = looked.get(index + half).is_some_and(|(.., breathes)| *breathes) && 4 * walked <= window.len();
+        let people = (*moving).max(usize::from(breathes)).min(2);
+        (*time_s, Occupancy::from_index(people).unwrap_or(Occupancy::Two))
+    };
+    let believed: Vec<(f64, Occupancy)> = looked.iter().enumerate().map(|(index, of)| believe(index, of)).collect();
     let agreed = agree(&believed);
     let mut spans = spans_of(&agreed, waveform.frame_interval_s());
     for span in &mut spans {
         let within = believed.iter().filter(|(time_s, _)| (span.start_s..span.end_s).contains(time_s));
-        let (all, same) = within.fold((0, 0), |(all, same), (_, class)| (all + 1, same + u32::from(class.name() == span.label)));
+        let (all, same) =
+            within.fold((0, 0), |(all, same), (_, class)| (all + 1, same + u32::from(class.name() == span.label)));
         span.who = Some("detector".into());
         span.confidence = Some(f64::from(same) / f64::from(all.max(1)));
     }
@@ -177,7 +190,11 @@ fn agree(believed: &[(f64, Occupancy)]) -> Vec<(f64, Occupancy)> {
             }
             let most = votes.iter().copied().max().unwrap_or(0);
             // Among equals, what the frame itself says.
-            let class = if votes[own.index()] == most { Some(*own) } else { Occupancy::ALL.into_iter().find(|o| votes[o.index()] == most) };
+            let class = if votes[own.index()] == most {
+                Some(*own)
+            } else {
+                Occupancy::ALL.into_iter().find(|o| votes[o.index()] == most)
+            };
             (*time_s, class.unwrap_or(*own))
         })
         .collect()

@@ -149,9 +149,13 @@ fn compile(pattern: &str) -> anyhow::Result<Regex> {
             '*' => text += "[^/]*",
             '?' => text += "[^/]",
             '{' => {
-                let Some((name, after)) = rest.split_once('}') else { bail!("pattern \"{pattern}\": a brace is never closed") };
+                let Some((name, after)) = rest.split_once('}') else {
+                    bail!("pattern \"{pattern}\": a brace is never closed")
+                };
                 if !["scene", "subject", "sequence"].contains(&name) {
-                    bail!("pattern \"{pattern}\": {{{name}}} means nothing; there are {{scene}}, {{subject}} and {{sequence}}");
+                    bail!(
+                        "pattern \"{pattern}\": {{{name}}} means nothing; there are {{scene}}, {{subject}} and {{sequence}}"
+                    );
                 }
                 text += &format!("(?P<{name}>[^/]+?)");
                 rest = after;
@@ -174,7 +178,8 @@ mod tests {
     #[test]
     fn names_are_read_by_the_one_pattern_that_fits() {
         use FolderLabel::{Empty, One, Two};
-        let rules = rules(&[("empty*", Empty), ("{scene}/{subject}/one_*", One), ("{subject}+*_two.?", Two)]).expect("rules");
+        let rules =
+            rules(&[("empty*", Empty), ("{scene}/{subject}/one_*", One), ("{subject}+*_two.?", Two)]).expect("rules");
         let read = |name: &str| {
             let r = rules.read(name).expect("one fits");
             (r.label, r.scene, r.subject)
@@ -192,8 +197,10 @@ mod tests {
             use FolderLabel::{Empty, One};
             let rules = rules(&[("empty*", Empty), ("*one*", One)]).expect("rules");
             let said = |name: &str| rules.read(name).expect_err("no").to_string();
-            assert!(said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"*one*\", \"empty*\"") 
-                || said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"empty*\", \"*one*\""));
+            assert!(
+                said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"*one*\", \"empty*\"")
+                    || said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"empty*\", \"*one*\"")
+            );
             assert!(said("empty_or_one").contains("fits two patterns"));
             // Dots and brackets mean themselves; a star does not go across folders.
             let strict = super::rules(&[("a.[b]*", One), ("x/*", Empty)]).expect("rules");

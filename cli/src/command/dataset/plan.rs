@@ -5,16 +5,16 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use anyhow::{Context, bail};
-use radome_dsp::{FrameSource, KernelLevel, Occupancy};
 use radome_driver::recording::Recording;
+use radome_dsp::{FrameSource, KernelLevel, Occupancy};
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
 use radome_sim::scene::file::BodyFile;
 use serde::{Deserialize, Serialize};
 
 use super::folders::{self, Found, Reading, Rules};
-use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
 use super::print::Fingerprints;
+use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::shard::Shard;
 
 /// Version of `plan.json`.
@@ -86,7 +86,11 @@ impl Plan {
         }
         let kernel = spec.kernel.unwrap_or_else(KernelLevel::detect);
         if !kernel.is_available() {
-            bail!("{}: kernel {kernel} asked for, the best that this machine has is {}", path.display(), KernelLevel::detect());
+            bail!(
+                "{}: kernel {kernel} asked for, the best that this machine has is {}",
+                path.display(),
+                KernelLevel::detect()
+            );
         }
         let card = PlanCard {
             format: FORMAT,
@@ -211,7 +215,8 @@ impl List<'_> {
         });
         let content = if let Recording::Infineon(reader) = &opened { reader.folder() } else { &found.path };
         self.prints.recording(called, content, label_file.as_deref())?;
-        let reading = reading.unwrap_or(Reading { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });
+        let reading =
+            reading.unwrap_or(Reading { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });
         self.units.push(Unit {
             scene: reading.scene.or_else(|| source.scene.clone()).unwrap_or_else(|| "unknown".into()),
             subject: reading.subject.or_else(|| source.subject.clone()),
@@ -236,7 +241,11 @@ impl PlanCard {
         }
         let version: Version = serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))?;
         if version.format > FORMAT {
-            bail!("{}: format {} is newer than {FORMAT}, the newest this program reads", path.display(), version.format);
+            bail!(
+                "{}: format {} is newer than {FORMAT}, the newest this program reads",
+                path.display(),
+                version.format
+            );
         }
         serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))
     }

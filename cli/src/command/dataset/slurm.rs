@@ -35,9 +35,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         eprintln!("there are {} units for {} tasks: some will have nothing to do", plan.units.len(), arguments.tasks);
     }
     let program = std::env::current_exe().context("cannot find this program's own path")?;
-    let absolute = |path: &Path| std::path::absolute(path).with_context(|| format!("{} has no full path", path.display()));
+    let absolute =
+        |path: &Path| std::path::absolute(path).with_context(|| format!("{} has no full path", path.display()));
     let name = arguments.spec.file_stem().unwrap_or_default().to_string_lossy();
-    let name: String = name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' }).collect();
+    let name: String =
+        name.chars().map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '-' }).collect();
     let (spec, folder) = (quoted(&absolute(&arguments.spec)?)?, quoted(&absolute(&arguments.output)?)?);
     let program = quoted(&program)?;
     let (tasks, cpus, last) = (arguments.tasks, arguments.cpus, arguments.tasks - 1);
@@ -61,7 +63,9 @@ exec {program} dataset build {spec} -o {folder} --shard auto/{tasks}"
 
 /// A path as one word of a shell.
 fn quoted(path: &Path) -> anyhow::Result<String> {
-    let text = path.to_str().with_context(|| format!("{}: a path that is not UTF-8 cannot go into a script", path.display()))?;
+    let text = path
+        .to_str()
+        .with_context(|| format!("{}: a path that is not UTF-8 cannot go into a script", path.display()))?;
     let plain = |c: char| c.is_ascii_alphanumeric() || "/-_.+,@%".contains(c);
     if text.contains('\n') {
         bail!("{text:?}: a path with a line's end cannot go into a script");

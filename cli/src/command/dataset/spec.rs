@@ -132,7 +132,8 @@ impl BuildSpec {
     /// Reads and checks a file.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let spec: BuildSpec = toml::from_str(&text).with_context(|| format!("{} is no dataset spec", path.display()))?;
+        let spec: BuildSpec =
+            toml::from_str(&text).with_context(|| format!("{} is no dataset spec", path.display()))?;
         spec.check().with_context(|| format!("{} is no dataset spec", path.display()))?;
         Ok(spec)
     }
@@ -154,7 +155,9 @@ impl BuildSpec {
             let fault = match (&source.recording, &source.folders) {
                 (Some(_), Some(_)) => "has both `recording` and `folders`, expected one of them",
                 (None, None) => "has neither `recording` nor `folders`",
-                (Some(_), None) if !source.labels.is_empty() => "`labels` goes with `folders`; for one recording: `label`",
+                (Some(_), None) if !source.labels.is_empty() => {
+                    "`labels` goes with `folders`; for one recording: `label`"
+                }
                 (Some(_), None) if source.label.is_some() && source.label_file.is_some() => {
                     "has both `label` and `label_file`, expected one of them at most"
                 }

@@ -4,8 +4,8 @@ use std::path::Path;
 
 use anyhow::Context;
 use radome_driver::LabelSpan;
-use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::Recording;
+use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_dsp::rdm::{SlowTime, StaticRemoval};
 use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth, Waveform};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
