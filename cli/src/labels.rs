@@ -80,11 +80,13 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 /// range, or that overlap each other or those that are there, are refused, and nothing is written.
 pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     let mut source = Recording::open(recording)?;
+    let named = || format!("{}: labels refused", recording.display());
+    // What is wrong with the new ones by themselves comes first: it says most.
+    check_spans(spans, None).with_context(named)?;
+    check_spans(spans, extent_s(&mut source)?).with_context(named)?;
     let mut all = of(recording)?;
     all.extend_from_slice(spans);
-    let named = || format!("{}: labels refused", recording.display());
     check_spans(&all, None).with_context(named)?;
-    check_spans(&all, extent_s(&mut source)?).with_context(named)?;
     if let Recording::Mcap(_) = source {
         mcap::append_labels(recording, spans)?;
         return Ok(recording.to_owned());

@@ -309,13 +309,13 @@ fn infineon_folders_of_every_kind_become_labelled_sequences() {
     let codes: Vec<u16> = npyz::NpyFile::new(bytes.as_slice()).expect("an array").into_vec().expect("codes");
     let other: Vec<u16> = codes.iter().map(|code| (code + 1).min(4095)).collect();
     std::fs::write(second.join("radar.npy"), npy([frames as usize, 3, 128, 256], &other)).expect("writable");
-    // One receiver alone; and a radar's folder without a session's.
-    copy(&made.join("RadarIfxAvian_00"), &path("data/home/bob/two_rx1"));
-    edit(&path("data/home/bob/two_rx1/config.json"), |value| {
+    // One receiver alone, without a session's folder: maps of the same cells, but another waveform, and so a dataset of its own.
+    copy(&made.join("RadarIfxAvian_00"), &path("single/bob/two_rx1"));
+    edit(&path("single/bob/two_rx1/config.json"), |value| {
         value["device_config"]["fmcw_single_shape"]["rx_antennas"] = serde_json::json!([1]);
     });
     let first_rx: Vec<u16> = codes.chunks(3 * 128 * 256).flat_map(|frame| frame[..128 * 256].to_vec()).collect();
-    std::fs::write(path("data/home/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
+    std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
         .expect("writable");
     // The SDK's text recording, a native one, and one whose labels say what it is.
     json_lines(radome().arg("convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
@@ -347,7 +347,7 @@ scene = "home"
     let said = json_lines(&mut build(&spec, &path("set"))).remove(0);
     let frames = u64::from(frames);
     let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));
-    assert_eq!(counts, [2 * frames + 5, 2 * frames + 4, 5 * frames, 9 * frames + 9, 10], "{said}");
+    assert_eq!(counts, [2 * frames + 5, 2 * frames + 4, 4 * frames, 8 * frames + 9, 9], "{said}");
     let manifest = std::fs::read_to_string(path("set/manifest.jsonl")).expect("reads");
     let rows: Vec<serde_json::Value> = manifest.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
     assert!(rows.iter().all(|row| row["scene"] == "home" && row["domain"] == "real"));
@@ -358,8 +358,16 @@ scene = "home"
     assert_eq!(of("home/bob/two_boards/RadarIfxAvian_01")["sequence"], "home/bob/two_boards");
     assert_eq!(of("home/bob/two_sdk")["label"], "two");
     assert!(of("home/empty_gui").get("subject").is_none());
-    // The filters and the band's names do not change what is in the samples.
-    assert_eq!(of("home/ann/one_old")["hash"], of("home/bob/two_rx1")["hash"]);
+    // What the filters were and how the band is called does not change what is in the samples; nor does it matter here
+    // whether the other receivers were recorded.
+    let alone = path("alone.toml");
+    std::fs::write(&alone, text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""))
+        .expect("writable");
+    assert_eq!(json_lines(&mut build(&alone, &path("alone"))).remove(0)["two"], frames);
+    let manifest = std::fs::read_to_string(path("alone/manifest.jsonl")).expect("reads");
+    let row: serde_json::Value =
+        manifest.lines().next().and_then(|line| serde_json::from_str(line).ok()).expect("a row");
+    assert_eq!((&row["hash"], &row["subject"]), (&of("home/ann/one_old")["hash"], &"bob".into()));
 
     // What fits no rule, or two, is named.
     copy(&made, &path("data/home/nobody_knows"));

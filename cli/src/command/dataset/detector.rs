@@ -2,7 +2,7 @@
 //!
 //! Two looks at every frame, each with what stands still taken out: the chirps of the frame, for who walks, by 2-D CFAR in
 //! range and Doppler; and the mean chirp of the last seconds, for who sits and breathes, whose slow-time energy over range
-//! goes through a CFAR of its own. Detections that hang together in range are one person; a weaker group behind another is
+//! goes through a CFAR of its own and must be more than what the echo of a wall drifts by. Detections that hang together in range are one person; a weaker group behind another is
 //! taken for its echo off the walls.
 
 use std::path::Path;
@@ -32,8 +32,12 @@ const APART_M: f64 = 0.8;
 const ECHO_DB: f64 = 12.0;
 /// Time over which frames are asked to agree, s.
 const AGREEMENT_S: f64 = 1.5;
-/// Length of slow time for who sits still, s.
-const BREATH_S: f64 = 4.0;
+/// Length of slow time for who sits still, s: a breath of four seconds is then two cells from zero, clear of the window's
+/// main lobe.
+const BREATH_S: f64 = 8.0;
+/// What breathes returns at least so much of its energy in motion: walls and furniture, whose echo only drifts and jitters,
+/// return less.
+const LEAST_MOVING_SHARE: f64 = 0.05;
 
 /// Labels for a recording: each with the share of its frames that agreed.
 pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
@@ -46,7 +50,8 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
         ..RdmSpec::default()
     };
     let frames = (BREATH_S / waveform.frame_interval_s()).round().clamp(8.0, 256.0) as usize;
-    let still_spec = RdmSpec { slow_time: SlowTime::Frames { frames }, ..moving_spec };
+    let still_spec =
+        RdmSpec { slow_time: SlowTime::Frames { frames }, static_removal: StaticRemoval::None, ..moving_spec };
     let looks = waveform.shape().rx;
     let mut moving = RdmProcessor::new(&moving_spec, &waveform)?;
     let mut still = RdmProcessor::new(&still_spec, &waveform)?;
@@ -154,16 +159,19 @@ fn count(detections: &[Detection], map: &Rdm) -> usize {
     groups.iter().filter(|group| group.1 >= strongest_db - ECHO_DB).count()
 }
 
-/// Whether the energy over slow time stands out at some range.
+/// Whether the energy over slow time, less what stands still, stands out at some range and is much of what is there.
 fn breathes(cfar: &Cfar, map: &Rdm) -> bool {
-    let range = map.shape.range;
-    let mut energy = vec![0.0; range];
-    for row in map.db.chunks_exact(range.max(1)) {
-        energy.iter_mut().zip(row).for_each(|(sum, db)| *sum += 10f64.powf(f64::from(*db) / 10.0));
+    let (range, zero) = (map.shape.range, map.shape.doppler / 2);
+    let (mut energy, mut still) = (vec![0.0; range], vec![0.0; range]);
+    for (doppler, row) in map.db.chunks_exact(range.max(1)).enumerate() {
+        let sums = if doppler.abs_diff(zero) > 1 { &mut energy } else { &mut still };
+        sums.iter_mut().zip(row).for_each(|(sum, db)| *sum += 10f64.powf(f64::from(*db) / 10.0));
     }
     let Some(thresholds) = cfar.thresholds(&energy) else { return false };
-    let above = energy.iter().zip(&thresholds).enumerate().filter(|(_, (energy, threshold))| energy > threshold);
-    above.filter(|(index, _)| map.range_m(*index) >= NEAREST_M).count() >= 1
+    let mut cells = energy.iter().zip(&thresholds).zip(&still).enumerate();
+    cells.any(|(index, ((energy, threshold), still))| {
+        energy > threshold && *energy > LEAST_MOVING_SHARE * (energy + still) && map.range_m(index) >= NEAREST_M
+    })
 }
 
 /// What most frames within [`AGREEMENT_S`] about each believe.
