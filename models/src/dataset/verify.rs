@@ -68,7 +68,7 @@ impl VerifyReport {
 /// subjects or scenes are shared among splits is looked at where `spec` splits by them.
 ///
 /// # Errors
-/// What [`SplitSpec::assign`] refuses, except a sequence in two splits, which is reported.
+/// What [`SplitSpec::assign`] refuses, except what should be whole and lies in two splits, which is reported.
 pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, DatasetError> {
     let rows = dataset.rows();
     let damaged = (0..rows.len())
@@ -77,7 +77,7 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     let splits = match spec.assign(rows) {
         Ok(splits) => splits,
         // As they are written: the report says where it leaks.
-        Err(DatasetError::SequenceInTwoSplits { .. }) => {
+        Err(DatasetError::SequenceInTwoSplits { .. } | DatasetError::GroupInTwoSplits { .. }) => {
             rows.iter().map(|row| row.split.unwrap_or(Split::Train)).collect()
         }
         Err(error) => return Err(error),
