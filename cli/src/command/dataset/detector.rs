@@ -96,7 +96,9 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
         let half = frames / 2;
         let window = looked.get(index.saturating_sub(half)..(index + half).min(looked.len())).unwrap_or(&[]);
         let walked = window.iter().filter(|(_, people, _)| *people > 0).count();
-        let breathes = looked.get(index + half).is_some_and(|(.., breathes)| *breathes) && 4 * walked <= window.len();
+        // At either end of the recording the first and the last whole window answer.
+        let slow = (index + half).max(frames - 1).min(looked.len() - 1);
+        let breathes = looked.get(slow).is_some_and(|(.., breathes)| *breathes) && 4 * walked <= window.len();
         let people = (*moving).max(usize::from(breathes)).min(2);
         (*time_s, Occupancy::from_index(people).unwrap_or(Occupancy::Two))
     };
