@@ -135,8 +135,11 @@ impl SplitSpec {
             let count = names.len() as f64;
             let test = (self.test * count).round() as usize;
             let validation = (self.validation * count).round() as usize;
-            // With two sequences and more, a share above zero gets at least one as long as one is left to train on.
-            let least = |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room > 1 { 1 } else { n };
+            // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
+            // two subjects or scenes, of which there are few.
+            let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
+            let least =
+                |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room >= least_room { 1 } else { n };
             let test = least(self.test, test, names.len().saturating_sub(1)).min(names.len().saturating_sub(1));
             let room = names.len() - test;
             let validation = least(self.validation, validation, room).min(room.saturating_sub(1));
