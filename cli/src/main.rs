@@ -5,9 +5,11 @@
 
 mod command;
 mod files;
+mod labels;
 mod live;
 mod output;
 mod plot;
+mod shard;
 mod source;
 
 use std::process::ExitCode;

@@ -22,6 +22,7 @@
 //!   its own instructions, and may differ between machines in the last bit.
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
+pub mod cfar;
 pub mod decibel;
 pub mod distance;
 mod frame;

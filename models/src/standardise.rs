@@ -6,6 +6,8 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::dataset::Moments;
+
 /// Least sigma that maps can be divided by, dB. Receiver noise alone gives 5.6 dB.
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
@@ -37,22 +39,14 @@ pub enum StandardiseError {
 }
 
 impl Standardisation {
-    /// Mean and standard deviation over all cells of all maps (Welford's update, map by map, in f64).
+    /// Mean and standard deviation over all cells of all maps, in f64.
     pub fn measure<'a>(maps: impl Iterator<Item = &'a [f32]>) -> Result<Self, StandardiseError> {
-        let (mut count, mut mean, mut squares) = (0.0f64, 0.0f64, 0.0f64);
-        for map in maps.filter(|m| !m.is_empty()) {
-            let n = map.len() as f64;
-            let map_mean = map.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
-            let map_squares: f64 = map.iter().map(|&v| (f64::from(v) - map_mean).powi(2)).sum();
-            let delta = map_mean - mean;
-            squares += map_squares + delta * delta * count * n / (count + n);
-            mean += delta * n / (count + n);
-            count += n;
-        }
-        if count == 0.0 {
+        let mut moments = Moments::default();
+        maps.for_each(|map| moments.add(map));
+        if moments.count() == 0.0 {
             return Err(StandardiseError::Empty);
         }
-        let sigma = (squares / count).sqrt();
+        let (mean, sigma) = (moments.mean(), moments.sigma());
         if sigma.is_nan() || sigma < LEAST_SIGMA_DB {
             return Err(StandardiseError::NoSpread { mean_db: mean, sigma_db: sigma });
         }

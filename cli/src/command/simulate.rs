@@ -1,11 +1,13 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use anyhow::{Context, bail};
 use radome_driver::recording::mcap::{Recorder, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
+use crate::shard::Shard;
 use crate::{files, output};
 
 /// `radome simulate`
@@ -28,32 +30,63 @@ pub struct Arguments {
     /// Error of the echoes in the maps that is asked for, dB; 0.5 if absent
     #[arg(long)]
     tolerance_db: Option<f64>,
+    /// Only part I of N (from 0) of the frames, into NAME-shard-I-of-N.mcap; `auto/N` or `auto` takes I from a Slurm, HyperQueue or
+    /// Kubernetes array
+    #[arg(long, value_name = "I/N", requires = "output")]
+    shard: Option<Shard>,
     /// One object at the end
     #[arg(long)]
     json: bool,
 }
 
+impl Arguments {
+    /// First frame, and the one behind the last.
+    fn range(&self) -> (u64, u64) {
+        let Shard { index, count } = self.shard.unwrap_or(Shard::WHOLE);
+        let cut = |i: usize| (u128::from(self.frames) * i as u128 / count as u128) as u64;
+        (cut(index), cut(index + 1))
+    }
+
+    /// The file to write.
+    fn file(&self) -> Option<PathBuf> {
+        let output = self.output.clone()?;
+        let Some(shard) = self.shard else { return Some(output) };
+        let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+        let extension = output.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
+        Some(output.with_file_name(format!("{stem}-{}.{extension}", shard.name())))
+    }
+}
+
 /// Simulates a scene into a recording.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    if let Some(output) = &arguments.output {
+    let (first, end) = arguments.range();
+    let file = arguments.file();
+    if let Some(output) = &file {
         files::check_parent(output)?;
+        if arguments.shard.is_some() && output.exists() {
+            // It took its name when it was whole; the same arguments would make the same bytes.
+            eprintln!("{} is there already", output.display());
+            return tell_shard(arguments, output, end - first);
+        }
     }
+    // A shard takes its name when it is whole, so that it can be asked for again after anything.
+    let written = file.as_ref().map(|path| match arguments.shard {
+        Some(_) => path.with_extension("partial"),
+        None => path.clone(),
+    });
     let scene = Scene::load(&arguments.scene)?;
-    let mut options = SimulateOptions {
-        seed: arguments.seed,
-        people: arguments.people,
-        frames: Some(arguments.frames),
-        ..Default::default()
-    };
+    let mut options =
+        SimulateOptions { seed: arguments.seed, people: arguments.people, frames: Some(end), ..Default::default() };
     if let Some(tolerance_db) = arguments.tolerance_db {
         options.tolerance_db = tolerance_db;
     }
     let mut simulator = Simulator::new(&scene, options)?;
-    foretell(&simulator, arguments.frames);
+    foretell(&simulator, end - first);
+    simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
-    let mut recorder = arguments.output.as_ref().map(|path| Recorder::create(path, &header)).transpose()?;
-    let bar = output::progress(arguments.frames, "simulating");
+    let mut recorder = written.as_ref().map(|path| Recorder::create(path, &header)).transpose()?;
+    let bar = output::progress(end - first, "simulating");
     let mut frame = Frame::zeroed(scene.waveform().shape());
     let (mut frames, mut estimate_db, mut clamped, mut clipped) = (0u64, None::<f64>, 0, 0);
     let started = Instant::now();
@@ -74,12 +107,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(recorder) = recorder {
         recorder.finish()?;
     }
+    if let (Some(_), Some(written), Some(file)) = (arguments.shard, &written, &file) {
+        if output::interrupted() {
+            let _ = std::fs::remove_file(written);
+            bail!("interrupted: {} was not finished", file.display());
+        }
+        std::fs::rename(written, file).with_context(|| format!("cannot rename {}", written.display()))?;
+    }
     bar.finish_and_clear();
     let seconds = started.elapsed().as_secs_f64();
     let rate = frames as f64 / seconds;
     if arguments.json {
         return output::json_line(&json!({
-            "file": arguments.output.as_ref().map(|path| path.display().to_string()),
+            "file": file.as_ref().map(|path| path.display().to_string()),
             "seed": arguments.seed,
             "frames": frames,
             "seconds": seconds,
@@ -92,8 +132,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let estimate =
         estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
-    let what = arguments.output.as_ref().unwrap_or(&arguments.scene).display();
+    let what = file.as_ref().unwrap_or(&arguments.scene).display();
     output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+}
+
+/// Says that a shard was there.
+fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
+    if arguments.json {
+        let file = file.display().to_string();
+        return output::json_line(&json!({ "file": file, "seed": arguments.seed, "frames": frames, "found": true }));
+    }
+    output::text_line(&format!("{}: {frames} frames", file.display()))
 }
 
 /// Says how long a long run will take and what it will need, by its first frame.

@@ -5,6 +5,7 @@
 use libfuzzer_sys::fuzz_target;
 use radome_driver::LabelSpan;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
+use radome_driver::recording::span_check::{SpanError, check_spans};
 use radome_driver_fuzz::within;
 
 /// Six decimals.
@@ -18,12 +19,22 @@ fn near(a: &[LabelSpan], b: &[LabelSpan]) {
     }
 }
 
+/// What was read runs forwards, so that only overlaps and the recording's ends can be wrong with it.
+fn check(spans: &[LabelSpan]) {
+    assert!(matches!(check_spans(spans, None), Ok(()) | Err(SpanError::Overlap { .. })));
+    assert!(matches!(
+        check_spans(spans, Some((0.0, 60.0))),
+        Ok(()) | Err(SpanError::Overlap { .. } | SpanError::OutOfRange { .. })
+    ));
+}
+
 fuzz_target!(|input: &str| {
     let allowed = 64 * 1024 + 1024 * input.len();
     if let Ok(mut spans) = within(allowed, || from_audacity(input)) {
         assert!(spans.iter().all(|s| s.start_s.is_finite() && s.end_s >= s.start_s));
         // Tabs and line ends have no place in a label track.
         spans.iter_mut().for_each(|s| s.label = s.label.replace(['\t', '\r'], " ").trim().to_owned());
+        check(&spans);
         let again = from_audacity(&to_audacity(&spans)).expect("what was written is read");
         near(&spans, &again);
     }
@@ -32,6 +43,7 @@ fuzz_target!(|input: &str| {
         // The format wants a confidence; who gives none is taken at his word.
         let spans: Vec<LabelSpan> =
             spans.into_iter().map(|s| LabelSpan { confidence: s.confidence.or(Some(1.0)), ..s }).collect();
+        check(&spans);
         let again = from_deepcraft(&to_deepcraft(&spans)).expect("what was written is read");
         near(&spans, &again);
     }

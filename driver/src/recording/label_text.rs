@@ -1,7 +1,8 @@
 //! Spans of labels as text that other tools read: Audacity's label track and DEEPCRAFT Studio's `.label` file.
 //!
 //! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a span, by
-//! start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180).
+//! start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end of a label are not
+//! part of it. Times are written to the nanosecond, the resolution of frames' clocks, and with six decimals at least.
 
 use thiserror::Error;
 
@@ -24,7 +25,7 @@ pub struct LabelTextError {
 pub fn to_audacity(spans: &[LabelSpan]) -> String {
     let line = |span: &LabelSpan| {
         let label = span.label.replace(['\t', '\r', '\n'], " ");
-        format!("{:.6}\t{:.6}\t{label}\n", span.start_s, span.end_s)
+        format!("{}\t{}\t{label}\n", seconds_text(span.start_s), seconds_text(span.end_s))
     };
     spans.iter().map(line).collect()
 }
@@ -49,9 +50,9 @@ pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
 pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     let mut text = format!("{DEEPCRAFT_HEADER}\n");
     for span in spans {
-        let (start_s, length_s) = (span.start_s, span.end_s - span.start_s);
+        let (start, length) = (seconds_text(span.start_s), seconds_text(span.end_s - span.start_s));
         let (label, note) = (quoted(&span.label), quoted(span.note.as_deref().unwrap_or("")));
-        text += &format!("{start_s:.6},{length_s:.6},{label},{},{note}\n", span.confidence.unwrap_or(1.0));
+        text += &format!("{start},{length},{label},{},{note}\n", span.confidence.unwrap_or(1.0));
     }
     text
 }
@@ -81,6 +82,13 @@ pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         Ok(span)
     })
     .collect()
+}
+
+fn seconds_text(time_s: f64) -> String {
+    let text = format!("{time_s:.9}");
+    let least = text.len().saturating_sub(3);
+    let (kept, last) = text.split_at(least);
+    kept.to_owned() + last.trim_end_matches('0')
 }
 
 fn seconds(index: usize, name: &str, field: Option<&str>) -> Result<f64, LabelTextError> {
@@ -160,24 +168,33 @@ mod tests {
     }
 
     proptest! {
+        /// To the nanosecond, with every character that the format has a place for.
         #[test]
-        fn what_is_written_is_read(times in prop::collection::vec((0u32..1_000_000, 0u32..1_000_000), 0..8), label in "[ -~\n]{0,12}") {
-            let label = label.trim().to_owned();
-            let spans: Vec<LabelSpan> = times
+        fn what_is_written_is_read(
+            parts in prop::collection::vec((0u64..1 << 45, 0u64..1 << 45, "\\PC{0,12}|[ -~\n]{0,12}", 0u8..=100, "[ -~\n]{0,8}"), 0..8),
+        ) {
+            let spans: Vec<LabelSpan> = parts
                 .iter()
-                .map(|&(start_ms, length_ms)| {
-                    let mut span =
-                        LabelSpan::new(f64::from(start_ms) / 1e3, f64::from(start_ms + length_ms) / 1e3, label.clone());
-                    span.confidence = Some(1.0);
+                .map(|(start_ns, length_ns, label, confidence, note)| {
+                    let end_s = (start_ns + length_ns) as f64 * 1e-9;
+                    let mut span = LabelSpan::new(*start_ns as f64 * 1e-9, end_s, label.trim());
+                    span.confidence = Some(f64::from(*confidence) / 100.0);
+                    span.note = (!note.is_empty()).then(|| note.clone());
                     span
                 })
                 .collect();
-            let near = |a: &LabelSpan, b: &LabelSpan| (a.start_s - b.start_s).abs() < 1e-6 && (a.end_s - b.end_s).abs() < 2e-6;
+            let near = |a: &LabelSpan, b: &LabelSpan| (a.start_s - b.start_s).abs() < 1e-9 && (a.end_s - b.end_s).abs() < 2e-9;
             let read = from_deepcraft(&to_deepcraft(&spans)).expect("readable");
             prop_assert_eq!(read.len(), spans.len());
-            prop_assert!(read.iter().zip(&spans).all(|(a, b)| near(a, b) && a.label == b.label && a.confidence == b.confidence));
+            for (a, b) in read.iter().zip(&spans) {
+                prop_assert!(near(a, b) && (&a.label, a.confidence, &a.note) == (&b.label, b.confidence, &b.note), "{:?} {:?}", a, b);
+            }
             let read = from_audacity(&to_audacity(&spans)).expect("readable");
-            prop_assert!(read.len() == spans.len() && read.iter().zip(&spans).all(|(a, b)| near(a, b)));
+            prop_assert_eq!(read.len(), spans.len());
+            for (a, b) in read.iter().zip(&spans) {
+                let label = b.label.replace(['\t', '\r', '\n'], " ");
+                prop_assert!(near(a, b) && a.label == label.trim(), "{:?} {:?}", a, b);
+            }
         }
 
         #[test]

@@ -6,6 +6,7 @@ pub mod label_text;
 pub mod mcap;
 mod opened;
 mod partial;
+pub mod span_check;
 pub mod text;
 mod vendor_config;
 mod writer;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{RdmShape, rdm::SpecError};
 use thiserror::Error;
 
-use super::Split;
+use super::{Split, SplitBy};
 
 /// A dataset that cannot be read, written or used.
 #[derive(Debug, Error)]
@@ -25,6 +25,22 @@ pub enum DatasetError {
     Exists {
         /// The folder.
         path: PathBuf,
+    },
+    /// Another process writes the same folder.
+    #[error("{path}: another process is at work here\n\nhint: wait until it has ended, or end it")]
+    Busy {
+        /// The folder.
+        path: PathBuf,
+    },
+    /// Datasets to be merged hold different kinds of maps.
+    #[error("{path}: {what} is not that of {first}; only maps that were made in the same way can be merged")]
+    Unlike {
+        /// The dataset.
+        path: PathBuf,
+        /// What differs.
+        what: String,
+        /// The one that it was compared with.
+        first: PathBuf,
     },
     /// A JSON document or line cannot be understood.
     #[error("{path}, line {line}: {source}")]
@@ -110,6 +126,21 @@ pub enum DatasetError {
         first: Split,
         /// The other.
         second: Split,
+    },
+    /// A subject or scene would be both learnt from and judged by.
+    #[error(
+        "sequence '{}' is in {}, and '{}', which hangs together with it by {by}, in {}\n\nhint: split by sequence, or give all rows of a {by} one split",
+        sequences[0], splits[0], sequences[1], splits[1]
+    )]
+    GroupInTwoSplits {
+        /// What should stay whole.
+        by: SplitBy,
+        /// First sequence of the group.
+        group: String,
+        /// Two of its sequences.
+        sequences: [String; 2],
+        /// Their splits.
+        splits: [Split; 2],
     },
     /// The fractions of a split are no fractions.
     #[error(

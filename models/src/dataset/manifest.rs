@@ -4,13 +4,22 @@ use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
 /// Where frames came from.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Domain {
     /// The simulator.
     Sim,
     /// A sensor.
     Real,
+}
+
+impl std::fmt::Display for Domain {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Domain::Sim => "sim",
+            Domain::Real => "real",
+        })
+    }
 }
 
 /// What a map may be used for.

@@ -10,18 +10,24 @@
 mod error;
 mod header;
 mod manifest;
+mod merge;
 mod reader;
 mod split;
+mod statistics;
 #[cfg(test)]
 mod tests;
+mod verify;
 mod writer;
 
 pub use error::DatasetError;
 pub use header::{DatasetHeader, FORMAT_VERSION};
 pub use manifest::{Domain, ManifestRow, Split};
+pub use merge::merge;
 pub use reader::Dataset;
-pub use split::SplitSpec;
-pub use writer::DatasetWriter;
+pub use split::{SplitBy, SplitSpec};
+pub use statistics::{CellStatistics, Moments, statistics};
+pub use verify::{Damage, Duplicate, Leak, VerifyReport, verify};
+pub use writer::{DatasetWriter, lock_folder};
 
 use radome_dsp::RdmShape;
 

@@ -174,24 +174,26 @@ impl Dataset {
         hex(&hash.finalize())
     }
 
-    /// Reads every map and compares it with its hash.
+    /// Reads every map and compares it with its hash; the first that differs is an error.
     pub fn verify(&self) -> Result<(), DatasetError> {
-        for (index, row) in self.rows.iter().enumerate() {
-            let found = map_hash(&self.map(index)?);
-            if found != row.hash {
+        (0..self.len()).try_for_each(|index| self.verified_map(index).map(|_| ()))
+    }
+
+    /// Cells of a map, compared with its hash.
+    pub fn verified_map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
+        let map = self.map(index)?;
+        let found = map_hash(&map);
+        match self.rows.get(index) {
+            Some(row) if row.hash != found => {
                 let path = match &self.cells {
                     Cells::Shards(shards) => shards.get(index / MAPS_PER_SHARD).map(|s| s.0.clone()),
                     Cells::Memory(_) => None,
                 };
-                return Err(DatasetError::Hash {
-                    path: path.unwrap_or_default(),
-                    index,
-                    expected: row.hash.clone(),
-                    found,
-                });
+                let path = path.unwrap_or_default();
+                Err(DatasetError::Hash { path, index, expected: row.hash.clone(), found })
             }
+            _ => Ok(map),
         }
-        Ok(())
     }
 }
 

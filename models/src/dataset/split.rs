@@ -1,4 +1,4 @@
-//! Which map is for training, validation and test: by whole sequences only.
+//! Which map is for training, validation and test: by whole sequences, or by whole subjects or scenes.
 
 use std::collections::BTreeMap;
 
@@ -7,59 +7,126 @@ use sha2::{Digest, Sha256};
 
 use super::{DatasetError, ManifestRow, Split};
 
-/// How sequences without a split of their own get one.
+/// What stays whole.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SplitBy {
+    /// Sequences: who is judged may have been seen on another day.
+    #[default]
+    Sequence,
+    /// Subjects: who is judged has never been seen. Sequences without a subject stand for themselves.
+    Subject,
+    /// Scenes: where is judged has never been seen.
+    Scene,
+}
+
+impl SplitBy {
+    /// Its name in a row; `None` where the row has none.
+    pub(super) fn name(self, row: &ManifestRow) -> Option<&str> {
+        match self {
+            SplitBy::Sequence => Some(&row.sequence),
+            SplitBy::Subject => row.subject.as_deref(),
+            SplitBy::Scene => Some(&row.scene),
+        }
+    }
+
+    /// As files spell it.
+    pub fn label(self) -> &'static str {
+        match self {
+            SplitBy::Sequence => "sequence",
+            SplitBy::Subject => "subject",
+            SplitBy::Scene => "scene",
+        }
+    }
+
+    fn is_sequence(&self) -> bool {
+        *self == SplitBy::Sequence
+    }
+}
+
+impl std::fmt::Display for SplitBy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.label())
+    }
+}
+
+/// How maps without a split of their own get one.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct SplitSpec {
     /// Seed of the assignment.
     pub seed: u64,
-    /// Share of sequences for validation.
+    /// Share of sequences (or of groups of them) for validation.
     pub validation: f64,
-    /// Share of sequences for test.
+    /// Share for test.
     pub test: f64,
+    /// What stays whole beside sequences, which always do.
+    #[serde(skip_serializing_if = "SplitBy::is_sequence")]
+    pub by: SplitBy,
 }
 
-/// A sequence behind the hash that orders it.
+/// A group behind the hash that orders it.
 type Ranked<'a> = ([u8; 32], &'a str);
+
+/// What is known of a group of sequences.
+#[derive(Default)]
+struct Group<'a> {
+    /// Its split, and the sequence that says so.
+    fixed: Option<(Split, &'a str)>,
+    is_real: bool,
+    classes: [bool; 3],
+}
 
 impl Default for SplitSpec {
     fn default() -> Self {
-        SplitSpec { seed: 0, validation: 0.15, test: 0.2 }
+        SplitSpec { seed: 0, validation: 0.15, test: 0.2, by: SplitBy::Sequence }
     }
 }
 
 impl SplitSpec {
     /// The split of each row, in order.
     ///
-    /// Rows with a split keep it, and so does the rest of their sequence. The other sequences are sorted into strata by
-    /// domain and by the set of classes that they show, ordered within a stratum by a seeded hash of their name, and
-    /// dealt out: test first, then validation, each rounded to the nearest whole sequence, and at least one for
-    /// training. So neither thread, order of rows nor machine matters, and every split sees every class where there
-    /// are enough sequences.
+    /// Sequences that share a subject, or a scene, where `by` says so, make a group; else each is one. Rows with a split
+    /// keep it, and so does the rest of their group. The other groups are sorted into strata by domain and by the set of
+    /// classes that they show, ordered within a stratum by a seeded hash of their name, and dealt out: test first, then
+    /// validation, each rounded to the nearest whole group, and at least one for training. So neither thread, order of
+    /// rows nor machine matters, and every split sees every class where there are enough groups.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         let fraction = |f: f64| (0.0..1.0).contains(&f);
         if !fraction(self.validation) || !fraction(self.test) || self.validation + self.test >= 1.0 {
             return Err(DatasetError::Fractions { validation: self.validation, test: self.test });
         }
-        let mut sequences: BTreeMap<&str, (Option<Split>, bool, [bool; 3])> = BTreeMap::new();
+        let names = group_names(rows, self.by);
+        let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();
+        let mut groups: BTreeMap<&str, Group> = BTreeMap::new();
         for row in rows {
-            let (fixed, real, classes) = sequences.entry(&row.sequence).or_default();
-            match (*fixed, row.split) {
-                (Some(first), Some(second)) if first != second => {
-                    return Err(DatasetError::SequenceInTwoSplits { sequence: row.sequence.clone(), first, second });
+            let group = groups.entry(group_of(row)).or_default();
+            match (group.fixed, row.split) {
+                (Some((first, sequence)), Some(second)) if first != second => {
+                    return Err(if sequence == row.sequence {
+                        DatasetError::SequenceInTwoSplits { sequence: row.sequence.clone(), first, second }
+                    } else {
+                        DatasetError::GroupInTwoSplits {
+                            by: self.by,
+                            group: group_of(row).to_owned(),
+                            sequences: [sequence.to_owned(), row.sequence.clone()],
+                            splits: [first, second],
+                        }
+                    });
                 }
-                (None, Some(split)) => *fixed = Some(split),
+                (None, Some(split)) => group.fixed = Some((split, &row.sequence)),
                 _ => {}
             }
-            *real |= row.domain == super::Domain::Real;
-            classes[row.label.index()] = true;
+            group.is_real |= row.domain == super::Domain::Real;
+            group.classes[row.label.index()] = true;
         }
         let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
-        for (name, (fixed, real, classes)) in &sequences {
-            if fixed.is_none() {
+        for (name, group) in &groups {
+            if group.fixed.is_none() {
                 let mut hash = Sha256::new();
                 hash.update(self.seed.to_le_bytes());
                 hash.update(name.as_bytes());
-                strata.entry((*real, *classes)).or_default().push((hash.finalize().into(), name));
+                strata.entry((group.is_real, group.classes)).or_default().push((hash.finalize().into(), name));
             }
         }
         let mut dealt: BTreeMap<&str, Split> = BTreeMap::new();
@@ -68,8 +135,11 @@ impl SplitSpec {
             let count = names.len() as f64;
             let test = (self.test * count).round() as usize;
             let validation = (self.validation * count).round() as usize;
-            // With two sequences and more, a share above zero gets at least one as long as one is left to train on.
-            let least = |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room > 1 { 1 } else { n };
+            // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
+            // two subjects or scenes, of which there are few.
+            let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
+            let least =
+                |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room >= least_room { 1 } else { n };
             let test = least(self.test, test, names.len().saturating_sub(1)).min(names.len().saturating_sub(1));
             let room = names.len() - test;
             let validation = least(self.validation, validation, room).min(room.saturating_sub(1));
@@ -85,9 +155,33 @@ impl SplitSpec {
         Ok(rows
             .iter()
             .map(|row| {
-                let fixed = sequences.get(row.sequence.as_str()).and_then(|s| s.0);
-                fixed.or_else(|| dealt.get(row.sequence.as_str()).copied()).unwrap_or(Split::Train)
+                let name = group_of(row);
+                let fixed = groups.get(name).and_then(|group| Some(group.fixed?.0));
+                fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
             })
             .collect())
     }
+}
+
+/// The name of each sequence's group: of the sequences that hang together, the first in the order of letters.
+fn group_names(rows: &[ManifestRow], by: SplitBy) -> BTreeMap<&str, &str> {
+    // Every sequence points to an earlier one of its group, or to itself.
+    let mut before: BTreeMap<&str, &str> =
+        rows.iter().map(|row| (row.sequence.as_str(), row.sequence.as_str())).collect();
+    fn first<'a>(before: &BTreeMap<&'a str, &'a str>, mut name: &'a str) -> &'a str {
+        while let Some(earlier) = before.get(name).filter(|earlier| **earlier != name) {
+            name = earlier;
+        }
+        name
+    }
+    if by != SplitBy::Sequence {
+        let mut holders: BTreeMap<&str, &str> = BTreeMap::new();
+        for row in rows {
+            let Some(name) = by.name(row) else { continue };
+            let holder = holders.entry(name).or_insert(&row.sequence);
+            let (a, b) = (first(&before, holder), first(&before, &row.sequence));
+            before.insert(a.max(b), a.min(b));
+        }
+    }
+    before.keys().map(|name| (*name, first(&before, name))).collect()
 }

@@ -90,8 +90,120 @@ fn sequences_stay_whole_and_every_split_sees_every_class() {
     assert_ne!(SplitSpec { seed: 1, ..spec }.assign(&rows).expect("splits"), splits);
 }
 
+#[test]
+fn whole_subjects_and_whole_scenes_are_held_out() {
+    let mut rows = Vec::new();
+    for s in 0..24 {
+        for frame in 0..3 {
+            let mut row = row(&format!("s{s:02}"), frame, Occupancy::from_index(s % 2 + 1).expect("class"));
+            row.subject = (s > 3).then(|| format!("subject{}", s % 5));
+            row.scene = format!("scene{}", s % 4);
+            rows.push(row);
+        }
+    }
+    for by in [SplitBy::Subject, SplitBy::Scene] {
+        let splits = SplitSpec { by, ..SplitSpec::default() }.assign(&rows).expect("splits");
+        for (a, split_a) in rows.iter().zip(&splits) {
+            for (b, split_b) in rows.iter().zip(&splits) {
+                let same = a.sequence == b.sequence || (by.name(a).is_some() && by.name(a) == by.name(b));
+                assert!(!same || split_a == split_b, "{by}: {} and {}", a.sequence, b.sequence);
+            }
+        }
+        assert!([Split::Train, Split::Test].iter().all(|split| splits.contains(split)), "{by}");
+    }
+    // By sequence the same subjects are on both sides: that is what is to be chosen between.
+    let splits = SplitSpec::default().assign(&rows).expect("splits");
+    let splits_of = |subject: String| {
+        let rows = rows.iter().zip(&splits).filter(|(row, _)| row.subject.as_ref() == Some(&subject));
+        rows.map(|(_, split)| *split).collect::<std::collections::BTreeSet<_>>()
+    };
+    assert!((0..5).any(|i| splits_of(format!("subject{i}")).len() > 1));
+}
+
+#[test]
+fn merged_parts_are_what_one_writer_would_have_written() {
+    let dir = tempfile::tempdir().expect("folder");
+    let header = header();
+    let write = |name: &str, frames: std::ops::Range<u64>| {
+        let mut writer = DatasetWriter::create(&dir.path().join(name), &header).expect("create");
+        for frame in frames {
+            writer.push(&map(&header, frame), row(&format!("s{}", frame / 4), frame, Occupancy::One)).expect("push");
+        }
+        writer.finish().expect("finish");
+        Dataset::open(&dir.path().join(name)).expect("open")
+    };
+    let (whole, a, b, c) = (write("whole", 0..300), write("a", 0..7), write("b", 7..7), write("c", 7..300));
+    let parts = [(dir.path(), &a), (dir.path(), &b), (dir.path(), &c)];
+    assert_eq!(merge(&parts, &dir.path().join("merged"), None).expect("merges"), 300);
+    let files = |name: &str| {
+        let read =
+            |e: std::io::Result<std::fs::DirEntry>| e.map(|e| (e.file_name(), std::fs::read(e.path()).expect("reads")));
+        std::fs::read_dir(dir.path().join(name))
+            .expect("list")
+            .map(read)
+            .collect::<Result<std::collections::BTreeMap<_, _>, _>>()
+    };
+    assert_eq!(files("merged").expect("files"), files("whole").expect("files"));
+    // A split that is fixed on the way is everybody's from then on.
+    merge(&parts, &dir.path().join("split"), Some(&SplitSpec::default())).expect("merges");
+    let split = Dataset::open(&dir.path().join("split")).expect("open");
+    assert!(split.rows().iter().all(|row| row.split.is_some()));
+    let other = SplitSpec { seed: 9, ..SplitSpec::default() };
+    assert_eq!(split.splits(&other).expect("splits"), whole.splits(&SplitSpec::default()).expect("splits"));
+
+    let other = DatasetHeader { rdm_spec: RdmSpec { floor_db: -150.0, ..header.rdm_spec }, ..header.clone() };
+    let other = Dataset::from_maps(other, Vec::new()).expect("in memory");
+    let error = merge(&[(dir.path(), &a), (dir.path(), &other)], &dir.path().join("no"), None).expect_err("unlike");
+    assert!(error.to_string().contains("the map spec is not that of"), "{error}");
+    assert!(!dir.path().join("no").exists());
+}
+
 mod hard_cases {
     use super::*;
+
+    #[test]
+    fn damage_duplicates_and_leaks_are_all_reported() {
+        let header = header();
+        let make = |frame: u64, like: u64, sequence: &str, split: Split| {
+            let mut row = row(sequence, frame, Occupancy::One);
+            (row.split, row.recording, row.subject) = (Some(split), sequence.to_owned(), Some("ann".into()));
+            (map(&header, like), row)
+        };
+        let maps = vec![
+            make(0, 0, "a", Split::Train),
+            make(1, 1, "a", Split::Train),
+            make(2, 0, "b", Split::Test),
+            make(2, 7, "b", Split::Test),
+            make(3, 3, "c", Split::Train),
+            make(4, 4, "c", Split::Validation),
+        ];
+        let set = Dataset::from_maps(header.clone(), maps).expect("in memory");
+        let report = verify(&set, &SplitSpec { by: SplitBy::Subject, ..SplitSpec::default() }).expect("a report");
+        assert!(report.damaged.is_empty() && !report.is_sound());
+        let duplicates: Vec<(&str, &[usize], usize)> =
+            report.duplicates.iter().map(|d| (d.what, d.maps.as_slice(), d.splits.len())).collect();
+        assert_eq!(duplicates, [("cells", &[0, 2][..], 2), ("frame", &[2, 3][..], 1)]);
+        assert!(report.leaks.iter().any(|leak| leak.by == SplitBy::Sequence && leak.name == "c"), "{report:?}");
+        assert!(report.leaks.iter().any(|leak| leak.by == SplitBy::Subject && leak.name == "ann"), "{report:?}");
+        assert_eq!((report.maps, report.sequences, report.split_maps), (6, 3, [3, 1, 2]));
+    }
+
+    #[test]
+    fn two_writers_of_one_folder_are_one_too_many() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        let first = DatasetWriter::create(&path, &header()).expect("create");
+        assert!(matches!(DatasetWriter::create(&path, &header()), Err(DatasetError::Busy { .. })));
+        drop(first);
+        // What a killed writer left is no obstacle.
+        std::fs::create_dir(dir.path().join("set.partial")).expect("folder");
+        std::fs::write(dir.path().join("set.partial/maps-00000.npy"), b"half").expect("write");
+        let mut writer = DatasetWriter::create(&path, &header()).expect("create");
+        writer.push(&map(&header(), 0), row("a", 0, Occupancy::Empty)).expect("push");
+        writer.finish().expect("finish");
+        assert_eq!(Dataset::open(&path).expect("open").len(), 1);
+        assert_eq!(std::fs::read_dir(dir.path()).expect("list").count(), 1);
+    }
 
     #[test]
     fn a_sequence_in_two_splits_is_refused() {

@@ -1,6 +1,6 @@
 //! Writes a dataset folder.
 
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
@@ -10,10 +10,16 @@ use sha2::{Digest, Sha256};
 
 use super::{DatasetError, DatasetHeader, MAPS_PER_SHARD, ManifestRow, shard_name};
 
-/// Writes maps one by one; nothing has the final name before [`DatasetWriter::finish`].
+/// Name of the file that a writer locks, in its temporary folder.
+const LOCK: &str = ".lock";
+
+/// Writes maps one by one; nothing has the final name before [`DatasetWriter::finish`]. Until then the folder is called
+/// `NAME.partial`: what a killed writer left there is removed by the next one, and two at once are refused.
 pub struct DatasetWriter {
     target: PathBuf,
     temporary: PathBuf,
+    /// Held as long as the folder is written.
+    _lock: File,
     header: DatasetHeader,
     manifest: BufWriter<File>,
     pending: Vec<f32>,
@@ -51,14 +57,22 @@ impl DatasetWriter {
             return Err(DatasetError::Exists { path: dir.to_owned() });
         }
         let mut name = dir.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".partial-{}", std::process::id()));
+        name.push(".partial");
         let temporary = dir.with_file_name(name);
         fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
+        let lock = lock_folder(&temporary)?;
+        // Whoever held the lock may have finished since.
+        if dir.exists() {
+            let _ = fs::remove_dir_all(&temporary);
+            return Err(DatasetError::Exists { path: dir.to_owned() });
+        }
+        remove_leftovers(&temporary).map_err(DatasetError::io(&temporary, "removing what an earlier run left"))?;
         let path = temporary.join("manifest.jsonl");
         let manifest = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;
         Ok(DatasetWriter {
             target: dir.to_owned(),
             temporary,
+            _lock: lock,
             header: header.clone(),
             manifest: BufWriter::new(manifest),
             pending: Vec::new(),
@@ -68,9 +82,14 @@ impl DatasetWriter {
     }
 
     /// Appends a map; its hash is filled in here. A map with NaN, infinity or another shape is refused.
-    pub fn push(&mut self, map: &Rdm, mut row: ManifestRow) -> Result<(), DatasetError> {
+    pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
-        row.hash = map_hash(&map.db);
+        self.push_checked(&map.db, row)
+    }
+
+    /// Appends cells that have been looked at.
+    pub(super) fn push_checked(&mut self, db: &[f32], mut row: ManifestRow) -> Result<(), DatasetError> {
+        row.hash = map_hash(db);
         let path = self.temporary.join("manifest.jsonl");
         serde_json::to_writer(&mut self.manifest, &row).map_err(|source| DatasetError::Json {
             path: path.clone(),
@@ -78,7 +97,7 @@ impl DatasetWriter {
             source,
         })?;
         self.manifest.write_all(b"\n").map_err(DatasetError::io(&path, "writing"))?;
-        self.pending.extend_from_slice(&map.db);
+        self.pending.extend_from_slice(db);
         self.maps += 1;
         if self.pending.len() >= MAPS_PER_SHARD * self.header.shape.cells() {
             self.write_shard()?;
@@ -126,9 +145,15 @@ impl DatasetWriter {
             line: 1,
             source,
         })?;
-        fs::write(&path, text + "\n").map_err(DatasetError::io(&path, "writing"))?;
+        let write = || File::create(&path).and_then(|mut f| f.write_all((text + "\n").as_bytes()).and(f.sync_all()));
+        write().map_err(DatasetError::io(&path, "writing"))?;
+        let lock = self.temporary.join(LOCK);
+        fs::remove_file(&lock).map_err(DatasetError::io(&lock, "removing"))?;
+        sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
         // Renaming over an empty folder succeeds; over anything else it fails, as it should.
         fs::rename(&self.temporary, &self.target).map_err(DatasetError::io(&self.target, "renaming to"))?;
+        let parent = self.target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        sync_folder(parent).map_err(DatasetError::io(parent, "writing"))?;
         self.finished = true;
         Ok(())
     }
@@ -141,4 +166,40 @@ impl Drop for DatasetWriter {
             let _ = fs::remove_dir_all(&self.temporary);
         }
     }
+}
+
+/// Locks a folder that one process at a time may write, until the file that comes back is dropped.
+///
+/// # Errors
+/// [`DatasetError::Busy`] if another process has it. A file system that knows no locks goes without.
+pub fn lock_folder(folder: &Path) -> Result<File, DatasetError> {
+    let path = folder.join(LOCK);
+    let file = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(DatasetError::Busy { path: folder.to_owned() }),
+        Err(TryLockError::Error(error)) if error.kind() == std::io::ErrorKind::Unsupported => {
+            tracing::warn!(
+                "{}: this file system knows no locks; see that only one process writes here",
+                path.display()
+            );
+            Ok(file)
+        }
+        Err(TryLockError::Error(error)) => Err(DatasetError::io(&path, "locking")(error)),
+    }
+}
+
+fn remove_leftovers(folder: &Path) -> std::io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_name() != LOCK {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
+}
+
+/// Writes the names in a folder down to the disk, where the system lets folders be opened.
+fn sync_folder(folder: &Path) -> std::io::Result<()> {
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }

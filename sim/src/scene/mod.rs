@@ -23,7 +23,7 @@ use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
 use draw::Draw;
-use file::SceneFile;
+use file::{BodyFile, SceneFile};
 
 /// A scene that cannot be used.
 #[derive(Debug, Error)]
@@ -134,6 +134,8 @@ pub struct Scene {
     receiver: Receiver,
     /// A receiver that was given instead of the file's.
     given: Option<Receiver>,
+    /// What people are made of, if somebody said so instead of the file.
+    body: Option<BodyFile>,
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
     walls: [Wall; 6],
@@ -205,6 +207,10 @@ impl Scene {
             },
             reason: reason.to_string(),
         })?;
+        let scene = match self.body {
+            Some(body) => scene.with_body(body),
+            None => scene,
+        };
         Ok(match &self.given {
             Some(receiver) => scene.with_receiver(receiver.clone()),
             None => scene,
@@ -243,7 +249,7 @@ impl Scene {
         check::check(&file).map_err(fault)?;
         let walls = room::walls(&file, &waveform).map_err(fault)?;
         let steps = actors::load(&file, path, text)?;
-        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, text: None, walls, steps })
+        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, body: None, text: None, walls, steps })
     }
 
     /// The waveform as the chip realises it.
@@ -280,6 +286,15 @@ impl Scene {
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
         self.given = Some(receiver.clone());
         self.receiver = receiver;
+        self
+    }
+
+    /// The same scene with people made of something else. People at a desk have no skin: they stay as they are.
+    pub fn with_body(mut self, body: BodyFile) -> Self {
+        if self.file.people.desk.is_none() {
+            self.file.people.body = body;
+            self.body = Some(body);
+        }
         self
     }
 

@@ -1,0 +1,177 @@
+//! What a dataset is made of: the TOML file. Paths in it are relative to it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
+use radome_models::dataset::{Split, SplitSpec};
+use serde::{Deserialize, Serialize};
+
+/// Newest format of the file.
+const FORMAT: u32 = 1;
+
+/// The whole file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BuildSpec {
+    format: u32,
+    /// Which map.
+    pub map: RdmSpec,
+    /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
+    /// bit if it is given.
+    #[serde(default)]
+    pub kernel: Option<KernelLevel>,
+    /// How splits are dealt out, once and for all; left to who trains if absent.
+    #[serde(default)]
+    pub split: Option<SplitSpec>,
+    /// Runs of scenes.
+    #[serde(default)]
+    pub simulated: Vec<Simulated>,
+    /// Recordings.
+    #[serde(default)]
+    pub recorded: Vec<Recorded>,
+}
+
+/// Runs of a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Simulated {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// First and last seed.
+    pub seeds: (u64, u64),
+    /// Numbers of people to force, one run each; the scene's own program if absent.
+    #[serde(default)]
+    pub people: Vec<usize>,
+    /// Frames of a run.
+    pub frames: u64,
+    /// Take one map in so many.
+    #[serde(default = "one")]
+    pub every: u64,
+    /// What people are made of; what the scene says if absent.
+    #[serde(default)]
+    pub body: Option<Body>,
+    /// Error of the echoes that is asked for, dB; the simulator's own if absent.
+    #[serde(default)]
+    pub tolerance_db: Option<f64>,
+    /// Split of all runs; dealt out by sequence if absent.
+    #[serde(default)]
+    pub split: Option<Split>,
+}
+
+/// What people are made of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Body {
+    /// Ellipsoids: analytic, fast.
+    Ellipsoids,
+    /// Skins.
+    Mesh,
+}
+
+/// A recording, or all recordings in a folder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recorded {
+    /// One recording.
+    #[serde(default)]
+    pub recording: Option<PathBuf>,
+    /// All recordings in this folder and in those within it. Each is named by its path from here.
+    #[serde(default)]
+    pub folders: Option<PathBuf>,
+    /// With `folders`: what a recording is, by its name. `*` stands for anything within a name, `{subject}`, `{scene}` and
+    /// `{sequence}` for what is to be called so; a pattern without `/` is held against the last name of the path. Exactly
+    /// one must fit.
+    #[serde(default)]
+    pub labels: BTreeMap<String, FolderLabel>,
+    /// With `recording`: the class throughout; by its own labels and truth if absent.
+    #[serde(default)]
+    pub label: Option<Occupancy>,
+    /// With `recording`: file with labels instead of its own.
+    #[serde(default)]
+    pub label_file: Option<PathBuf>,
+    /// Scene or place.
+    #[serde(default)]
+    pub scene: Option<String>,
+    /// Who is in it.
+    #[serde(default)]
+    pub subject: Option<String>,
+    /// What the maps belong to; the recording if absent.
+    #[serde(default)]
+    pub sequence: Option<String>,
+    /// Take one map in so many.
+    #[serde(default = "one")]
+    pub every: u64,
+    /// Split of all maps; dealt out by sequence if absent.
+    #[serde(default)]
+    pub split: Option<Split>,
+}
+
+/// What the recordings are whose names fit a pattern.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FolderLabel {
+    /// Nobody, throughout.
+    Empty,
+    /// One person, throughout.
+    One,
+    /// Two people, throughout.
+    Two,
+    /// What their own labels say.
+    Spans,
+    /// Not for the dataset.
+    Skip,
+}
+
+fn one() -> u64 {
+    1
+}
+
+impl BuildSpec {
+    /// Reads and checks a file.
+    pub fn load(path: &Path) -> anyhow::Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let spec: BuildSpec =
+            toml::from_str(&text).with_context(|| format!("{} is no dataset spec", path.display()))?;
+        spec.check().with_context(|| format!("{} is no dataset spec", path.display()))?;
+        Ok(spec)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        if self.format != FORMAT {
+            bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        for (index, source) in self.simulated.iter().enumerate() {
+            let (first, last) = source.seeds;
+            if first > last {
+                bail!("simulated source {}: seeds are [{first}, {last}], expected the first one first", index + 1);
+            }
+            if source.every == 0 || source.frames == 0 {
+                bail!("simulated source {}: frames and every are counted from 1", index + 1);
+            }
+        }
+        for (index, source) in self.recorded.iter().enumerate() {
+            let fault = match (&source.recording, &source.folders) {
+                (Some(_), Some(_)) => "has both `recording` and `folders`, expected one of them",
+                (None, None) => "has neither `recording` nor `folders`",
+                (Some(_), None) if !source.labels.is_empty() => {
+                    "`labels` goes with `folders`; for one recording: `label`"
+                }
+                (Some(_), None) if source.label.is_some() && source.label_file.is_some() => {
+                    "has both `label` and `label_file`, expected one of them at most"
+                }
+                (None, Some(_)) if source.labels.is_empty() => {
+                    "`folders` wants `labels`, such as { \"empty*\" = \"empty\", \"one_*\" = \"one\" }"
+                }
+                (None, Some(_)) if source.label.is_some() || source.label_file.is_some() => {
+                    "`label` and `label_file` go with `recording`; for folders: `labels`"
+                }
+                _ if source.every == 0 => "`every` is counted from 1",
+                _ => continue,
+            };
+            bail!("recorded source {}: {fault}", index + 1);
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,81 @@
+//! `radome dataset stats`.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use radome_models::dataset::{Dataset, Split, SplitSpec, statistics};
+use radome_models::standardise::LEAST_SIGMA_DB;
+
+use crate::output;
+
+/// `radome dataset stats`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Only the maps of this split; all of them if absent
+    #[arg(long, value_enum)]
+    split: Option<SplitName>,
+    /// A list of objects
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum SplitName {
+    Train,
+    Validation,
+    Test,
+}
+
+/// Prints the table. A zero sigma is an error, after the table that shows it.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let wanted = arguments.split.map(|split| match split {
+        SplitName::Train => Split::Train,
+        SplitName::Validation => Split::Validation,
+        SplitName::Test => Split::Test,
+    });
+    let splits = dataset.splits(&SplitSpec::default())?;
+    let indices: Vec<usize> =
+        (0..dataset.len()).filter(|index| wanted.is_none_or(|wanted| splits.get(*index) == Some(&wanted))).collect();
+    let table = statistics(&dataset, &indices)?;
+    if arguments.json {
+        output::json_line(&table)?;
+    } else {
+        let width = table.iter().map(|row| row.scene.chars().count()).max().unwrap_or(0).max(5);
+        output::text_line(&format!(
+            "{:<6} {:<width$} {:<6} {:>7} {:>9} {:>9} {:>9} {:>9}",
+            "domain", "scene", "class", "maps", "mean dB", "sigma dB", "raised", "by dB"
+        ))?;
+        for row in &table {
+            let number = |value: Option<f64>, scale: f64, unit: &str| {
+                value.map_or("-".to_owned(), |value| format!("{:.1}{unit}", value * scale))
+            };
+            output::text_line(&format!(
+                "{:<6} {:<width$} {:<6} {:>7} {:>9.2} {:>9.2} {:>9} {:>9}",
+                row.domain.to_string(),
+                row.scene,
+                row.class.name(),
+                row.maps,
+                row.mean_db,
+                row.sigma_db,
+                number(row.raised_fraction, 100.0, " %"),
+                number(row.raised_level_db, 1.0, ""),
+            ))?;
+        }
+    }
+    let flat: Vec<String> = table
+        .iter()
+        .filter(|row| row.sigma_db < LEAST_SIGMA_DB)
+        .map(|row| format!("{} {} {} (all cells at {:.2} dB)", row.domain, row.scene, row.class, row.mean_db))
+        .collect();
+    if !flat.is_empty() {
+        bail!(
+            "sigma is zero in {}: such maps hold nothing to learn but that they are such\n\nhint: noise-free simulated maps sit \
+             at the dB floor; add receiver noise to the simulation",
+            flat.join(", ")
+        );
+    }
+    Ok(())
+}

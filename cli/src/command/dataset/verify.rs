@@ -1,0 +1,91 @@
+//! `radome dataset verify`.
+
+use std::path::PathBuf;
+
+use anyhow::bail;
+use radome_models::dataset::{Dataset, SplitBy, SplitSpec, verify};
+
+use crate::output;
+
+/// `radome dataset verify`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// What no two splits may share beside sequences
+    #[arg(long, value_enum, default_value_t = By::Sequence)]
+    by: By,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum By {
+    Sequence,
+    Subject,
+    Scene,
+}
+
+/// Faults of a kind that are printed before the rest is counted.
+const SHOWN: usize = 5;
+
+/// Reads everything, says what is wrong; fails if anything is.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let by = match arguments.by {
+        By::Sequence => SplitBy::Sequence,
+        By::Subject => SplitBy::Subject,
+        By::Scene => SplitBy::Scene,
+    };
+    let report = verify(&dataset, &SplitSpec { by, ..SplitSpec::default() })?;
+    if arguments.json {
+        output::json_line(&report)?;
+    } else {
+        let [train, validation, test] = report.split_maps;
+        output::text_line(&format!(
+            "{}: {} maps in {} sequences; {train} for training, {validation} for validation, {test} for test",
+            arguments.dataset.display(),
+            report.maps,
+            report.sequences
+        ))?;
+        let name = |map: &usize| {
+            let row = dataset.rows().get(*map);
+            row.map_or_else(String::new, |row| format!("map {map} ({} frame {})", row.recording, row.frame))
+        };
+        show(report.damaged.iter().map(|damage| damage.what.clone()), "damaged maps")?;
+        let duplicate = |d: &radome_models::dataset::Duplicate| {
+            let maps: Vec<String> = d.maps.iter().take(SHOWN).map(name).collect();
+            let splits: Vec<String> = d.splits.iter().map(ToString::to_string).collect();
+            let count = d.maps.len();
+            format!("{count} maps of the same {}, in {}: {}", d.what, splits.join(" and "), maps.join(", "))
+        };
+        show(report.duplicates.iter().map(duplicate), "groups of duplicates")?;
+        let leak = |leak: &radome_models::dataset::Leak| {
+            let splits: Vec<String> = leak.splits.iter().map(ToString::to_string).collect();
+            format!("{} '{}' is in {}", leak.by, leak.name, splits.join(" and "))
+        };
+        show(report.leaks.iter().map(leak), "leaks between splits")?;
+    }
+    if !report.is_sound() {
+        bail!(
+            "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits",
+            arguments.dataset.display(),
+            report.damaged.len(),
+            report.duplicates.len(),
+            report.leaks.len()
+        );
+    }
+    Ok(())
+}
+
+fn show(lines: impl ExactSizeIterator<Item = String>, what: &str) -> anyhow::Result<()> {
+    let count = lines.len();
+    for line in lines.take(SHOWN) {
+        output::text_line(&line)?;
+    }
+    if count > SHOWN {
+        output::text_line(&format!("and {} more {what}", count - SHOWN))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,114 @@
+//! Labels of recordings: in the recording where it can hold them, else in a file beside it.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_driver::recording::span_check::check_spans;
+use radome_driver::recording::{Recording, label_text, mcap};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+
+use crate::files;
+
+#[derive(Clone, Copy)]
+enum Format {
+    Audacity,
+    Deepcraft,
+}
+
+fn format(path: &Path) -> anyhow::Result<Format> {
+    match path.extension().and_then(|e| e.to_str()) {
+        Some("txt") => Ok(Format::Audacity),
+        Some("label") => Ok(Format::Deepcraft),
+        _ => bail!(
+            "{}: which kind of labels?\n\nhint: end its name in .txt for an Audacity label track, in .label for DEEPCRAFT",
+            path.display()
+        ),
+    }
+}
+
+/// Reads a file of labels: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file.
+pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+    let format = format(path)?;
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let read = match format {
+        Format::Audacity => label_text::from_audacity(&text),
+        Format::Deepcraft => label_text::from_deepcraft(&text),
+    };
+    read.with_context(|| format!("{} cannot be understood", path.display()))
+}
+
+/// Writes such a file, whole or not at all.
+pub fn write(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
+    let text = match format(path)? {
+        Format::Audacity => label_text::to_audacity(spans),
+        Format::Deepcraft => label_text::to_deepcraft(spans),
+    };
+    files::write_atomically(path, |file| {
+        std::io::Write::write_all(file, text.as_bytes()).context("cannot write the labels")
+    })
+}
+
+/// Where the labels of a recording lie that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
+pub fn name_beside(recording: &Path) -> PathBuf {
+    if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
+}
+
+/// A file with the labels of such a recording, if there is one: where [`name_beside`] says; in a folder, `labels.label` and
+/// `labels.txt` are taken too, and in a session's folder they are as good as in the radar's.
+pub fn file_beside(recording: &Path) -> Option<PathBuf> {
+    let mut places = vec![name_beside(recording)];
+    if recording.is_dir() {
+        let is_radar = recording.file_name().is_some_and(|n| n.to_string_lossy().starts_with("RadarIfxAvian_"));
+        let session = recording.parent().filter(|_| is_radar);
+        for folder in [Some(recording), session].into_iter().flatten() {
+            places.extend(["radome.label", "labels.label", "labels.txt"].map(|name| folder.join(name)));
+        }
+    }
+    places.into_iter().find(|path| path.is_file())
+}
+
+/// All labels of a recording.
+pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+    match Recording::open(recording)? {
+        Recording::Mcap(reader) => Ok(reader.labels()?),
+        _ => file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file)),
+    }
+}
+
+/// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's
+/// range, or that overlap each other or those that are there, are refused, and nothing is written.
+pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
+    let mut source = Recording::open(recording)?;
+    let named = || format!("{}: labels refused", recording.display());
+    // What is wrong with the new ones by themselves comes first: it says most.
+    check_spans(spans, None).with_context(named)?;
+    check_spans(spans, extent_s(&mut source)?).with_context(named)?;
+    let mut all = of(recording)?;
+    all.extend_from_slice(spans);
+    check_spans(&all, None).with_context(named)?;
+    if let Recording::Mcap(_) = source {
+        mcap::append_labels(recording, spans)?;
+        return Ok(recording.to_owned());
+    }
+    let file = file_beside(recording).unwrap_or_else(|| name_beside(recording));
+    write(&file, &all)?;
+    Ok(file)
+}
+
+/// When a recording's first frame begins and its last one ends, by the frames' own clock, s; `None` if it has none.
+fn extent_s(source: &mut Recording) -> anyhow::Result<Option<(f64, f64)>> {
+    let interval_s = source.waveform().frame_interval_s();
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut extent: Option<(f64, f64)> = None;
+    loop {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => return Ok(extent),
+            SourceEvent::Gap(_) => {}
+            SourceEvent::Frame => {
+                let first_s = extent.map_or(frame.time_s(), |(first_s, _)| first_s);
+                extent = Some((first_s, frame.time_s() + interval_s));
+            }
+        }
+    }
+}

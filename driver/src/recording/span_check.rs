@@ -1,0 +1,183 @@
+//! Whether spans of labels make sense together, and within their recording.
+
+use thiserror::Error;
+
+use super::mcap::LabelSpan;
+
+/// What times may be off because files hold six decimals, s: start and length are rounded each by itself.
+pub const ROUNDING_S: f64 = 2e-6;
+
+/// Spans that cannot be meant.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum SpanError {
+    /// A time is no number.
+    #[error("the label '{label}' from {start_s} to {end_s} s: times must be finite")]
+    NotFinite {
+        /// The label.
+        label: String,
+        /// Start, s.
+        start_s: f64,
+        /// End, s.
+        end_s: f64,
+    },
+    /// The end comes before the start.
+    #[error("the label '{label}' is reversed: it starts at {start_s} s and ends at {end_s} s")]
+    Reversed {
+        /// The label.
+        label: String,
+        /// Start, s.
+        start_s: f64,
+        /// End, s.
+        end_s: f64,
+    },
+    /// Part of the span lies where there is no frame.
+    #[error(
+        "the label '{label}' from {start_s} to {end_s} s is out of range: the recording's frames are from {first_s} to {last_s} s"
+    )]
+    OutOfRange {
+        /// The label.
+        label: String,
+        /// Start, s.
+        start_s: f64,
+        /// End, s.
+        end_s: f64,
+        /// Start of the recording, s.
+        first_s: f64,
+        /// Its end, s.
+        last_s: f64,
+    },
+    /// Two classes at once.
+    #[error(
+        "the labels '{first}' ({first_start_s} to {first_end_s} s) and '{second}' ({second_start_s} to {second_end_s} s) overlap"
+    )]
+    Overlap {
+        /// The earlier one.
+        first: String,
+        /// Its start, s.
+        first_start_s: f64,
+        /// Its end, s.
+        first_end_s: f64,
+        /// The later one.
+        second: String,
+        /// Its start, s.
+        second_start_s: f64,
+        /// Its end, s.
+        second_end_s: f64,
+    },
+}
+
+/// Checks that spans run forwards, lie within `extent_s` where it is given, and that no two that name a class overlap:
+/// the room cannot be empty and hold somebody. Free text may lie over anything.
+///
+/// # Errors
+/// The first fault by time, with the labels that it is about.
+pub fn check_spans(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<(), SpanError> {
+    for span in spans {
+        let (label, start_s, end_s) = (span.label.clone(), span.start_s, span.end_s);
+        if !start_s.is_finite() || !end_s.is_finite() {
+            return Err(SpanError::NotFinite { label, start_s, end_s });
+        }
+        if end_s < start_s {
+            return Err(SpanError::Reversed { label, start_s, end_s });
+        }
+        if let Some((first_s, last_s)) = extent_s
+            && (start_s < first_s - ROUNDING_S || end_s > last_s + ROUNDING_S)
+        {
+            return Err(SpanError::OutOfRange { label, start_s, end_s, first_s, last_s });
+        }
+    }
+    let mut classes: Vec<&LabelSpan> = spans.iter().filter(|span| span.occupancy().is_some()).collect();
+    classes.sort_by(|a, b| a.start_s.total_cmp(&b.start_s).then(a.end_s.total_cmp(&b.end_s)));
+    // The one that ends last of those before: a long span may cover several.
+    let mut latest: Option<&LabelSpan> = None;
+    for span in classes {
+        if let Some(first) = latest.filter(|first| span.start_s < first.end_s - ROUNDING_S) {
+            return Err(SpanError::Overlap {
+                first: first.label.clone(),
+                first_start_s: first.start_s,
+                first_end_s: first.end_s,
+                second: span.label.clone(),
+                second_start_s: span.start_s,
+                second_end_s: span.end_s,
+            });
+        }
+        latest = latest.filter(|first| first.end_s >= span.end_s).or(Some(span));
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
+    use proptest::prelude::*;
+
+    /// One behind the other, with holes, in any order.
+    fn spans() -> impl Strategy<Value = Vec<LabelSpan>> {
+        let one = (0u32..4_000_000, 1u32..4_000_000, "empty|one|two|\\PC{0,8}");
+        prop::collection::vec(one, 0..12).prop_map(|parts| {
+            let mut at_us = 0u64;
+            let place = |(hole, length, label): (u32, u32, String)| {
+                let start_us = at_us + u64::from(hole);
+                at_us = start_us + u64::from(length);
+                LabelSpan::new(start_us as f64 * 1e-6, at_us as f64 * 1e-6, label.trim())
+            };
+            let mut spans: Vec<LabelSpan> = parts.into_iter().map(place).collect();
+            spans.reverse();
+            spans
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn sound_spans_stay_sound_through_the_formats_of_other_tools(spans in spans()) {
+            let end_s = spans.iter().map(|s| s.end_s).fold(0.0, f64::max);
+            prop_assert_eq!(check_spans(&spans, Some((0.0, end_s))), Ok(()));
+            for read in [from_audacity(&to_audacity(&spans)), from_deepcraft(&to_deepcraft(&spans))] {
+                prop_assert_eq!(check_spans(&read.expect("what is written is read"), Some((0.0, end_s))), Ok(()));
+            }
+        }
+
+        /// Against the definition: any two classes that share more than a rounding.
+        #[test]
+        fn overlaps_are_found_as_pairs_would_find_them(parts in prop::collection::vec((0u8..40, 0u8..12, 0usize..4), 0..8)) {
+            let names = ["empty", "one", "two", "sofa"];
+            let spans: Vec<LabelSpan> = parts
+                .iter()
+                .map(|&(start, length, name)| LabelSpan::new(f64::from(start), f64::from(start + length), names[name]))
+                .collect();
+            let mut classes: Vec<&LabelSpan> = spans.iter().filter(|s| s.occupancy().is_some()).collect();
+            classes.sort_by(|a, b| (a.start_s, a.end_s).partial_cmp(&(b.start_s, b.end_s)).expect("finite"));
+            let any = (0..classes.len()).any(|j| (0..j).any(|i| classes[j].start_s < classes[i].end_s));
+            prop_assert_eq!(check_spans(&spans, None).is_err(), any, "{:?}", spans);
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn what_is_wrong_is_said_by_name() {
+            let said = |spans: &[(f64, f64, &str)]| {
+                let spans: Vec<LabelSpan> = spans.iter().map(|&(a, b, label)| LabelSpan::new(a, b, label)).collect();
+                check_spans(&spans, Some((0.0, 10.0))).expect_err("wrong").to_string()
+            };
+            assert!(said(&[(3.0, 2.0, "one")]).contains("'one' is reversed"));
+            assert!(said(&[(9.0, 10.5, "two")]).contains("'two' from 9 to 10.5 s is out of range"));
+            assert!(said(&[(-0.1, 1.0, "sofa")]).contains("'sofa'"));
+            assert!(said(&[(f64::NAN, 1.0, "one")]).contains("finite"));
+            // A long one covers several; the one in between does not hide it.
+            let text = said(&[(0.0, 8.0, "empty"), (8.0, 9.0, "two"), (2.0, 3.0, "one")]);
+            assert!(text.contains("'empty' (0 to 8 s) and 'one' (2 to 3 s) overlap"), "{text}");
+            let text = said(&[(0.0, 8.0, "one"), (2.0, 3.0, "sofa"), (5.0, 6.0, "one")]);
+            assert!(text.contains("overlap"), "{text}");
+        }
+
+        #[test]
+        fn free_text_may_lie_over_anything_and_neighbours_may_touch() {
+            let spans = [(0.0, 5.0, "one"), (5.0 - 1e-6, 10.0 + 1e-6, "two"), (1.0, 9.0, "sofa"), (2.0, 4.0, "window")];
+            let spans: Vec<LabelSpan> = spans.iter().map(|&(a, b, label)| LabelSpan::new(a, b, label)).collect();
+            assert_eq!(check_spans(&spans, Some((0.0, 10.0))), Ok(()));
+        }
+    }
+}

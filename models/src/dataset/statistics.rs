@@ -1,0 +1,147 @@
+//! The paper's table: mean and sigma of the cells of maps by domain, scene and class.
+
+use std::collections::BTreeMap;
+
+use radome_dsp::Occupancy;
+use serde::Serialize;
+
+use super::{Dataset, DatasetError, Domain};
+
+/// Count, mean and standard deviation of numbers that come in blocks (Welford's update, block by block, in f64).
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Moments {
+    count: f64,
+    mean: f64,
+    squares: f64,
+}
+
+impl Moments {
+    /// Takes in a block.
+    pub fn add(&mut self, block: &[f32]) {
+        if block.is_empty() {
+            return;
+        }
+        let n = block.len() as f64;
+        let mean = block.iter().map(|&v| f64::from(v)).sum::<f64>() / n;
+        let squares: f64 = block.iter().map(|&v| (f64::from(v) - mean).powi(2)).sum();
+        let delta = mean - self.mean;
+        self.squares += squares + delta * delta * self.count * n / (self.count + n);
+        self.mean += delta * n / (self.count + n);
+        self.count += n;
+    }
+
+    /// Numbers so far.
+    pub fn count(&self) -> f64 {
+        self.count
+    }
+
+    /// Their mean; 0 if there are none.
+    pub fn mean(&self) -> f64 {
+        self.mean
+    }
+
+    /// Their standard deviation about the mean; NaN if there are none.
+    pub fn sigma(&self) -> f64 {
+        (self.squares / self.count).sqrt()
+    }
+}
+
+/// A row of the table.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CellStatistics {
+    /// Scene or place.
+    pub scene: String,
+    /// The class.
+    pub class: Occupancy,
+    /// Where the frames came from.
+    pub domain: Domain,
+    /// Maps.
+    pub maps: usize,
+    /// Mean of all cells of all maps, dB.
+    pub mean_db: f64,
+    /// Their standard deviation, dB.
+    pub sigma_db: f64,
+    /// If people raise a share `p` of the empty scene's cells by `U` dB, mean and variance rise by `p U` and
+    /// `p (1 - p) U^2`: the `p` that fits. `None` for empty scenes, where no empty map of the same scene and domain is
+    /// there to compare with, and where mean or variance did not rise.
+    pub raised_fraction: Option<f64>,
+    /// The `U` that fits, dB.
+    pub raised_level_db: Option<f64>,
+}
+
+/// The table over the maps with these indices, by domain, scene and class.
+pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatistics>, DatasetError> {
+    let mut cells: BTreeMap<(Domain, &str, Occupancy), (usize, Moments)> = BTreeMap::new();
+    for &index in indices {
+        let map = dataset.map(index)?;
+        let Some(row) = dataset.rows().get(index) else { continue };
+        let (maps, moments) = cells.entry((row.domain, &row.scene, row.label)).or_default();
+        *maps += 1;
+        moments.add(&map);
+    }
+    let row = |(&(domain, scene, class), (maps, moments)): (&(Domain, &str, Occupancy), &(usize, Moments))| {
+        let empty = cells.get(&(domain, scene, Occupancy::Empty)).filter(|_| class != Occupancy::Empty);
+        let raised = empty.and_then(|(_, empty)| raised(empty, moments));
+        CellStatistics {
+            scene: scene.to_owned(),
+            class,
+            domain,
+            maps: *maps,
+            mean_db: moments.mean(),
+            sigma_db: moments.sigma(),
+            raised_fraction: raised.map(|(fraction, _)| fraction),
+            raised_level_db: raised.map(|(_, level)| level),
+        }
+    };
+    Ok(cells.iter().map(row).collect())
+}
+
+/// Share and level, dB, of the cells that stand above the empty scene's.
+fn raised(empty: &Moments, with_people: &Moments) -> Option<(f64, f64)> {
+    let mean = with_people.mean() - empty.mean();
+    let variance = with_people.sigma().powi(2) - empty.sigma().powi(2);
+    if !(mean > 0.0 && variance > 0.0) {
+        return None;
+    }
+    let level_db = variance / mean + mean;
+    Some((mean / level_db, level_db))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn moments(mean: f64, sigma: f64) -> Moments {
+        Moments { count: 1e6, mean, squares: 1e6 * sigma * sigma }
+    }
+
+    /// The paper's real table, and the shares and levels that reference/sbr.md section 5.1 reads from it.
+    #[test]
+    fn the_papers_table_gives_the_published_shares() {
+        let (corridor, room) = (moments(-24.98, 5.48), moments(-24.63, 5.52));
+        for (empty, mean, sigma, fraction, level_db) in [
+            (corridor, -24.55, 5.83, 0.045, 9.6),
+            (corridor, -24.36, 5.90, 0.074, 8.3),
+            (room, -24.40, 5.70, 0.026, 9.0),
+            (room, -24.19, 5.67, 0.103, 4.3),
+        ] {
+            let (p, u) = raised(&empty, &moments(mean, sigma)).expect("raised");
+            assert!((p - fraction).abs() < 5e-4 && (u - level_db).abs() < 0.05, "{p} {u}");
+        }
+        assert_eq!(raised(&corridor, &moments(-25.0, 5.5)), None);
+    }
+
+    #[test]
+    fn a_mixture_gives_back_its_share_and_level() {
+        let spread = |k: u64| (k.wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 40) as f32 / (1u64 << 24) as f32;
+        let noise: Vec<f32> = (0..100_000).map(|k| 20.0 * spread(k)).collect();
+        let raised_cells: Vec<f32> =
+            noise.iter().enumerate().map(|(k, v)| if k % 20 == 0 { v + 9.0 } else { *v }).collect();
+        let (mut empty, mut people) = (Moments::default(), Moments::default());
+        noise.chunks(97).for_each(|block| empty.add(block));
+        raised_cells.chunks(1000).for_each(|block| people.add(block));
+        let (p, u) = raised(&empty, &people).expect("raised");
+        // Which cells are raised is independent of their noise but for chance.
+        assert!((p - 0.05).abs() < 2e-3 && (u - 9.0).abs() < 0.3, "{p} {u}");
+    }
+}

@@ -1,0 +1,478 @@
+//! Datasets: the same bytes after kills, in shards and out of order; labelled folders of every kind; what is wrong is said.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use radome_tests::{failure, fixture, json_lines, radome};
+
+/// A spec of `runs` short runs of the paper's two scenes; every unit takes a moment.
+fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
+    let path = folder.join("spec.toml");
+    let scene = |name: &str| fixture(&format!("scenes/{name}.toml")).canonicalize().expect("a scene");
+    let text = format!(
+        r#"format = 1
+{more}
+[map]
+scale = "minus_one_to_one"
+channels = {{ one = 0 }}
+chirp_mean_removal = false
+static_removal = "slow_time_mean"
+range_window = "hann"
+doppler_window = "hann"
+slow_time = "chirps"
+amplitude = "unnormalised"
+floor_db = -200.0
+[[simulated]]
+scene = {corridor:?}
+seeds = [1, {runs}]
+people = [2]
+frames = 200
+every = 50
+[[simulated]]
+scene = {room:?}
+seeds = [5, 6]
+frames = 300
+every = 100
+"#,
+        corridor = scene("corridor"),
+        room = scene("room"),
+    );
+    std::fs::write(&path, text).expect("writable");
+    path
+}
+
+fn build(spec: &Path, output: &Path) -> Command {
+    let mut command = radome();
+    command.args(["dataset", "build"]).arg(spec).arg("-o").arg(output).arg("--json");
+    command
+}
+
+/// Every file of a dataset with its content.
+fn files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let entries = std::fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry"));
+    entries.map(|e| (e.file_name().to_string_lossy().into_owned(), std::fs::read(e.path()).expect("reads"))).collect()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    files_of(folder).into_iter().collect()
+}
+
+fn files_of(folder: &Path) -> std::collections::BTreeSet<String> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Default::default() };
+    entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect()
+}
+
+/// Starts a build and kills it, without a word, when it has made some units and not all.
+fn kill_midway(command: &mut Command, parts: &Path, after: usize) {
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    let until = Instant::now() + Duration::from_secs(300);
+    let done = || files_of(parts).iter().filter(|n| n.starts_with("unit-") && !n.ends_with(".partial")).count();
+    while done() < after && child.try_wait().expect("a child").is_none() {
+        assert!(Instant::now() < until, "no unit was ever made");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    // SIGKILL.
+    let _ = child.kill();
+    child.wait().expect("ended");
+}
+
+#[test]
+fn a_build_killed_over_and_over_gives_the_bytes_of_one_that_was_not() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let spec = spec(folder.path(), 8, "");
+    let said = json_lines(&mut build(&spec, &path("whole"))).remove(0);
+    assert_eq!(
+        (said["maps"].as_u64(), said["units"].as_u64(), said["units_found"].as_u64()),
+        (Some(38), Some(10), Some(0))
+    );
+
+    for after in [1, 3, 6] {
+        kill_midway(&mut build(&spec, &path("again")), &path("again.parts"), after);
+        assert!(!path("again").exists() || after == 6);
+    }
+    if !path("again").exists() {
+        // Whoever changes the spec meanwhile is told so, and nothing is lost.
+        let text = std::fs::read_to_string(&spec).expect("reads");
+        std::fs::write(&spec, text.replace("every = 50", "every = 25")).expect("writable");
+        let said = failure(&mut build(&spec, &path("again")));
+        assert!(said.contains("again.parts holds the beginning of another build, made from another spec"), "{said}");
+        std::fs::write(&spec, text).expect("writable");
+        let said = json_lines(&mut build(&spec, &path("again"))).remove(0);
+        assert!(said["units_found"].as_u64() >= Some(3), "{said}");
+    }
+    assert_eq!(files(&path("again")), files(&path("whole")));
+    assert_eq!(names(folder.path()), ["again", "spec.toml", "whole"], "nothing else is left");
+    let said = failure(&mut build(&spec, &path("again")));
+    assert!(said.contains("again exists already"), "{said}");
+}
+
+#[test]
+fn eight_shards_of_which_one_was_killed_merge_to_the_single_builds_bytes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let spec = spec(folder.path(), 16, "split = { by = \"sequence\", test = 0.25, validation = 0.25 }");
+    json_lines(&mut build(&spec, &path("single")));
+    let shard = |index: usize| {
+        let mut command = build(&spec, &path("shards"));
+        command.args(["--shard", "auto/8"]).env("SLURM_ARRAY_TASK_ID", index.to_string());
+        command
+    };
+    // Out of order, as arrays run; one killed, and one asked for twice.
+    for index in [3, 0, 7, 5, 1, 6, 2] {
+        json_lines(&mut shard(index));
+    }
+    kill_midway(&mut shard(4), &path("shards/shard-00004-of-00008.parts"), 1);
+    let all = |skip: Option<usize>| {
+        let shards = (0..8).filter(move |i| Some(*i) != skip);
+        shards.map(|i| folder.path().join(format!("shards/shard-{i:05}-of-00008"))).collect::<Vec<_>>()
+    };
+    let merge = |parts: &[PathBuf], output: &str| {
+        let mut command = radome();
+        command.args(["dataset", "merge", "--json"]).args(parts).arg("-o").arg(folder.path().join(output));
+        command
+    };
+    if !path("shards/shard-00004-of-00008").exists() {
+        let said = failure(&mut merge(&all(Some(4)), "merged"));
+        assert!(said.contains("shards 4 of 8 are missing") && said.contains("--shard 4/8"), "{said}");
+    }
+    json_lines(&mut shard(4));
+    assert_eq!(json_lines(&mut shard(2)).remove(0)["units_found"], 2, "a shard that is there is not made again");
+    json_lines(&mut merge(&all(None), "merged"));
+    assert_eq!(files(&path("merged")), files(&path("single")));
+    let report = json_lines(radome().args(["dataset", "verify", "--json"]).arg(path("merged"))).remove(0);
+    assert!(
+        report["maps"] == 70 && report["split_maps"].as_array().is_some_and(|n| n.iter().all(|n| *n != 0)),
+        "{report}"
+    );
+
+    // Doubled and foreign ones.
+    let mut doubled = all(None);
+    doubled.push(path("copy"));
+    assert!(Command::new("cp").arg("-r").arg(&doubled[6]).arg(path("copy")).status().expect("cp").success());
+    let said = failure(&mut merge(&doubled, "no"));
+    assert!(said.contains("copy are both shard 6/8"), "{said}");
+    let other = folder.path().join("other.toml");
+    let text = std::fs::read_to_string(&spec).expect("reads");
+    std::fs::write(&other, text.replace("seeds = [5, 6]", "seeds = [6, 7]")).expect("writable");
+    json_lines(build(&other, &path("other")).args(["--shard", "6/8"]));
+    let mut foreign = all(Some(6));
+    foreign.push(path("other/shard-00006-of-00008"));
+    let said = failure(&mut merge(&foreign, "no"));
+    assert!(
+        said.contains("shard-00006-of-00008 is no shard of the build of") && said.contains("another spec"),
+        "{said}"
+    );
+    assert!(!path("no").exists());
+}
+
+#[test]
+fn two_builds_at_once_in_one_place_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let spec = spec(folder.path(), 400, "");
+    let mut first = build(&spec, &path("set")).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    while !path("set.parts/plan.json").exists() {
+        assert!(first.try_wait().expect("a child").is_none(), "ended before it began");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let said = failure(&mut build(&spec, &path("set")));
+    let _ = first.kill();
+    first.wait().expect("ended");
+    assert!(said.contains("set.parts: another process is at work here"), "{said}");
+}
+
+#[test]
+fn a_zero_sigma_is_not_hidden() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = spec(folder.path(), 4, "");
+    json_lines(&mut build(&spec, &folder.path().join("set")));
+    let stats = |set: &Path| {
+        let mut command = radome();
+        command.args(["dataset", "stats", "--json"]).arg(set);
+        command
+    };
+    let table = json_lines(&mut stats(&folder.path().join("set"))).remove(0);
+    let row = |scene: &str, class: &str| {
+        let rows = table.as_array().expect("a list");
+        rows.iter().find(|r| r["scene"] == scene && r["class"] == class).unwrap_or_else(|| panic!("{scene} {class}"))
+    };
+    let empty = row("corridor", "empty");
+    // The receiver's noise: 5.57 dB for any radar.
+    assert!((empty["sigma_db"].as_f64().expect("a number") - 5.6).abs() < 0.1 && empty["domain"] == "sim", "{empty}");
+    assert!(empty["raised_fraction"].is_null() && empty["mean_db"].is_number(), "{empty}");
+    let two = row("corridor", "two");
+    let (fraction, level) = (two["raised_fraction"].as_f64(), two["raised_level_db"].as_f64());
+    assert!(fraction > Some(0.002) && fraction < Some(0.2) && level > Some(4.0) && level < Some(40.0), "{two}");
+
+    // The same without a receiver's noise, as in the paper: every cell of an empty map lies at the floor.
+    let text = std::fs::read_to_string(&spec).expect("reads");
+    std::fs::write(&spec, text.replace("floor_db = -200.0", "floor_db = 50.0")).expect("writable");
+    json_lines(&mut build(&spec, &folder.path().join("flat")));
+    let output = stats(&folder.path().join("flat")).output().expect("runs");
+    let (table, said) = (String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr));
+    assert!(output.status.code() == Some(1) && table.contains("\"sigma_db\":0.0"), "{table}");
+    assert!(said.contains("sigma is zero in sim corridor empty (all cells at 50.00 dB)"), "{said}");
+    // And verify finds that these maps are all the same.
+    let said = failure(radome().args(["dataset", "verify"]).arg(folder.path().join("flat")));
+    assert!(said.contains("1 groups of duplicates"), "{said}");
+}
+
+/// A session as Radar Fusion GUI writes it, of a few simulated frames.
+fn session(folder: &Path, frames: u32) -> PathBuf {
+    let (recording, session) = (folder.join("made.mcap"), folder.join("made"));
+    let scene = fixture("scenes/corridor.toml");
+    json_lines(
+        radome().arg("simulate").arg(scene).args(["--json", "--frames", &frames.to_string(), "-o"]).arg(&recording),
+    );
+    json_lines(radome().arg("convert").arg(&recording).arg(&session).args(["--to", "infineon", "--json"]));
+    session
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to.parent().expect("a parent")).expect("writable");
+    assert!(Command::new("cp").arg("-r").args([from, to]).status().expect("cp").success());
+}
+
+fn edit(file: &Path, change: impl FnOnce(&mut serde_json::Value)) {
+    let mut value = serde_json::from_str(&std::fs::read_to_string(file).expect("reads")).expect("JSON");
+    change(&mut value);
+    std::fs::write(file, serde_json::to_string_pretty(&value).expect("JSON")).expect("writable");
+}
+
+/// An array of codes as NumPy writes it.
+fn npy(shape: [usize; 4], codes: &[u16]) -> Vec<u8> {
+    let [f, r, c, s] = shape;
+    let text = format!("{{'descr': '<u2', 'fortran_order': False, 'shape': ({f}, {r}, {c}, {s}), }}");
+    let text = format!("{text:<117}\n");
+    let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+    bytes.extend((text.len() as u16).to_le_bytes());
+    bytes.extend(text.bytes().chain(codes.iter().flat_map(|code| code.to_le_bytes())));
+    bytes
+}
+
+/// Every kind of folder that the references tell of (real-frames.md, hardware.md sections 5 and 6), under one rule.
+#[test]
+fn infineon_folders_of_every_kind_become_labelled_sequences() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let frames = 12;
+    let made = session(folder.path(), frames);
+    let single_shape = |value: &mut serde_json::Value| value["device_config"]["fmcw_single_shape"].take();
+    let put = |value: &mut serde_json::Value, shape| value["device_config"]["fmcw_single_shape"] = shape;
+
+    // As today's recorder writes it, and as a GUI export with the board's own words, CRLF and a session without keys.
+    copy(&made, &path("data/home/empty_20260106-151615"));
+    copy(&made, &path("data/home/empty_gui"));
+    let radar = path("data/home/empty_gui/RadarIfxAvian_00");
+    edit(&radar.join("config.json"), |value| value["device_info"] = "Radar Baseboard MCU7 (MCU A)".into());
+    edit(&path("data/home/empty_gui/meta.json"), |value| {
+        *value = serde_json::json!({ "_comment": null, "os_release": null })
+    });
+    std::fs::write(radar.join("format.version"), "1.0.0\r\n").expect("writable");
+    // SDK 3.4 and before: other names for the band, no filters.
+    copy(&made, &path("data/home/ann/one_old"));
+    edit(&path("data/home/ann/one_old/RadarIfxAvian_00/config.json"), |value| {
+        let mut shape = single_shape(value);
+        let object = shape.as_object_mut().expect("an object");
+        for (new, old) in [("start_frequency_Hz", "lower_frequency_Hz"), ("end_frequency_Hz", "upper_frequency_Hz")] {
+            let band = object.remove(new).expect("a frequency");
+            object.insert(old.into(), band);
+        }
+        object.remove("hp_cutoff_Hz");
+        object.remove("aaf_cutoff_Hz");
+        put(value, shape);
+    });
+    // ifxdaq 3.0.1 of 2022: time stamps, temperatures, numbers with exponents, frames at uneven times.
+    copy(&made, &path("data/home/ann/one_2022"));
+    let radar = path("data/home/ann/one_2022/RadarIfxAvian_00");
+    let text = std::fs::read_to_string(radar.join("config.json")).expect("reads");
+    std::fs::write(radar.join("config.json"), text.replace("59558825000", "59.558825e9")).expect("writable");
+    let stamps: String =
+        (0..frames).map(|i| format!("{:.6}\n", 1.6633e9 + 0.095 * f64::from(i) + 0.01 * f64::from(i % 2))).collect();
+    std::fs::write(radar.join("radar_timestamp.csv"), stamps).expect("writable");
+    std::fs::write(radar.join("temperature_timestamp.csv"), "1663300000.1\n").expect("writable");
+    let mut temperature = b"\x93NUMPY\x01\x00\x76\x00".to_vec();
+    temperature.extend(format!("{:<117}\n", "{'descr': '<f8', 'fortran_order': False, 'shape': (1,), }").bytes());
+    temperature.extend(41.5f64.to_le_bytes());
+    std::fs::write(radar.join("temperature.npy"), temperature).expect("writable");
+    edit(&path("data/home/ann/one_2022/meta.json"), |value| {
+        *value = serde_json::json!({ "ifxdaq": "3.0.1", "user": "x" })
+    });
+    // Two boards in one session; they belong together.
+    copy(&made, &path("data/home/bob/two_boards"));
+    let second = path("data/home/bob/two_boards/RadarIfxAvian_01");
+    copy(&made.join("RadarIfxAvian_00"), &second);
+    let bytes = std::fs::read(second.join("radar.npy")).expect("reads");
+    let codes: Vec<u16> = npyz::NpyFile::new(bytes.as_slice()).expect("an array").into_vec().expect("codes");
+    let other: Vec<u16> = codes.iter().map(|code| (code + 1).min(4095)).collect();
+    std::fs::write(second.join("radar.npy"), npy([frames as usize, 3, 128, 256], &other)).expect("writable");
+    // One receiver alone, without a session's folder: maps of the same cells, but another waveform, and so a dataset of its own.
+    copy(&made.join("RadarIfxAvian_00"), &path("single/bob/two_rx1"));
+    edit(&path("single/bob/two_rx1/config.json"), |value| {
+        value["device_config"]["fmcw_single_shape"]["rx_antennas"] = serde_json::json!([1]);
+    });
+    let first_rx: Vec<u16> = codes.chunks(3 * 128 * 256).flat_map(|frame| frame[..128 * 256].to_vec()).collect();
+    std::fs::write(path("single/bob/two_rx1/radar.npy"), npy([frames as usize, 1, 128, 256], &first_rx))
+        .expect("writable");
+    // The SDK's text recording, a native one, and one whose labels say what it is.
+    json_lines(radome().arg("convert").arg(&made).arg(path("data/home/bob/two_sdk.txt")).arg("--json"));
+    copy(&path("made.mcap"), &path("data/home/bob/two_native.mcap"));
+    copy(&made, &path("data/home/mixed_1"));
+    let header = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
+    std::fs::write(path("data/home/mixed_1/labels.label"), format!("{header}\n0,0.5,empty,1,\n0.5,0.4,one,1,\n"))
+        .expect("writable");
+    copy(&made, &path("data/home/calibration"));
+
+    let spec = path("spec.toml");
+    let text = r#"format = 1
+[map]
+scale = "minus_one_to_one"
+channels = { one = 0 }
+chirp_mean_removal = false
+static_removal = "slow_time_mean"
+range_window = "hann"
+doppler_window = "hann"
+slow_time = "chirps"
+amplitude = "unnormalised"
+floor_db = -200.0
+[[recorded]]
+folders = "data"
+labels = { "empty*" = "empty", "{scene}/{subject}/one_*" = "one", "{scene}/{subject}/two_*" = "two", "mixed_?" = "spans", "calibration" = "skip" }
+scene = "home"
+"#;
+    std::fs::write(&spec, text).expect("writable");
+    let said = json_lines(&mut build(&spec, &path("set"))).remove(0);
+    let frames = u64::from(frames);
+    let counts = ["empty", "one", "two", "maps", "units"].map(|key| said[key].as_u64().expect("a number"));
+    assert_eq!(counts, [2 * frames + 5, 2 * frames + 4, 4 * frames, 8 * frames + 9, 9], "{said}");
+    let manifest = std::fs::read_to_string(path("set/manifest.jsonl")).expect("reads");
+    let rows: Vec<serde_json::Value> = manifest.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    assert!(rows.iter().all(|row| row["scene"] == "home" && row["domain"] == "real"));
+    let of = |recording: &str| {
+        rows.iter().find(|row| row["recording"] == recording).unwrap_or_else(|| panic!("{recording}"))
+    };
+    assert_eq!(of("home/ann/one_2022")["subject"], "ann");
+    assert_eq!(of("home/bob/two_boards/RadarIfxAvian_01")["sequence"], "home/bob/two_boards");
+    assert_eq!(of("home/bob/two_sdk")["label"], "two");
+    assert!(of("home/empty_gui").get("subject").is_none());
+    // What the filters were and how the band is called does not change what is in the samples; nor does it matter here
+    // whether the other receivers were recorded.
+    let alone = path("alone.toml");
+    std::fs::write(&alone, text.replace("folders = \"data\"", "folders = \"single\"").replace("{scene}/", ""))
+        .expect("writable");
+    assert_eq!(json_lines(&mut build(&alone, &path("alone"))).remove(0)["two"], frames);
+    let manifest = std::fs::read_to_string(path("alone/manifest.jsonl")).expect("reads");
+    let row: serde_json::Value =
+        manifest.lines().next().and_then(|line| serde_json::from_str(line).ok()).expect("a row");
+    assert_eq!((&row["hash"], &row["subject"]), (&of("home/ann/one_old")["hash"], &"bob".into()));
+
+    // What fits no rule, or two, is named.
+    copy(&made, &path("data/home/nobody_knows"));
+    let said = failure(&mut build(&spec, &path("set2")));
+    assert!(said.contains("'home/nobody_knows' fits none of the patterns"), "{said}");
+    std::fs::write(&spec, text.replace("\"calibration\" =", "\"*y_*\" = \"empty\", \"calibration\" ="))
+        .expect("writable");
+    let said = failure(&mut build(&spec, &path("set2")));
+    assert!(said.contains("'home/empty_20260106-151615' fits two patterns") || said.contains("empty_gui"), "{said}");
+    assert_eq!(files_of(folder.path()).iter().filter(|name| name.starts_with("set2")).count(), 0);
+}
+
+#[test]
+fn labels_are_given_by_hand_from_truth_and_by_a_detector() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let scene = fixture("scenes/corridor.toml");
+    let simulate = |name: &str, people: &str| {
+        let arguments = ["--json", "--frames", "150", "--seed", "100021", "--people", people, "-o"];
+        json_lines(radome().arg("simulate").arg(&scene).args(arguments).arg(path(name)));
+    };
+    let label = |name: &str| {
+        let mut command = radome();
+        command.args(["dataset", "label", "--json"]).arg(path(name));
+        command
+    };
+    simulate("one.mcap", "1");
+    let truth = json_lines(label("one.mcap").args(["--propose", "truth", "-o"]).arg(path("truth.label"))).remove(0);
+    let spans = truth.as_array().expect("a list");
+    let ends = |span: &serde_json::Value| (span["start_s"].as_f64().expect("s"), span["end_s"].as_f64().expect("s"));
+    assert_eq!((ends(&spans[0]).0, ends(&spans[spans.len() - 1]).1), (0.0, 15.0));
+    assert!(spans.windows(2).all(|pair| ends(&pair[0]).1 == ends(&pair[1]).0 && pair[0]["label"] != pair[1]["label"]));
+
+    // The detector: an empty corridor is called empty throughout, and somebody walking in it somebody for most of the time.
+    simulate("nobody.mcap", "0");
+    let nobody = json_lines(label("nobody.mcap").args(["--propose", "detector"])).remove(0);
+    assert_eq!((nobody[0]["label"].as_str(), nobody.as_array().map(Vec::len)), (Some("empty"), Some(1)), "{nobody}");
+    let found = json_lines(label("one.mcap").args(["--propose", "detector"])).remove(0);
+    let at = |spans: &serde_json::Value, time_s: f64| {
+        let span = spans.as_array().and_then(|s| s.iter().find(|s| ends(s).0 <= time_s && time_s < ends(s).1).cloned());
+        span.map(|s| s["label"] == "empty")
+    };
+    let agree =
+        (0..150).filter(|i| at(&truth, f64::from(*i) * 0.1 + 0.05) == at(&found, f64::from(*i) * 0.1 + 0.05)).count();
+    assert!(agree > 120, "{agree} of 150 frames: {found}");
+    // They are in the recording now, and a dataset is built of them.
+    let held = json_lines(radome().arg("labels").arg(path("one.mcap")).arg("--json")).remove(0);
+    assert_eq!(held, found);
+
+    // What contradicts them, runs backwards or lies outside is refused by name, and nothing is written.
+    for (span, what) in [
+        ("3:2=one", "'one' is reversed"),
+        ("14:16=two", "'two' from 14 to 16 s is out of range"),
+        ("1:2=two", "overlap"),
+    ] {
+        let said = failure(label("one.mcap").args(["--span", span]));
+        assert!(said.contains(what), "{said}");
+    }
+    assert_eq!(json_lines(radome().arg("labels").arg(path("one.mcap")).arg("--json")).remove(0), held);
+    json_lines(label("one.mcap").args(["--span", "1:2=somebody coughs", "--who", "a test"]));
+
+    // A folder keeps its labels beside the samples; a file of them is taken in.
+    let session = session(folder.path(), 12);
+    std::fs::write(path("track.txt"), "0.0\t0.6\tempty\n").expect("writable");
+    json_lines(label("made").args(["--span", "0.6:1.2=one", "--from"]).arg(path("track.txt")));
+    let text = std::fs::read_to_string(session.join("radome.label")).expect("written");
+    assert!(text.contains("0.000000,0.600000,empty,") && text.contains("0.600000,0.600000,one,"), "{text}");
+    let said = failure(label("made").args(["--span", "0.5:0.7=two"]));
+    assert!(said.contains("'empty' (0 to 0.6 s) and 'two' (0.5 to 0.7 s) overlap"), "{said}");
+}
+
+#[test]
+fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let simulate = |output: &str, more: &[&str]| {
+        let scene = fixture("scenes/corridor.toml");
+        let mut command = radome();
+        command
+            .arg("simulate")
+            .arg(scene)
+            .args(["--frames", "20", "--seed", "3", "--json"])
+            .args(more)
+            .arg("-o")
+            .arg(path(output));
+        json_lines(&mut command).remove(0)
+    };
+    let read = |name: &str| {
+        use radome_dsp::{Frame, FrameSource, SourceEvent};
+        let mut source = radome_driver::recording::open(&path(name)).expect("opens");
+        let mut frame = Frame::zeroed(source.waveform().shape());
+        let mut frames = Vec::new();
+        while source.next_frame(&mut frame).expect("reads") == SourceEvent::Frame {
+            frames.push(frame.clone());
+        }
+        frames
+    };
+    simulate("run.mcap", &[]);
+    let said: Vec<u64> =
+        (0..3).map(|i| simulate("run.mcap", &["--shard", &format!("{i}/3")])["frames"].as_u64().expect("n")).collect();
+    assert_eq!(said, [6, 7, 7]);
+    assert_eq!(simulate("run.mcap", &["--shard", "1/3"])["found"], true);
+    let pieces: Vec<_> = (0..3).flat_map(|i| read(&format!("run-shard-{i:05}-of-00003.mcap"))).collect();
+    assert!(
+        pieces == read("run.mcap"),
+        "the frames of the shards are those of the whole, numbers, times and truth too"
+    );
+}

@@ -1,0 +1,200 @@
+//! A real Slurm on this machine (Debian's `slurm-wlm` and `munge`), where it is installed: an array builds a dataset, one of its
+//! tasks is killed and requeued, and the shards merge to the bytes of a build without it.
+
+#![allow(clippy::print_stderr)]
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use radome_tests::{fixture, json_lines, radome};
+
+/// Processes that end with the test.
+struct Daemons(Vec<Child>);
+
+impl Drop for Daemons {
+    fn drop(&mut self) {
+        for child in self.0.iter_mut().rev() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+fn program(name: &str) -> Option<PathBuf> {
+    ["/usr/bin", "/usr/sbin", "/usr/local/bin", "/usr/local/sbin"]
+        .map(|folder| Path::new(folder).join(name))
+        .into_iter()
+        .find(|p| p.exists())
+}
+
+fn text_of(command: &mut Command) -> String {
+    let output = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+    assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}
+
+/// A port that nobody listens at.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port").port()
+}
+
+fn wait(what: &str, mut done: impl FnMut() -> bool) {
+    let until = Instant::now() + Duration::from_secs(300);
+    while !done() {
+        assert!(Instant::now() < until, "waited five minutes for {what}");
+        std::thread::sleep(Duration::from_millis(50));
+    }
+}
+
+/// Starts munge, the controller and a node, all private to `folder`; the path of the configuration.
+fn start(folder: &Path) -> (Daemons, PathBuf) {
+    use std::os::unix::fs::PermissionsExt;
+    let at = |name: &str| folder.join(name).display().to_string();
+    fs::set_permissions(folder, fs::Permissions::from_mode(0o711)).expect("permissions");
+    let key = folder.join("munge.key");
+    let mut bytes = vec![0; 128];
+    std::io::Read::read_exact(&mut fs::File::open("/dev/urandom").expect("random"), &mut bytes).expect("random");
+    fs::write(&key, bytes).expect("writable");
+    fs::set_permissions(&key, fs::Permissions::from_mode(0o600)).expect("permissions");
+    for name in ["state", "spool"] {
+        fs::create_dir(folder.join(name)).expect("writable");
+    }
+    let host = text_of(&mut Command::new("hostname"));
+    let configuration = folder.join("slurm.conf");
+    let text = format!(
+        "ClusterName=t\nSlurmctldHost={host}(127.0.0.1)\nSlurmUser=root\nAuthType=auth/munge\nAuthInfo=socket={socket}\n\
+         SlurmctldPort={controller}\nSlurmdPort={node}\nProctrackType=proctrack/linuxproc\nTaskPlugin=task/none\n\
+         JobAcctGatherType=jobacct_gather/none\nSelectType=select/cons_tres\nSelectTypeParameters=CR_Core\n\
+         StateSaveLocation={state}\nSlurmdSpoolDir={spool}\nSlurmctldPidFile={a}\nSlurmdPidFile={b}\nSlurmctldLogFile={c}\n\
+         SlurmdLogFile={d}\nReturnToService=2\nSchedulerParameters=sched_interval=1\n\
+         NodeName={host} NodeAddr=127.0.0.1 CPUs=2 State=UNKNOWN\n\
+         PartitionName=main Nodes={host} Default=YES MaxTime=INFINITE State=UP\n",
+        socket = at("munge.socket"),
+        controller = free_port(),
+        node = free_port(),
+        state = at("state"),
+        spool = at("spool"),
+        a = at("slurmctld.pid"),
+        b = at("slurmd.pid"),
+        c = at("slurmctld.log"),
+        d = at("slurmd.log"),
+    );
+    fs::write(&configuration, text).expect("writable");
+    let spawn = |name: &str, arguments: &[&str]| {
+        let mut command = Command::new(program(name).unwrap_or_else(|| panic!("{name} is absent")));
+        command.args(arguments).env("SLURM_CONF", &configuration).stdout(Stdio::null()).stderr(Stdio::null());
+        command.spawn().unwrap_or_else(|e| panic!("{name}: {e}"))
+    };
+    let file = |option: &str, name: &str| format!("--{option}={}", at(name));
+    let options = [
+        ("key-file", "munge.key"),
+        ("socket", "munge.socket"),
+        ("pid-file", "munge.pid"),
+        ("log-file", "munge.log"),
+        ("seed-file", "munge.seed"),
+    ]
+    .map(|(option, name)| file(option, name));
+    let mut arguments = vec!["--foreground", "--force"];
+    arguments.extend(options.iter().map(String::as_str));
+    let mut daemons = Daemons(vec![spawn("munged", &arguments)]);
+    wait("munge", || folder.join("munge.socket").exists());
+    let configuration_text = configuration.display().to_string();
+    daemons.0.push(spawn("slurmctld", &["-D", "-f", &configuration_text]));
+    daemons.0.push(spawn("slurmd", &["-D", "-f", &configuration_text]));
+    wait("the node", || {
+        let output =
+            Command::new("sinfo").args(["-h", "-o", "%T"]).env("SLURM_CONF", &configuration).output().expect("sinfo");
+        String::from_utf8_lossy(&output.stdout).trim() == "idle"
+    });
+    (daemons, configuration)
+}
+
+#[test]
+fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() {
+    let absent: Vec<&str> = ["munged", "slurmctld", "slurmd", "sbatch", "scontrol"]
+        .into_iter()
+        .filter(|name| program(name).is_none())
+        .collect();
+    let is_root = Command::new("id").arg("-u").output().is_ok_and(|o| o.stdout == b"0\n");
+    if !absent.is_empty() || !is_root {
+        eprintln!("SKIPPED, NO SLURM TRIED: {absent:?} absent (apt-get install slurm-wlm munge), root: {is_root}");
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    let scene = fixture("scenes/corridor.toml").canonicalize().expect("a scene");
+    let spec = path("spec.toml");
+    let text = format!(
+        "format = 1\n[map]\nscale = \"minus_one_to_one\"\nchannels = {{ one = 0 }}\nchirp_mean_removal = false\n\
+         static_removal = \"slow_time_mean\"\nrange_window = \"hann\"\ndoppler_window = \"hann\"\nslow_time = \"chirps\"\n\
+         amplitude = \"unnormalised\"\nfloor_db = -200.0\n\
+         [[simulated]]\nscene = {scene:?}\nseeds = [1, 32]\npeople = [2]\nframes = 200\nevery = 5\n"
+    );
+    fs::write(&spec, text).expect("writable");
+    json_lines(radome().args(["dataset", "build", "--json"]).arg(&spec).arg("-o").arg(path("single")));
+
+    let (_daemons, configuration) = start(folder.path());
+    let slurm = |name: &str| {
+        let mut command = Command::new(name);
+        command.env("SLURM_CONF", &configuration).current_dir(folder.path());
+        command
+    };
+    let script = text_of(radome().args(["dataset", "slurm", "--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));
+    fs::write(path("array.sh"), script + "\n").expect("writable");
+    let job = text_of(slurm("sbatch").args(["--parsable", "array.sh"]));
+
+    // Killed, without a word, as soon as it has made a unit; then queued again.
+    let parts = |index: usize| path(&format!("shards/shard-{index:05}-of-00008.parts"));
+    let units = |index: usize| {
+        let entries = fs::read_dir(parts(index)).into_iter().flatten().flatten();
+        entries
+            .filter(|e| e.file_name().to_string_lossy().starts_with("unit-") && e.path().extension().is_none())
+            .count()
+    };
+    let mut killed = None;
+    wait("a task to be at work", || {
+        killed = (0..8).find(|index| units(*index) > 0);
+        killed.is_some()
+    });
+    let index = killed.expect("one is at work");
+    let task = format!("{job}_{index}");
+    text_of(slurm("scancel").args(["--signal=KILL", "--full", &task]));
+    wait("the task to be gone", || {
+        let said = slurm("scontrol").args(["show", "job", &task]).output().expect("scontrol");
+        let said = String::from_utf8_lossy(&said.stdout).into_owned();
+        !said.contains("JobState=RUNNING") && !said.contains("JobState=COMPLETING")
+    });
+    assert!(parts(index).exists(), "task {index} was killed in the middle of its work");
+    let restarts = |said: &str| said.split_whitespace().find_map(|w| w.strip_prefix("Restarts=")).map(str::to_owned);
+    text_of(slurm("scontrol").args(["requeue", &task]));
+    let show = || {
+        String::from_utf8_lossy(&slurm("scontrol").args(["show", "job", &task]).output().expect("scontrol").stdout)
+            .into_owned()
+    };
+    // Slurm lets what was requeued wait for two minutes; not here.
+    let number = show().split_whitespace().find_map(|w| w.strip_prefix("JobId=").map(str::to_owned)).expect("a number");
+    let _ = slurm("scontrol").args(["update", &format!("JobId={number}"), "StartTime=now"]).output();
+    wait("the array", || (0..8).all(|i| path(&format!("shards/shard-{i:05}-of-00008")).exists()));
+    assert_eq!(restarts(&show()).as_deref(), Some("1"), "{}", show());
+    let log = fs::read_to_string(path(&format!("radome-spec-{job}_{index}.log"))).expect("a log");
+    assert!(log.contains("units are there"), "it went on where it was: {log}");
+
+    let mut merge = radome();
+    merge.args(["dataset", "merge", "--json", "-o"]).arg(path("merged"));
+    merge.args((0..8).map(|i| path(&format!("shards/shard-{i:05}-of-00008"))));
+    json_lines(&mut merge);
+    for entry in fs::read_dir(path("single")).expect("a folder").flatten() {
+        let other = path("merged").join(entry.file_name());
+        assert!(
+            fs::read(entry.path()).expect("reads") == fs::read(&other).expect("reads"),
+            "{} differs",
+            other.display()
+        );
+    }
+    assert_eq!(
+        fs::read_dir(path("merged")).expect("a folder").count(),
+        fs::read_dir(path("single")).expect("a folder").count()
+    );
+}
