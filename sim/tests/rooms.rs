@@ -4,7 +4,6 @@ mod common;
 
 use std::fmt::Write as _;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use radome_sim::Scene;
 use radome_sim::field::image::Wall;
@@ -142,40 +141,6 @@ fn an_obj_room_of_solid_walls_is_what_lies_within() {
         [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling].map(|s| s.material.as_str());
     assert_eq!(names, ["brick", "brick", "plasterboard", "plasterboard", "floorboard", "floorboard"]);
     assert!(scene.file().furniture.is_empty());
-}
-
-/// Counts warnings.
-struct Warnings(AtomicUsize);
-
-impl tracing::Subscriber for &'static Warnings {
-    fn enabled(&self, metadata: &tracing::Metadata<'_>) -> bool {
-        *metadata.level() == tracing::Level::WARN
-    }
-    fn new_span(&self, _: &tracing::span::Attributes<'_>) -> tracing::span::Id {
-        tracing::span::Id::from_u64(1)
-    }
-    fn record(&self, _: &tracing::span::Id, _: &tracing::span::Record<'_>) {}
-    fn record_follows_from(&self, _: &tracing::span::Id, _: &tracing::span::Id) {}
-    fn event(&self, _: &tracing::Event<'_>) {
-        self.0.fetch_add(1, Ordering::Relaxed);
-    }
-    fn enter(&self, _: &tracing::span::Id) {}
-    fn exit(&self, _: &tracing::span::Id) {}
-}
-
-#[test]
-fn a_material_outside_its_band_is_warned_of() {
-    static WARNINGS: Warnings = Warnings(AtomicUsize::new(0));
-    let folder = folder();
-    tracing::subscriber::with_default(&WARNINGS, || {
-        scene(&folder, MESHES).expect("a good scene");
-        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 0);
-        scene(&folder, &MESHES.replace("[50, 70]", "[1, 10]")).expect("a good scene");
-        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 1, "the floor");
-        // The table's brick ends at 40 GHz: four walls.
-        scene(&folder, &MESHES.replace("plasterboard", "brick")).expect("a good scene");
-        assert_eq!(WARNINGS.0.swap(0, Ordering::Relaxed), 4);
-    });
 }
 
 mod hard_cases {
