@@ -203,7 +203,6 @@ fn hann_windows_raise_the_rate_less_than_twofold() {
             cells += (64 - 17) * (64 - 9);
         }
         let rate = alarms as f64 / cells as f64;
-        println!("{method:?}: {rate}");
         assert!(rate > 0.8e-3 && rate < 2e-3, "{method:?}: {rate}");
     }
 }
