@@ -1,48 +1,8 @@
 //! Materials outside their bands. Alone in its process: what one thread listens to depends on the others of the same one.
 
-use std::path::Path;
+mod common;
+
 use std::sync::atomic::{AtomicUsize, Ordering};
-
-use radome_sim::Scene;
-
-const SCENE: &str = r#"
-format = 1
-name = "box"
-
-[materials.screed]
-permittivity = [4.0, 0.1]
-band_ghz = [50, 70]
-
-[room]
-size_m = [4.0, 4.0, 2.5]
-x_low = { material = "plasterboard" }
-x_high = { material = "plasterboard" }
-y_low = { material = "plasterboard" }
-y_high = { material = "plasterboard" }
-floor = { material = "screed" }
-ceiling = { material = "concrete" }
-
-[radar]
-position_m = [0.1, 1.5, 1.2]
-
-[waveform]
-start_frequency_hz = 60.5e9
-end_frequency_hz = 61.5e9
-samples_per_chirp = 128
-chirps_per_frame = 64
-sample_rate_hz = 2e6
-chirp_interval_s = 391.55e-6
-frame_interval_s = 0.1
-rx_antennas = [1]
-tx_power_level = 31
-if_gain_db = 48.0
-high_pass_cutoff_hz = 80e3
-anti_alias_cutoff_hz = 500e3
-
-[people]
-[[people.actor]]
-step = [{ walk_to_m = [2.0, 2.0] }]
-"#;
 
 /// Counts warnings.
 struct Warnings(AtomicUsize);
@@ -68,11 +28,19 @@ fn a_material_outside_its_band_is_warned_of() {
     static WARNINGS: Warnings = Warnings(AtomicUsize::new(0));
     tracing::subscriber::set_global_default(&WARNINGS).expect("the only one");
     let warnings = |text: &str| {
-        Scene::parse(text, Path::new("box.toml")).expect("a good scene");
+        common::parse(text);
         WARNINGS.0.swap(0, Ordering::Relaxed)
     };
-    assert_eq!(warnings(SCENE), 0);
-    assert_eq!(warnings(&SCENE.replace("[50, 70]", "[1, 10]")), 1, "the floor");
+    let screed = "[materials.screed]\npermittivity = [4.0, 0.1]\nband_ghz = [50, 70]\n";
+    let people = "[[people.actor]]\nstep = [{ walk_to_m = [2.0, 2.0] }]\n";
+    let made_of = |text: &str, surface: &str, material: &str| {
+        let of = |material: &str| format!("{surface} = {{ material = \"{material}\"");
+        text.replace(&of("open"), &of(material))
+    };
+    let hall = made_of(&common::hall(&format!("{people}{screed}")), "floor", "screed");
+    let scene = made_of(&hall, "ceiling", "concrete").replace("\"open\"", "\"plasterboard\"");
+    assert_eq!(warnings(&scene), 0);
+    assert_eq!(warnings(&scene.replace("[50, 70]", "[1, 10]")), 1, "the floor");
     // The table's brick ends at 40 GHz: four walls.
-    assert_eq!(warnings(&SCENE.replace("plasterboard", "brick")), 4);
+    assert_eq!(warnings(&scene.replace("plasterboard", "brick")), 4);
 }

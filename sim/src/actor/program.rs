@@ -265,9 +265,9 @@ impl Visits {
     /// Whether the file lets people pace there.
     fn is_in_view(&self, [x, y]: [f64; 2]) -> bool {
         let ([radar_x, radar_y], azimuth) = self.radar;
-        let (forward, left) = ((x - radar_x, y - radar_y), azimuth.sin_cos());
-        let along = forward.0 * left.1 + forward.1 * left.0;
-        let across = forward.1 * left.1 - forward.0 * left.0;
+        let (east, north) = (x - radar_x, y - radar_y);
+        let (sine, cosine) = azimuth.sin_cos();
+        let (along, across) = (east * cosine + north * sine, north * cosine - east * sine);
         let off_deg = across.atan2(along).to_degrees().abs();
         self.file.pace_off_boresight_deg.is_none_or(|most| off_deg <= most)
             && self.file.pace_range_m.is_none_or(|[least, most]| (least..=most).contains(&along.hypot(across)))
