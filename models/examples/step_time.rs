@@ -45,7 +45,7 @@ fn calibration() -> candle_core::Result<f64> {
 fn main() -> candle_core::Result<()> {
     println!("calibration kernel: {:.1} ms", calibration()?);
     for level in [KernelLevel::Portable, KernelLevel::Avx2] {
-        let network = Hqnn::initialise(1, 0, level)?;
+        let network = Hqnn::initialise(1, 0, radome_models::network::PAPER_POOLED, level)?;
         let input = Tensor::randn(0f32, 1.0, (32, 128, 128), &Device::Cpu)?;
         let labels: Vec<usize> = (0..32).map(|i| i % 3).collect();
         let forward = best_of(9, || network.stages(&input).map(|_| ()))?;

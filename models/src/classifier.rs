@@ -131,7 +131,7 @@ impl Classifier {
     fn run(&self, db: &[f32], shape: RdmShape) -> Result<([f32; 2], [f32; 3]), ClassifyError> {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
-        self.model.card.standardisation.apply(&mut input);
+        self.model.card.standardisation.apply(&mut input, shape.doppler);
         let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
         let stages = self.model.network.stages(&input)?;
         let latent: Vec<f32> = stages.latent.flatten_all()?.to_vec1()?;

@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
-use crate::network::{Hqnn, LatentConstants};
+use crate::network::{Hqnn, LatentConstants, MOST_POOLED, PAPER_POOLED};
 use crate::standardise::Standardisation;
 
 /// Version of the format that is written; older ones are read.
@@ -57,6 +57,9 @@ pub struct ModelCard {
     pub rdm_spec: RdmSpec,
     /// Standardisation of the input.
     pub standardisation: Standardisation,
+    /// Rows and columns that the network's second block is averaged to.
+    #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
+    pub pooled: [usize; 2],
     /// Standardisation of the latent.
     pub latent: LatentConstants,
     /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
@@ -157,7 +160,7 @@ impl Model {
         let bytes: Vec<Vec<u8>> =
             self.network.values()?.iter().map(|values| values.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
         let mut views = Vec::new();
-        for ((name, shape), bytes) in Hqnn::layout().iter().zip(&bytes) {
+        for ((name, shape), bytes) in Hqnn::layout(self.network.pooled()).iter().zip(&bytes) {
             let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
             views.push((*name, view));
         }
@@ -206,7 +209,7 @@ impl Model {
         card.check(path)?;
 
         let mut values = Vec::new();
-        for (name, shape) in Hqnn::layout() {
+        for (name, shape) in Hqnn::layout(card.pooled) {
             let inconsistent = |found: String| ModelError::Inconsistent {
                 path: path.to_owned(),
                 what: format!("tensor {name}"),
@@ -214,7 +217,7 @@ impl Model {
                 found,
             };
             let view = tensors.tensor(name).map_err(|e| inconsistent(e.to_string()))?;
-            if view.dtype() != Dtype::F32 || view.shape() != *shape {
+            if view.dtype() != Dtype::F32 || view.shape() != shape {
                 return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
             }
             let numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
@@ -224,7 +227,7 @@ impl Model {
             }
             values.push(numbers);
         }
-        let network = Hqnn::from_values(&values, card.latent, KernelLevel::detect())?;
+        let network = Hqnn::from_values(&values, card.pooled, card.latent, KernelLevel::detect())?;
         Ok(Model { card, network })
     }
 }
@@ -250,7 +253,10 @@ impl ModelCard {
             }
             Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
         }
-        let Standardisation { mean_db, sigma_db } = self.standardisation;
+        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
+            return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
+        }
+        let Standardisation { mean_db, sigma_db, .. } = self.standardisation;
         let constants = [sigma_db, self.temperature, f64::from(self.latent.sigma[0]), f64::from(self.latent.sigma[1])];
         let positive = constants.iter().all(|v| v.is_finite() && *v > 0.0);
         if !positive || !mean_db.is_finite() || self.latent.mean.iter().any(|v| !v.is_finite()) {
@@ -259,6 +265,14 @@ impl ModelCard {
         }
         Ok(())
     }
+}
+
+fn paper_pooled() -> [usize; 2] {
+    PAPER_POOLED
+}
+
+fn is_paper_pooled(pooled: &[usize; 2]) -> bool {
+    *pooled == PAPER_POOLED
 }
 
 /// Names of the axes of a network's input.

@@ -1,4 +1,5 @@
-//! Label-free standardisation of maps: one mean and one sigma for all cells of the training split.
+//! Label-free standardisation of maps: against their own noise where asked for, then one mean and one sigma for all cells of
+//! the training split.
 //!
 //! The paper standardises by scene *and occupancy*, which tells the network the label of every test map
 //! (paper.md section 4); this does not.
@@ -11,9 +12,57 @@ use crate::dataset::Moments;
 /// Least sigma that maps can be divided by, dB. Receiver noise alone gives 5.6 dB.
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
-/// `(dB - mean) / sigma`.
+/// What the cells of a map are measured against before mean and sigma are taken off.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MapReference {
+    /// The map's own 0 dB.
+    #[default]
+    Absolute,
+    /// The noise of each range bin in this very map: a cell of power `P` in a bin of noise `N` becomes
+    /// `10 log10(1 + P / N)`, so that a board's gain and the colour of its noise are gone, and noise below its mean is not
+    /// spread over tens of dB. `N` is the lower quartile of the bin's cells over `ln(4/3)`, which it is of the mean of an
+    /// exponential distribution; echoes in less than half of the Doppler bins hardly move it.
+    OverNoise {
+        /// Range bins from the nearest that show leakage and not the room: they read as noise.
+        skip_range_bins: usize,
+    },
+}
+
+impl MapReference {
+    /// Puts the cells `[range][doppler]` dB of a map in reference to what this says.
+    pub fn apply(self, cells: &mut [f32], doppler: usize) {
+        let MapReference::OverNoise { skip_range_bins } = self else { return };
+        /// `10 / ln 10`.
+        const DB: f32 = 4.342_944_8;
+        let mut sorted = Vec::with_capacity(doppler);
+        for (bin, row) in cells.chunks_exact_mut(doppler.max(1)).enumerate() {
+            if bin < skip_range_bins {
+                row.fill(DB * std::f32::consts::LN_2);
+                continue;
+            }
+            sorted.clear();
+            sorted.extend_from_slice(row);
+            let (_, &mut quartile_db, _) = sorted.select_nth_unstable_by(row.len() / 4, f32::total_cmp);
+            let noise_db = quartile_db - DB * (4.0f32 / 3.0).ln().ln();
+            for cell in row {
+                let x = (*cell - noise_db) / DB;
+                *cell = DB * (x.max(0.0) + (-x.abs()).exp().ln_1p());
+            }
+        }
+    }
+
+    fn is_absolute(&self) -> bool {
+        *self == MapReference::Absolute
+    }
+}
+
+/// `(dB - mean) / sigma`, of cells in reference to what they are measured against.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Standardisation {
+    /// What 0 dB is.
+    #[serde(default, skip_serializing_if = "MapReference::is_absolute")]
+    pub reference: MapReference,
     /// Mean of all cells, dB.
     pub mean_db: f64,
     /// Standard deviation of all cells, dB.
@@ -39,8 +88,11 @@ pub enum StandardiseError {
 }
 
 impl Standardisation {
-    /// Mean and standard deviation over all cells of all maps, in f64.
-    pub fn measure<'a>(maps: impl Iterator<Item = &'a [f32]>) -> Result<Self, StandardiseError> {
+    /// Mean and standard deviation over all cells of all maps, in f64. The maps are in `reference` already.
+    pub fn measure<'a>(
+        reference: MapReference,
+        maps: impl Iterator<Item = &'a [f32]>,
+    ) -> Result<Self, StandardiseError> {
         let mut moments = Moments::default();
         maps.for_each(|map| moments.add(map));
         if moments.count() == 0.0 {
@@ -50,11 +102,17 @@ impl Standardisation {
         if sigma.is_nan() || sigma < LEAST_SIGMA_DB {
             return Err(StandardiseError::NoSpread { mean_db: mean, sigma_db: sigma });
         }
-        Ok(Standardisation { mean_db: mean, sigma_db: sigma })
+        Ok(Standardisation { reference, mean_db: mean, sigma_db: sigma })
     }
 
-    /// Standardises cells in place.
-    pub fn apply(&self, cells: &mut [f32]) {
+    /// Standardises the cells `[range][doppler]` of a map in place.
+    pub fn apply(&self, cells: &mut [f32], doppler: usize) {
+        self.reference.apply(cells, doppler);
+        self.scale(cells);
+    }
+
+    /// The constants alone, for cells that are in reference already.
+    pub(crate) fn scale(&self, cells: &mut [f32]) {
         for cell in cells {
             *cell = ((f64::from(*cell) - self.mean_db) / self.sigma_db) as f32;
         }
@@ -64,6 +122,7 @@ impl Standardisation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::Rng;
 
     #[test]
     fn moments_are_those_of_all_cells_together() {
@@ -71,20 +130,64 @@ mod tests {
         let all: Vec<f64> = maps.iter().flatten().map(|&v| f64::from(v)).collect();
         let mean = all.iter().sum::<f64>() / all.len() as f64;
         let variance = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / all.len() as f64;
-        let s = Standardisation::measure(maps.iter().map(Vec::as_slice)).expect("spread");
+        let s = Standardisation::measure(MapReference::Absolute, maps.iter().map(Vec::as_slice)).expect("spread");
         assert!((s.mean_db - mean).abs() < 1e-12 && (s.sigma_db - variance.sqrt()).abs() < 1e-12);
+    }
+
+    /// Exponential noise of any level and colour reads the same, an echo 20 dB above it reads 20 dB, and what stands on the
+    /// bins of the leakage is not seen.
+    #[test]
+    fn over_noise_neither_gain_nor_colour_is_left() {
+        let (range, doppler, skip) = (24, 64, 3);
+        let mut rng = crate::stream(3, "noise", 0);
+        let mut map = vec![0.0f32; range * doppler];
+        for (bin, row) in map.chunks_exact_mut(doppler).enumerate() {
+            let level_db = -40.0 - 0.8 * bin as f32;
+            row.fill_with(|| level_db + 10.0 * (-rng.random_range(f32::MIN_POSITIVE..1.0).ln()).log10());
+        }
+        map[7 * doppler + 40] = -40.0 - 0.8 * 7.0 + 20.0;
+        map[doppler + 40] = 0.0;
+        let mut louder: Vec<f32> = map.iter().map(|db| db + 11.0).collect();
+        let reference = MapReference::OverNoise { skip_range_bins: skip };
+        reference.apply(&mut map, doppler);
+        reference.apply(&mut louder, doppler);
+        for (a, b) in map.iter().zip(&louder) {
+            assert!((a - b).abs() < 1e-3, "{a} {b}");
+        }
+        assert!((map[7 * doppler + 40] - 20.0).abs() < 2.0, "{}", map[7 * doppler + 40]);
+        assert!(map[..skip * doppler].iter().all(|v| (v - 3.0103).abs() < 1e-3));
+        // The mean of 10 log10(1 + P/N) over exponential P/N: 10/ln(10) e E1(1) = 2.5898 dB.
+        let rest = &map[skip * doppler..];
+        let mean = rest.iter().map(|v| f64::from(*v)).sum::<f64>() / rest.len() as f64;
+        assert!((mean - 2.59).abs() < 0.25, "{mean}");
     }
 
     mod hard_cases {
         use super::*;
 
+        const ABSOLUTE: MapReference = MapReference::Absolute;
+
+        /// Cells at the floor of silence, a map of one cell and more bins to skip than there are.
+        #[test]
+        fn odd_maps_stay_finite() {
+            for (mut map, doppler, skip) in
+                [(vec![-370.0f32; 64], 8, 2), (vec![5.0], 1, 0), (vec![100.0; 16], 4, 9), (vec![], 4, 1)]
+            {
+                MapReference::OverNoise { skip_range_bins: skip }.apply(&mut map, doppler);
+                assert!(map.iter().all(|v| v.is_finite()), "{map:?}");
+            }
+            let mut spread = vec![-370.0f32, -370.0, -370.0, 60.0];
+            MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut spread, 4);
+            assert!(spread.iter().all(|v| v.is_finite()), "{spread:?}");
+        }
+
         #[test]
         fn maps_without_spread_are_refused_with_the_reason() {
             let flat = [-200.0f32; 16];
-            let error = Standardisation::measure([&flat[..], &flat[..]].into_iter()).expect_err("sigma is zero");
+            let error = Standardisation::measure(ABSOLUTE, [&flat[..], &flat[..]].into_iter()).expect_err("sigma is zero");
             assert!(error.to_string().contains("-200 dB") && error.to_string().contains("receiver noise"), "{error}");
-            assert_eq!(Standardisation::measure(std::iter::empty()), Err(StandardiseError::Empty));
-            assert!(Standardisation::measure([&[f32::NAN, 1.0][..]].into_iter()).is_err());
+            assert_eq!(Standardisation::measure(ABSOLUTE, std::iter::empty()), Err(StandardiseError::Empty));
+            assert!(Standardisation::measure(ABSOLUTE, [&[f32::NAN, 1.0][..]].into_iter()).is_err());
         }
     }
 }

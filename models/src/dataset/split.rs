@@ -1,5 +1,6 @@
 //! Which map is for training, validation and test: by whole sequences, or by whole subjects or scenes.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
@@ -18,15 +19,19 @@ pub enum SplitBy {
     Subject,
     /// Scenes: where is judged has never been seen.
     Scene,
+    /// Seeds of a scene, where what it draws makes another place of each: runs of one seed with nobody, one and two people
+    /// share their room. Recordings stand for themselves.
+    Seed,
 }
 
 impl SplitBy {
     /// Its name in a row; `None` where the row has none.
-    pub(super) fn name(self, row: &ManifestRow) -> Option<&str> {
+    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
         match self {
-            SplitBy::Sequence => Some(&row.sequence),
-            SplitBy::Subject => row.subject.as_deref(),
-            SplitBy::Scene => Some(&row.scene),
+            SplitBy::Sequence => Some(Cow::from(&row.sequence)),
+            SplitBy::Subject => row.subject.as_ref().map(Cow::from),
+            SplitBy::Scene => Some(Cow::from(&row.scene)),
+            SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
         }
     }
 
@@ -36,6 +41,7 @@ impl SplitBy {
             SplitBy::Sequence => "sequence",
             SplitBy::Subject => "subject",
             SplitBy::Scene => "scene",
+            SplitBy::Seed => "seed",
         }
     }
 
@@ -86,7 +92,7 @@ impl Default for SplitSpec {
 impl SplitSpec {
     /// The split of each row, in order.
     ///
-    /// Sequences that share a subject, or a scene, where `by` says so, make a group; else each is one. Rows with a split
+    /// Sequences that share a subject, a scene or a seed, where `by` says so, make a group; else each is one. Rows with a split
     /// keep it, and so does the rest of their group. The other groups are sorted into strata by domain and by the set of
     /// classes that they show, ordered within a stratum by a seeded hash of their name, and dealt out: test first, then
     /// validation, each rounded to the nearest whole group, and at least one for training. So neither thread, order of
@@ -136,7 +142,7 @@ impl SplitSpec {
             let test = (self.test * count).round() as usize;
             let validation = (self.validation * count).round() as usize;
             // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
-            // two subjects or scenes, of which there are few.
+            // two subjects, scenes or seeds, of which there may be few.
             let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
             let least =
                 |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room >= least_room { 1 } else { n };
@@ -175,7 +181,7 @@ fn group_names(rows: &[ManifestRow], by: SplitBy) -> BTreeMap<&str, &str> {
         name
     }
     if by != SplitBy::Sequence {
-        let mut holders: BTreeMap<&str, &str> = BTreeMap::new();
+        let mut holders: BTreeMap<Cow<str>, &str> = BTreeMap::new();
         for row in rows {
             let Some(name) = by.name(row) else { continue };
             let holder = holders.entry(name).or_insert(&row.sequence);

@@ -98,10 +98,11 @@ fn whole_subjects_and_whole_scenes_are_held_out() {
             let mut row = row(&format!("s{s:02}"), frame, Occupancy::from_index(s % 2 + 1).expect("class"));
             row.subject = (s > 3).then(|| format!("subject{}", s % 5));
             row.scene = format!("scene{}", s % 4);
+            row.seed = (s > 5).then_some(s as u64 % 3);
             rows.push(row);
         }
     }
-    for by in [SplitBy::Subject, SplitBy::Scene] {
+    for by in [SplitBy::Subject, SplitBy::Scene, SplitBy::Seed] {
         let splits = SplitSpec { by, ..SplitSpec::default() }.assign(&rows).expect("splits");
         for (a, split_a) in rows.iter().zip(&splits) {
             for (b, split_b) in rows.iter().zip(&splits) {

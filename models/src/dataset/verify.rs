@@ -1,5 +1,6 @@
 //! Whether a dataset is what its manifest says, and whether training has seen what testing asks.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use radome_dsp::Occupancy;
@@ -118,12 +119,12 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
 }
 
 fn leaks(rows: &[ManifestRow], splits: &[Split], by: SplitBy) -> Vec<Leak> {
-    let mut seen: BTreeMap<&str, BTreeSet<Split>> = BTreeMap::new();
+    let mut seen: BTreeMap<Cow<str>, BTreeSet<Split>> = BTreeMap::new();
     for (row, split) in rows.iter().zip(splits) {
         if let Some(name) = by.name(row) {
             seen.entry(name).or_default().insert(*split);
         }
     }
     let leaking = seen.into_iter().filter(|(_, splits)| splits.len() > 1);
-    leaking.map(|(name, splits)| Leak { by, name: name.to_owned(), splits: splits.into_iter().collect() }).collect()
+    leaking.map(|(name, splits)| Leak { by, name: name.into_owned(), splits: splits.into_iter().collect() }).collect()
 }

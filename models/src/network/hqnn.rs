@@ -11,6 +11,8 @@
 //!   two-qubit circuit, <ZI> and <IZ>             4
 //!   linear 2 -> 3: logits                        9
 //! ```
+//! These are the paper's sizes; the pooled grid is a setting, for a map of which half the range is a room.
+//!
 //! The paper does not say whether a nonlinearity stands between the two dense layers. Without one they are a single
 //! linear map and 61,504 of the parameters would be pointless, so there is a ReLU here.
 
@@ -22,25 +24,30 @@ use super::NetworkInfo;
 use crate::layer::{InputGradient, KernelLevel, adaptive_average_pool, circuit, conv_relu_pool, linear};
 use crate::stream;
 
-/// Rows and columns (range, Doppler) after the adaptive pooling.
-const POOLED: (usize, usize) = (2, 15);
-const FEATURES: usize = 32 * POOLED.0 * POOLED.1;
+/// Rows and columns (range, Doppler) after the adaptive pooling, in the paper.
+pub const PAPER_POOLED: [usize; 2] = [2, 15];
+/// Rows or columns that may be pooled to at most.
+pub const MOST_POOLED: usize = 64;
+/// Channels of the second block.
+const CHANNELS: usize = 32;
 const HIDDEN: usize = 64;
 
-/// Names and shapes of the parameters in their order in files; shapes as PyTorch's.
-const PARAMETERS: [(&str, &[usize]); 11] = [
-    ("conv1.weight", &[16, 1, 3, 3]),
-    ("conv1.bias", &[16]),
-    ("conv2.weight", &[32, 16, 3, 3]),
-    ("conv2.bias", &[32]),
-    ("fc1.weight", &[HIDDEN, FEATURES]),
-    ("fc1.bias", &[HIDDEN]),
-    ("fc2.weight", &[2, HIDDEN]),
-    ("fc2.bias", &[2]),
-    ("circuit.theta", &[4]),
-    ("head.weight", &[3, 2]),
-    ("head.bias", &[3]),
-];
+/// Names and shapes of the parameters in their order in files, of a network that pools to `pooled`; shapes as PyTorch's.
+fn parameters(pooled: [usize; 2]) -> [(&'static str, Vec<usize>); 11] {
+    [
+        ("conv1.weight", vec![16, 1, 3, 3]),
+        ("conv1.bias", vec![16]),
+        ("conv2.weight", vec![CHANNELS, 16, 3, 3]),
+        ("conv2.bias", vec![CHANNELS]),
+        ("fc1.weight", vec![HIDDEN, CHANNELS * pooled[0] * pooled[1]]),
+        ("fc1.bias", vec![HIDDEN]),
+        ("fc2.weight", vec![2, HIDDEN]),
+        ("fc2.bias", vec![2]),
+        ("circuit.theta", vec![4]),
+        ("head.weight", vec![3, 2]),
+        ("head.bias", vec![3]),
+    ]
+}
 
 /// Constants that standardise the latent before the squash: `(z - mean) / sigma`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -74,7 +81,7 @@ pub enum Bypass {
 /// variables of that layer ([`Hqnn::fold`] undoes it exactly), so the network stays the paper's.
 #[derive(Debug, Clone, PartialEq)]
 pub struct FeatureScale {
-    /// Subtracted from each of the 960 features.
+    /// Subtracted from each of the pooled features.
     pub mean: Vec<f32>,
     /// Multiplied to each.
     pub scale: Vec<f32>,
@@ -86,7 +93,7 @@ pub struct Stages {
     pub block1: Tensor,
     /// After the second block, `[batch][range/4][doppler/4][32]`.
     pub block2: Tensor,
-    /// Pooled features `[batch][960]`, before [`FeatureScale`].
+    /// Pooled features `[batch][32 * rows * columns]`, before [`FeatureScale`].
     pub features: Tensor,
     /// Hidden layer `[batch][64]` after its ReLU.
     pub hidden: Tensor,
@@ -124,6 +131,7 @@ impl Stages {
 /// The network and its parameters.
 pub struct Hqnn {
     variables: Vec<Var>,
+    pooled: [usize; 2],
     /// Standardisation of the latent.
     pub latent: LatentConstants,
     feature_scale: Option<FeatureScale>,
@@ -138,8 +146,8 @@ impl Hqnn {
 
     /// A network with random parameters: He's uniform (He et al., ICCV 2015, equation 10) before a ReLU, `1/sqrt(n)`
     /// for the latent and the head, angles in +-pi; biases zero.
-    pub fn initialise(seed: u64, attempt: u64, level: KernelLevel) -> Result<Self> {
-        let values = PARAMETERS.map(|(name, shape)| {
+    pub fn initialise(seed: u64, attempt: u64, pooled: [usize; 2], level: KernelLevel) -> Result<Self> {
+        let values = parameters(pooled).map(|(name, shape)| {
             let mut rng = stream(seed, name, attempt);
             let count: usize = shape.iter().product();
             let fan_in: usize = shape.iter().skip(1).product();
@@ -151,27 +159,38 @@ impl Hqnn {
             };
             (0..count).map(|_| rng.random_range(-bound..bound)).collect()
         });
-        Self::from_values(&values, LatentConstants::default(), level)
+        Self::from_values(&values, pooled, LatentConstants::default(), level)
     }
 
     /// A network with these parameters, in the order and with the lengths of [`Hqnn::layout`].
-    pub fn from_values(values: &[Vec<f32>], latent: LatentConstants, level: KernelLevel) -> Result<Self> {
-        if values.len() != PARAMETERS.len() {
-            candle_core::bail!("hqnn: expected {} parameter arrays, got {}", PARAMETERS.len(), values.len());
+    pub fn from_values(
+        values: &[Vec<f32>],
+        pooled: [usize; 2],
+        latent: LatentConstants,
+        level: KernelLevel,
+    ) -> Result<Self> {
+        let parameters = parameters(pooled);
+        if values.len() != parameters.len() {
+            candle_core::bail!("hqnn: expected {} parameter arrays, got {}", parameters.len(), values.len());
         }
-        let variables = PARAMETERS
-            .iter()
+        let variables = parameters
+            .into_iter()
             .zip(values)
             .map(|((name, shape), values)| {
-                Var::from_tensor(&Tensor::from_slice(values, *shape, &Device::Cpu)?).map_err(|e| e.context(name))
+                Var::from_tensor(&Tensor::from_slice(values, shape, &Device::Cpu)?).map_err(|e| e.context(name))
             })
             .collect::<Result<_>>()?;
-        Ok(Hqnn { variables, latent, feature_scale: None, bypass: Bypass::No, level: level.available() })
+        Ok(Hqnn { variables, pooled, latent, feature_scale: None, bypass: Bypass::No, level: level.available() })
     }
 
-    /// Names and shapes of the parameters, in order.
-    pub fn layout() -> &'static [(&'static str, &'static [usize])] {
-        &PARAMETERS
+    /// Names and shapes of the parameters, in order, of a network that pools to `pooled` rows and columns.
+    pub fn layout(pooled: [usize; 2]) -> [(&'static str, Vec<usize>); 11] {
+        parameters(pooled)
+    }
+
+    /// Rows and columns that the second block's output is averaged to.
+    pub fn pooled(&self) -> [usize; 2] {
+        self.pooled
     }
 
     /// The parameters, in the order of [`Hqnn::layout`].
@@ -193,19 +212,19 @@ impl Hqnn {
     }
 
     /// Trained numbers.
-    pub fn parameter_count() -> usize {
-        PARAMETERS.iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
+    pub fn parameter_count(pooled: [usize; 2]) -> usize {
+        parameters(pooled).iter().map(|(_, shape)| shape.iter().product::<usize>()).sum()
     }
 
-    /// Size and cost for maps `[1][range][doppler]`.
+    /// Size and cost of the paper's network for maps `[1][range][doppler]`.
     pub fn info(input: [usize; 3]) -> NetworkInfo {
         let [_, range, doppler] = input;
         let conv1 = 9 * 16 * range * doppler;
         let conv2 = 9 * 16 * 32 * (range / 2) * (doppler / 2);
-        let dense = FEATURES * HIDDEN + HIDDEN * 2 + 2 * 3;
+        let dense = CHANNELS * PAPER_POOLED[0] * PAPER_POOLED[1] * HIDDEN + HIDDEN * 2 + 2 * 3;
         NetworkInfo {
             name: Self::NAME.to_owned(),
-            parameters: Self::parameter_count(),
+            parameters: Self::parameter_count(PAPER_POOLED),
             multiply_adds: (conv1 + conv2 + dense) as u64,
             input,
         }
@@ -221,7 +240,7 @@ impl Hqnn {
         let Some(scale) = self.feature_scale.take() else { return Ok(()) };
         let mut values = self.values()?;
         if let [_, _, _, _, weight, bias, ..] = values.as_mut_slice() {
-            for (row, bias) in weight.chunks_exact_mut(FEATURES).zip(bias) {
+            for (row, bias) in weight.chunks_exact_mut(scale.mean.len().max(1)).zip(bias) {
                 let mut shift = 0.0f64;
                 for ((w, s), m) in row.iter_mut().zip(&scale.scale).zip(&scale.mean) {
                     *w *= s;
@@ -246,11 +265,11 @@ impl Hqnn {
         let p = |index| self.variable(index);
         let block1 = conv_relu_pool(&input, p(0)?, p(1)?, InputGradient::Unused, self.level)?;
         let block2 = conv_relu_pool(&block1, p(2)?, p(3)?, InputGradient::Needed, self.level)?;
-        let features = adaptive_average_pool(&block2, POOLED.0, POOLED.1)?;
+        let features = adaptive_average_pool(&block2, self.pooled[0], self.pooled[1])?;
         let centred = match &self.feature_scale {
             Some(scale) => {
-                let mean = Tensor::from_slice(&scale.mean, FEATURES, &Device::Cpu)?;
-                let factor = Tensor::from_slice(&scale.scale, FEATURES, &Device::Cpu)?;
+                let mean = Tensor::from_slice(&scale.mean, scale.mean.len(), &Device::Cpu)?;
+                let factor = Tensor::from_slice(&scale.scale, scale.scale.len(), &Device::Cpu)?;
                 features.broadcast_sub(&mean)?.broadcast_mul(&factor)?
             }
             None => features.clone(),
@@ -283,21 +302,23 @@ mod tests {
 
     #[test]
     fn parameters_are_the_papers() {
-        assert_eq!(Hqnn::parameter_count(), 66_447);
-        let network = Hqnn::initialise(1, 0, KernelLevel::detect()).expect("network");
+        assert_eq!(Hqnn::parameter_count(PAPER_POOLED), 66_447);
+        let network = Hqnn::initialise(1, 0, PAPER_POOLED, KernelLevel::detect()).expect("network");
         assert_eq!(network.variables().iter().map(|v| v.elem_count()).sum::<usize>(), 66_447);
         assert_eq!(Hqnn::info([1, 128, 128]).parameters, 66_447);
     }
 
     #[test]
     fn folding_the_feature_scale_leaves_the_answer_alone() {
-        let mut network = Hqnn::initialise(5, 0, KernelLevel::detect()).expect("network");
+        let pooled = [3, 4];
+        let features = CHANNELS * 3 * 4;
+        let mut network = Hqnn::initialise(5, 0, pooled, KernelLevel::detect()).expect("network");
         let mut rng = stream(5, "maps", 0);
         let maps: Vec<f32> = (0..2 * 40 * 48).map(|_| rng.random_range(-1.0..1.0)).collect();
         let input = Tensor::from_vec(maps, (2, 40, 48), &Device::Cpu).expect("tensor");
         network.set_feature_scale(Some(FeatureScale {
-            mean: (0..FEATURES).map(|_| rng.random_range(0.0..1.0)).collect(),
-            scale: (0..FEATURES).map(|_| rng.random_range(0.5..2.0)).collect(),
+            mean: (0..features).map(|_| rng.random_range(0.0..1.0)).collect(),
+            scale: (0..features).map(|_| rng.random_range(0.5..2.0)).collect(),
         }));
         let latent = |n: &Hqnn| n.stages(&input).and_then(|s| s.latent.flatten_all()?.to_vec1::<f32>()).expect("run");
         let before = latent(&network);

@@ -2,7 +2,7 @@
 
 mod hqnn;
 
-pub use hqnn::{Bypass, FeatureScale, Hqnn, LatentConstants, Stages};
+pub use hqnn::{Bypass, FeatureScale, Hqnn, LatentConstants, MOST_POOLED, PAPER_POOLED, Stages};
 
 use serde::{Deserialize, Serialize};
 

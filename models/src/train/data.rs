@@ -48,7 +48,8 @@ impl Data {
             let wanted =
                 |i: &usize| split != Split::Train || spec.transitions || rows.get(*i).is_none_or(|r| !r.transition);
             let indices: Vec<usize> = of_split.filter(wanted).collect();
-            let maps = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
+            let mut maps: Vec<Vec<f32>> = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
+            maps.iter_mut().for_each(|map| spec.reference.apply(map, shape.doppler));
             let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
             Ok(Part { indices, maps, labels })
         };
@@ -86,9 +87,9 @@ impl Data {
             })
             .to_vec();
 
-        let standardisation = Standardisation::measure(train.maps.iter().map(Vec::as_slice))?;
+        let standardisation = Standardisation::measure(spec.reference, train.maps.iter().map(Vec::as_slice))?;
         for map in train.maps.iter_mut().chain(&mut validation.maps) {
-            standardisation.apply(map);
+            standardisation.scale(map);
         }
         let (range, doppler) = (shape.range, shape.doppler);
         Ok(Data { train, validation, test, standardisation, class_weights, range, doppler, warnings })

@@ -48,8 +48,8 @@ use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes};
-use crate::network::Hqnn;
-use crate::standardise::StandardiseError;
+use crate::network::{Hqnn, MOST_POOLED, PAPER_POOLED};
+use crate::standardise::{MapReference, StandardiseError};
 
 /// How the latent is standardised before the squash (paper.md section 6 leaves it open). The constants are never
 /// differentiated through, and are saved with the model.
@@ -118,6 +118,10 @@ pub struct TrainSpec {
     pub latent_penalty: f64,
     /// Standardisation of the latent.
     pub latent: LatentStandardisation,
+    /// What the maps' cells are measured against.
+    pub reference: MapReference,
+    /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
+    pub pooled: [usize; 2],
     /// Weigh classes by the inverse of their number.
     pub class_weights: bool,
     /// Train on maps in which someone is just entering or leaving.
@@ -146,6 +150,8 @@ impl Default for TrainSpec {
             latent_sigma: 0.5,
             latent_penalty: 0.05,
             latent: LatentStandardisation::None,
+            reference: MapReference::Absolute,
+            pooled: PAPER_POOLED,
             class_weights: true,
             transitions: true,
             augmentation: Augmentation::default(),
@@ -310,6 +316,9 @@ impl TrainSpec {
         if !(self.augmentation.noise_db >= 0.0 && self.augmentation.noise_db.is_finite()) {
             return fail("augmentation.noise_db", self.augmentation.noise_db.to_string(), "0 or more");
         }
+        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
+            return fail("pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns");
+        }
         match self.latent {
             LatentStandardisation::Running { momentum } if !(momentum > 0.0 && momentum <= 1.0) => {
                 fail("latent.running.momentum", momentum.to_string(), "above 0 and up to 1")
@@ -367,6 +376,7 @@ pub fn train(
         waveform: header.waveform.clone(),
         rdm_spec: header.rdm_spec,
         standardisation: data.standardisation,
+        pooled: spec.pooled,
         latent: network.latent,
         temperature,
         dataset_hash: dataset.hash(),

@@ -46,7 +46,7 @@ impl<'a> Run<'a> {
         start: u64,
         level: KernelLevel,
     ) -> Result<Self, TrainError> {
-        let mut network = Hqnn::initialise(spec.seed, start, level)?;
+        let mut network = Hqnn::initialise(spec.seed, start, spec.pooled, level)?;
         let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         positions.shuffle(&mut stream(spec.seed, "start maps", start));
         positions.truncate(start::START_MAPS);
@@ -216,7 +216,7 @@ impl<'a> Run<'a> {
         };
         let rates = self.rates();
         if let Some(bad) = self.adam.step(self.network.variables(), &loss.backward()?, &rates)? {
-            let name = Hqnn::layout().get(bad).map_or("a parameter", |(name, _)| name);
+            let name = Hqnn::layout(self.spec.pooled).get(bad).map_or("a parameter", |(name, _)| *name);
             return Err(self.non_finite(format!("gradient of {name}")));
         }
         if let LatentStandardisation::Running { momentum } = self.spec.latent {
@@ -241,7 +241,7 @@ impl<'a> Run<'a> {
         let warm_up = ((self.step - self.circuit_step) as f64 / self.spec.warm_up_steps.max(1) as f64).min(1.0);
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
         let rate = self.spec.learning_rate * warm_up * (0.05 + 0.95 * cosine);
-        Hqnn::layout()
+        Hqnn::layout(self.spec.pooled)
             .iter()
             .map(|(name, _)| match *name {
                 "circuit.theta" => (rate * self.spec.angle_rate) as f32,

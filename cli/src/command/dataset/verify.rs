@@ -25,6 +25,7 @@ enum By {
     Sequence,
     Subject,
     Scene,
+    Seed,
 }
 
 /// Faults of a kind that are printed before the rest is counted.
@@ -37,6 +38,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         By::Sequence => SplitBy::Sequence,
         By::Subject => SplitBy::Subject,
         By::Scene => SplitBy::Scene,
+        By::Seed => SplitBy::Seed,
     };
     let report = verify(&dataset, &SplitSpec { by, ..SplitSpec::default() })?;
     if arguments.json {
