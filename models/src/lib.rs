@@ -17,6 +17,7 @@ pub mod evaluate;
 pub mod layer;
 mod model_file;
 pub mod network;
+pub mod occupancy_filter;
 pub mod quantum;
 mod random;
 pub mod standardise;

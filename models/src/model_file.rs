@@ -12,6 +12,7 @@ use thiserror::Error;
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::network::{Hqnn, LatentConstants, MOST_POOLED, PAPER_POOLED};
+use crate::occupancy_filter::Smoothing;
 use crate::standardise::Standardisation;
 
 /// Version of the format that is written; older ones are read.
@@ -60,6 +61,9 @@ pub struct ModelCard {
     /// Rows and columns that the network's second block is averaged to.
     #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
     pub pooled: [usize; 2],
+    /// How answers to frames are put together.
+    #[serde(default)]
+    pub smoothing: Smoothing,
     /// Standardisation of the latent.
     pub latent: LatentConstants,
     /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
@@ -255,6 +259,9 @@ impl ModelCard {
         }
         if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
             return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
+        }
+        if let Some((name, value, expected)) = self.smoothing.fault() {
+            return fail(name, expected.to_owned(), value.to_string());
         }
         let Standardisation { mean_db, sigma_db, .. } = self.standardisation;
         let constants = [sigma_db, self.temperature, f64::from(self.latent.sigma[0]), f64::from(self.latent.sigma[1])];

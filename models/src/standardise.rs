@@ -184,7 +184,8 @@ mod tests {
         #[test]
         fn maps_without_spread_are_refused_with_the_reason() {
             let flat = [-200.0f32; 16];
-            let error = Standardisation::measure(ABSOLUTE, [&flat[..], &flat[..]].into_iter()).expect_err("sigma is zero");
+            let error =
+                Standardisation::measure(ABSOLUTE, [&flat[..], &flat[..]].into_iter()).expect_err("sigma is zero");
             assert!(error.to_string().contains("-200 dB") && error.to_string().contains("receiver noise"), "{error}");
             assert_eq!(Standardisation::measure(ABSOLUTE, std::iter::empty()), Err(StandardiseError::Empty));
             assert!(Standardisation::measure(ABSOLUTE, [&[f32::NAN, 1.0][..]].into_iter()).is_err());

@@ -39,7 +39,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         frames: Some(arguments.frames),
         speed: (arguments.speed > 0.0).then_some(arguments.speed),
         json: arguments.json,
-        smoothing: Default::default(),
+        delays: Default::default(),
         view: &arguments.view,
     })
 }

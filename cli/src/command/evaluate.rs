@@ -5,11 +5,10 @@ use radome_dsp::{Frame, FrameSource, MapStatus, Occupancy, RdmProcessor, SourceE
 use radome_models::Classifier;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{Metrics, evaluate, most_probable};
+use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::live::classify::Smoothing;
-use crate::live::occupancy::OccupancyFilter;
 use crate::output;
 
 /// `radome evaluate`
@@ -142,16 +141,11 @@ fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[Counts; 2]
     source.waveform().check_compatible(classifier.waveform()).with_context(|| path.display().to_string())?;
     let mut processor = RdmProcessor::new(classifier.rdm_spec(), source.waveform())?;
     let (mut frame, mut map) = (Frame::zeroed(source.waveform().shape()), processor.empty_map());
-    let smoothing = Smoothing::default();
-    let new_filter = || OccupancyFilter::new(smoothing.dwell_s, smoothing.weight);
-    let (mut filter, mut counts) = (new_filter(), [Counts::default(); 2]);
+    let (mut filter, mut counts) = (OccupancyFilter::new(classifier.card().smoothing), [Counts::default(); 2]);
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => return Ok(counts),
-            SourceEvent::Gap(_) => {
-                processor.reset();
-                filter = new_filter();
-            }
+            SourceEvent::Gap(_) => processor.reset(),
             SourceEvent::Frame => {
                 if processor.process(&frame, &mut map)? == MapStatus::Ready {
                     let alone = classifier.classify(&map)?;

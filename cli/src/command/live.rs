@@ -6,7 +6,7 @@ use radome_dsp::Occupancy;
 use radome_models::Classifier;
 use serde_json::json;
 
-use crate::live::classify::{Answer, Event, FrameClassifier, Smoothing, Summary, run as run_classifier};
+use crate::live::classify::{Answer, Delays, Event, FrameClassifier, Summary, run as run_classifier};
 use crate::live::pipeline::{Pipeline, Policy};
 use crate::live::view;
 use crate::output;
@@ -33,10 +33,10 @@ pub struct Arguments {
     #[arg(long)]
     people: Option<usize>,
     /// Seconds of agreement before `occupied` is said
-    #[arg(long, default_value_t = Smoothing::default().on_delay_s)]
+    #[arg(long, default_value_t = Delays::default().on_s)]
     on_delay_s: f64,
     /// Seconds of agreement before it is taken back
-    #[arg(long, default_value_t = Smoothing::default().off_delay_s)]
+    #[arg(long, default_value_t = Delays::default().off_s)]
     off_delay_s: f64,
     /// One object a frame and one at the end
     #[arg(long)]
@@ -55,11 +55,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         frames: arguments.frames,
         speed: (arguments.speed > 0.0).then_some(arguments.speed),
         json: arguments.json,
-        smoothing: Smoothing {
-            on_delay_s: arguments.on_delay_s,
-            off_delay_s: arguments.off_delay_s,
-            ..Smoothing::default()
-        },
+        delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
     })
 }
@@ -81,7 +77,7 @@ pub struct Watch<'a> {
     /// JSON lines instead of a table.
     pub json: bool,
     /// Filter and delays.
-    pub smoothing: Smoothing,
+    pub delays: Delays,
     /// The page.
     pub view: &'a view::Arguments,
 }
@@ -101,7 +97,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(classifier, &waveform, watch.smoothing, started)?;
+    let mut judge = FrameClassifier::new(classifier, &waveform, watch.delays, started)?;
     let page = view::Page::open(watch.view)?;
 
     let mut pipeline = Pipeline::new();

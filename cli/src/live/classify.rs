@@ -5,10 +5,12 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, Gap, MapStatus, Occupancy, Rdm, RdmProcessor};
-use radome_models::{Classifier, evaluate::Metrics};
+use radome_models::Classifier;
+use radome_models::evaluate::{Metrics, most_probable};
+use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
 
-use super::occupancy::{Hysteresis, OccupancyFilter, most_likely};
+use super::occupancy::Hysteresis;
 use super::pipeline::{Inlet, Item};
 
 /// Probabilities of the classes by name.
@@ -111,22 +113,18 @@ pub struct Summary {
     pub first_label_s: Option<f64>,
 }
 
-/// Settings of the filter over frames.
+/// Delays of `occupied`.
 #[derive(Debug, Clone, Copy)]
-pub struct Smoothing {
-    /// Mean time that a number of people stays, s.
-    pub dwell_s: f64,
-    /// Weight of one frame's evidence; 1 takes the probabilities at their word.
-    pub weight: f64,
-    /// Delays of `occupied`, s.
-    pub on_delay_s: f64,
-    /// See `on_delay_s`.
-    pub off_delay_s: f64,
+pub struct Delays {
+    /// Agreement before it is said, s.
+    pub on_s: f64,
+    /// Agreement before it is taken back, s.
+    pub off_s: f64,
 }
 
-impl Default for Smoothing {
+impl Default for Delays {
     fn default() -> Self {
-        Smoothing { dwell_s: 8.0, weight: 1.0, on_delay_s: 0.5, off_delay_s: 3.0 }
+        Delays { on_s: 0.5, off_s: 3.0 }
     }
 }
 
@@ -154,7 +152,7 @@ impl FrameClassifier {
     pub fn new(
         classifier: Classifier,
         waveform: &radome_dsp::Waveform,
-        smoothing: Smoothing,
+        delays: Delays,
         started: Instant,
     ) -> anyhow::Result<Self> {
         waveform.check_compatible(classifier.waveform())?;
@@ -162,9 +160,9 @@ impl FrameClassifier {
         Ok(FrameClassifier {
             map: processor.empty_map(),
             processor,
+            filter: OccupancyFilter::new(classifier.card().smoothing),
             classifier,
-            filter: OccupancyFilter::new(smoothing.dwell_s, smoothing.weight),
-            hysteresis: Hysteresis::new(smoothing.on_delay_s, smoothing.off_delay_s),
+            hysteresis: Hysteresis::new(delays.on_s, delays.off_s),
             started,
             first_label_s: None,
             latencies_ms: Vec::new(),
@@ -211,7 +209,7 @@ impl FrameClassifier {
             MapStatus::Ready => {
                 let raw = self.classifier.classify(&self.map)?;
                 let filtered = self.filter.update(answer.time_s, raw);
-                let label = most_likely(filtered);
+                let label = most_probable(&filtered);
                 answer.saturated_samples = self.map.flags.saturated_samples;
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
@@ -220,7 +218,7 @@ impl FrameClassifier {
                 self.labels[label.index()] += 1;
                 if let Some(truth) = frame.truth {
                     self.all.push((truth.occupancy, label));
-                    self.unfiltered.push((truth.occupancy, most_likely(raw)));
+                    self.unfiltered.push((truth.occupancy, most_probable(&raw)));
                     if truth.transition {
                         self.transition_frames += 1;
                     } else {

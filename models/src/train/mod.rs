@@ -49,6 +49,7 @@ use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes};
 use crate::network::{Hqnn, MOST_POOLED, PAPER_POOLED};
+use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
 /// How the latent is standardised before the squash (paper.md section 6 leaves it open). The constants are never
@@ -120,6 +121,8 @@ pub struct TrainSpec {
     pub latent: LatentStandardisation,
     /// What the maps' cells are measured against.
     pub reference: MapReference,
+    /// How answers to frames are put together where the model is put to work.
+    pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
     pub pooled: [usize; 2],
     /// Weigh classes by the inverse of their number.
@@ -151,6 +154,7 @@ impl Default for TrainSpec {
             latent_penalty: 0.05,
             latent: LatentStandardisation::None,
             reference: MapReference::Absolute,
+            smoothing: Smoothing::default(),
             pooled: PAPER_POOLED,
             class_weights: true,
             transitions: true,
@@ -319,6 +323,9 @@ impl TrainSpec {
         if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
             return fail("pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns");
         }
+        if let Some((name, value, expected)) = self.smoothing.fault() {
+            return fail(name, value.to_string(), expected);
+        }
         match self.latent {
             LatentStandardisation::Running { momentum } if !(momentum > 0.0 && momentum <= 1.0) => {
                 fail("latent.running.momentum", momentum.to_string(), "above 0 and up to 1")
@@ -376,6 +383,7 @@ pub fn train(
         waveform: header.waveform.clone(),
         rdm_spec: header.rdm_spec,
         standardisation: data.standardisation,
+        smoothing: spec.smoothing,
         pooled: spec.pooled,
         latent: network.latent,
         temperature,
