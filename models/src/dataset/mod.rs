@@ -8,6 +8,7 @@
 //! A folder is written under a temporary name and renamed when complete, so what has the right name is whole.
 
 mod error;
+mod features;
 mod header;
 mod manifest;
 mod merge;
@@ -20,6 +21,7 @@ mod verify;
 mod writer;
 
 pub use error::DatasetError;
+pub use features::{ClassFeatures, FeatureError, Features, LEAKAGE_BINS, Spread, features};
 pub use header::{DatasetHeader, FORMAT_VERSION};
 pub use manifest::{Domain, ManifestRow, Split};
 pub use merge::merge;

@@ -6,6 +6,7 @@
 
 mod build;
 mod detector;
+mod features;
 mod folders;
 mod label;
 mod merge;

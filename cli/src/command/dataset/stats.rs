@@ -6,6 +6,7 @@ use anyhow::bail;
 use radome_models::dataset::{Dataset, Split, SplitSpec, statistics};
 use radome_models::standardise::LEAST_SIGMA_DB;
 
+use super::features;
 use crate::output;
 
 /// `radome dataset stats`
@@ -16,6 +17,15 @@ pub struct Arguments {
     /// Only the maps of this split; all of them if absent
     #[arg(long, value_enum)]
     split: Option<SplitName>,
+    /// Instead: what the maps show of people, each feature beside its measured value
+    #[arg(long)]
+    features: bool,
+    /// With --features: recordings of an empty room, or scenes, whose frames show how clutter jitters and drifts
+    #[arg(long, requires = "features", value_name = "SOURCE")]
+    frames: Vec<String>,
+    /// With --features: what was measured; fixtures/features/walking.toml if absent
+    #[arg(long, requires = "features", value_name = "FILE")]
+    measured: Option<PathBuf>,
     /// A list of objects
     #[arg(long)]
     json: bool,
@@ -39,6 +49,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let splits = dataset.splits(&SplitSpec::default())?;
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|index| wanted.is_none_or(|wanted| splits.get(*index) == Some(&wanted))).collect();
+    if arguments.features {
+        return features::run(&dataset, &indices, &arguments.frames, arguments.measured.as_deref(), arguments.json);
+    }
     let table = statistics(&dataset, &indices)?;
     if arguments.json {
         output::json_line(&table)?;

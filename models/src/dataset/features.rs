@@ -1,0 +1,298 @@
+//! What maps of people show beyond mean and sigma: the features by which simulated rooms are held against real ones.
+//!
+//! Powers are over the noise of their range bin: the lower quartile of the bin's cells off zero Doppler over `ln(4/3)`, which it is
+//! of the mean of an exponential distribution.
+
+use radome_dsp::{Occupancy, RdmProcessor, rdm::SpecError};
+use rand_distr::{Distribution, StandardNormal};
+use serde::Serialize;
+use thiserror::Error;
+
+use super::{Dataset, DatasetError};
+use crate::stream;
+
+/// Range bins of leakage, which are not looked at.
+pub const LEAKAGE_BINS: usize = 3;
+/// Cells at either side of zero Doppler into which a window spreads what is removed there or left.
+const STATIC_CELLS: usize = 1;
+/// A second echo is one so far behind the first, m.
+const SECOND_BEHIND_M: f64 = 0.6;
+/// Bins that are so far below the peak count as filled, dB.
+const FILLED_DB: f64 = 20.0;
+/// A Doppler spectrum is as wide as it is so far below its peak, dB.
+const WIDTH_DB: f64 = 25.0;
+/// Maps of people whose peak is lower than this over noise, dB, do not show them.
+const SEEN_DB: f64 = 26.0;
+/// Bins behind those of leakage whose noise is that of the map.
+const NEAR_BINS: usize = 8;
+/// A cell stands out of noise from here, as a power ratio: of all cells of a map of noise about one does.
+const STANDS_OUT: f64 = 8.0;
+
+/// Quantiles over maps.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// One map in ten is below.
+    pub low: f64,
+    /// Half of them are below.
+    pub median: f64,
+    /// One in ten is above.
+    pub high: f64,
+}
+
+impl Spread {
+    /// Of numbers in any order; `None` of none.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        let at = |share: f64| values.get((share * values.len().saturating_sub(1) as f64).round() as usize).copied();
+        Some(Spread { low: at(0.1)?, median: at(0.5)?, high: at(0.9)? })
+    }
+}
+
+/// Features of the maps of one class.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ClassFeatures {
+    /// The class.
+    pub class: Occupancy,
+    /// Maps of it in which nobody comes or goes.
+    pub maps: usize,
+    /// Those of them that count: of people, those that show them (a peak 26 dB over noise).
+    pub seen: usize,
+    /// Power of what moves, a mean over Doppler summed over range, over the noise of the eight nearest bins, dB. (The figures that
+    /// it is held against do not say how they were taken; this is the simplest that makes their 13 dB of an empty room from
+    /// their noise alone.)
+    pub moving_energy_db: Option<Spread>,
+    /// The strongest cell, dB over noise.
+    pub peak_db: Option<Spread>,
+    /// How far the strongest bin 0.6 m or more behind the strongest one is below it, dB.
+    pub second_echo_db: Option<Spread>,
+    /// Share of maps in which that is 13 dB at most.
+    pub second_echo_share: Option<f64>,
+    /// Range bins within 20 dB of the strongest.
+    pub filled_bins: Option<Spread>,
+    /// Extent of the Doppler spectrum 25 dB down, m/s.
+    pub doppler_width_m_per_s: Option<Spread>,
+    /// Radial speed of the strongest cell, m/s.
+    pub speed_m_per_s: Option<Spread>,
+}
+
+/// Features of a dataset.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Features {
+    /// Standard deviation of a sample that is noise of each range bin's density throughout, LSB; median over empty maps, or over
+    /// all where none is empty.
+    pub noise_lsb: Vec<f64>,
+    /// By class, those of which there are maps.
+    pub classes: Vec<ClassFeatures>,
+}
+
+/// Features that cannot be measured.
+#[derive(Debug, Error)]
+pub enum FeatureError {
+    /// A map could not be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The maps' own spec cannot be applied, to find out what noise reads.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+    /// Too few cells to tell noise from echoes.
+    #[error(
+        "maps of {range} range x {doppler} Doppler bins show too little; at least {LEAKAGE_BINS} + {NEAR_BINS} x 16 are needed"
+    )]
+    TooSmall {
+        /// Range bins.
+        range: usize,
+        /// Doppler bins.
+        doppler: usize,
+    },
+}
+
+/// What one map shows.
+struct MapFeatures {
+    /// By range bin, linear.
+    noise: Vec<f64>,
+    moving_energy: f64,
+    peak: f64,
+    second_echo_db: f64,
+    filled_bins: f64,
+    doppler_width_m_per_s: f64,
+    speed_m_per_s: f64,
+}
+
+/// Features of the first channel of the maps with these indices.
+pub fn features(dataset: &Dataset, indices: &[usize]) -> Result<Features, FeatureError> {
+    let header = dataset.header();
+    let (range, doppler) = (header.shape.range, header.shape.doppler);
+    if range < LEAKAGE_BINS + NEAR_BINS || doppler < 16 {
+        return Err(FeatureError::TooSmall { range, doppler });
+    }
+    let steps = header.rdm_spec.steps(&header.waveform);
+    let mut of_class: [Vec<MapFeatures>; 3] = Default::default();
+    let mut maps = [0; 3];
+    for &index in indices {
+        let Some(row) = dataset.rows().get(index).filter(|row| !row.transition) else { continue };
+        let map = of_map(&dataset.input(index, 0)?, doppler, steps);
+        maps[row.label.index()] += 1;
+        if row.label == Occupancy::Empty || map.peak >= 10f64.powf(0.1 * SEEN_DB) {
+            of_class[row.label.index()].push(map);
+        }
+    }
+    let mut noise_lsb = vec![f64::NAN; range];
+    let one_lsb = one_lsb(dataset)?;
+    let quiet: Vec<&MapFeatures> = match of_class[Occupancy::Empty.index()].as_slice() {
+        [] => of_class.iter().flatten().collect(),
+        empty => empty.iter().collect(),
+    };
+    for (bin, lsb) in noise_lsb.iter_mut().enumerate() {
+        let powers = quiet.iter().filter_map(|map| map.noise.get(bin).copied()).collect();
+        *lsb = Spread::of(powers).map_or(f64::NAN, |spread| (spread.median / one_lsb).sqrt());
+    }
+    let classes = Occupancy::ALL.into_iter().filter(|class| maps[class.index()] > 0);
+    let classes = classes.map(|class| {
+        let seen = &of_class[class.index()];
+        let spread = |of: fn(&MapFeatures) -> f64| Spread::of(seen.iter().map(of).collect());
+        let of_people = |of| spread(of).filter(|_| class != Occupancy::Empty);
+        let loud = seen.iter().filter(|map| map.second_echo_db <= 13.0).count();
+        ClassFeatures {
+            class,
+            maps: maps[class.index()],
+            seen: seen.len(),
+            moving_energy_db: spread(|map| db(map.moving_energy)),
+            peak_db: spread(|map| db(map.peak)),
+            second_echo_db: of_people(|map| map.second_echo_db),
+            second_echo_share: (class != Occupancy::Empty && !seen.is_empty()).then(|| loud as f64 / seen.len() as f64),
+            filled_bins: of_people(|map| map.filled_bins),
+            doppler_width_m_per_s: of_people(|map| map.doppler_width_m_per_s),
+            speed_m_per_s: of_people(|map| map.speed_m_per_s),
+        }
+    });
+    Ok(Features { noise_lsb, classes: classes.collect() })
+}
+
+fn db(power: f64) -> f64 {
+    10.0 * power.max(1e-30).log10()
+}
+
+/// Of the cells `[range][doppler]` dB of a map with these steps (m, m/s).
+fn of_map(db_cells: &[f32], doppler: usize, (range_step_m, velocity_step_m_per_s): (f64, f64)) -> MapFeatures {
+    let zero = doppler / 2;
+    let moves = |column: usize| column.abs_diff(zero) > STATIC_CELLS;
+    let powers: Vec<f64> = db_cells.iter().map(|db| 10f64.powf(0.1 * f64::from(*db))).collect();
+    let noise: Vec<f64> = powers
+        .chunks_exact(doppler)
+        .map(|row| {
+            let mut cells: Vec<f64> =
+                row.iter().enumerate().filter(|(column, _)| moves(*column)).map(|(_, power)| *power).collect();
+            let quarter = cells.len() / 4;
+            let (_, quartile, _) = cells.select_nth_unstable_by(quarter, f64::total_cmp);
+            *quartile / (4.0f64 / 3.0).ln()
+        })
+        .collect();
+    let mut profile = vec![0.0f64; noise.len()];
+    let mut spectrum = vec![0.0f64; doppler];
+    let (mut moving_energy, mut peak, mut fastest) = (0.0, 0.0, zero);
+    // Echoes are compared as they stand, not over the noise of bins that filters damp together with them.
+    let mut seen_noise: Vec<f64> = noise.iter().skip(LEAKAGE_BINS).copied().collect();
+    let middle = seen_noise.len() / 2;
+    let typical_noise = *seen_noise.select_nth_unstable_by(middle, f64::total_cmp).1;
+    for (bin, (row, noise)) in powers.chunks_exact(doppler).zip(&noise).enumerate().skip(LEAKAGE_BINS) {
+        for (column, power) in row.iter().enumerate().filter(|(column, _)| moves(*column)) {
+            profile[bin] = profile[bin].max(*power);
+            spectrum[column] = spectrum[column].max(*power);
+            moving_energy += power;
+            let over = power / noise;
+            if over > peak {
+                (peak, fastest) = (over, column);
+            }
+        }
+    }
+    let (first, strongest) = profile
+        .iter()
+        .enumerate()
+        .fold((0, 0.0), |best, (bin, power)| if *power > best.1 { (bin, *power) } else { best });
+    let behind = first + (SECOND_BEHIND_M / range_step_m).ceil() as usize;
+    let second = profile.iter().skip(behind).copied().fold(0.0, f64::max);
+    let filled = profile.iter().filter(|power| **power > strongest * 10f64.powf(-0.1 * FILLED_DB)).count();
+    // Of a faint echo only what stands out of noise has a width.
+    let least = (strongest * 10f64.powf(-0.1 * WIDTH_DB)).max(STANDS_OUT * 1.5 * typical_noise);
+    let wide = |column: &usize| spectrum.get(*column).is_some_and(|power| *power > least);
+    let (low, high) = ((0..doppler).find(wide), (0..doppler).rev().find(wide));
+    let near: Vec<f64> = noise.iter().skip(LEAKAGE_BINS).take(NEAR_BINS).copied().collect();
+    let columns = (0..doppler).filter(|column| moves(*column)).count();
+    MapFeatures {
+        moving_energy: moving_energy / columns as f64 * near.len() as f64 / near.iter().sum::<f64>(),
+        noise,
+        peak,
+        second_echo_db: db(strongest) - db(second),
+        filled_bins: filled as f64,
+        doppler_width_m_per_s: low.zip(high).map_or(0.0, |(low, high)| (high - low) as f64 * velocity_step_m_per_s),
+        speed_m_per_s: fastest.abs_diff(zero) as f64 * velocity_step_m_per_s,
+    }
+}
+
+/// What white noise of one LSB reads in the maps, as power: by making maps of it, so that no scale or window is forgotten.
+fn one_lsb(dataset: &Dataset) -> Result<f64, FeatureError> {
+    const MAPS: u64 = 16;
+    let header = dataset.header();
+    let mut processor = RdmProcessor::new(&header.rdm_spec, &header.waveform)?;
+    let mut map = processor.empty_map();
+    let scale = header.rdm_spec.scale.affine().0 as f32;
+    let mut rng = stream(1, "noise of one LSB", 0);
+    let mut samples = vec![0.0f32; header.waveform.shape().codes()];
+    let (mut sum, mut cells) = (0.0, 0usize);
+    for sequence in 0..MAPS + header.rdm_spec.slow_time_length(&header.waveform) as u64 {
+        samples.fill_with(|| scale * <StandardNormal as Distribution<f32>>::sample(&StandardNormal, &mut rng));
+        // Of a frame of the waveform's own size; one that does not fit is impossible, one that only warms up says nothing yet.
+        if processor
+            .process_samples(sequence, &samples, &mut map)
+            .is_ok_and(|status| status == radome_dsp::MapStatus::Ready)
+        {
+            let zero = map.shape.doppler / 2;
+            let rows = map.db.chunks_exact(map.shape.range).take(map.shape.doppler).enumerate();
+            for (_, row) in rows.filter(|(column, _)| column.abs_diff(zero) > STATIC_CELLS) {
+                for power in row.iter().skip(LEAKAGE_BINS).map(|db| 10f64.powf(0.1 * f64::from(*db))) {
+                    (sum, cells) = (sum + power, cells + 1);
+                }
+            }
+        }
+    }
+    Ok(sum / cells.max(1) as f64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A map of which everything is known: noise of one level, an echo two bins wide at bin 20 moving at ten cells, another 11 dB
+    /// below it 1.2 m behind.
+    #[test]
+    fn an_echo_of_known_place_width_and_repetition_is_found() {
+        let (range, doppler, steps) = (64, 64, (0.15, 0.1));
+        let mut rng = stream(7, "features", 0);
+        let mut map: Vec<f32> = (0..range * doppler)
+            .map(|_| {
+                let uniform: f64 = rand::Rng::random_range(&mut rng, f64::MIN_POSITIVE..1.0);
+                db(-uniform.ln()) as f32
+            })
+            .collect();
+        for (bin, level_db) in [(20, 40.0), (21, 35.0), (28, 29.0)] {
+            for column in 38..=47 {
+                map[bin * doppler + column] = if column == 42 { level_db } else { level_db - 10.0 };
+            }
+        }
+        let found = of_map(&map, doppler, steps);
+        assert!((db(found.peak) - 40.0).abs() < 1.5, "{}", db(found.peak));
+        assert!((found.second_echo_db - 11.0).abs() < 1e-3, "{}", found.second_echo_db);
+        assert_eq!(found.filled_bins, 3.0);
+        assert!((found.doppler_width_m_per_s - 0.9).abs() < 1e-9, "{}", found.doppler_width_m_per_s);
+        assert!((found.speed_m_per_s - 1.0).abs() < 1e-9);
+        let noise = found.noise.iter().sum::<f64>() / range as f64;
+        assert!((noise - 1.0).abs() < 0.1, "{noise}");
+    }
+
+    #[test]
+    fn quantiles_of_known_numbers() {
+        let spread = Spread::of((0..=100).rev().map(f64::from).collect()).expect("some");
+        assert_eq!((spread.low, spread.median, spread.high), (10.0, 50.0, 90.0));
+        assert_eq!(Spread::of(Vec::new()), None);
+    }
+}
