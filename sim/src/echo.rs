@@ -67,6 +67,14 @@ impl Snapshot {
         }
     }
 
+    /// Middle of a segment, m, its velocity, m/s, and its acceleration, m/s^2.
+    pub fn centre(&self, segment: usize) -> (DVec3, DVec3, DVec3) {
+        let of = |body: &[Ellipsoid; SEGMENTS]| body.get(segment).map_or(DVec3::ZERO, |ellipsoid| ellipsoid.centre);
+        let (before, now, after) = (of(&self.before), of(&self.body), of(&self.after));
+        let twice = 2.0 * VELOCITY_STEP_S;
+        (now, (after - before) / twice, (after - 2.0 * now + before) / (VELOCITY_STEP_S * VELOCITY_STEP_S))
+    }
+
     /// Velocity of the material at a highlight, m/s.
     fn velocity(&self, segment: usize, unit: DVec3) -> DVec3 {
         (self.after[segment].surface(unit) - self.before[segment].surface(unit)) / (2.0 * VELOCITY_STEP_S)
@@ -384,7 +392,7 @@ fn body_point(
 
 /// 1 in the room, 0 outside, smoothly within 10 cm of the walls' planes: who stands behind a door is hidden by the wall, unless
 /// walls let waves through: then the field at the point has the wall in it.
-fn inside_room(stage: &Stage, point: DVec3) -> f64 {
+pub fn inside_room(stage: &Stage, point: DVec3) -> f64 {
     if stage.room.transmission {
         return 1.0;
     }

@@ -68,7 +68,8 @@ pub struct Stretches {
 }
 
 impl Stretches {
-    fn push(&mut self, halvings: u32, place: usize, stretch: Stretch) {
+    /// Adds a path's stretch at a place.
+    pub fn push(&mut self, halvings: u32, place: usize, stretch: Stretch) {
         while self.levels.len() <= halvings as usize {
             self.levels.push(vec![Vec::new(); 1 << self.levels.len()]);
         }

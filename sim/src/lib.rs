@@ -14,6 +14,7 @@
 
 pub mod actor;
 pub mod chirp;
+pub mod diffuse;
 pub mod echo;
 pub mod fault;
 pub mod field;

@@ -26,6 +26,8 @@ pub enum Purpose {
     Desk,
     /// What differs between scenes of one file.
     Scene,
+    /// Points of walls that throw in all directions.
+    WallPoints,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

@@ -12,6 +12,7 @@ use crate::actor::body::CHEST;
 use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
+use crate::diffuse;
 use crate::echo::demand::{Demand, Missed};
 use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
@@ -282,8 +283,21 @@ impl Renderer {
     fn traced(&self, start_s: f64, halvings: Option<u32>) -> Traced {
         let motions: Vec<Arc<Motion>> =
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
+        let mut traced = self.traced_highlights(&motions, start_s, halvings);
+        if !self.stage.wall_points.is_empty() {
+            traced.paths.resize(self.waveform().shape().rx, Stretches::default());
+            let stretches = (traced.halvings, self.active_s() / f64::from(1u32 << traced.halvings));
+            for me in 0..motions.len() {
+                diffuse::add(&self.stage, &traced.snapshots, me, stretches, &mut traced.paths);
+            }
+        }
+        traced
+    }
+
+    /// The same without what walls throw in all directions.
+    fn traced_highlights(&self, motions: &[Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Traced {
         if self.scene.file().people.body == BodyFile::Mesh {
-            return self.traced_skins(&motions, start_s, halvings);
+            return self.traced_skins(motions, start_s, halvings);
         }
         let demand = KeyDemand {
             // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
@@ -294,7 +308,7 @@ impl Renderer {
             frequency_hz: self.stage.chirp.start_hz,
         };
         let most = halvings.unwrap_or(MOST_HALVINGS);
-        let instants = Instants::new(&motions, start_s, self.active_s(), most);
+        let instants = Instants::new(motions, start_s, self.active_s(), most);
         let mut paths = KeyedPaths::new(self.waveform().shape().rx);
         let mut echo_report = EchoReport::default();
         for (me, motion) in motions.iter().enumerate() {
@@ -311,7 +325,7 @@ impl Renderer {
             clamped: echo_report.clamped,
             clipped: 0,
         };
-        let snapshots = self.snapshots(&motions, &self.ends_s(start_s, FIRST_HALVINGS));
+        let snapshots = self.snapshots(motions, &self.ends_s(start_s, FIRST_HALVINGS));
         Traced { snapshots, halvings: FIRST_HALVINGS, paths: paths.receivers, skins: None, report }
     }
 

@@ -6,6 +6,7 @@ use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 use rand::Rng;
 
 use crate::chirp::Chirp;
+use crate::diffuse::{WallPoint, wall_points};
 use crate::field::image::{BoxRoom, Element, ImageIndex, images, order};
 use crate::random::{Purpose, generator};
 use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
@@ -45,6 +46,8 @@ pub struct Stage {
     pub wavelength_m: f64,
     /// Image pairs (transmitter, receiver) that paths by way of a body may use.
     pub body_pairs: Vec<(ImageIndex, ImageIndex)>,
+    /// Points of the walls that throw in all directions.
+    pub wall_points: Vec<WallPoint>,
     /// What stands still.
     pub static_paths: Vec<StaticPath>,
     /// Paths weaker than this at the ADC cannot be seen in any map, LSB.
@@ -94,9 +97,12 @@ impl Stage {
             chirp: Chirp::new(waveform),
             wavelength_m: std::f64::consts::TAU / scene.wavenumber_per_m(),
             body_pairs,
+            wall_points: Vec::new(),
             static_paths: Vec::new(),
             threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
         };
+        let share = scene.file().room.diffuse_share;
+        stage.wall_points = wall_points(&stage.room, share, &stage.tx, &stage.rx, seed);
         stage.add_walls(scene.file().room.max_reflections);
         stage.add_furniture(scene, seed);
         for (i, path) in stage.static_paths.iter_mut().enumerate() {
