@@ -20,6 +20,7 @@ use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
+use crate::actor::clothing::FOLD_PLACES;
 use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
@@ -225,12 +226,15 @@ struct Pair {
     sinks: Vec<DVec3>,
 }
 
-/// Somebody's paths, to be traced one by one: `[pair][segment]`, then what a person at a desk has besides.
+/// Somebody's paths, to be traced one by one: `[pair][segment]`, then what a person at a desk has besides. Where folds are rough,
+/// each segment's highlight is followed by the places from which they scatter.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
     me: usize,
     pairs: Vec<Pair>,
+    /// Of each segment, its highlight (0) and its places with folds (from 1 on).
+    places: std::ops::Range<usize>,
 }
 
 impl<'a> Paths<'a> {
@@ -244,7 +248,19 @@ impl<'a> Paths<'a> {
             let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
             Pair { there, back, sinks }
         };
-        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect() }
+        let folds = if motion.person.clothing.folds().is_some() { FOLD_PLACES } else { 0 };
+        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect(), places: 0..1 + folds }
+    }
+
+    /// Those of rough folds alone: for a skin, whose highlights are not these.
+    pub fn of_folds(
+        stage: &'a Stage,
+        motion: &'a Motion,
+        me: usize,
+        pairs: &[(ImageIndex, ImageIndex)],
+    ) -> Option<Self> {
+        let all = Paths::new(stage, motion, me, pairs);
+        (all.places.end > 1).then(|| Paths { places: 1..all.places.end, ..all })
     }
 
     /// How many there are.
@@ -253,7 +269,7 @@ impl<'a> Paths<'a> {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
             bounces + desk.points.len()
         });
-        self.pairs.len() * SEGMENTS + besides
+        self.pairs.len() * SEGMENTS * self.places.len() + besides
     }
 
     /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
@@ -267,15 +283,17 @@ impl<'a> Paths<'a> {
         report: &mut EchoReport,
     ) -> Option<DVec3> {
         let own = people.get(self.me)?;
-        if let Some(pair) = self.pairs.get(path / SEGMENTS) {
-            return self.highlight(pair, path % SEGMENTS, own, people, near, out, report);
+        let places = self.places.len();
+        if let Some(pair) = self.pairs.get(path / (SEGMENTS * places)) {
+            let (segment, place) = (path / places % SEGMENTS, self.places.start + path % places);
+            return self.highlight(pair, (segment, place), own, people, near, out, report);
         }
         let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
-        let besides = path - self.pairs.len() * SEGMENTS;
+        let besides = path - self.pairs.len() * SEGMENTS * places;
         let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
         let segment = if besides < bounces { besides } else { CHEST };
         let mut once = Vec::with_capacity(direct.sinks.len());
-        let met = self.highlight(direct, segment, own, people, near, &mut once, report);
+        let met = self.highlight(direct, (segment, 0), own, people, near, &mut once, report);
         match desk.points.get(besides.wrapping_sub(bounces)) {
             Some(place) => body_point(self.stage, desk, place, people, self.me, &once, out),
             None => once.iter().for_each(|key| out.push(double_bounce(self.stage, desk, segment, key))),
@@ -283,12 +301,12 @@ impl<'a> Paths<'a> {
         met
     }
 
-    /// The highlight of a segment by a pair of images.
+    /// The highlight of a segment by a pair of images (place 0), or what folds at a place scatter of it.
     #[allow(clippy::too_many_arguments)]
     fn highlight(
         &self,
         pair: &Pair,
-        segment: usize,
+        (segment, place): (usize, usize),
         own: &Snapshot,
         people: &[Snapshot],
         near: Option<DVec3>,
@@ -318,15 +336,34 @@ impl<'a> Paths<'a> {
         let (r_t, r_r) = (h.distances_m.0.max(LEAST_DISTANCE_M), h.distances_m.1.max(LEAST_DISTANCE_M));
         let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
         let spreading = 0.5 * aperture * h.cosine / (h.det_j.sqrt() * r_t * r_r);
-        let cloth = self.motion.person.cloth.get(segment).copied().unwrap_or(1.0);
-        let amplitude = reflected.received_by(back.field) * (spreading * cloth * weight);
-        let velocity = own.velocity(segment, h.unit);
+        let person = &self.motion.person;
+        let cloth = person.cloth.get(segment).copied().unwrap_or(1.0);
+        let field = person.clothing.cloth().map_or(1.0, |cloth| cloth.factor_on(segment, h.unit));
+        let mut amplitude = reflected.received_by(back.field) * (spreading * cloth * field * weight);
+        let (mut unit, mut point, mut distance_t, mut towards_t) = (h.unit, h.point, h.distances_m.0, h.towards.0);
+        if let Some(folds) = person.clothing.folds() {
+            let wavenumber_per_m = std::f64::consts::TAU / stage.wavelength_m;
+            let coherent = folds.coherent(wavenumber_per_m, h.cosine);
+            if place == 0 {
+                amplitude *= coherent;
+            } else if let Some((at, part)) = folds.diffuse(segment, place - 1, ellipsoid, h.normal, coherent) {
+                amplitude *= part;
+                if !(h.inside.0 || h.inside.1) {
+                    (unit, point) = (at, ellipsoid.surface(at));
+                    let to_tx = way_there.source - point;
+                    (distance_t, towards_t) = (to_tx.length(), to_tx.normalize_or_zero());
+                }
+            } else {
+                amplitude = Complex64::ZERO;
+            }
+        }
+        let velocity = own.velocity(segment, unit);
         for (rx, sink) in sinks.iter().enumerate() {
-            let to_rx = *sink - h.point;
+            let to_rx = *sink - point;
             let distance_r = if h.inside.1 { h.distances_m.1 } else { to_rx.length() };
-            let rate_t = if h.inside.0 { 0.0 } else { -h.towards.0.dot(velocity) };
+            let rate_t = if h.inside.0 { 0.0 } else { -towards_t.dot(velocity) };
             let rate_r = if h.inside.1 { 0.0 } else { -(to_rx / distance_r.max(1e-9)).dot(velocity) };
-            let delay_s = (h.distances_m.0 + distance_r) / SPEED_OF_LIGHT_M_PER_S;
+            let delay_s = (distance_t + distance_r) / SPEED_OF_LIGHT_M_PER_S;
             let delay_rate = (rate_t + rate_r) / SPEED_OF_LIGHT_M_PER_S;
             let beat_hz = stage.chirp.beat_hz(delay_s, delay_rate);
             out.push(Key { delay_s, delay_rate, amplitude: stage.at_adc(rx, amplitude, beat_hz) });

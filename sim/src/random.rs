@@ -28,6 +28,10 @@ pub enum Purpose {
     Scene,
     /// Points of walls that throw in all directions.
     WallPoints,
+    /// Cloth and folds of a person.
+    Clothing,
+    /// How a person walks.
+    Gait,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

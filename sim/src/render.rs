@@ -18,6 +18,7 @@ use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::field::curved_triangle::Integrator;
+use crate::field::image::ImageIndex;
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
@@ -299,22 +300,9 @@ impl Renderer {
         if self.scene.file().people.body == BodyFile::Mesh {
             return self.traced_skins(motions, start_s, halvings);
         }
-        let demand = KeyDemand {
-            // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
-            heard_lsb: 0.5 * self.stage.threshold_lsb,
-            least_lsb: 0.02 * self.stage.threshold_lsb,
-            tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
-            halvings,
-            frequency_hz: self.stage.chirp.start_hz,
-        };
-        let most = halvings.unwrap_or(MOST_HALVINGS);
-        let instants = Instants::new(motions, start_s, self.active_s(), most);
-        let mut paths = KeyedPaths::new(self.waveform().shape().rx);
-        let mut echo_report = EchoReport::default();
-        for (me, motion) in motions.iter().enumerate() {
-            let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
-            paths.add(&instants, &Paths::new(&self.stage, motion, me, &pairs), &demand, &mut echo_report);
-        }
+        let (paths, echo_report) = self.keyed_paths(motions, start_s, halvings, |me, motion, pairs| {
+            Some(Paths::new(&self.stage, motion, me, pairs))
+        });
         let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
             traced_paths: paths.traced,
@@ -329,6 +317,35 @@ impl Renderer {
         Traced { snapshots, halvings: FIRST_HALVINGS, paths: paths.receivers, skins: None, report }
     }
 
+    /// Some of everybody's paths, each at as many keys as it takes.
+    fn keyed_paths<'a>(
+        &'a self,
+        motions: &'a [Arc<Motion>],
+        start_s: f64,
+        halvings: Option<u32>,
+        of: impl Fn(usize, &'a Motion, &[(ImageIndex, ImageIndex)]) -> Option<Paths<'a>>,
+    ) -> (KeyedPaths, EchoReport) {
+        let demand = KeyDemand {
+            // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
+            heard_lsb: 0.5 * self.stage.threshold_lsb,
+            least_lsb: 0.02 * self.stage.threshold_lsb,
+            tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
+            halvings,
+            frequency_hz: self.stage.chirp.start_hz,
+        };
+        let most = halvings.unwrap_or(MOST_HALVINGS);
+        let instants = Instants::new(motions, start_s, self.active_s(), most);
+        let mut paths = KeyedPaths::new(self.waveform().shape().rx);
+        let mut report = EchoReport::default();
+        for (me, motion) in motions.iter().enumerate() {
+            let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
+            if let Some(some) = of(me, motion, &pairs) {
+                paths.add(&instants, &some, &demand, &mut report);
+            }
+        }
+        (paths, report)
+    }
+
     /// The same where people have skins.
     fn traced_skins(&self, motions: &[Arc<Motion>], start_s: f64, asked: Option<u32>) -> Traced {
         let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
@@ -341,17 +358,21 @@ impl Renderer {
                 halvings += 1;
                 continue;
             }
+            let (folds, of_folds) = self.keyed_paths(motions, start_s, None, |me, motion, pairs| {
+                Paths::of_folds(&self.stage, motion, me, pairs)
+            });
+            echo_report.clamped += of_folds.clamped;
             let report = FrameReport {
                 static_paths: self.stage.static_paths.len(),
-                traced_paths: echo_report.paths / keys,
-                moving_paths: echo_report.synthesised,
+                traced_paths: echo_report.paths / keys + folds.traced,
+                moving_paths: echo_report.synthesised + folds.heard,
                 keys,
                 between_keys: missed.between_keys,
                 estimate_db: (!motions.is_empty()).then(|| missed.db()),
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            return Traced { snapshots, halvings, paths: Vec::new(), skins: Some(grids), report };
+            return Traced { snapshots, halvings, paths: folds.receivers, skins: Some(grids), report };
         }
     }
 

@@ -189,7 +189,7 @@ impl Stage {
             let corner = DVec3::from_array(furniture.position_m);
             let size = DVec3::from_array(furniture.size_m);
             let radar = self.tx.position - (corner + 0.5 * size);
-            let each = 10f64.powf(0.1 * furniture.cross_section_dbsm) / furniture.points as f64;
+            let each = 10f64.powf(0.1 * furniture.cross_section_dbsm()) / furniture.points as f64;
             for _ in 0..furniture.points {
                 let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
                 // On a face that looks at the radar: one of the two nearer upright ones, or the top.

@@ -103,7 +103,7 @@ fn an_stl_room_of_three_materials_is_the_box_that_its_walls_make() {
     assert!(near(desk.position_m, [2.0, 2.0, 0.0]) && near(desk.size_m, [1.0, 0.5, 0.7]), "{desk:?}");
     // A quarter of the sides and the top; what stands on the floor has no underside.
     let area_m2 = 2.0 * 0.7 * 1.5 + 0.5;
-    assert!((desk.cross_section_dbsm - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
+    assert!((desk.cross_section_dbsm() - 10.0 * f64::log10(0.25 * area_m2)).abs() < 1e-6);
     let simulator = common::simulator(&scene, 1, None);
     assert!(simulator.render_with_report(0).1.static_paths > 10);
 }

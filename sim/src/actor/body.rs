@@ -38,6 +38,8 @@ pub struct Posture {
     pub hip_height_m: f64,
     /// Trunk forward, rad.
     pub lean_rad: f64,
+    /// Pelvis forward, rad: upright unless one lies.
+    pub pelvis_rad: f64,
     /// Shoulders turned against hips, rad.
     pub twist_rad: f64,
     /// Shoulder flexion, rad.
@@ -103,6 +105,7 @@ impl Build {
             heading_rad: 0.0,
             hip_height_m: self.standing_hip_height_m(),
             lean_rad: 0.0,
+            pelvis_rad: 0.0,
             twist_rad: 0.0,
             shoulder_rad: [0.0; 2],
             elbow_rad: [0.0; 2],
@@ -116,6 +119,16 @@ impl Build {
     /// Length of a thigh, m.
     pub fn thigh_m(&self) -> f64 {
         0.245 * self.height_m
+    }
+
+    /// Length of a shank, m.
+    pub fn shank_m(&self) -> f64 {
+        0.246 * self.height_m
+    }
+
+    /// Height of the ankles when standing, m.
+    pub fn ankle_height_m(&self) -> f64 {
+        self.standing_hip_height_m() - self.thigh_m() - self.shank_m()
     }
 
     /// The ellipsoids for a posture, in the room.
@@ -149,7 +162,7 @@ impl Build {
             let hip = hips + pelvis * DVec3::new(0.0, left * 0.052 * h, 0.0);
             let (segment, knee) = limb(hip, f.thigh[side], self.thigh_m(), 0.075 * g);
             all[7 + side] = segment;
-            let (segment, ankle) = limb(knee, f.shank[side], 0.246 * h, 0.053 * g);
+            let (segment, ankle) = limb(knee, f.shank[side], self.shank_m(), 0.053 * g);
             all[9 + side] = segment;
             let foot = f.foot[side];
             all[11 + side] =
@@ -173,7 +186,7 @@ impl Posture {
         let shank = std::array::from_fn(|side| hang(thigh[side], -self.knee_rad[side]));
         Frames {
             hips: DVec3::new(self.position_m[0], self.position_m[1], self.hip_height_m),
-            pelvis: heading,
+            pelvis: if self.pelvis_rad == 0.0 { heading } else { heading * DMat3::from_rotation_y(self.pelvis_rad) },
             trunk,
             chest,
             head: trunk,

@@ -18,21 +18,50 @@ fn bump(phase: f64, centre: f64, sharpness: f64) -> f64 {
     (sharpness * ((TAU * (phase - centre)).cos() - 1.0)).exp()
 }
 
+/// How somebody walks beside the average.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Style {
+    /// Stride over the average one of such legs at such a speed: more takes fewer and longer steps.
+    pub stride: f64,
+    /// Swing of the arms over the average one.
+    pub arm_swing: f64,
+}
+
+impl Style {
+    /// As the average does.
+    pub const AVERAGE: Style = Style { stride: 1.0, arm_swing: 1.0 };
+}
+
 /// Adds walking to a posture. `phase` in cycles: 0 is left heel strike; `vigour` is 0 standing, 1 at 1.3 m/s.
-pub fn walk(posture: &mut Posture, phase: f64, vigour: f64, height_m: f64) {
+pub fn walk(posture: &mut Posture, phase: f64, vigour: f64, height_m: f64, style: &Style) {
     let a = vigour;
     for side in 0..2 {
         let p = phase + if side == 0 { 0.0 } else { 0.5 };
         let swing = (TAU * p).cos();
-        posture.hip_rad[side] += a * (0.40 * swing + 0.05);
+        posture.hip_rad[side] += a * (0.40 * style.stride * swing + 0.05);
         posture.knee_rad[side] += a * (0.08 + 0.22 * bump(p, 0.14, 4.0) + 0.95 * bump(p, 0.73, 2.6));
         posture.ankle_rad[side] += a * (0.12 * (TAU * (p - 0.9)).cos() - 0.28 * bump(p, 0.63, 7.0));
-        posture.shoulder_rad[side] -= a * (0.38 * swing + 0.04);
-        posture.elbow_rad[side] += a * (0.25 - 0.18 * swing);
+        posture.shoulder_rad[side] -= a * (0.38 * style.arm_swing * swing + 0.04);
+        posture.elbow_rad[side] += a * (0.25 - 0.18 * style.arm_swing * swing);
     }
     posture.twist_rad += 0.09 * a * (TAU * phase).cos();
     posture.lean_rad += 0.05 * a;
     posture.hip_height_m += a * height_m * (-0.012 + 0.011 * (2.0 * TAU * (phase - 0.25)).cos());
+}
+
+/// Knees of steps on the spot bend by this at most, rad.
+const MARCH_KNEE_RAD: f64 = 0.55;
+
+/// Adds steps on the spot: feet go straight up, flat, one after the other. `vigour` is 0 standing, 1 while turning.
+pub fn march(posture: &mut Posture, phase: f64, vigour: f64) {
+    for side in 0..2 {
+        let p = phase + if side == 0 { 0.0 } else { 0.5 };
+        // Thigh and shank are about as long as each other: half the knee's angle keeps the ankle under the hip.
+        let knee = vigour * MARCH_KNEE_RAD * bump(p, 0.75, 2.6);
+        posture.knee_rad[side] += knee;
+        posture.hip_rad[side] += 0.5 * knee;
+        posture.ankle_rad[side] += 0.5 * knee;
+    }
 }
 
 /// Displacement by walking of the hips: (forward, left), m.

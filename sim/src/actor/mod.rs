@@ -4,15 +4,18 @@
 pub mod body;
 pub mod bvh;
 pub mod clip;
+pub mod clothing;
 mod collada;
 mod cycle;
 pub mod gait;
 mod gltf;
 pub mod imported;
+pub mod low;
 pub mod motion;
 pub mod program;
 mod refine;
 mod rig;
+mod route;
 pub mod skin;
 pub mod track;
 

@@ -6,10 +6,13 @@ use glam::{DVec3, EulerRot};
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use super::motion::{AtDesk, BodyPoint, Motion, MotionBuilder, Person, Steps};
+use super::clothing::Clothing;
+use super::gait::Style;
+use super::motion::{AtDesk, Bed, BodyPoint, Motion, MotionBuilder, Person, Steps};
+use super::route::Ground;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
-use crate::scene::file::{ActorFile, DeskFile, DoorFile, SeatFile, VisitsFile};
+use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
 
 /// The people of a scene over all time.
 #[derive(Debug)]
@@ -26,6 +29,8 @@ struct Visits {
     size_m: [f64; 2],
     /// Place on the ground plan and azimuth, rad.
     radar: ([f64; 2], f64),
+    people: PeopleFile,
+    ground: Option<Ground>,
     doors: Vec<DoorFile>,
     seats: Vec<SeatFile>,
     slots: Vec<Mutex<Vec<Arc<Motion>>>>,
@@ -37,13 +42,15 @@ impl Program {
         let file = scene.file();
         let mut program = Program { fixed: Vec::new(), visits: None };
         if let Some(visits) = &file.people.visits {
-            program.fixed = passer_by(visits, file.room.size_m, seed).into_iter().map(Arc::new).collect();
+            program.fixed = passer_by(file, visits, seed).into_iter().map(Arc::new).collect();
             let slots = people.unwrap_or(visits.max_people);
             program.visits = Some(Visits {
                 seed,
                 file: visits.clone(),
                 size_m: [file.room.size_m[0], file.room.size_m[1]],
                 radar: ([file.radar.position_m[0], file.radar.position_m[1]], file.radar.azimuth_deg.to_radians()),
+                people: file.people.clone(),
+                ground: ground(file),
                 doors: file.door.clone(),
                 seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
@@ -54,7 +61,7 @@ impl Program {
             let all = file.people.actor.iter().enumerate();
             let count = people.unwrap_or(usize::MAX);
             let steps = |i: usize| scene.steps().get(i).cloned().unwrap_or_default();
-            let one = |(i, a)| Arc::new(scripted(a, steps(i), &file.seat, seed, i as u64));
+            let one = |(i, a)| Arc::new(scripted(file, a, steps(i), seed, i as u64));
             program.fixed = all.take(count).map(one).collect();
         }
         program
@@ -77,36 +84,168 @@ impl Program {
     }
 }
 
-fn scripted(actor: &ActorFile, steps: Steps, seats: &[SeatFile], seed: u64, index: u64) -> Motion {
+/// Where people may walk; `None` where they walk straight.
+fn ground(file: &SceneFile) -> Option<Ground> {
+    /// What hangs above this, and what is lower than that, is in nobody's way, m.
+    const OVERHEAD_M: f64 = 1.9;
+    const CARPET_M: f64 = 0.05;
+    let [width, depth, _] = file.room.size_m;
+    let in_the_way = file.furniture.iter().filter(|f| {
+        let [bottom, top] = [f.position_m[2], f.position_m[2] + f.size_m[2]];
+        bottom < OVERHEAD_M && top > CARPET_M
+    });
+    let block = |f: &crate::scene::file::FurnitureFile| {
+        let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);
+        [[x, y], [x + w, y + d]]
+    };
+    file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], in_the_way.map(block).collect(), keep_off_m))
+}
+
+/// What a scene says of how its people walk and what they wear.
+fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
+    let mut rng = generator(seed, Purpose::Gait, person.identity);
+    person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
+    if let Some(file) = &people.clothing {
+        person.clothing = Clothing::draw(file, seed, person.identity, &person.build);
+        if person.clothing.cloth().is_some() {
+            person.cloth = [1.0; super::body::SEGMENTS];
+        }
+    }
+    person
+}
+
+/// Walks to a place, around what stands in the way.
+fn go(mut path: MotionBuilder, ground: Option<&Ground>, to: [f64; 2], speed_m_per_s: f64) -> MotionBuilder {
+    let way = ground.map_or_else(|| vec![to], |ground| ground.route(path.place(), to));
+    for corner in way {
+        path = path.walk_to(corner, speed_m_per_s);
+    }
+    path
+}
+
+/// A point so far ahead of another, m.
+fn ahead([x, y]: [f64; 2], heading_rad: f64, by_m: f64) -> [f64; 2] {
+    [x + by_m * heading_rad.cos(), y + by_m * heading_rad.sin()]
+}
+
+/// Depth behind a door at which one is out, and in, m.
+const OUTSIDE_M: f64 = -0.75;
+const INSIDE_M: f64 = 0.6;
+
+fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index: u64) -> Motion {
     let own_m = if let Steps::Actor(actor) = &steps { actor.height_m() } else { 1.75 };
     let mut person = Person::draw(seed, [index, 0], actor.height_m.unwrap_or(own_m));
     person.steps = steps;
-    let place = actor.step.first().and_then(|s| s.walk_to_m).unwrap_or_default();
-    let next = actor.step.iter().skip(1).find_map(|s| s.walk_to_m).unwrap_or(place);
-    let facing = (next[1] - place[1]).atan2(next[0] - place[0]);
-    let mut builder = MotionBuilder::new(person, actor.start_s, place, facing);
-    for step in actor.step.iter().skip(1) {
-        if let Some(to) = step.walk_to_m {
-            builder = builder.walk_to(to, step.speed_m_per_s.unwrap_or(1.2));
+    person = dressed(person, &file.people, seed);
+    person.style.stride = actor.stride.unwrap_or(person.style.stride);
+    person.style.arm_swing = actor.arm_swing.unwrap_or(person.style.arm_swing);
+    let size_m = [file.room.size_m[0], file.room.size_m[1]];
+    let ground = ground(file);
+    let bed = |number: Option<usize>| {
+        file.bed.get(number.unwrap_or(0)).map(|bed| Bed {
+            position_m: bed.position_m,
+            heading_rad: bed.heading_deg.to_radians(),
+            height_m: bed.height_m,
+            edge_m: bed.edge_m,
+        })
+    };
+    let door = |number: usize| file.door.get(number);
+    let turn_rate = file.people.turn_rate_deg_per_s.map(f64::to_radians);
+    let first = actor.step.first();
+    let (place, facing) = match first.and_then(|s| s.enter_door).and_then(door) {
+        Some(door) => {
+            let [nx, ny] = inward(size_m, door);
+            (at_door(size_m, door, OUTSIDE_M, 0.0), ny.atan2(nx))
+        }
+        None => {
+            let place = first.and_then(|s| s.walk_to_m).unwrap_or_default();
+            let next = actor.step.iter().skip(1).find_map(|s| s.walk_to_m).unwrap_or(place);
+            (place, (next[1] - place[1]).atan2(next[0] - place[0]))
+        }
+    };
+    let mut builder = MotionBuilder::new(person, actor.start_s, place, facing).turning_at(turn_rate);
+    let mut is_gone = false;
+    for (number, step) in actor.step.iter().enumerate() {
+        let speed = step.speed_m_per_s.unwrap_or(1.2);
+        if let (Some(to), true) = (step.walk_to_m, number > 0) {
+            builder = go(builder, ground.as_ref(), to, speed);
         }
         if let Some(duration_s) = step.stand_s {
             builder = builder.stand(duration_s);
         }
         if let Some(duration_s) = step.sit_s {
-            let (heading, height) = match step.seat.and_then(|s| seats.get(s)) {
-                Some(seat) => (seat.heading_deg.to_radians(), seat.height_m),
-                None => (facing, 0.45),
+            builder = match step.seat.and_then(|s| file.seat.get(s)) {
+                Some(seat) if seat.back_m > 0.0 => {
+                    let heading = seat.heading_deg.to_radians();
+                    let before = ahead(seat.position_m, heading, seat.back_m);
+                    go(builder, ground.as_ref(), before, speed).sit_back(
+                        heading,
+                        seat.height_m,
+                        seat.back_m,
+                        duration_s,
+                    )
+                }
+                Some(seat) => builder.sit(seat.heading_deg.to_radians(), seat.height_m, duration_s),
+                None => builder.sit(facing, 0.45, duration_s),
             };
-            builder = builder.sit(heading, height, duration_s);
+        }
+        if let Some(duration_s) = step.squat_s {
+            builder = builder.squat(step.depth_m.unwrap_or(0.45), duration_s);
+        }
+        if let (Some(duration_s), Some(bed)) = (step.lie_s, bed(step.bed)) {
+            builder = if number == 0 {
+                builder.lying(&bed, duration_s)
+            } else {
+                let before = bed.stand_m(&builder.person().build);
+                go(builder, ground.as_ref(), before, speed).lie(&bed, duration_s)
+            };
+        }
+        if let Some(degrees) = step.face_deg {
+            builder = builder.face(degrees.to_radians());
+        }
+        if let Some(door) = step.enter_door.and_then(door) {
+            builder = builder.walk_to(at_door(size_m, door, INSIDE_M, 0.0), speed);
+        }
+        if let Some(door) = step.leave_door.and_then(door) {
+            builder = go(builder, ground.as_ref(), at_door(size_m, door, INSIDE_M, 0.0), speed);
+            builder = builder.walk_to(at_door(size_m, door, OUTSIDE_M, 0.0), speed);
+            is_gone = true;
         }
     }
-    let mut motion = builder.stay();
-    motion.start_s = f64::NEG_INFINITY;
+    let mut motion = if is_gone { builder.leave() } else { builder.stay() };
+    // Who does not come in by a door waits where the script begins.
+    if first.is_none_or(|s| s.enter_door.is_none()) {
+        motion.start_s = f64::NEG_INFINITY;
+    }
     motion
 }
 
+/// Unit vector into a room at a door.
+fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
+    let [x, y] = door.position_m;
+    if x < 1e-6 {
+        [1.0, 0.0]
+    } else if x > size_m[0] - 1e-6 {
+        [-1.0, 0.0]
+    } else if y < 1e-6 {
+        [0.0, 1.0]
+    } else {
+        [0.0, -1.0]
+    }
+}
+
+/// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
+fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+    let [nx, ny] = inward(size_m, door);
+    let room = (0.5 * door.width_m - 0.3).max(0.0);
+    let shift = lateral.clamp(-room, room);
+    // Sideways is +y for doors in x walls and +x for those in y walls, whichever way one goes.
+    let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
+    [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
+}
+
 /// Somebody beyond the far wall, where there is one.
-fn passer_by(visits: &VisitsFile, size_m: [f64; 3], seed: u64) -> Option<Motion> {
+fn passer_by(file: &SceneFile, visits: &VisitsFile, seed: u64) -> Option<Motion> {
     /// How far beyond the wall, m.
     const BEYOND_M: [f64; 2] = [0.6, 3.0];
     /// Ways there and back: more than a run lasts.
@@ -115,7 +254,9 @@ fn passer_by(visits: &VisitsFile, size_m: [f64; 3], seed: u64) -> Option<Motion>
     if rng.random::<f64>() >= visits.passer_by_probability {
         return None;
     }
-    let mut person = Person::draw(seed, [u64::MAX, 0], draw(&mut rng, visits.height_m));
+    let size_m = file.room.size_m;
+    let person = Person::draw(seed, [u64::MAX, 0], draw(&mut rng, visits.height_m));
+    let mut person = dressed(person, &file.people, seed);
     let level = 10f64.powf(0.05 * draw(&mut rng, visits.passer_by_level_db));
     person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
     let place = |rng: &mut Xoshiro256PlusPlus| [size_m[0] + draw(rng, BEYOND_M), draw(rng, [0.0, size_m[1]])];
@@ -158,7 +299,8 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
                 * desk.off_boresight_deg.to_radians()
                 * rng.random_range(if count > 1 { 0.6..1.0 } else { 0.0..1.0 });
         let height = rng.random_range(desk.height_m[0]..=desk.height_m[1]);
-        let mut person = Person::draw(seed, [slot as u64, 1 << 20], height);
+        let person = Person::draw(seed, [slot as u64, 1 << 20], height);
+        let mut person = dressed(person, &scene.file().people, seed);
         person.fidget_probability = if rng.random::<f64>() < desk.fidget_probability { 0.7 } else { 0.0 };
         person.at_ease();
         let reflectivity = 10f64.powf(0.05 * (level_db + desk.reflectivity_scatter_db * rng.random_range(-1.0..=1.0)));
@@ -221,30 +363,6 @@ impl Visits {
         visits.iter().skip(first).take_while(|v| v.start_s <= end_s).cloned().collect()
     }
 
-    /// Unit vector into the room at a door.
-    fn inward(&self, door: &DoorFile) -> [f64; 2] {
-        let [x, y] = door.position_m;
-        if x < 1e-6 {
-            [1.0, 0.0]
-        } else if x > self.size_m[0] - 1e-6 {
-            [-1.0, 0.0]
-        } else if y < 1e-6 {
-            [0.0, 1.0]
-        } else {
-            [0.0, -1.0]
-        }
-    }
-
-    /// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
-    fn at_door(&self, door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
-        let [nx, ny] = self.inward(door);
-        let room = (0.5 * door.width_m - 0.3).max(0.0);
-        let shift = lateral.clamp(-room, room);
-        // Sideways is +y for doors in x walls and +x for those in y walls, whichever way one goes.
-        let (sx, sy) = if nx == 0.0 { (shift, 0.0) } else { (0.0, shift) };
-        [door.position_m[0] + depth * nx + sx, door.position_m[1] + depth * ny + sy]
-    }
-
     fn pace_point(&self, rng: &mut Xoshiro256PlusPlus) -> [f64; 2] {
         let [w, d] = self.size_m;
         let within = |x: f64, y: f64| [[x, y], [w - x, d - y]];
@@ -255,7 +373,7 @@ impl Visits {
         // A place that will not do is drawn again; where the room has none, the last one has to.
         for _ in 0..PLACES {
             at = [draw(rng, [low[0], high[0]]), draw(rng, [low[1], high[1]])];
-            if self.is_in_view(at) {
+            if self.is_in_view(at) && self.ground.as_ref().is_none_or(|ground| ground.is_free(at)) {
                 break;
             }
         }
@@ -274,10 +392,13 @@ impl Visits {
     }
 
     fn visit(&self, slot: usize, number: u64, begin_s: f64, rng: &mut Xoshiro256PlusPlus) -> Motion {
-        const OUTSIDE_M: f64 = -0.75;
         let f = &self.file;
         let speed = draw(rng, f.speed_m_per_s);
         let person = Person::draw(self.seed, [slot as u64, number], draw(rng, f.height_m));
+        let person = dressed(person, &self.people, self.seed);
+        let turn_rate = self.people.turn_rate_deg_per_s.map(f64::to_radians);
+        let at_door = |door: &DoorFile, depth: f64, lateral: f64| at_door(self.size_m, door, depth, lateral);
+        let go = |path, to| go(path, self.ground.as_ref(), to, speed);
         let side = if slot.is_multiple_of(2) { 1.0 } else { -1.0 };
         let lateral = side * draw(rng, f.lateral_m);
         let pick = rng.random_range(0..self.doors.len().max(1));
@@ -290,10 +411,10 @@ impl Visits {
         let fallback = DoorFile { position_m: [0.0, 0.5 * self.size_m[1]], width_m: 0.9 };
         let entry = self.doors.get(pick).unwrap_or(&fallback);
         let exit = self.doors.get(other).unwrap_or(&fallback);
-        let outside = self.at_door(entry, OUTSIDE_M, lateral);
-        let [nx, ny] = self.inward(entry);
-        let mut path = MotionBuilder::new(person, begin_s, outside, ny.atan2(nx));
-        path = path.walk_to(self.at_door(entry, 0.6, lateral), speed);
+        let outside = at_door(entry, OUTSIDE_M, lateral);
+        let [nx, ny] = inward(self.size_m, entry);
+        let mut path = MotionBuilder::new(person, begin_s, outside, ny.atan2(nx)).turning_at(turn_rate);
+        path = path.walk_to(at_door(entry, INSIDE_M, lateral), speed);
 
         let sits = rng.random::<f64>() < f.sit_probability && !self.seats.is_empty();
         let paces = rng.random::<f64>() < f.pace_probability;
@@ -305,37 +426,42 @@ impl Visits {
             let seat = self.seats.get(slot % self.seats.len()).copied();
             if let Some(seat) = seat {
                 let heading = seat.heading_deg.to_radians();
-                let front = [seat.position_m[0] + 0.35 * heading.cos(), seat.position_m[1] + 0.35 * heading.sin()];
                 let sit_s = draw(rng, f.sit_s);
-                path = path.walk_to(front, speed).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
-                path = path.walk_to(front, 0.6);
+                if seat.back_m > 0.0 {
+                    let before = ahead(seat.position_m, heading, seat.back_m);
+                    path = go(path, before).sit_back(heading, seat.height_m, seat.back_m, sit_s);
+                } else {
+                    let front = ahead(seat.position_m, heading, 0.35);
+                    path = go(path, front).walk_to(seat.position_m, 0.5).sit(heading, seat.height_m, sit_s);
+                    path = path.walk_to(front, 0.6);
+                }
             }
         } else if paces {
             for _ in 0..draw(rng, f.pace_legs).round() as usize {
                 let to = self.pace_point(rng);
-                path = path.walk_to(to, speed);
+                path = go(path, to);
                 if rng.random::<f64>() < f.pause_probability {
                     path = path.stand(draw(rng, f.pause_s));
                 }
             }
         } else {
-            let (from, to) = (path.place(), self.at_door(exit, 0.6, lateral));
+            let (from, to) = (path.place(), at_door(exit, INSIDE_M, lateral));
             if self.doors.len() > 1 {
                 let fraction = rng.random_range(0.3..0.8);
                 let stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
                 if turns {
                     leave_by = entry;
-                    path = path.walk_to(stop, speed).stand(pause_s);
+                    path = go(path, stop).stand(pause_s);
                 } else if pause_s > 0.0 {
-                    path = path.walk_to(stop, speed).stand(pause_s);
+                    path = go(path, stop).stand(pause_s);
                 }
             } else {
                 let to = self.pace_point(rng);
-                path = path.walk_to(to, speed).stand(pause_s);
+                path = go(path, to).stand(pause_s);
             }
         }
-        path = path.walk_to(self.at_door(leave_by, 0.6, lateral), speed);
-        path.walk_to(self.at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
+        path = go(path, at_door(leave_by, INSIDE_M, lateral));
+        path.walk_to(at_door(leave_by, OUTSIDE_M, lateral), speed).leave()
     }
 }
 

@@ -536,7 +536,7 @@ impl WalkingMesh {
 }
 
 /// The segments standing over the origin with limbs apart.
-fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
+pub(super) fn apart(build: &Build) -> [Ellipsoid; SEGMENTS] {
     let mut all = build.segments(&build.standing());
     for side in 0..2 {
         let sign = if side == 0 { 1.0 } else { -1.0 };

@@ -25,13 +25,21 @@ pub fn smooth_ramp(x: f64) -> f64 {
     }
 }
 
-/// `start + sum level_k step((t - t_k)/w) + sum slope_k w ramp((t - t_k)/w)`.
+/// `start + sum level_k step((t - t_k)/w_k) + sum slope_k w_k ramp((t - t_k)/w_k)`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Track {
     start: f64,
     window_s: f64,
-    levels: Vec<(f64, f64)>,
-    slopes: Vec<(f64, f64)>,
+    levels: Vec<Change>,
+    slopes: Vec<Change>,
+}
+
+/// A change about a time, spread over a window either way.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Change {
+    time_s: f64,
+    by: f64,
+    window_s: f64,
 }
 
 impl Track {
@@ -42,27 +50,44 @@ impl Track {
 
     /// Changes the level at a time.
     pub fn step(&mut self, time_s: f64, change: f64) {
-        if change != 0.0 {
-            self.levels.push((time_s, change));
-        }
+        self.step_over(time_s, change, self.window_s);
     }
 
     /// Changes the slope at a time.
     pub fn bend(&mut self, time_s: f64, change: f64) {
+        self.bend_over(time_s, change, self.window_s);
+    }
+
+    /// Changes the level about a time, over a window of its own either way. It changes no faster than by `change / window_s` a
+    /// second.
+    pub fn step_over(&mut self, time_s: f64, change: f64, window_s: f64) {
         if change != 0.0 {
-            self.slopes.push((time_s, change));
+            self.levels.push(Change { time_s, by: change, window_s });
+        }
+    }
+
+    /// Changes the slope about a time, over a window of its own either way.
+    pub fn bend_over(&mut self, time_s: f64, change: f64, window_s: f64) {
+        if change != 0.0 {
+            self.slopes.push(Change { time_s, by: change, window_s });
+        }
+    }
+
+    /// Spreads the last changes of slope at this very time over a window no narrower than this.
+    pub fn widen(&mut self, time_s: f64, window_s: f64) {
+        for change in self.slopes.iter_mut().rev().take_while(|c| c.time_s == time_s) {
+            change.window_s = change.window_s.max(window_s);
         }
     }
 
     /// Value at a time.
     pub fn at(&self, time_s: f64) -> f64 {
-        let w = self.window_s;
         let mut value = self.start;
-        for &(t, change) in &self.levels {
-            value += change * smooth_step((time_s - t) / w);
+        for c in &self.levels {
+            value += c.by * smooth_step((time_s - c.time_s) / c.window_s);
         }
-        for &(t, change) in &self.slopes {
-            value += change * w * smooth_ramp((time_s - t) / w);
+        for c in &self.slopes {
+            value += c.by * c.window_s * smooth_ramp((time_s - c.time_s) / c.window_s);
         }
         value
     }

@@ -12,6 +12,9 @@
 //!
 //! A way and its reverse differ by the few millimetres between transmitter and receivers: they are integrated once.
 //!
+//! Rough folds take their part of every vertex's strength here; what they scatter of it comes from the segments' ellipsoids
+//! ([`super::Paths::of_folds`]).
+//!
 //! Strength at the vertices: what the image antenna's field makes of skin there (both polarisations, true incidence), cloth,
 //! pattern, walls, and what people and the body's own limbs leave of it.
 
@@ -42,7 +45,14 @@ pub struct SkinnedPerson {
 impl SkinnedPerson {
     /// Somebody who moves as a mesh.
     pub fn new(mesh: WalkingMesh) -> Self {
-        let cloth = mesh.skin().blend(&mesh.motion().person.cloth);
+        let person = &mesh.motion().person;
+        let mut cloth = mesh.skin().blend(&person.cloth);
+        if let Some(field) = person.clothing.cloth() {
+            cloth
+                .iter_mut()
+                .zip(&mesh.skin().rest().vertices)
+                .for_each(|(cloth, &place)| *cloth *= field.factor(place));
+        }
         SkinnedPerson { mesh, cloth }
     }
 
@@ -122,6 +132,7 @@ impl SkinnedPerson {
             indices,
             posed,
             weights: Vec::new(),
+            folds: self.mesh.motion().person.clothing.folds(),
         };
         let shining = self.shining(&work);
         work.weights = self.weights(&work, people, me, &shining, demand);

@@ -5,6 +5,7 @@ use std::path::Path;
 use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile};
 use super::material::Material;
 use super::{SceneError, line_of_key};
+use crate::actor::low::DEEPEST_SQUAT;
 
 /// A value that makes no sense.
 pub(super) struct Fault {
@@ -80,6 +81,10 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
         }
         interval("band_ghz", own.band_ghz.unwrap_or([1.0, 100.0]), 0.0, 1e4, "GHz")?;
     }
+    for furniture in &file.furniture {
+        within("thickness_m", furniture.thickness_m, 0.0, 10.0, "m")?;
+        furniture.material.iter().try_for_each(|name| check_material(file, "material", name))?;
+    }
     let room = &file.room;
     for (key, surface) in surfaces(room) {
         match (room.mesh.is_empty(), surface.material.is_empty()) {
@@ -146,7 +151,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
         if !fits {
             return fault("furniture", (&f.name, f.position_m, f.size_m), format!("a box within the room {size:?}"));
         }
-        within("cross_section_dbsm", f.cross_section_dbsm, -100.0, 60.0, "dBsm")?;
+        within("cross_section_dbsm", f.cross_section_dbsm(), -100.0, 60.0, "dBsm")?;
         within("points", f.points as f64, 1.0, 64.0, "points")?;
     }
     for seat in &file.seat {
@@ -155,6 +160,15 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
         }
         within("heading_deg", seat.heading_deg, -360.0, 360.0, "degrees")?;
         within("height_m", seat.height_m, 0.2, 1.0, "m")?;
+        within("back_m", seat.back_m, 0.0, 0.45, "m (no more than thighs are long)")?;
+    }
+    for bed in &file.bed {
+        if !(0..2).all(|i| bed.position_m[i] >= 0.0 && bed.position_m[i] <= size[i]) {
+            return fault("bed", bed.position_m, format!("a place in the room {size:?}"));
+        }
+        within("heading_deg", bed.heading_deg, -360.0, 360.0, "degrees")?;
+        within("height_m", bed.height_m, 0.2, 1.0, "m")?;
+        within("edge_m", bed.edge_m.abs(), 0.2, 2.0, "m, to the left of the heading or, negative, to the right")?;
     }
     for door in &file.door {
         let [x, y] = door.position_m;
@@ -200,8 +214,11 @@ fn check_actor_file(body: BodyFile, actor: &ActorFile) -> Result<(), Fault> {
             "body = \"mesh\" in [people] with it: an actor from a file has a skin and no ellipsoids",
         );
     }
-    if actor.step.iter().any(|s| s.sit_s.is_some()) {
-        return fault("sit_s", "given", "walk_to_m and stand_s: an actor from a file cannot sit");
+    for step in &actor.step {
+        let given = [("sit_s", step.sit_s), ("squat_s", step.squat_s), ("lie_s", step.lie_s)];
+        if let Some((key, _)) = given.iter().find(|(_, duration)| duration.is_some()) {
+            return fault(key, "given", "walk_to_m, stand_s and face_deg: an actor from a file cannot go down");
+        }
     }
     Ok(())
 }
@@ -214,18 +231,48 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     if programs != 1 {
         return fault("people", programs, "exactly one of [[people.actor]], [people.visits], [people.desk]");
     }
+    within("turn_rate_deg_per_s", people.turn_rate_deg_per_s.unwrap_or(120.0), 10.0, 720.0, "degrees/s")?;
+    within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
+    interval("stride", people.stride, 0.5, 1.5, "of the average")?;
+    interval("arm_swing", people.arm_swing, 0.0, 3.0, "of the average")?;
+    if let Some(c) = &people.clothing {
+        within("level_db", c.level_db, -40.0, 20.0, "dB")?;
+        within("spread_db", c.spread_db, 0.0, 10.0, "dB")?;
+        within("correlation_m", c.correlation_m, 0.01, 2.0, "m")?;
+        within("roughness_m", c.roughness_m, 0.0, 0.01, "m")?;
+        within("fold_slope_deg", c.fold_slope_deg, 10.0, 60.0, "degrees")?;
+    }
     within("actor", people.actor.len() as f64, 0.0, 2.0, "people (the classes end at two)")?;
     for actor in &people.actor {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
         check_actor_file(people.body, actor)?;
         within("start_s", actor.start_s, -1e6, 1e9, "s")?;
-        if actor.step.first().is_none_or(|s| s.walk_to_m.is_none()) {
-            return fault("step", actor.step.len(), "a first step with walk_to_m: where the person begins");
+        if actor.step.first().is_none_or(|s| s.walk_to_m.is_none() && s.enter_door.is_none() && s.lie_s.is_none()) {
+            return fault(
+                "step",
+                actor.step.len(),
+                "a first step with walk_to_m, enter_door or lie_s: where the person begins",
+            );
         }
-        for step in &actor.step {
-            let given = [step.walk_to_m.is_some(), step.stand_s.is_some(), step.sit_s.is_some()];
+        within("stride", actor.stride.unwrap_or(1.0), 0.5, 1.5, "of the average")?;
+        within("arm_swing", actor.arm_swing.unwrap_or(1.0), 0.0, 3.0, "of the average")?;
+        for (number, step) in actor.step.iter().enumerate() {
+            let given = [
+                step.walk_to_m.is_some(),
+                step.stand_s.is_some(),
+                step.sit_s.is_some(),
+                step.squat_s.is_some(),
+                step.lie_s.is_some(),
+                step.face_deg.is_some(),
+                step.enter_door.is_some(),
+                step.leave_door.is_some(),
+            ];
             if given.iter().filter(|&&g| g).count() != 1 {
-                return fault("step", given, "one of walk_to_m, stand_s, sit_s in each step");
+                return fault(
+                    "step",
+                    given,
+                    "one of walk_to_m, stand_s, sit_s, squat_s, lie_s, face_deg, enter_door, leave_door in each step",
+                );
             }
             for xy in step.walk_to_m.iter().flatten() {
                 within("walk_to_m", *xy, -1000.0, 1000.0, "m")?;
@@ -233,6 +280,38 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
             within("speed_m_per_s", step.speed_m_per_s.unwrap_or(1.0), 0.05, 5.0, "m/s")?;
             within("stand_s", step.stand_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
             within("sit_s", step.sit_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+            within("squat_s", step.squat_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+            within("lie_s", step.lie_s.unwrap_or(0.0), 0.0, 1e7, "s")?;
+            within("face_deg", step.face_deg.unwrap_or(0.0), -360.0, 360.0, "degrees")?;
+            let deepest_m = DEEPEST_SQUAT * actor.height_m.unwrap_or(1.75);
+            within("depth_m", step.depth_m.unwrap_or(0.1), 0.0, deepest_m, "m (0.36 of the body's height)")?;
+            let belongs = [
+                ("depth_m", step.depth_m.is_some(), step.squat_s.is_some(), "squat_s"),
+                ("bed", step.bed.is_some(), step.lie_s.is_some(), "lie_s"),
+            ];
+            if let Some((key, .., with)) = belongs.into_iter().find(|(_, given, with, _)| *given && !with) {
+                return fault(key, "given", format!("none without {with}"));
+            }
+            for (key, door) in [("enter_door", step.enter_door), ("leave_door", step.leave_door)] {
+                if door.is_some_and(|d| d >= file.door.len()) {
+                    let count = file.door.len();
+                    return fault(key, door, format!("an index below the number of [[door]] tables, {count}"));
+                }
+            }
+            if step.enter_door.is_some() && number > 0 {
+                return fault("enter_door", number, "it in the first step only");
+            }
+            if step.leave_door.is_some() && number + 1 < actor.step.len() {
+                return fault("leave_door", number, "it in the last step only");
+            }
+            if step.lie_s.is_some() && step.bed.unwrap_or(0) >= file.bed.len() {
+                let count = file.bed.len();
+                return fault(
+                    "bed",
+                    step.bed.unwrap_or(0),
+                    format!("an index below the number of [[bed]] tables, {count}"),
+                );
+            }
             if step.seat.is_some_and(|s| s >= file.seat.len()) {
                 return fault(
                     "seat",

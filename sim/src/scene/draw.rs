@@ -229,7 +229,7 @@ step = [{ walk_to_m = [2.0, 2.0] }]
             assert!((3.0..=8.0).contains(&size[0]) && (2.4..=3.0).contains(&size[2]) && size[0] != size[1]);
             assert_eq!(size, all.drawn(seed).expect("the same").file().room.size_m);
             let shelf = &drawn.file().furniture[0];
-            assert!((-20.0..=-5.0).contains(&shelf.cross_section_dbsm));
+            assert!((-20.0..=-5.0).contains(&shelf.cross_section_dbsm()));
             points.insert(shelf.points);
             floors.insert(format!("{:?}", drawn.file().room.floor.material));
         }

@@ -42,6 +42,9 @@ pub struct SceneFile {
     /// Places to sit.
     #[serde(default)]
     pub seat: Vec<SeatFile>,
+    /// Places to lie.
+    #[serde(default)]
+    pub bed: Vec<BedFile>,
     /// Doors, each in one of the four upright walls.
     #[serde(default)]
     pub door: Vec<DoorFile>,
@@ -157,12 +160,27 @@ pub struct FurnitureFile {
     pub position_m: [f64; 3],
     /// Size along x, y, z, m.
     pub size_m: [f64; 3],
-    /// Radar cross-section of all points together, dBsm. Default -10.
-    #[serde(default = "minus_ten")]
-    pub cross_section_dbsm: f64,
+    /// What it is made of: a material of the table or of the scene's own. It colours the box in pictures, and says how much
+    /// it reflects where `cross_section_dbsm` does not. Neither, if absent.
+    #[serde(default)]
+    pub material: Option<String>,
+    /// Thickness of its boards, m. Default 0.02.
+    #[serde(default = "fiftieth")]
+    pub thickness_m: f64,
+    /// Radar cross-section of all points together, dBsm. Default what its material gives: the mean of a convex body turned at
+    /// random, a quarter of its area times what it reflects; -10 without one.
+    #[serde(default)]
+    pub cross_section_dbsm: Option<f64>,
     /// Points. Default 6, at most 64.
     #[serde(default = "six")]
     pub points: usize,
+}
+
+impl FurnitureFile {
+    /// Radar cross-section of all points together, dBsm.
+    pub fn cross_section_dbsm(&self) -> f64 {
+        self.cross_section_dbsm.unwrap_or(-10.0)
+    }
 }
 
 /// A place to sit.
@@ -176,6 +194,27 @@ pub struct SeatFile {
     /// Height of the seat, m. Default 0.45.
     #[serde(default = "seat_height")]
     pub height_m: f64,
+    /// How far before it one stands to sit down, m: hips go back by so much, feet stay. Default 0: hips sink where one stands,
+    /// and feet slide ahead.
+    #[serde(default)]
+    pub back_m: f64,
+}
+
+/// A place to lie on the back.
+#[derive(Debug, Clone, Copy, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BedFile {
+    /// Where the hips come to rest, m.
+    pub position_m: [f64; 2],
+    /// Where feet point, from +x towards +y, degrees.
+    pub heading_deg: f64,
+    /// Height of the mattress, m. Default 0.5.
+    #[serde(default = "half")]
+    pub height_m: f64,
+    /// From the hips' place to the edge at which one gets in and out, m: to the left of where feet point, to the right if
+    /// negative. Default 0.45.
+    #[serde(default = "seat_height")]
+    pub edge_m: f64,
 }
 
 /// A door.
@@ -216,6 +255,45 @@ pub struct PeopleFile {
     /// People who sit before the radar.
     #[serde(default)]
     pub desk: Option<DeskFile>,
+    /// Fastest that anybody turns, degrees/s: wide turns are made on the spot, with steps, others in a curve. If absent, a
+    /// corner takes 0.7 s however sharp it is.
+    #[serde(default)]
+    pub turn_rate_deg_per_s: Option<f64>,
+    /// How far hips keep from furniture and walls, m: ways lead around what stands in the room, and nobody paces to places nearer
+    /// to it. If absent, ways are straight.
+    #[serde(default)]
+    pub keep_off_m: Option<f64>,
+    /// Stride over the average one of such a body at such a speed. Drawn for each person. Default [1, 1].
+    #[serde(default = "ones")]
+    pub stride: [f64; 2],
+    /// Swing of the arms over the average one. Drawn for each person. Default [1, 1].
+    #[serde(default = "ones")]
+    pub arm_swing: [f64; 2],
+    /// What people wear, as fields over the body. If absent, each segment has one factor (-4 to 2 dB) and is smooth.
+    #[serde(default)]
+    pub clothing: Option<ClothingFile>,
+}
+
+/// Cloth and folds ([`crate::actor::clothing`]), drawn for each person.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ClothingFile {
+    /// Mean over the body of what cloth leaves of the skin's echo, dB. Default -1.
+    pub level_db: f64,
+    /// Standard deviation of that, dB; 0 for one factor for each segment. Default 1.7.
+    pub spread_db: f64,
+    /// Distance on the body at which that has a correlation of 1/e, m. Default 0.07; 0.05 to 0.10 is usual.
+    pub correlation_m: f64,
+    /// Height of folds, rms, m; 0 for smooth. Default 0; 0.0005 takes 6.9 dB of a highlight at 60 GHz, 0.001 all of it.
+    pub roughness_m: f64,
+    /// Slope of folds, rms, degrees: from how far around come the echoes that highlights lose. Default 20.
+    pub fold_slope_deg: f64,
+}
+
+impl Default for ClothingFile {
+    fn default() -> Self {
+        ClothingFile { level_db: -1.0, spread_db: 1.7, correlation_m: 0.07, roughness_m: 0.0, fold_slope_deg: 20.0 }
+    }
 }
 
 /// A person with a script.
@@ -244,11 +322,18 @@ pub struct ActorFile {
     /// Axis of the actor's file that points up: "y" or "z". Default what the format says; y for BVH.
     #[serde(default)]
     pub up: Option<UpAxis>,
-    /// What they do, in order. The first one must be a position.
+    /// Stride over the average one of such a body at such a speed. Default what `[people]` says.
+    #[serde(default)]
+    pub stride: Option<f64>,
+    /// Swing of the arms over the average one. Default what `[people]` says.
+    #[serde(default)]
+    pub arm_swing: Option<f64>,
+    /// What they do, in order. The first one must be a place: `walk_to_m`, `enter_door` or `lie_s`.
     pub step: Vec<StepFile>,
 }
 
-/// One line of a script: `{ walk_to_m = [x, y], speed_m_per_s = 1.2 }`, `{ stand_s = 3 }` or `{ sit_s = 20, seat = 0 }`.
+/// One line of a script: `{ walk_to_m = [x, y], speed_m_per_s = 1.2 }`, `{ stand_s = 3 }`, `{ sit_s = 20, seat = 0 }`,
+/// `{ squat_s = 4, depth_m = 0.4 }`, `{ lie_s = 30, bed = 0 }`, `{ face_deg = 90 }`, `{ enter_door = 0 }` or `{ leave_door = 0 }`.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StepFile {
@@ -267,6 +352,27 @@ pub struct StepFile {
     /// On this seat (index). Where one is, if absent.
     #[serde(default)]
     pub seat: Option<usize>,
+    /// Squat so long, going down and getting up included, s.
+    #[serde(default)]
+    pub squat_s: Option<f64>,
+    /// How much lower the head is then, m. Default 0.45; at most 0.36 of the body's height.
+    #[serde(default)]
+    pub depth_m: Option<f64>,
+    /// Go to a bed and lie down so long, getting in and out included, s. As the first step: lie there from before the beginning.
+    #[serde(default)]
+    pub lie_s: Option<f64>,
+    /// On this bed (index). Default 0.
+    #[serde(default)]
+    pub bed: Option<usize>,
+    /// Turn on the spot to look there, from +x towards +y, degrees.
+    #[serde(default)]
+    pub face_deg: Option<f64>,
+    /// Come in by this door (index): the first step. Before `start_s` the person is not there.
+    #[serde(default)]
+    pub enter_door: Option<usize>,
+    /// Go out by this door (index) and be gone: the last step.
+    #[serde(default)]
+    pub leave_door: Option<usize>,
 }
 
 /// An endless stream of visits in each of a few slots. Pairs are the least and the largest value drawn.
@@ -424,8 +530,14 @@ fn six() -> usize {
 fn tenth() -> f64 {
     0.1
 }
-fn minus_ten() -> f64 {
-    -10.0
+fn fiftieth() -> f64 {
+    0.02
+}
+fn half() -> f64 {
+    0.5
+}
+fn ones() -> [f64; 2] {
+    [1.0, 1.0]
 }
 fn seat_height() -> f64 {
     0.45

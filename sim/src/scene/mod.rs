@@ -9,6 +9,7 @@ mod draw;
 mod room;
 
 pub use draw::RandomFile;
+pub use room::Outline;
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -138,6 +139,7 @@ pub struct Scene {
     body: Option<BodyFile>,
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
+    outlines: Arc<[Outline]>,
     walls: [Wall; 6],
     steps: Vec<Steps>,
 }
@@ -245,11 +247,13 @@ impl Scene {
         })?;
         let fault = |fault: check::Fault| fault.at(path, text);
         check::check_materials(&file).map_err(fault)?;
-        room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?;
+        let outlines = room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?.into();
+        room::fill_cross_sections(&mut file, waveform.centre_frequency_hz());
         check::check(&file).map_err(fault)?;
         let walls = room::walls(&file, &waveform).map_err(fault)?;
         let steps = actors::load(&file, path, text)?;
-        Ok(Scene { file, path: path.to_owned(), waveform, receiver, given: None, body: None, text: None, walls, steps })
+        let path = path.to_owned();
+        Ok(Scene { file, path, waveform, receiver, given: None, body: None, text: None, outlines, walls, steps })
     }
 
     /// The waveform as the chip realises it.
@@ -270,6 +274,11 @@ impl Scene {
     /// By `[[people.actor]]`, where the person's steps come from.
     pub fn steps(&self) -> &[Steps] {
         &self.steps
+    }
+
+    /// What the room's meshes look like; nothing where the room is a box.
+    pub fn outlines(&self) -> &[Outline] {
+        &self.outlines
     }
 
     /// Name of the scene.

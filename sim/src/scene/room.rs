@@ -20,7 +20,7 @@ use crate::fault::FileFault;
 use crate::field::fresnel;
 use crate::field::image::Wall;
 use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
-use crate::geometry::{Mesh, lint, planes, weld};
+use crate::geometry::{Mesh, edges, lint, planes, weld};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
 const WELD_M: f64 = 1e-4;
@@ -80,6 +80,54 @@ fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wa
     })
 }
 
+/// What a wall of a material reflects of a wave's power at normal incidence; nothing where there is none.
+fn reflected(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> f64 {
+    match slab(file, surface, frequency_hz) {
+        Some(Wall::Slab { permittivity, thickness_m }) => {
+            let wavenumber = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
+            fresnel::slab(permittivity, thickness_m, wavenumber, 1.0).reflection.te.norm_sqr()
+        }
+        Some(Wall::Conductor) => 1.0,
+        Some(Wall::Open) | None => 0.0,
+    }
+}
+
+/// Mean cross-section of a body of so much surface turned at random, dBsm.
+fn cross_section_dbsm(area_m2: f64, reflected: f64) -> f64 {
+    10.0 * (0.25 * area_m2 * reflected).max(1e-10).log10()
+}
+
+/// Says how large furniture is to a radar whose scene only says what it is made of.
+pub(super) fn fill_cross_sections(file: &mut SceneFile, frequency_hz: f64) {
+    let of = |f: &FurnitureFile| {
+        let surface = SurfaceFile { material: f.material.clone()?, thickness_m: f.thickness_m };
+        let [x, y, z] = f.size_m;
+        Some(cross_section_dbsm(2.0 * (x * y + y * z + z * x), reflected(file, &surface, frequency_hz)))
+    };
+    let all: Vec<Option<f64>> = file.furniture.iter().map(of).collect();
+    for (furniture, by_material) in file.furniture.iter_mut().zip(all) {
+        furniture.cross_section_dbsm = furniture.cross_section_dbsm.or(by_material);
+    }
+}
+
+/// What a mesh of a room looks like as lines, in the scene.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outline {
+    /// Its material.
+    pub material: String,
+    /// Edges at which it ends or turns, m.
+    pub edges: Vec<[DVec3; 2]>,
+}
+
+/// Edges that turn by more than this are drawn, rad.
+const CREASE_RAD: f64 = 0.35;
+
+fn outline(piece: &Piece, corner: DVec3) -> Outline {
+    let place = |v: u32| piece.mesh.vertices.get(v as usize).map_or(DVec3::ZERO, |v| *v - corner);
+    let creases = edges(&piece.mesh).into_iter().filter(|edge| edge.is_crease(CREASE_RAD));
+    Outline { material: piece.surface.material.clone(), edges: creases.map(|edge| edge.vertices.map(place)).collect() }
+}
+
 /// A part of a mesh file with its material.
 struct Piece {
     surface: SurfaceFile,
@@ -95,13 +143,19 @@ struct Face {
     of: BTreeMap<usize, f64>,
 }
 
-/// Where there are meshes: reads them, and puts the room's size, surfaces and furniture in their place.
-pub(super) fn read_meshes(file: &mut SceneFile, path: &Path, text: &str, frequency_hz: f64) -> Result<(), SceneError> {
+/// Where there are meshes: reads them, and puts the room's size, surfaces and furniture in their place. Returns what they look
+/// like.
+pub(super) fn read_meshes(
+    file: &mut SceneFile,
+    path: &Path,
+    text: &str,
+    frequency_hz: f64,
+) -> Result<Vec<Outline>, SceneError> {
     let mut pieces = Vec::new();
     for mesh in &file.room.mesh {
         pieces.extend(read(mesh, path, text)?);
     }
-    let Some(first) = file.room.mesh.first() else { return Ok(()) };
+    let Some(first) = file.room.mesh.first() else { return Ok(Vec::new()) };
     let of_room = |source: FileFault| SceneError::File {
         path: path.to_owned(),
         line: line_of_key(text, &first.file),
@@ -140,7 +194,7 @@ pub(super) fn read_meshes(file: &mut SceneFile, path: &Path, text: &str, frequen
     let furniture = furniture(file, &pieces, corner, end, frequency_hz);
     tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
     file.furniture.extend(furniture);
-    Ok(())
+    Ok(pieces.iter().map(|piece| outline(piece, corner)).collect())
 }
 
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
@@ -256,14 +310,10 @@ fn wall(faces: &[Face], axis: usize, is_high: bool, [low, high]: [DVec3; 2]) -> 
 fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, frequency_hz: f64) -> Vec<FurnitureFile> {
     let mut all: Vec<(f64, FurnitureFile)> = Vec::new();
     for piece in pieces {
-        let reflected = match slab(file, &piece.surface, frequency_hz) {
-            Some(Wall::Slab { permittivity, thickness_m }) => {
-                let wavenumber = std::f64::consts::TAU * frequency_hz / SPEED_OF_LIGHT_M_PER_S;
-                fresnel::slab(permittivity, thickness_m, wavenumber, 1.0).reflection.te.norm_sqr()
-            }
-            Some(Wall::Conductor) => 1.0,
-            _ => continue,
-        };
+        let reflected = reflected(file, &piece.surface, frequency_hz);
+        if reflected == 0.0 {
+            continue;
+        }
         let in_wall = |t: u32| {
             let corners = piece.mesh.corners(t as usize).unwrap_or_default();
             let near = |at: f64, i: usize| corners.iter().all(|c| (c[i] - at).abs() < SAME_WALL_M);
@@ -276,14 +326,15 @@ fn furniture(file: &SceneFile, pieces: &[Piece], corner: DVec3, end: DVec3, freq
                 continue;
             }
             let area_m2: f64 = shell.iter().map(|&t| 0.5 * piece.mesh.area_vector(t as usize).length()).sum();
-            let cross_section_dbsm = 10.0 * (0.25 * area_m2 * reflected).max(1e-10).log10();
             let low = (low - corner).max(DVec3::ZERO);
             let high = (high - corner).min(end - corner);
             let furniture = FurnitureFile {
                 name: format!("{} {}", piece.surface.material, all.len() + 1),
                 position_m: low.to_array(),
                 size_m: (high - low).max(DVec3::ZERO).to_array(),
-                cross_section_dbsm,
+                material: Some(piece.surface.material.clone()),
+                thickness_m: piece.surface.thickness_m,
+                cross_section_dbsm: Some(cross_section_dbsm(area_m2, reflected)),
                 points: ((area_m2 * POINTS_PER_M2) as usize).clamp(6, 64),
             };
             all.push((area_m2 * reflected, furniture));

@@ -1,0 +1,166 @@
+//! Ways around furniture: the shortest one that keeps a distance from what stands in the room.
+
+/// A box on the ground plan: low and high corner, m.
+type Block = [[f64; 2]; 2];
+
+/// Corners of a way are so much farther off than asked, m: ways may run along blocks.
+const BESIDE_M: f64 = 1e-6;
+
+/// Where people may walk.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct Ground {
+    size_m: [f64; 2],
+    blocks: Vec<Block>,
+    keep_off_m: f64,
+}
+
+impl Ground {
+    /// A room with blocks, from which, as from the walls, hips keep so far.
+    pub fn new(size_m: [f64; 2], blocks: Vec<Block>, keep_off_m: f64) -> Self {
+        Ground { size_m, blocks, keep_off_m }
+    }
+
+    /// Whether somebody may stand there.
+    pub fn is_free(&self, at: [f64; 2]) -> bool {
+        let off_walls = (0..2).all(|i| at[i] >= self.keep_off_m && at[i] <= self.size_m[i] - self.keep_off_m);
+        off_walls && self.blocks.iter().all(|block| distance_m(block, at) >= self.keep_off_m)
+    }
+
+    /// Corners of a way between two places, the last one included. Near a block at which it begins or ends it keeps off only as
+    /// far as it can. Straight where there is no way around.
+    pub fn route(&self, from: [f64; 2], to: [f64; 2]) -> Vec<[f64; 2]> {
+        let kept: Vec<Block> = self
+            .blocks
+            .iter()
+            .filter_map(|block| {
+                let room = distance_m(block, from).min(distance_m(block, to));
+                let margin = self.keep_off_m.min(room - BESIDE_M);
+                (room > 0.0).then(|| grown(block, margin.max(0.0)))
+            })
+            .collect();
+        let open = |a: [f64; 2], b: [f64; 2]| !kept.iter().any(|block| crosses(block, a, b));
+        if open(from, to) {
+            return vec![to];
+        }
+        let mut places = vec![from, to];
+        for [low, high] in kept.iter().map(|block| grown(block, BESIDE_M)) {
+            places.extend(
+                [[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]].into_iter().filter(|p| {
+                    // Bodies fit between walls and corners that are half as far.
+                    let margin = 0.5 * self.keep_off_m;
+                    (0..2).all(|i| p[i] >= margin && p[i] <= self.size_m[i] - margin)
+                }),
+            );
+        }
+        shortest(&places, open)
+    }
+}
+
+/// The shortest way from the first place to the second by others: Dijkstra's.
+fn shortest(places: &[[f64; 2]], open: impl Fn([f64; 2], [f64; 2]) -> bool) -> Vec<[f64; 2]> {
+    let mut best = vec![(f64::INFINITY, 0usize); places.len()];
+    let mut done = vec![false; places.len()];
+    best[0].0 = 0.0;
+    while let Some(here) = (0..places.len())
+        .filter(|&i| !done[i] && best[i].0.is_finite())
+        .min_by(|&a, &b| best[a].0.total_cmp(&best[b].0))
+    {
+        done[here] = true;
+        if here == 1 {
+            break;
+        }
+        for next in (0..places.len()).filter(|&i| !done[i]) {
+            let (a, b) = (places[here], places[next]);
+            let length = best[here].0 + (a[0] - b[0]).hypot(a[1] - b[1]);
+            if length < best[next].0 && open(a, b) {
+                best[next] = (length, here);
+            }
+        }
+    }
+    let mut way = vec![places[1]];
+    let mut at = best[1].1;
+    while best[1].0.is_finite() && at != 0 {
+        way.push(places[at]);
+        at = best[at].1;
+    }
+    way.reverse();
+    way
+}
+
+fn grown([low, high]: &Block, by: f64) -> Block {
+    [low.map(|x| x - by), high.map(|x| x + by)]
+}
+
+/// From a block's edge, m; 0 within.
+fn distance_m([low, high]: &Block, at: [f64; 2]) -> f64 {
+    let off = |i: usize| (low[i] - at[i]).max(at[i] - high[i]).max(0.0);
+    off(0).hypot(off(1))
+}
+
+/// Whether a straight way leads through the inside of a block.
+fn crosses([low, high]: &Block, a: [f64; 2], b: [f64; 2]) -> bool {
+    let (mut enters, mut leaves) = (0.0f64, 1.0f64);
+    for i in 0..2 {
+        let along = b[i] - a[i];
+        if along.abs() < 1e-12 {
+            if a[i] <= low[i] || a[i] >= high[i] {
+                return false;
+            }
+            continue;
+        }
+        let (near, far) = ((low[i] - a[i]) / along, (high[i] - a[i]) / along);
+        enters = enters.max(near.min(far));
+        leaves = leaves.min(near.max(far));
+    }
+    enters < leaves - 1e-12
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ground() -> Ground {
+        Ground::new([6.0, 4.0], vec![[[2.0, 0.0], [3.0, 2.5]], [[4.0, 1.5], [4.5, 4.0]]], 0.3)
+    }
+
+    #[test]
+    fn ways_go_around_by_the_shorter_side_and_keep_off() {
+        let ground = ground();
+        let way = ground.route([1.0, 1.0], [5.5, 3.0]);
+        assert!(way.len() >= 3, "{way:?}");
+        let mut from = [1.0, 1.0];
+        for to in way {
+            for i in 0..=50 {
+                let part = f64::from(i) / 50.0;
+                let at = [0, 1].map(|k| from[k] + part * (to[k] - from[k]));
+                let off = ground.blocks.iter().map(|block| distance_m(block, at)).fold(f64::INFINITY, f64::min);
+                assert!(off > 0.299, "{off} m off at {at:?}");
+            }
+            from = to;
+        }
+        assert_eq!(from, [5.5, 3.0]);
+        assert_eq!(ground.route([0.5, 0.5], [1.5, 3.0]), [[1.5, 3.0]], "straight where nothing is in the way");
+    }
+
+    #[test]
+    fn places_by_walls_and_furniture_are_not_free() {
+        let ground = ground();
+        assert!(ground.is_free([1.0, 1.0]) && !ground.is_free([0.1, 1.0]) && !ground.is_free([3.2, 1.0]));
+        assert!(!ground.is_free([2.5, 1.0]) && !ground.is_free([f64::NAN, 1.0]));
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// Who begins inside a block or in a niche gets out; a room cut in two is crossed straight.
+        #[test]
+        fn there_is_always_a_way() {
+            let ground = ground();
+            assert_eq!(ground.route([2.5, 1.0], [1.0, 1.0]), [[1.0, 1.0]]);
+            assert_eq!(ground.route([1.95, 1.0], [3.05, 1.0]).last(), Some(&[3.05, 1.0]));
+            let wall = Ground::new([6.0, 4.0], vec![[[2.0, 0.0], [2.2, 4.0]]], 0.3);
+            assert_eq!(wall.route([1.0, 1.0], [5.0, 1.0]), [[5.0, 1.0]]);
+            assert_eq!(Ground::default().route([1.0, 1.0], [1.0, 1.0]), [[1.0, 1.0]]);
+        }
+    }
+}
