@@ -19,7 +19,9 @@ fn line_of(text: &str, needle: &str) -> usize {
 
 #[test]
 fn fixture_scenes_load_and_name_their_waveform() {
-    for (name, samples) in [("corridor", 256), ("room", 256), ("desk", 64), ("room-mesh", 256)] {
+    for (name, samples) in
+        [("corridor", 256), ("room", 256), ("desk", 64), ("room-mesh", 256), ("bedroom", 256), ("bathroom", 256)]
+    {
         let scene = common::scene(name);
         assert_eq!(scene.waveform().request.samples_per_chirp, samples);
         assert_eq!(scene.name(), name);

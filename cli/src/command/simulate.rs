@@ -1,3 +1,6 @@
+mod canvas;
+mod preview;
+
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -34,6 +37,10 @@ pub struct Arguments {
     /// Kubernetes array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
+    /// PNG file to draw the scene into: from above and from the side, with the radar's beam, and who goes where in these frames.
+    /// Without `--output` that is all that is done
+    #[arg(long, value_name = "FILE.png")]
+    preview: Option<PathBuf>,
     /// One object at the end
     #[arg(long)]
     json: bool,
@@ -76,6 +83,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => path.clone(),
     });
     let scene = Scene::load(&arguments.scene)?;
+    if let Some(path) = &arguments.preview {
+        draw_preview(arguments, &scene, path)?;
+        if arguments.output.is_none() {
+            return tell_preview(arguments, path);
+        }
+    }
     let mut options =
         SimulateOptions { seed: arguments.seed, people: arguments.people, frames: Some(end), ..Default::default() };
     if let Some(tolerance_db) = arguments.tolerance_db {
@@ -134,6 +147,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
     let what = file.as_ref().unwrap_or(&arguments.scene).display();
     output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+}
+
+/// Draws the scene as the seed makes it.
+fn draw_preview(arguments: &Arguments, scene: &Scene, path: &Path) -> anyhow::Result<()> {
+    files::check_parent(path)?;
+    let scene = scene.drawn(arguments.seed)?;
+    let until_s = arguments.frames as f64 * scene.waveform().frame_interval_s();
+    let preview = preview::Preview { scene: &scene, seed: arguments.seed, people: arguments.people, until_s };
+    preview::draw(&preview, path)
+}
+
+/// Says what was drawn.
+fn tell_preview(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
+    if arguments.json {
+        return output::json_line(&json!({ "preview": path.display().to_string(), "seed": arguments.seed }));
+    }
+    output::text_line(&format!("{}: {}, seed {}", path.display(), arguments.scene.display(), arguments.seed))
 }
 
 /// Says that a shard was there.

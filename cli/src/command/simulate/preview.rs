@@ -1,0 +1,614 @@
+//! A picture of a scene before anything is simulated: from above and from the side, with what stands in it, what the radar
+//! looks at, and who goes where.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec3;
+use radome_sim::Scene;
+use radome_sim::actor::body::PELVIS;
+use radome_sim::actor::motion::Motion;
+use radome_sim::actor::program::Program;
+use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::field::highlight::Ellipsoid;
+use radome_sim::scene::file::{BodyFile, SurfaceFile};
+
+use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
+
+const INK: Ink = Ink::solid([40, 44, 52]);
+const GREY: Ink = Ink::solid([120, 126, 136]);
+const BEAM: Ink = Ink::solid([240, 180, 30]);
+/// A colour for each person in turn.
+const PEOPLE: [Ink; 4] =
+    [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
+/// Of furniture of which nothing is said.
+const UNSAID: Ink = Ink::solid([176, 180, 188]);
+
+/// Materials of the table, and colours for those that scenes name themselves.
+const MATERIALS: [(&str, [u8; 3]); 11] = [
+    ("concrete", [128, 132, 138]),
+    ("brick", [178, 84, 62]),
+    ("plasterboard", [214, 200, 172]),
+    ("wood", [166, 112, 58]),
+    ("glass", [98, 184, 222]),
+    ("ceiling_board", [190, 178, 222]),
+    ("chipboard", [204, 158, 92]),
+    ("plywood", [224, 186, 120]),
+    ("marble", [160, 196, 186]),
+    ("floorboard", [126, 84, 44]),
+    ("metal", [62, 78, 104]),
+];
+const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
+
+/// Room around each view and between them, pixels: left for numbers, below for numbers and the axis's name.
+const LEFT: f64 = 66.0;
+const BELOW: f64 = 62.0;
+const TOP: f64 = 64.0;
+const RIGHT: f64 = 30.0;
+/// Thickness of walls, pixels.
+const WALL: f64 = 9.0;
+/// Pixels of a metre: no more than this, and so many that views fill this width.
+const MOST_PER_M: f64 = 200.0;
+const WIDTH: f64 = 1480.0;
+/// Rooms this many times as long as wide have their views one above the other.
+const LONG: f64 = 2.2;
+/// Ways are looked at so often, s.
+const STEP_S: f64 = 0.05;
+/// Times are written on ways no closer than this, m, and arrows drawn.
+const BETWEEN_TIMES_M: f64 = 0.9;
+const BETWEEN_ARROWS_M: f64 = 0.75;
+/// Bodies drawn of everybody after the first.
+const LATER: usize = 3;
+
+/// What is drawn beside the scene.
+pub struct Preview<'a> {
+    /// The scene as its seed drew it.
+    pub scene: &'a Scene,
+    /// The seed.
+    pub seed: u64,
+    /// How many people there are; the scene's own number if `None`.
+    pub people: Option<usize>,
+    /// Ways are drawn up to here, s.
+    pub until_s: f64,
+}
+
+/// One of the views: which axes of the room are to the right and up, and where.
+struct View {
+    across: usize,
+    up: usize,
+    /// Upper left corner of the room, pixels.
+    corner: Pixel,
+    per_m: f64,
+    size_m: DVec3,
+}
+
+impl View {
+    fn at(&self, p: DVec3) -> Pixel {
+        [
+            self.corner[0] + p[self.across] * self.per_m,
+            self.corner[1] + (self.size_m[self.up] - p[self.up]) * self.per_m,
+        ]
+    }
+
+    fn width(&self) -> f64 {
+        self.size_m[self.across] * self.per_m
+    }
+
+    fn height(&self) -> f64 {
+        self.size_m[self.up] * self.per_m
+    }
+
+    fn is_plan(&self) -> bool {
+        self.up == 1
+    }
+
+    fn frame(&self) -> [Pixel; 2] {
+        [self.corner, [self.corner[0] + self.width(), self.corner[1] + self.height()]]
+    }
+
+    fn rectangle(&self, low: DVec3, high: DVec3) -> Vec<Pixel> {
+        let ([x0, y1], [x1, y0]) = (self.at(low), self.at(high));
+        vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+    }
+}
+
+/// Somebody's way while they are there.
+struct Way {
+    motion: Arc<Motion>,
+    ink: Ink,
+    /// Times, s, and places of the hips.
+    places: Vec<(f64, DVec3)>,
+    /// Times at which the body is drawn, s.
+    bodies: Vec<f64>,
+}
+
+/// Draws a scene.
+pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
+    let scene = preview.scene;
+    let size_m = scene.room().size_m;
+    // Seen along the horizontal axis that is across the boresight.
+    let ahead = scene.radar_from_world().transpose() * DVec3::X;
+    let across = if ahead.x.abs() >= ahead.y.abs() { 0 } else { 1 };
+    let is_long = size_m.x > LONG * size_m.y;
+    let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
+    let views = if is_long { 1.0 } else { 2.0 };
+    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(MOST_PER_M);
+    let plan = View { across: 0, up: 1, corner: [LEFT, TOP], per_m, size_m };
+    let beside = if is_long {
+        [LEFT, TOP + plan.height() + BELOW + 12.0]
+    } else {
+        // Floors are level with the plan's lower edge.
+        [LEFT + plan.width() + RIGHT + LEFT, TOP + (size_m.y - size_m.z).max(0.0) * per_m]
+    };
+    let plan =
+        if is_long { plan } else { View { corner: [LEFT, TOP + (size_m.z - size_m.y).max(0.0) * per_m], ..plan } };
+    let side = View { across, up: 2, corner: beside, per_m, size_m };
+    let ways = ways(preview);
+    let legend = legend(scene, &ways);
+    let width = (plan.frame()[1][0].max(side.frame()[1][0]) + RIGHT).max(900.0);
+    let rows = legend_rows(&legend, width);
+    let below = plan.frame()[1][1].max(side.frame()[1][1]) + BELOW;
+    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0)?;
+
+    let title = format!("{}, seed {}", scene.name(), preview.seed);
+    canvas.text([LEFT - WALL, 10.0], &title, Letters::Title, INK);
+    let note = format!("0 to {:.0} s", preview.until_s);
+    let note_x = LEFT - WALL + Letters::Title.size(&title)[0] + 24.0;
+    canvas.text([note_x, 16.0], &note, Letters::Small, GREY);
+    for view in [&plan, &side] {
+        let mut labels = Labels::default();
+        draw_room(&mut canvas, view, scene);
+        draw_beam(&mut canvas, view, scene);
+        draw_furniture(&mut canvas, view, scene);
+        for way in &ways {
+            draw_bodies(&mut canvas, view, scene, way);
+        }
+        for way in &ways {
+            draw_way(&mut canvas, view, way);
+        }
+        draw_radar(&mut canvas, view, scene, &mut labels);
+        for way in &ways {
+            label_times(&mut canvas, view, way, &mut labels);
+        }
+        label_furniture(&mut canvas, view, scene, &mut labels);
+        draw_axes(&mut canvas, view);
+    }
+    let mut y = below;
+    for row in rows {
+        let mut x = LEFT - WALL;
+        for (sign, name) in row {
+            draw_sign(&mut canvas, [x, y], sign);
+            canvas.text([x + 30.0, y], name, Letters::Small, INK);
+            x += 30.0 + Letters::Small.size(name)[0] + 26.0;
+        }
+        y += 22.0;
+    }
+    canvas.save(path)
+}
+
+/// Everybody who is there up to the end.
+fn ways(preview: &Preview) -> Vec<Way> {
+    let program = Program::new(preview.scene, preview.seed, preview.people);
+    let mut all = program.between(0.0, preview.until_s);
+    all.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.cmp(&b.0)));
+    let one = |(number, (_, motion)): (usize, (usize, Arc<Motion>))| {
+        let (begin, end) = (motion.start_s.max(0.0), motion.end_s.min(preview.until_s));
+        let steps = ((end - begin) / STEP_S).ceil().max(1.0) as usize;
+        let at = |i: usize| begin + (end - begin) * i as f64 / steps as f64;
+        let places: Vec<(f64, DVec3)> = (0..=steps).map(|i| (at(i), motion.body(at(i))[PELVIS].centre)).collect();
+        let bodies = body_times(preview.scene, &places);
+        Way { motion, ink: PEOPLE[number % PEOPLE.len()], places, bodies }
+    };
+    all.into_iter().enumerate().map(one).collect()
+}
+
+/// When somebody is first in the room, and a few times after that at which they are elsewhere or otherwise.
+fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
+    let size = scene.room().size_m;
+    let in_room = |p: DVec3| p.x > 0.2 && p.y > 0.2 && p.x < size.x - 0.2 && p.y < size.y - 0.2;
+    let there: Vec<&(f64, DVec3)> = places.iter().filter(|(_, p)| in_room(*p)).collect();
+    let Some(&&(first_s, first)) = there.first() else { return Vec::new() };
+    // By how far they have moved, up and down too, so that who sits for long is not drawn again and again.
+    let mut moved = 0.0;
+    let mut last = first;
+    let lengths: Vec<(f64, f64)> = there
+        .iter()
+        .map(|(t, p)| {
+            moved += p.distance(last);
+            last = *p;
+            (*t, moved)
+        })
+        .collect();
+    let mut times = vec![first_s];
+    for i in 1..=LATER {
+        let wanted = moved * i as f64 / LATER as f64;
+        if moved > 0.3
+            && let Some((t, _)) = lengths.iter().find(|(_, length)| *length >= wanted - 1e-9)
+        {
+            times.push(*t);
+        }
+    }
+    times
+}
+
+fn colour(scene: &Scene, material: &str) -> Ink {
+    if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
+        return Ink::solid(*rgb);
+    }
+    let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
+    Ink::solid(OWN[own % OWN.len()])
+}
+
+/// The four surfaces around a view, in the order lower end across, higher end across, lower end up, higher end up.
+fn surfaces<'a>(view: &View, scene: &'a Scene) -> [&'a SurfaceFile; 4] {
+    let room = &scene.file().room;
+    let ends = |axis: usize| match axis {
+        0 => [&room.x_low, &room.x_high],
+        1 => [&room.y_low, &room.y_high],
+        _ => [&room.floor, &room.ceiling],
+    };
+    let ([a, b], [c, d]) = (ends(view.across), ends(view.up));
+    [a, b, c, d]
+}
+
+fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    let [[x0, y0], [x1, y1]] = view.frame();
+    let area = vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+    let back =
+        if view.is_plan() { colour(scene, &scene.file().room.floor.material).faint(0.10) } else { GREY.faint(0.05) };
+    canvas.fill(&[area], back);
+    let w = WALL;
+    let walls = [
+        [[x0 - w, y0 - w], [x0, y1 + w]],
+        [[x1, y0 - w], [x1 + w, y1 + w]],
+        [[x0 - w, y1], [x1 + w, y1 + w]],
+        [[x0 - w, y0 - w], [x1 + w, y0]],
+    ];
+    for (surface, [low, high]) in surfaces(view, scene).into_iter().zip(walls) {
+        let wall = vec![low, [high[0], low[1]], high, [low[0], high[1]]];
+        if surface.material == "open" {
+            canvas.around(&[wall], &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
+        } else {
+            canvas.fill(&[wall], colour(scene, &surface.material));
+        }
+    }
+    for outline in scene.outlines() {
+        let line = Line { ink: colour(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
+        for edge in &outline.edges {
+            canvas.line(&edge.map(|p| view.at(p)), &line);
+        }
+    }
+    for door in &scene.file().door {
+        draw_door(canvas, view, door.position_m, door.width_m);
+    }
+}
+
+fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
+    /// Height of a door, m.
+    const HEIGHT_M: f64 = 2.0;
+    let in_x_wall = x < 1e-6 || x > view.size_m.x - 1e-6;
+    let half = 0.5 * width_m;
+    let along = if in_x_wall { DVec3::Y } else { DVec3::X } * half;
+    let middle = DVec3::new(x, y, 0.0);
+    if view.is_plan() {
+        // A gap in the wall, with both leaves' ends.
+        let outward =
+            if in_x_wall { [if x < 1e-6 { -1.0 } else { 1.0 }, 0.0] } else { [0.0, if y < 1e-6 { 1.0 } else { -1.0 }] };
+        let (a, b) = (view.at(middle - along), view.at(middle + along));
+        let out = |[x, y]: Pixel| [x + outward[0] * (WALL + 1.0), y + outward[1] * (WALL + 1.0)];
+        canvas.fill(&[vec![a, b, out(b), out(a)]], Ink::solid([255, 255, 255]));
+        for end in [a, b] {
+            canvas.line(&[end, out(end)], &Line { ink: INK, width: 2.0, is_dashed: false });
+        }
+    } else if in_x_wall == (view.across == 1) {
+        let high = middle + along + DVec3::Z * HEIGHT_M.min(view.size_m.z);
+        let door = view.rectangle(middle - along, high);
+        canvas.around(&[door], &Line { ink: GREY.faint(0.6), width: 1.2, is_dashed: true });
+    }
+}
+
+/// Directions of the beam's cut through the boresight in which the pattern is at least half as strong, in the room.
+fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
+    /// Steps of the angle, rad.
+    const STEP_RAD: f64 = 0.005;
+    let (transmitter, _) = scene.elements();
+    let cut = |angle: f64| {
+        let (sine, cosine) = angle.sin_cos();
+        if view.is_plan() { DVec3::new(cosine, sine, 0.0) } else { DVec3::new(cosine, 0.0, sine) }
+    };
+    let is_strong = |angle: &f64| transmitter.pattern.field(cut(*angle)).powi(2) >= 0.5;
+    let half = (0..).map(|i| f64::from(i) * STEP_RAD).take_while(|a| *a < 1.55 && is_strong(a)).last().unwrap_or(0.0);
+    let world_from_radar = scene.radar_from_world().transpose();
+    let steps = 48;
+    (0..=steps).map(|i| world_from_radar * cut(half * (2.0 * f64::from(i) / f64::from(steps) - 1.0))).collect()
+}
+
+/// Where a ray from a place in the room meets a wall.
+fn to_wall(from: DVec3, direction: DVec3, size: DVec3) -> DVec3 {
+    let length = (0..3)
+        .filter(|&i| direction[i].abs() > 1e-9)
+        .map(|i| (if direction[i] > 0.0 { size[i] - from[i] } else { -from[i] }) / direction[i])
+        .fold(f64::INFINITY, f64::min);
+    from + direction * length.clamp(0.0, 200.0)
+}
+
+fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    let radar = scene.radar_position();
+    let directions = beam(view, scene);
+    let mut fan = vec![view.at(radar)];
+    fan.extend(directions.iter().map(|&d| view.at(to_wall(radar, d, view.size_m))));
+    let edge = Line { ink: BEAM.darker(0.15), width: 1.4, is_dashed: true };
+    for end in [fan.get(1), fan.last()].into_iter().flatten() {
+        canvas.line(&[fan[0], *end], &edge);
+    }
+    canvas.fill(&[fan], BEAM.faint(0.20));
+}
+
+fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
+    /// Size of the sign, pixels.
+    const SIZE: f64 = 11.0;
+    let ahead = scene.radar_from_world().transpose() * DVec3::X;
+    let at = view.at(scene.radar_position());
+    let (dx, dy) = (ahead[view.across], -ahead[view.up]);
+    let length = dx.hypot(dy);
+    let (dx, dy) = if length > 0.05 { (dx / length, dy / length) } else { (0.0, 1.0) };
+    let place = |along: f64, across: f64| [at[0] + along * dx - across * dy, at[1] + along * dy + across * dx];
+    let arrow = vec![place(SIZE, 0.0), place(-0.6 * SIZE, 0.75 * SIZE), place(-0.6 * SIZE, -0.75 * SIZE)];
+    canvas.fill(&[arrow.clone()], BEAM);
+    canvas.around(&[arrow], &Line { ink: INK, width: 1.6, is_dashed: false });
+    labels.take([at[0] - SIZE, at[1] - SIZE], [at[0] + SIZE, at[1] + SIZE]);
+}
+
+fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    // What is nearer to who looks hides the rest a little.
+    let mut all: Vec<_> = scene.file().furniture.iter().collect();
+    let depth = if view.is_plan() { 2 } else { 1 - view.across };
+    let sign = if view.is_plan() || view.across == 1 { 1.0 } else { -1.0 };
+    all.sort_by(|a, b| {
+        (sign * (a.position_m[depth] + a.size_m[depth])).total_cmp(&(sign * (b.position_m[depth] + b.size_m[depth])))
+    });
+    for furniture in all {
+        let low = DVec3::from_array(furniture.position_m);
+        let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
+        let ink = furniture.material.as_deref().map_or(UNSAID, |material| colour(scene, material));
+        canvas.fill(std::slice::from_ref(&area), ink.faint(0.45));
+        canvas.around(&[area], &Line { ink: ink.darker(0.35), width: 1.6, is_dashed: false });
+    }
+    let places = scene.file().seat.iter().map(|s| (s.position_m, s.heading_deg, s.height_m));
+    let places = places.chain(scene.file().bed.iter().map(|b| (b.position_m, b.heading_deg, b.height_m)));
+    for ([x, y], heading_deg, height_m) in places {
+        // Where hips rest, and where one looks or feet point.
+        let (sine, cosine) = heading_deg.to_radians().sin_cos();
+        let hips = DVec3::new(x, y, height_m);
+        let mark = Line { ink: INK.faint(0.75), width: 1.6, is_dashed: false };
+        canvas.around(&[ring(view.at(hips), 4.0)], &mark);
+        canvas.line(&[view.at(hips), view.at(hips + DVec3::new(cosine, sine, 0.0) * 0.22)], &mark);
+    }
+}
+
+fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
+    for furniture in &scene.file().furniture {
+        let low = DVec3::from_array(furniture.position_m);
+        let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
+        let ([x0, y0], [x1, y1]) = (area[0], area[2]);
+        let [width, height] = Letters::Small.size(&furniture.name);
+        let (x, y) = (0.5 * (x0 + x1 - width), 0.5 * (y0 + y1 - height));
+        let mut places = vec![[x, y], [x, y0 + 2.0], [x, y1 - height - 2.0]];
+        // Words that are wider than their thing go beside it.
+        if width > x1 - x0 - 4.0 || height > y1 - y0 {
+            places = vec![[x1 + 4.0, y], [x0 - width - 4.0, y], [x, y1 + 3.0], [x, y0 - height - 3.0], [x1 + 4.0, y0]];
+        }
+        if let Some(at) = labels.find([width, height], &places, view.frame()) {
+            canvas.text(at, &furniture.name, Letters::Small, INK);
+        }
+    }
+}
+
+fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
+    (0..24)
+        .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
+        .map(|(s, c)| [x + radius * c, y + radius * s])
+        .collect()
+}
+
+/// An ellipsoid seen from far away.
+fn silhouette(view: &View, e: &Ellipsoid) -> Vec<Pixel> {
+    let columns = [e.axes.x_axis * e.semi_axes_m.x, e.axes.y_axis * e.semi_axes_m.y, e.axes.z_axis * e.semi_axes_m.z];
+    let covariance = |i: usize, j: usize| columns.iter().map(|c| c[i] * c[j]).sum::<f64>();
+    // Its shadow is the ellipse of a square root of that.
+    let a = covariance(view.across, view.across).sqrt();
+    let b = covariance(view.across, view.up) / a.max(1e-12);
+    let c = (covariance(view.up, view.up) - b * b).max(0.0).sqrt();
+    let centre = view.at(e.centre);
+    let place = |(sine, cosine): (f64, f64)| {
+        [centre[0] + a * cosine * view.per_m, centre[1] - (b * cosine + c * sine) * view.per_m]
+    };
+    (0..40).map(|i| place((f64::from(i) * std::f64::consts::TAU / 40.0).sin_cos())).collect()
+}
+
+fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, way: &Way) {
+    let is_mesh = scene.file().people.body == BodyFile::Mesh;
+    let mesh = is_mesh.then(|| WalkingMesh::new(Arc::clone(&way.motion), 1.5 * EDGE_M));
+    for (i, &time_s) in way.bodies.iter().enumerate().rev() {
+        let opacity = if i == 0 { 0.80 } else { 0.26 };
+        if let Some(mesh) = &mesh {
+            let mesh = mesh.mesh_at(time_s);
+            let corners = |t: usize| mesh.corners(t).map(|c| c.map(|p| view.at(p)).to_vec());
+            let triangles: Vec<Vec<Pixel>> = (0..mesh.triangles.len()).filter_map(corners).collect();
+            canvas.fill(&triangles, way.ink.faint(opacity));
+        } else {
+            let parts: Vec<Vec<Pixel>> = way.motion.body(time_s).iter().map(|e| silhouette(view, e)).collect();
+            canvas.fill(&parts, way.ink.faint(opacity));
+            let line =
+                Line { ink: way.ink.darker(0.4).faint(if i == 0 { 0.55 } else { 0.2 }), width: 1.0, is_dashed: false };
+            canvas.around(&parts, &line);
+        }
+    }
+}
+
+fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
+    let places: Vec<Pixel> = way.places.iter().map(|(_, p)| view.at(*p)).collect();
+    canvas.line(&places, &Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false });
+    canvas.line(&places, &Line { ink: way.ink, width: 2.0, is_dashed: false });
+    let mut since = 0.5 * BETWEEN_ARROWS_M;
+    for pair in way.places.windows(2) {
+        let (a, b) = (view.at(pair[0].1), view.at(pair[1].1));
+        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+        let length = dx.hypot(dy);
+        since += length / view.per_m;
+        if since < BETWEEN_ARROWS_M || length < 0.2 * view.per_m * STEP_S {
+            continue;
+        }
+        since = 0.0;
+        let (dx, dy) = (dx / length, dy / length);
+        let place = |along: f64, across: f64| [b[0] + along * dx - across * dy, b[1] + along * dy + across * dx];
+        canvas.fill(&[vec![place(7.0, 0.0), place(-4.0, 5.0), place(-4.0, -5.0)]], way.ink);
+    }
+}
+
+fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels) {
+    let mut last: Option<DVec3> = None;
+    let whole = |t: f64| (t / STEP_S).round() * STEP_S;
+    let at = |t: f64| way.places.iter().min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p);
+    let (begin, end) = (way.places.first().map_or(0.0, |p| p.0), way.places.last().map_or(0.0, |p| p.0));
+    // Bodies first; then every second that is far enough from the last one.
+    let marks = way.bodies.iter().map(|&t| (t, true));
+    let seconds = (begin.ceil() as i64..=end.floor() as i64).map(|t| (t as f64, false));
+    for (time_s, is_body) in marks.chain(seconds) {
+        let Some(place) = at(time_s) else { continue };
+        let moved = last
+            .is_none_or(|last| view.at(last)[0] - view.at(place)[0] != 0.0 && last.distance(place) > BETWEEN_TIMES_M);
+        if !is_body && !moved {
+            continue;
+        }
+        let [x, y] = view.at(place);
+        let text = if is_body { format!("{:.1} s", whole(time_s)) } else { format!("{time_s:.0} s") };
+        let size = Letters::Small.size(&text);
+        let places = [
+            [x + 8.0, y - size[1] - 3.0],
+            [x + 8.0, y + 4.0],
+            [x - size[0] - 8.0, y - size[1] - 3.0],
+            [x - size[0] - 8.0, y + 4.0],
+        ];
+        if let Some(found) = labels.find(size, &places, view.frame()) {
+            canvas.fill(&[ring([x, y], 3.4)], Ink::solid([255, 255, 255]));
+            canvas.around(&[ring([x, y], 3.4)], &Line { ink: way.ink, width: 1.6, is_dashed: false });
+            let [x, y] = found;
+            let back =
+                vec![[x - 2.0, y], [x + size[0] + 2.0, y], [x + size[0] + 2.0, y + size[1]], [x - 2.0, y + size[1]]];
+            canvas.fill(&[back], Ink::solid([255, 255, 255]).faint(0.65));
+            canvas.text(found, &text, Letters::Small, way.ink.darker(0.2));
+            last = Some(place);
+        }
+    }
+}
+
+fn draw_axes(canvas: &mut Canvas, view: &View) {
+    let [[x0, _], [_, y1]] = view.frame();
+    let line = Line { ink: INK, width: 1.2, is_dashed: false };
+    let step = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0].into_iter().find(|step| step * view.per_m >= 48.0).unwrap_or(50.0);
+    let digits = usize::from(step < 1.0);
+    let ticks = |length: f64| (0..=(length / step + 1e-9) as usize).map(move |i| i as f64 * step);
+    for tick in ticks(view.size_m[view.across]) {
+        let x = x0 + tick * view.per_m;
+        canvas.line(&[[x, y1 + WALL], [x, y1 + WALL + 5.0]], &line);
+        let text = format!("{tick:.digits$}");
+        canvas.text([x - 0.5 * Letters::Small.size(&text)[0], y1 + WALL + 7.0], &text, Letters::Small, INK);
+    }
+    for tick in ticks(view.size_m[view.up]) {
+        let y = y1 - tick * view.per_m;
+        canvas.line(&[[x0 - WALL - 5.0, y], [x0 - WALL, y]], &line);
+        let text = format!("{tick:.digits$}");
+        let [width, height] = Letters::Small.size(&text);
+        canvas.text([x0 - WALL - 8.0 - width, y - 0.5 * height], &text, Letters::Small, INK);
+    }
+    let name = |axis: usize| ["x / m", "y / m", "z / m"][axis];
+    let (across, up) = (name(view.across), name(view.up));
+    let middle = x0 + 0.5 * (view.width() - Letters::Small.size(across)[0]);
+    canvas.text([middle, y1 + WALL + 25.0], across, Letters::Small, INK);
+    let what = if view.is_plan() { "from above" } else { "from the side" };
+    let top = view.corner[1] - WALL - 20.0;
+    canvas.text([x0 - WALL - 50.0, top], up, Letters::Small, INK);
+    canvas.text([x0 + 12.0, top], what, Letters::Small, GREY);
+}
+
+/// What stands for something in the legend.
+enum Sign {
+    Area(Ink),
+    Open,
+    Beam,
+    Radar,
+    Way(Ink),
+    Rest,
+}
+
+fn legend(scene: &Scene, ways: &[Way]) -> Vec<(Sign, String)> {
+    let file = scene.file();
+    let room = &file.room;
+    let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
+    let mut names: Vec<&str> = walls.iter().map(|s| s.material.as_str()).collect();
+    names.extend(file.furniture.iter().filter_map(|f| f.material.as_deref()));
+    names.extend(scene.outlines().iter().map(|o| o.material.as_str()));
+    names.sort_unstable();
+    names.dedup();
+    let mut all = vec![(Sign::Radar, "radar".to_owned()), (Sign::Beam, "its beam to -3 dB, one way".to_owned())];
+    for name in names {
+        let sign = if name == "open" { Sign::Open } else { Sign::Area(colour(scene, name)) };
+        all.push((sign, name.replace('_', " ")));
+    }
+    if file.furniture.iter().any(|f| f.material.is_none()) {
+        all.push((Sign::Area(UNSAID), "furniture by its cross-section".to_owned()));
+    }
+    if !(file.seat.is_empty() && file.bed.is_empty()) {
+        all.push((Sign::Rest, "place to sit or lie".to_owned()));
+    }
+    for (number, way) in ways.iter().enumerate().take(PEOPLE.len()) {
+        let height_m = way.motion.person.build.height_m;
+        all.push((Sign::Way(way.ink), format!("person {}, {height_m:.2} m tall", number + 1)));
+    }
+    all
+}
+
+fn legend_rows(legend: &[(Sign, String)], width: f64) -> Vec<Vec<(&Sign, &str)>> {
+    let mut rows: Vec<Vec<(&Sign, &str)>> = vec![Vec::new()];
+    let mut x = LEFT;
+    for (sign, name) in legend {
+        let needed = 30.0 + Letters::Small.size(name)[0] + 26.0;
+        if x + needed > width && rows.last().is_some_and(|row| !row.is_empty()) {
+            rows.push(Vec::new());
+            x = LEFT;
+        }
+        if let Some(row) = rows.last_mut() {
+            row.push((sign, name.as_str()));
+        }
+        x += needed;
+    }
+    rows
+}
+
+fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
+    let area = vec![[x, y + 2.0], [x + 22.0, y + 2.0], [x + 22.0, y + 14.0], [x, y + 14.0]];
+    let line = |ink: Ink, width: f64, is_dashed: bool| Line { ink, width, is_dashed };
+    match sign {
+        Sign::Area(ink) => canvas.fill(&[area], *ink),
+        Sign::Open => canvas.around(&[area], &line(GREY, 1.0, true)),
+        Sign::Beam => {
+            canvas.fill(&[vec![[x, y + 8.0], [x + 22.0, y + 1.0], [x + 22.0, y + 15.0]]], BEAM.faint(0.35));
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 1.0]], &line(BEAM.darker(0.15), 1.4, true));
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 15.0]], &line(BEAM.darker(0.15), 1.4, true));
+        }
+        Sign::Radar => {
+            let arrow = vec![[x + 20.0, y + 8.0], [x + 4.0, y + 1.0], [x + 4.0, y + 15.0]];
+            canvas.fill(std::slice::from_ref(&arrow), BEAM);
+            canvas.around(&[arrow], &line(INK, 1.6, false));
+        }
+        Sign::Way(ink) => {
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 8.0]], &line(*ink, 2.0, false));
+            canvas.fill(&[vec![[x + 18.0, y + 8.0], [x + 8.0, y + 3.0], [x + 8.0, y + 13.0]]], *ink);
+        }
+        Sign::Rest => {
+            canvas.around(&[ring([x + 6.0, y + 8.0], 4.0)], &line(INK, 1.6, false));
+            canvas.line(&[[x + 6.0, y + 8.0], [x + 20.0, y + 8.0]], &line(INK, 1.6, false));
+        }
+    }
+}

@@ -1,0 +1,508 @@
+//! What people do and wear: feet that stay, turns with a bound, squats as deep as asked, bodies that lie and breathe, ways around
+//! furniture, and rough clothes that keep their power.
+
+mod common;
+
+use std::f64::consts::{PI, TAU};
+use std::path::Path;
+use std::sync::Arc;
+
+use common::{hall, map_db, parse, scene, simulator};
+use glam::DVec3;
+use radome_dsp::Frame;
+use radome_sim::actor::body::{CHEST, PELVIS};
+use radome_sim::actor::motion::{Bed, Motion, MotionBuilder, Person};
+use radome_sim::actor::program::Program;
+use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::echo::{EchoReport, Paths, Snapshot};
+use radome_sim::scene::file::{BodyFile, SceneFile};
+use radome_sim::stage::Stage;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+const HEIGHT_M: f64 = 1.75;
+const TURN_RAD_PER_S: f64 = 1.8;
+const BED: Bed = Bed { position_m: [4.0, 3.0], heading_rad: 0.0, height_m: 0.5, edge_m: -0.5 };
+
+fn person() -> Person {
+    let mut person = Person::draw(1, [0, 0], HEIGHT_M);
+    person.fidget_probability = 0.0;
+    person
+}
+
+fn builder() -> MotionBuilder {
+    MotionBuilder::new(person(), 0.0, [1.0, 1.0], 0.0).turning_at(Some(TURN_RAD_PER_S))
+}
+
+/// Everything that somebody can do, and when it is over.
+fn everything() -> (Motion, f64) {
+    let path = builder().walk_to([3.0, 1.0], 1.2).walk_to([3.0, 2.0], 1.2).walk_to([1.5, 2.0], 0.9);
+    let path = path.stand(1.5).squat(0.4, 5.0).face(0.3).walk_to(BED.stand_m(&person().build), 0.8).lie(&BED, 16.0);
+    let path = path.walk_to([1.0, 3.0], 1.0).sit_back(-0.5 * PI, 0.45, 0.38, 6.0).walk_to([2.0, 1.0], 1.3);
+    let end_s = path.time_s();
+    (path.stay(), end_s)
+}
+
+fn rate(of: impl Fn(f64) -> DVec3, t: f64) -> DVec3 {
+    let h = 1e-4;
+    (of(t + h) - of(t - h)) / (2.0 * h)
+}
+
+/// No place and no speed of any part ever jumps: in a millisecond a foot goes no further than 8 mm, and its speed changes by no
+/// more than the 100 m/s^2 of a heel strike.
+#[test]
+fn places_and_velocities_are_continuous_whatever_is_done() {
+    let (motion, end_s) = everything();
+    let step_s = 1e-3;
+    let at = |i: usize| motion.body(i as f64 * step_s);
+    let (mut before, mut now) = (at(0), at(1));
+    let (mut fastest, mut hardest) = (0.0f64, 0.0f64);
+    for i in 2..(end_s / step_s) as usize {
+        let next = at(i);
+        for s in 0..now.len() {
+            let surface = DVec3::new(0.6, 0.0, 0.8);
+            let [a, b, c] = [&before[s], &now[s], &next[s]].map(|e| e.surface(surface));
+            fastest = fastest.max((c - b).length() / step_s);
+            hardest = hardest.max((c - 2.0 * b + a).length() / (step_s * step_s));
+        }
+        (before, now) = (now, next);
+    }
+    assert!(fastest < 8.0 && hardest < 100.0, "{fastest} m/s, {hardest} m/s^2");
+}
+
+/// Whoever stands sways by millimetres; squatting and sitting down do not move feet either.
+#[test]
+fn feet_do_not_slide_where_somebody_stands_squats_or_sits_down() {
+    let path = builder().walk_to([3.0, 1.0], 1.2);
+    let stood_s = path.time_s() + 0.4;
+    let path = path.stand(2.0).squat(0.5, 5.0).stand(1.0).sit_back(0.0, 0.45, 0.38, 6.0);
+    let end_s = path.time_s();
+    let motion = path.stay();
+    for foot in [11, 12] {
+        let place = |t: f64| motion.body(t)[foot].centre;
+        let stood = place(stood_s);
+        let mut t = stood_s;
+        while t < end_s {
+            let speed = rate(place, t).length();
+            assert!(speed < 0.02, "a foot slides at {speed} m/s, {t} s");
+            assert!(place(t).distance(stood) < 0.02, "a foot has moved {} m at {t} s", place(t).distance(stood));
+            t += 0.01;
+        }
+    }
+}
+
+#[test]
+fn a_squat_lowers_the_head_by_what_was_asked() {
+    for depth_m in [0.2, 0.4, 0.55] {
+        let motion = builder().stand(1.0).squat(depth_m, 6.0).stay();
+        let head = |t: f64| motion.body(t)[0].centre.z;
+        let (before, during, after) = (head(0.5), head(4.3), head(9.0));
+        assert!((before - during - depth_m).abs() < 1e-6, "{} m", before - during);
+        assert!((before - after).abs() < 1e-6);
+    }
+}
+
+fn turning_rate(motion: &Motion, t: f64) -> f64 {
+    let h = 1e-4;
+    (motion.posture(t + h).heading_rad - motion.posture(t - h).heading_rad) / (2.0 * h)
+}
+
+#[test]
+fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should() {
+    for angle in [0.3, 1.2, 2.5, 3.1, -2.0] {
+        let path = builder().stand(1.0).face(angle);
+        let end_s = path.time_s();
+        let motion = path.stay();
+        assert!((motion.posture(end_s).heading_rad - angle).abs() < 1e-9);
+        let (mut fastest, mut highest) = (0.0f64, 0.0f64);
+        for i in 0..((end_s + 1.0) * 100.0) as usize {
+            let t = i as f64 * 0.01;
+            fastest = fastest.max(turning_rate(&motion, t).abs());
+            let hips = motion.body(t)[PELVIS].centre;
+            assert!((hips.truncate() - glam::DVec2::ONE).length() < 0.05, "turns on the spot");
+            highest = highest.max(motion.body(t)[11].centre.z - motion.body(0.5)[11].centre.z);
+        }
+        assert!(fastest <= TURN_RAD_PER_S * 1.001, "{fastest} rad/s");
+        assert!(angle.abs() < 0.4 || highest > 0.02, "feet are lifted: {highest} m");
+    }
+    // Corners of all kinds on the way, close together as well.
+    let places = [[3.0, 1.0], [3.0, 2.5], [1.0, 2.5], [3.0, 2.4], [3.3, 2.6], [3.3, 2.3], [1.0, 1.0]];
+    let path = places.iter().fold(builder(), |path, &to| path.walk_to(to, 1.2)).stand(1.0);
+    let end_s = path.time_s();
+    let motion = path.stay();
+    let samples: Vec<f64> = (0..(end_s * 200.0) as usize).map(|i| i as f64 * 0.005).collect();
+    for &t in &samples {
+        assert!(
+            turning_rate(&motion, t).abs() <= TURN_RAD_PER_S * 1.001,
+            "{} rad/s at {t} s",
+            turning_rate(&motion, t)
+        );
+    }
+    for place in places {
+        let off = |t: &f64| (motion.body(*t)[PELVIS].centre.truncate() - glam::DVec2::from_array(place)).length();
+        let nearest = samples.iter().map(off).fold(f64::INFINITY, f64::min);
+        assert!(nearest < 0.3, "{place:?} is passed {nearest} m off");
+    }
+}
+
+/// Radial speeds seen from ahead: the trunk goes as the walk does, feet stand and overtake it more than twofold; who stands
+/// has next to none.
+#[test]
+fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
+    let walker = |stride: f64, arm_swing: f64| {
+        let mut person = person();
+        (person.style.stride, person.style.arm_swing) = (stride, arm_swing);
+        MotionBuilder::new(person, 0.0, [1.0, 1.0], 0.0).walk_to([9.0, 1.0], 1.2).stand(5.0).stay()
+    };
+    let span = |motion: &Motion, part: usize, from_s: f64| {
+        let speeds = (0..300).map(|i| rate(|t| motion.body(t)[part].centre, from_s + f64::from(i) * 0.01).x);
+        speeds.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)))
+    };
+    let average = walker(1.0, 1.0);
+    let (low, high) = span(&average, CHEST, 1.0);
+    assert!(low > 0.9 && high < 1.5, "the chest goes at {low} to {high} m/s");
+    let (low, high) = span(&average, 11, 1.0);
+    assert!(low < 0.3 && (2.4..4.5).contains(&high), "a foot goes at {low} to {high} m/s");
+    for part in 0..13 {
+        let (low, high) = span(&average, part, 8.0);
+        assert!(low > -0.02 && high < 0.02, "part {part} of who stands goes at {low} to {high} m/s");
+    }
+    let arms = |swing: f64| {
+        let (low, high) = span(&walker(1.0, swing), 5, 1.0);
+        high - low
+    };
+    assert!(arms(0.0) < 0.6 * arms(1.0) && arms(1.5) > 1.25 * arms(1.0), "{} {} {}", arms(0.0), arms(1.0), arms(1.5));
+    // Longer strides are fewer.
+    let cycles = |stride: f64| {
+        let motion = walker(stride, 1.0);
+        motion.walk(6.0).phase - motion.walk(1.0).phase
+    };
+    assert!((cycles(1.25) * 1.25 / cycles(1.0) - 1.0).abs() < 1e-9);
+}
+
+/// The front of the chest of who lies goes up and down with the breath by millimetres, seen from above; all else rests.
+#[test]
+fn who_lies_breathes_upwards_and_rests() {
+    let motion = builder().lying(&BED, 60.0).stay();
+    let front = |t: f64| motion.body(t)[CHEST].surface(DVec3::X);
+    let heights: Vec<f64> = (0..2000).map(|i| front(f64::from(i) * 0.02).z).collect();
+    let span = |v: &[f64]| {
+        v.iter().copied().fold(f64::NEG_INFINITY, f64::max) - v.iter().copied().fold(f64::INFINITY, f64::min)
+    };
+    assert!((0.0035..0.014).contains(&span(&heights)), "{} m", span(&heights));
+    for part in [0, PELVIS, 7, 9, 11] {
+        let centre = |t: f64| motion.body(t)[part].centre;
+        for i in 0..400 {
+            assert!(rate(centre, f64::from(i) * 0.1).length() < 1e-6, "part {part} moves");
+        }
+    }
+    let body = motion.body(20.0);
+    assert!(body.iter().all(|e| (0.45..0.9).contains(&e.centre.z)), "all of the body is on the bed");
+    assert!(body[0].centre.x < 3.5 && body[11].centre.x > 4.6, "feet point where they should");
+    // And up again, in front of the bed.
+    let stands = motion.body(70.0);
+    let before = BED.stand_m(&person().build);
+    assert!(stands[0].centre.z > 1.5, "{}", stands[0].centre.z);
+    assert!((stands[PELVIS].centre.truncate() - glam::DVec2::from_array(before)).length() < 0.05);
+}
+
+/// The skin follows the body into whatever it does: closed, as large as before within what bent joints fold away, and its
+/// velocities are the rates of its places.
+#[test]
+fn skins_squat_and_lie_without_losing_flesh() {
+    let (motion, end_s) = everything();
+    let walker = WalkingMesh::new(Arc::new(motion), EDGE_M);
+    let standing = walker.skin().rest().volume_m3();
+    let mut least = f64::INFINITY;
+    for i in 0..60 {
+        let t = end_s * f64::from(i) / 60.0;
+        let ratio = walker.mesh_at(t).volume_m3() / standing;
+        least = least.min(ratio);
+        assert!((0.80..1.10).contains(&ratio), "{ratio} of the volume at {t} s");
+        let (moving, h) = (walker.at(t), 1e-4);
+        let (before, after) = (walker.at(t - h).vertices, walker.at(t + h).vertices);
+        for ((velocity, a), b) in moving.velocities_m_per_s.iter().zip(&before).zip(&after) {
+            assert!((*velocity - (*b - *a) / (2.0 * h)).length() < 1e-3);
+        }
+    }
+    assert!(least < 1.0);
+}
+
+const SCRIPT: &str = r#"
+[[door]]
+position_m = [0.0, 10.0]
+[[people.actor]]
+start_s = 1.0
+step = [{ enter_door = 0 }, { walk_to_m = [4.0, 9.0] }, { leave_door = 0 }]
+"#;
+
+#[test]
+fn who_comes_by_a_door_is_not_there_before_nor_after() {
+    let simulator = simulator(&parse(&hall(SCRIPT)), 1, None);
+    let in_room = |frame| simulator.people(frame).iter().filter(|p| p.in_room).count();
+    assert_eq!((simulator.people(5).len(), in_room(5)), (0, 0));
+    assert_eq!(in_room(30), 1);
+    let first = (0..).find(|&i| !simulator.people(i).is_empty()).expect("somebody comes");
+    assert!(simulator.people(first)[0].position.x < -0.5, "from outside");
+    assert_eq!(simulator.people(200).len(), 0);
+}
+
+fn walls_and_furniture_off(scene: &Scene, seed: u64, until_s: f64) -> (f64, f64) {
+    let file: &SceneFile = scene.file();
+    let [width, depth, _] = file.room.size_m;
+    let near = |p: DVec3, [x, y]: [f64; 2], reach: f64| (p.x - x).hypot(p.y - y) < reach;
+    let (mut from_furniture, mut from_walls) = (f64::INFINITY, f64::INFINITY);
+    let mut t = 0.0;
+    while t < until_s {
+        for (_, motion) in Program::new(scene, seed, None).between(t, t) {
+            let p = motion.body(t)[PELVIS].centre;
+            // On seats and beds, and in doorways, they may be where they are.
+            let seated = file.seat.iter().any(|s| near(p, s.position_m, 0.55));
+            let in_bed = file.bed.iter().any(|b| near(p, b.position_m, b.edge_m.abs() + 0.45));
+            if seated || in_bed || file.door.iter().any(|d| near(p, d.position_m, 0.9)) {
+                continue;
+            }
+            from_walls = from_walls.min(p.x).min(p.y).min(width - p.x).min(depth - p.y);
+            for f in file.furniture.iter().filter(|f| f.position_m[2] < 1.9) {
+                let off = |i: usize, v: f64| (f.position_m[i] - v).max(v - f.position_m[i] - f.size_m[i]).max(0.0);
+                from_furniture = from_furniture.min(off(0, p.x).hypot(off(1, p.y)));
+            }
+        }
+        t += 0.05;
+    }
+    (from_furniture, from_walls)
+}
+
+/// Scripts and chance alike.
+#[test]
+fn ways_keep_off_furniture_and_walls() {
+    for name in ["bedroom", "bathroom"] {
+        for seed in 0..12 {
+            let drawn = scene(name).drawn(seed).expect("a draw");
+            let (furniture, walls) = walls_and_furniture_off(&drawn, seed, 60.0);
+            assert!(furniture > 0.14 && walls > 0.2, "{name} {seed}: {furniture} m, {walls} m");
+        }
+    }
+    let text = hall(
+        r#"
+[[furniture]]
+name = "shelf"
+position_m = [6.0, 7.0, 0.0]
+size_m = [1.0, 5.0, 2.0]
+[[furniture]]
+name = "table"
+position_m = [9.0, 9.0, 0.0]
+size_m = [2.0, 2.0, 0.8]
+[[door]]
+position_m = [0.0, 10.0]
+[[door]]
+position_m = [20.0, 10.0]
+[people]
+keep_off_m = 0.4
+turn_rate_deg_per_s = 120.0
+[people.visits]
+pace_probability = 0.5
+pace_area_m = [[4.0, 6.0], [13.0, 13.0]]
+"#,
+    );
+    for seed in 0..10 {
+        let (furniture, walls) = walls_and_furniture_off(&parse(&text), seed, 60.0);
+        assert!(furniture > 0.2 && walls > 0.3, "{seed}: {furniture} m, {walls} m");
+    }
+}
+
+const STANDS: &str = "[people]\nactor = [{ step = [{ walk_to_m = [4.0, 10.0] }, { stand_s = 100.0 }] }]\n";
+const WALKS: &str = "[people]\nactor = [{ step = [{ walk_to_m = [3.0, 10.2] }, { walk_to_m = [9.0, 10.4] }] }]\n";
+
+fn clothed(people: &str, clothing: &str) -> Scene {
+    parse(&hall(&format!("{people}\n[people.clothing]\n{clothing}\n")))
+}
+
+/// Powers of somebody's direct echoes, coherent ones and all, and of those of smooth clothes.
+fn powers(roughness_m: f64, t: f64) -> [f64; 3] {
+    let rough = clothed(STANDS, &format!("spread_db = 0.0\nroughness_m = {roughness_m}"));
+    let smooth = clothed(STANDS, "spread_db = 0.0");
+    let of = |scene: &Scene| {
+        let stage = Stage::new(scene, 1, 20.0);
+        let motion = &Program::new(scene, 1, None).between(t, t)[0].1;
+        let people = [Snapshot::new(motion, t)];
+        let paths = Paths::new(&stage, motion, 0, &[([0; 3], [0; 3])]);
+        let each: Vec<f64> = (0..paths.count())
+            .map(|path| {
+                let mut keys = Vec::new();
+                paths.trace(path, &people, None, &mut keys, &mut EchoReport::default());
+                keys[0].amplitude.norm_sqr()
+            })
+            .collect();
+        let places = each.len() / 13;
+        (each.iter().step_by(places).sum::<f64>(), each.iter().sum::<f64>())
+    };
+    let ((coherent, all), (_, before)) = (of(&rough), of(&smooth));
+    [coherent, all, before]
+}
+
+/// Coherent and diffuse power together are that of smooth clothes; of it, half a millimetre leaves 6.9 dB less to highlights at
+/// normal incidence, which monostatic ones are.
+#[test]
+fn rough_clothes_keep_their_power_and_dim_highlights_as_they_should() {
+    for (roughness_m, expected_db) in [(0.25e-3, -1.72), (0.5e-3, -6.87), (1e-3, -27.5)] {
+        for t in [0.5, 1.7, 3.1] {
+            let [coherent, all, smooth] = powers(roughness_m, t);
+            let kept_db = 10.0 * (all / smooth).log10();
+            assert!(kept_db.abs() < 0.1, "{kept_db} dB at {roughness_m} m");
+            let left_db = 10.0 * (coherent / smooth).log10();
+            assert!((left_db - expected_db).abs() < 0.02 * expected_db.abs() + 0.02, "{left_db} dB at {roughness_m} m");
+        }
+    }
+}
+
+fn echo_power_db(scene: &Scene, body: BodyFile, seed: u64, frames: u64) -> f64 {
+    let scene = scene.clone().with_body(body);
+    let options = SimulateOptions { seed, ..SimulateOptions::default() };
+    let simulator = Simulator::new(&scene, options).expect("valid options");
+    let power = |i: u64| simulator.echo_samples(10 + 3 * i).iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
+    10.0 * (0..frames).map(power).sum::<f64>().log10()
+}
+
+/// Over a walk, in samples as they are received, for both kinds of bodies.
+#[test]
+fn echoes_of_rough_clothes_have_the_power_of_smooth_ones_over_a_walk() {
+    let smooth = clothed(WALKS, "spread_db = 0.0");
+    let rough = clothed(WALKS, "spread_db = 0.0\nroughness_m = 0.0005");
+    for (body, frames, most_db) in [(BodyFile::Ellipsoids, 12, 1.0), (BodyFile::Mesh, 6, 2.0)] {
+        let change_db = echo_power_db(&rough, body, 1, frames) - echo_power_db(&smooth, body, 1, frames);
+        assert!(change_db.abs() < most_db, "{body:?}: {change_db} dB");
+    }
+}
+
+/// The factor that cloth puts on every vertex of a skin, over seeds: its mean and deviation are those asked for.
+#[test]
+fn cloth_on_skins_has_the_mean_and_spread_that_were_asked_for() {
+    let scene = clothed(STANDS, "level_db = -1.5\nspread_db = 2.0\ncorrelation_m = 0.08");
+    let mut all = Vec::new();
+    for seed in 0..24 {
+        let motion = Arc::clone(&Program::new(&scene, seed, None).between(1.0, 1.0)[0].1);
+        let skinned = radome_sim::echo::skin::SkinnedPerson::new(WalkingMesh::new(motion, 1.5 * EDGE_M));
+        all.extend(skinned.cloth().iter().map(|c| 20.0 * c.log10()));
+    }
+    let (mean, deviation) = common::statistics(&all);
+    assert!((mean + 1.5).abs() < 0.15 && (deviation - 2.0).abs() < 0.15, "{mean} dB, {deviation} dB");
+}
+
+fn codes(scene: &Scene, seed: u64) -> Vec<u16> {
+    let simulator = simulator(scene, seed, None);
+    (20..22).flat_map(|i| simulator.render(i).codes).collect()
+}
+
+/// Nothing that is not asked for changes a byte, for both kinds of bodies; what is asked for does, and by the seed alone.
+#[test]
+fn what_is_off_leaves_every_byte_as_it_was() {
+    for body in [BodyFile::Ellipsoids, BodyFile::Mesh] {
+        let plain = parse(&hall(WALKS)).with_body(body);
+        let off = format!(
+            "{}\nstride = [1.0, 1.0]\narm_swing = [1.0, 1.0]\n[people.clothing]\nspread_db = 0.0",
+            WALKS.trim()
+        );
+        let off = parse(&hall(&off)).with_body(body);
+        assert!(codes(&plain, 5) == codes(&off, 5), "{body:?}: off is not off");
+        for clothing in ["", "roughness_m = 0.0005"] {
+            let on = clothed(WALKS, clothing).with_body(body);
+            assert!(codes(&on, 5) == codes(&on, 5), "{body:?}: the same seed, other bytes");
+            assert!(codes(&on, 5) != codes(&plain, 5), "{body:?}: {clothing:?} does nothing");
+        }
+    }
+}
+
+/// Strongest cell around somebody's range over the median of the map, dB.
+fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
+    let rendered: Frame = simulator.render(frame);
+    let map = map_db(&rendered, 0);
+    let ranges = rendered.shape.samples / 2;
+    let person = simulator.people(frame)[0];
+    let waveform = simulator.scene().waveform();
+    let bin = (person.range_m / waveform.range_step_m(rendered.shape.samples)).round() as usize;
+    let mut sorted = map.clone();
+    sorted.sort_by(f64::total_cmp);
+    let near = map.iter().enumerate().filter(|(i, _)| (i % ranges).abs_diff(bin) <= 3).map(|(_, v)| *v);
+    near.fold(f64::NEG_INFINITY, f64::max) - sorted[sorted.len() / 2]
+}
+
+/// Somebody who lies and breathes, walks, sits and squats in the shipped scenes stands well out of the noise.
+#[test]
+fn people_show_in_the_shipped_scenes() {
+    for (name, frames) in [("bedroom", [20, 60, 150]), ("bathroom", [60, 130, 250])] {
+        for seed in [1, 2] {
+            let simulator = simulator(&scene(name), seed, None);
+            for frame in frames {
+                let contrast = contrast_db(&simulator, frame);
+                #[allow(clippy::print_stderr)]
+                {
+                    eprintln!("{name} seed {seed} frame {frame}: {contrast:.1} dB over the median cell");
+                }
+                assert!(contrast > 12.0, "{name} seed {seed} frame {frame}: {contrast} dB");
+            }
+        }
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn message(people: &str) -> String {
+        Scene::parse(&hall(people), Path::new("a/b.toml")).map(|_| ()).expect_err(people).to_string()
+    }
+
+    #[test]
+    fn scripts_that_make_no_sense_are_refused_by_key() {
+        let script = |steps: &str| format!("[people]\nactor = [{{ height_m = 1.6, step = [{steps}] }}]\n");
+        let place = "{ walk_to_m = [2.0, 2.0] }";
+        for (steps, expected) in [
+            ("{ enter_door = 0 }".to_owned(), "[[door]]"),
+            (format!("{place}, {{ leave_door = 3 }}"), "[[door]]"),
+            (format!("{place}, {{ lie_s = 3.0 }}"), "[[bed]]"),
+            (format!("{place}, {{ squat_s = 3.0, depth_m = 0.9 }}"), "0.36 of the body's height"),
+            (format!("{place}, {{ stand_s = 3.0, depth_m = 0.3 }}"), "squat_s"),
+            (format!("{place}, {{ stand_s = 3.0, bed = 0 }}"), "lie_s"),
+            (format!("{place}, {{ stand_s = 3.0, face_deg = 90.0 }}"), "one of walk_to_m"),
+            (format!("{place}, {{ face_deg = nan }}"), "face_deg"),
+            ("{ face_deg = 90.0 }".to_owned(), "enter_door"),
+        ] {
+            let message = message(&script(&steps));
+            assert!(message.contains(expected), "{steps}: {message}");
+        }
+        let door = "[[door]]\nposition_m = [0.0, 10.0]\n";
+        for (steps, expected) in [
+            (format!("{place}, {{ enter_door = 0 }}"), "first step"),
+            (format!("{{ enter_door = 0 }}, {{ leave_door = 0 }}, {place}"), "last step"),
+        ] {
+            let message = message(&format!("{door}{}", script(&steps)));
+            assert!(message.contains(expected), "{steps}: {message}");
+        }
+        for (keys, expected) in [
+            ("turn_rate_deg_per_s = 0.0", "turn_rate_deg_per_s"),
+            ("keep_off_m = -1.0", "keep_off_m"),
+            ("stride = [1.2, 0.8]", "stride"),
+            ("arm_swing = [0.0, nan]", "arm_swing"),
+            ("clothing = { spread_db = -1.0 }", "spread_db"),
+            ("clothing = { roughness_m = 1.0 }", "roughness_m"),
+            ("clothing = { correlation_m = 0.0 }", "correlation_m"),
+            ("clothing = { colour = 1.0 }", "colour"),
+        ] {
+            let message = message(&format!("[people]\n{keys}\nactor = [{{ step = [{place}] }}]\n"));
+            assert!(message.contains(expected), "{keys}: {message}");
+        }
+    }
+
+    /// Steps of no length or duration, beds against the wall, turns by nothing and all the way round.
+    #[test]
+    fn odd_scripts_still_make_bodies() {
+        let path = builder().walk_to([1.0, 1.0], 1.0).face(0.0).face(TAU).stand(0.0).squat(0.0, 0.0).squat(9.0, 0.1);
+        let path = path.lie(&Bed { edge_m: 0.3, ..BED }, 0.0).sit_back(1.0, 0.2, 0.0, 0.0).face(PI);
+        let end_s = path.time_s();
+        let motion = path.stay();
+        for i in 0..400 {
+            for e in motion.body(end_s * f64::from(i) / 400.0) {
+                assert!(e.centre.is_finite() && e.axes.is_finite() && e.semi_axes_m.min_element() > 0.0);
+            }
+        }
+    }
+}
