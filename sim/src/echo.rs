@@ -260,7 +260,7 @@ impl<'a> Paths<'a> {
         pairs: &[(ImageIndex, ImageIndex)],
     ) -> Option<Self> {
         let all = Paths::new(stage, motion, me, pairs);
-        (all.places.end > 1).then(|| Paths { places: 1..all.places.end, ..all })
+        (all.places.end > 1).then_some(Paths { places: 1..all.places.end, ..all })
     }
 
     /// How many there are.

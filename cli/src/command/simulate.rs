@@ -1,4 +1,5 @@
 mod canvas;
+mod legend;
 mod preview;
 
 use std::path::{Path, PathBuf};

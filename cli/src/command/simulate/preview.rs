@@ -14,15 +14,16 @@ use radome_sim::field::highlight::Ellipsoid;
 use radome_sim::scene::file::{BodyFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
+use super::legend::{draw_sign, legend, legend_rows};
 
-const INK: Ink = Ink::solid([40, 44, 52]);
-const GREY: Ink = Ink::solid([120, 126, 136]);
-const BEAM: Ink = Ink::solid([240, 180, 30]);
+pub(super) const INK: Ink = Ink::solid([40, 44, 52]);
+pub(super) const GREY: Ink = Ink::solid([120, 126, 136]);
+pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
 /// A colour for each person in turn.
-const PEOPLE: [Ink; 4] =
+pub(super) const PEOPLE: [Ink; 4] =
     [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
 /// Of furniture of which nothing is said.
-const UNSAID: Ink = Ink::solid([176, 180, 188]);
+pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
 
 /// Materials of the table, and colours for those that scenes name themselves.
 const MATERIALS: [(&str, [u8; 3]); 11] = [
@@ -41,7 +42,7 @@ const MATERIALS: [(&str, [u8; 3]); 11] = [
 const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
 
 /// Room around each view and between them, pixels: left for numbers, below for numbers and the axis's name.
-const LEFT: f64 = 66.0;
+pub(super) const LEFT: f64 = 66.0;
 const BELOW: f64 = 62.0;
 const TOP: f64 = 64.0;
 const RIGHT: f64 = 30.0;
@@ -117,9 +118,9 @@ impl View {
 }
 
 /// Somebody's way while they are there.
-struct Way {
-    motion: Arc<Motion>,
-    ink: Ink,
+pub(super) struct Way {
+    pub(super) motion: Arc<Motion>,
+    pub(super) ink: Ink,
     /// Times, s, and places of the hips.
     places: Vec<(f64, DVec3)>,
     /// Times at which the body is drawn, s.
@@ -242,7 +243,7 @@ fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
     times
 }
 
-fn colour(scene: &Scene, material: &str) -> Ink {
+pub(super) fn colour(scene: &Scene, material: &str) -> Ink {
     if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
         return Ink::solid(*rgb);
     }
@@ -365,7 +366,7 @@ fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labe
     let (dx, dy) = if length > 0.05 { (dx / length, dy / length) } else { (0.0, 1.0) };
     let place = |along: f64, across: f64| [at[0] + along * dx - across * dy, at[1] + along * dy + across * dx];
     let arrow = vec![place(SIZE, 0.0), place(-0.6 * SIZE, 0.75 * SIZE), place(-0.6 * SIZE, -0.75 * SIZE)];
-    canvas.fill(&[arrow.clone()], BEAM);
+    canvas.fill(std::slice::from_ref(&arrow), BEAM);
     canvas.around(&[arrow], &Line { ink: INK, width: 1.6, is_dashed: false });
     labels.take([at[0] - SIZE, at[1] - SIZE], [at[0] + SIZE, at[1] + SIZE]);
 }
@@ -416,7 +417,7 @@ fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut
     }
 }
 
-fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
+pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
     (0..24)
         .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
         .map(|(s, c)| [x + radius * c, y + radius * s])
@@ -558,87 +559,6 @@ fn draw_axes(canvas: &mut Canvas, view: &View) {
     let top = view.corner[1] - WALL - 20.0;
     canvas.text([x0 - WALL - 50.0, top], up, Letters::Small, INK);
     canvas.text([x0 + 12.0, top], what, Letters::Small, GREY);
-}
-
-/// What stands for something in the legend.
-enum Sign {
-    Area(Ink),
-    Open,
-    Beam,
-    Radar,
-    Way(Ink),
-    Rest,
-}
-
-fn legend(scene: &Scene, ways: &[Way]) -> Vec<(Sign, String)> {
-    let file = scene.file();
-    let room = &file.room;
-    let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
-    let mut names: Vec<&str> = walls.iter().map(|s| s.material.as_str()).collect();
-    names.extend(file.furniture.iter().filter_map(|f| f.material.as_deref()));
-    names.extend(scene.outlines().iter().map(|o| o.material.as_str()));
-    names.sort_unstable();
-    names.dedup();
-    let mut all = vec![(Sign::Radar, "radar".to_owned()), (Sign::Beam, "its beam to -3 dB, one way".to_owned())];
-    for name in names {
-        let sign = if name == "open" { Sign::Open } else { Sign::Area(colour(scene, name)) };
-        all.push((sign, name.replace('_', " ")));
-    }
-    if file.furniture.iter().any(|f| f.material.is_none()) {
-        all.push((Sign::Area(UNSAID), "furniture by its cross-section".to_owned()));
-    }
-    if !(file.seat.is_empty() && file.bed.is_empty()) {
-        all.push((Sign::Rest, "place to sit or lie".to_owned()));
-    }
-    for (number, way) in ways.iter().enumerate().take(PEOPLE.len()) {
-        let height_m = way.motion.person.build.height_m;
-        all.push((Sign::Way(way.ink), format!("person {}, {height_m:.2} m tall", number + 1)));
-    }
-    all
-}
-
-fn legend_rows(legend: &[(Sign, String)], width: f64) -> Vec<Vec<(&Sign, &str)>> {
-    let mut rows: Vec<Vec<(&Sign, &str)>> = vec![Vec::new()];
-    let mut x = LEFT;
-    for (sign, name) in legend {
-        let needed = 30.0 + Letters::Small.size(name)[0] + 26.0;
-        if x + needed > width && rows.last().is_some_and(|row| !row.is_empty()) {
-            rows.push(Vec::new());
-            x = LEFT;
-        }
-        if let Some(row) = rows.last_mut() {
-            row.push((sign, name.as_str()));
-        }
-        x += needed;
-    }
-    rows
-}
-
-fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
-    let area = vec![[x, y + 2.0], [x + 22.0, y + 2.0], [x + 22.0, y + 14.0], [x, y + 14.0]];
-    let line = |ink: Ink, width: f64, is_dashed: bool| Line { ink, width, is_dashed };
-    match sign {
-        Sign::Area(ink) => canvas.fill(&[area], *ink),
-        Sign::Open => canvas.around(&[area], &line(GREY, 1.0, true)),
-        Sign::Beam => {
-            canvas.fill(&[vec![[x, y + 8.0], [x + 22.0, y + 1.0], [x + 22.0, y + 15.0]]], BEAM.faint(0.35));
-            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 1.0]], &line(BEAM.darker(0.15), 1.4, true));
-            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 15.0]], &line(BEAM.darker(0.15), 1.4, true));
-        }
-        Sign::Radar => {
-            let arrow = vec![[x + 20.0, y + 8.0], [x + 4.0, y + 1.0], [x + 4.0, y + 15.0]];
-            canvas.fill(std::slice::from_ref(&arrow), BEAM);
-            canvas.around(&[arrow], &line(INK, 1.6, false));
-        }
-        Sign::Way(ink) => {
-            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 8.0]], &line(*ink, 2.0, false));
-            canvas.fill(&[vec![[x + 18.0, y + 8.0], [x + 8.0, y + 3.0], [x + 8.0, y + 13.0]]], *ink);
-        }
-        Sign::Rest => {
-            canvas.around(&[ring([x + 6.0, y + 8.0], 4.0)], &line(INK, 1.6, false));
-            canvas.line(&[[x + 6.0, y + 8.0], [x + 20.0, y + 8.0]], &line(INK, 1.6, false));
-        }
-    }
 }
 
 #[cfg(test)]
