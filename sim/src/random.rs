@@ -28,6 +28,10 @@ pub enum Purpose {
     Scene,
     /// Points of walls that throw in all directions.
     WallPoints,
+    /// Phase noise of a frame.
+    PhaseNoise,
+    /// When echoes step, and by how much.
+    ClutterStep,
 }
 
 fn splitmix64(mut z: u64) -> u64 {
