@@ -14,6 +14,8 @@ const STEPS: usize = 7000;
 /// Mean of an exponentially distributed power in dB over the dB of its mean, and its variance, dB^2.
 const NOISE_MEAN_DB: f64 = -2.506_818;
 const NOISE_VARIANCE_DB2: f64 = 31.025_36;
+/// A mean that is raised by less says nothing: noise itself is not known better.
+const LEAST_RAISED_DB: f64 = 0.05;
 
 /// The distribution of some cells, dB.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -217,7 +219,7 @@ impl MapSample {
         let mean = sum / count - NOISE_MEAN_DB;
         let variance = squares / count - (sum / count).powi(2) - NOISE_VARIANCE_DB2;
         // Of no cells neither is a number.
-        if !(mean > 0.0 && variance > 0.0) {
+        if !(mean > LEAST_RAISED_DB && variance > 0.0) {
             return None;
         }
         let level_db = variance / mean + mean;

@@ -30,7 +30,20 @@ pub struct SlowTime {
     /// Sums over windows, `[rx][bin]`: power of what stands still, and of what moves.
     still: Vec<f64>,
     moving: Vec<f64>,
+    /// And how what stands still changes.
+    changes: Vec<Changes>,
     breath_hz: Vec<f64>,
+}
+
+/// How an echo that stands still changes all the same, noise contained: mean squares.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Changes {
+    /// Half of the square of its phase's step from frame to frame, rad^2.
+    pub phase_rad2: f64,
+    /// The same of its amplitude, relative.
+    pub amplitude: f64,
+    /// Square of its phase's change over ten seconds, rad^2, taking it for a random walk.
+    pub drift_rad2_per_10s: f64,
 }
 
 /// Who moves, by their line.
@@ -64,6 +77,7 @@ impl SlowTime {
             windows: 0,
             still: vec![0.0; cells],
             moving: vec![0.0; cells],
+            changes: vec![Changes::default(); cells],
             breath_hz: Vec::new(),
         }
     }
@@ -116,6 +130,7 @@ impl SlowTime {
             let moving = profiles.iter().map(|p| (p[cell] - still).norm_sqr()).sum::<f64>() / count;
             self.still[cell] += still.norm_sqr();
             self.moving[cell] += moving;
+            self.add_changes(&profiles, cell, still.norm());
             if moving > strongest.0 && cell % self.bins() >= first {
                 strongest = (moving, Some(cell));
             }
@@ -127,13 +142,24 @@ impl SlowTime {
         }
     }
 
-    /// Adds what another one of the same waveform has seen.
-    pub fn merge(&mut self, other: &SlowTime) {
-        for (mine, others) in [(&mut self.still, &other.still), (&mut self.moving, &other.moving)] {
-            mine.iter_mut().zip(others).for_each(|(a, b)| *a += b);
+    fn add_changes(&mut self, profiles: &[Vec<Complex64>], cell: usize, level: f64) {
+        let interval_s = self.waveform.frame_interval_s();
+        let second = ((1.0 / interval_s).round() as usize).clamp(1, profiles.len() / 2);
+        let (mut phase, mut amplitude) = (0.0, 0.0);
+        for pair in profiles.windows(2) {
+            let [a, b] = [pair[0][cell], pair[1][cell]];
+            phase += (b * a.conj()).arg().powi(2);
+            amplitude += ((b.norm() - a.norm()) / level).powi(2);
         }
-        self.breath_hz.extend(&other.breath_hz);
-        self.windows += other.windows;
+        // Seconds, so that jitter is no drift.
+        let sum = |part: &[Vec<Complex64>]| part.iter().map(|p| p[cell]).sum::<Complex64>();
+        let (first, last) = (sum(&profiles[..second]), sum(&profiles[profiles.len() - second..]));
+        let apart_s = (profiles.len() - second) as f64 * interval_s;
+        let steps = 2.0 * (profiles.len() - 1) as f64;
+        let changes = &mut self.changes[cell];
+        changes.phase_rad2 += phase / steps;
+        changes.amplitude += amplitude / steps;
+        changes.drift_rad2_per_10s += (last * first.conj()).arg().powi(2) * 10.0 / apart_s;
     }
 
     /// Range bins of a profile.
@@ -154,6 +180,17 @@ impl SlowTime {
     /// Mean power of what moves.
     pub fn moving(&self, rx: usize, bin: usize) -> Option<f64> {
         self.cell(&self.moving, rx, bin)
+    }
+
+    /// Changes of what stands still, mean of the windows.
+    pub fn changes(&self, rx: usize, bin: usize) -> Option<Changes> {
+        let sums = self.changes.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
+        let windows = self.windows as f64;
+        Some(Changes {
+            phase_rad2: sums.phase_rad2 / windows,
+            amplitude: sums.amplitude / windows,
+            drift_rad2_per_10s: sums.drift_rad2_per_10s / windows,
+        })
     }
 
     fn cell(&self, of: &[f64], rx: usize, bin: usize) -> Option<f64> {
@@ -186,7 +223,7 @@ impl SlowTime {
         Some(Line {
             range_m: (bin as f64 + beside) * self.waveform.range_step_m(self.waveform.request.samples_per_chirp),
             level_dbfs: 10.0 * power(bin).log10(),
-            breath_hz: rates.get(rates.len() / 2).copied(),
+            breath_hz: rates.get(rates.len() / 2).map(|upper| 0.5 * (upper + rates[(rates.len() - 1) / 2])),
             bin,
             windows: self.windows,
         })
@@ -328,6 +365,28 @@ mod tests {
         let level_db = 10.0 * still.still(0, bin).expect("seen").log10();
         assert!((level_db - 20.0 * (200.0 / 2048.0f64).log10()).abs() < 1.5, "{level_db}");
         assert!(still.moving(0, bin).expect("seen") < 1e-7);
+        let changes = still.changes(0, bin).expect("seen");
+        assert!(
+            changes.phase_rad2 < 1e-5 && changes.amplitude < 1e-5 && changes.drift_rad2_per_10s < 1e-4,
+            "{changes:?}"
+        );
+    }
+
+    /// Ten micrometres to and fro from frame to frame, and forty on in ten seconds: both come back as phases.
+    #[test]
+    fn what_hardly_moves_is_measured_by_its_phase() {
+        let at = |t: f64| {
+            let even = (t / waveform().frame_interval_s()).round() as u64 % 2 == 0;
+            0.5 + if even { 0.0 } else { 10e-6 } + 40e-6 * t / 10.0
+        };
+        let changes = seen(&frames(100, 200.0, at)).changes(0, (0.5 / waveform().range_step_m(64)).round() as usize);
+        let changes = changes.expect("seen");
+        let rad_per_m = 4.0 * std::f64::consts::PI / waveform().wavelength_m();
+        let jitter = (2.0 * changes.phase_rad2).sqrt() / rad_per_m;
+        assert!((jitter / 10e-6 - 1.0).abs() < 0.1, "{jitter} m");
+        let drift = changes.drift_rad2_per_10s.sqrt() / rad_per_m;
+        assert!((drift / 40e-6 - 1.0).abs() < 0.15, "{drift} m");
+        assert!(changes.amplitude < 1e-4, "{changes:?}");
     }
 
     mod hard_cases {

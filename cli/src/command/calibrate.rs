@@ -6,7 +6,6 @@ use anyhow::bail;
 use radome_dsp::Waveform;
 use radome_dsp::slow_time::SlowTime;
 use radome_sim::receiver::Receiver;
-use radome_sim::receiver::calibration::gain::{GainFit, fit_gain};
 use radome_sim::receiver::calibration::{Calibration, Fit, LEAST_FRAMES};
 
 use crate::files;
@@ -19,6 +18,7 @@ mod line;
 mod recordings;
 mod report;
 mod sample;
+mod still;
 
 /// Windows of slow time, s.
 const WINDOW_S: f64 = 10.0;
@@ -87,10 +87,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let recordings = Recordings::open(&arguments.recordings, arguments.part)?;
     let copies = Copies::new(arguments, recordings.waveform())?;
     let mut measured = measure(arguments, &recordings, &base)?;
+    let clutter = still::fit_clutter(recordings.waveform(), &mut measured);
     let gain = match copies.has_scene() {
-        true => Some(gain(&recordings, &copies, &mut measured)?),
+        true => Some(still::fit_level(recordings.waveform(), &copies, &mut measured)?),
         false => None,
     };
+    report::round(&mut measured.fit.receiver);
     let line = measured.slow_time.line();
     let real = gap::Real::new(&recordings, measured.judged.channels.clone(), line.map(|line| line.bin))?;
     let before = copies.sample(&base, real.regions())?;
@@ -104,6 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         frames_judged: recordings.frames_judged(),
         copies: arguments.copies,
         fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
+        clutter,
         gain: gain.map(report::Gain::from),
         resampled: real.resampled(),
         between_real: real.between(),
@@ -143,35 +146,4 @@ fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) -> a
         fitted_slow_time,
         slow_time,
     })
-}
-
-/// Fits the level of echoes to what stands still in the recordings and in the scene without people, if enough does.
-fn gain(recordings: &Recordings, copies: &Copies, measured: &mut Measured) -> anyhow::Result<GainFit> {
-    let clutter = copies.clutter(&measured.fit.receiver)?;
-    let real = &measured.fitted_slow_time;
-    let noise = measured.fit.channels.iter().map(|channel| frame_noise(&channel.density_lsb2, recordings.waveform()));
-    let step_m = recordings.waveform().range_step_m(recordings.waveform().request.samples_per_chirp);
-    let mut bins = Vec::new();
-    for (rx, noise) in noise.enumerate() {
-        bins.extend((0..real.bins()).filter_map(|bin| {
-            Some(radome_sim::receiver::calibration::gain::Bin {
-                range_m: bin as f64 * step_m,
-                measured: real.still(rx, bin)?,
-                moving: real.moving(rx, bin)?,
-                simulated: clutter.still(rx, bin)?,
-                noise: *noise.get(bin)?,
-            })
-        }));
-    }
-    let fit = fit_gain(&bins);
-    measured.fit.receiver.gain_correction_db += fit.gain_db.unwrap_or(0.0);
-    Ok(fit)
-}
-
-/// Power of noise in the bins of a frame's mean range profile over full scale, as slow time has them.
-fn frame_noise(density_lsb2: &[f64], waveform: &Waveform) -> Vec<f64> {
-    let taper = radome_dsp::Window::Hann.weights(waveform.request.samples_per_chirp);
-    let (sum, squares) = taper.iter().fold((0.0, 0.0), |(s, q), w| (s + w, q + w * w));
-    let scale = squares * (2.0 / (sum * 2048.0)).powi(2) / waveform.request.chirps_per_frame as f64;
-    density_lsb2.iter().map(|density| density * scale).collect()
 }

@@ -11,6 +11,7 @@ use serde::Serialize;
 use super::Arguments;
 use super::gap::{Channel, Figures};
 use super::line::{Lines, Many};
+use super::still::Clutter;
 use crate::{files, output};
 
 /// All there is to say.
@@ -21,6 +22,8 @@ pub struct Answer<'a> {
     pub frames_judged: u64,
     pub copies: u64,
     pub fit_residual_lsb: Vec<f64>,
+    /// How far what stands still is from constant; nothing where too little does.
+    pub clutter: Option<Clutter>,
     pub gain: Option<Gain>,
     /// What intervals were drawn over.
     pub resampled: &'static str,
@@ -42,6 +45,45 @@ pub struct Gain {
 impl From<GainFit> for Gain {
     fn from(fit: GainFit) -> Self {
         Gain { gain_db: fit.gain_db, error_db: fit.error_db, bins: fit.bins, of: fit.of }
+    }
+}
+
+/// Rounds what was fitted to the digits that a recording bears, so that files can be read.
+pub fn round(receiver: &mut Receiver) {
+    let digits = |value: &mut f64, digits: i32| {
+        if *value != 0.0 && value.is_finite() {
+            let scale = 10f64.powi(digits - 1 - value.abs().log10().floor() as i32);
+            // Dividing by a power of ten gives the shortest decimal, multiplying by its inverse does not.
+            *value = if scale < 1.0 {
+                (*value * scale).round() * (1.0 / scale).round()
+            } else {
+                (*value * scale).round() / scale
+            };
+        }
+    };
+    for rx in &mut receiver.rx {
+        digits(&mut rx.dc_code, 6);
+        rx.psd_lsb2.iter_mut().flatten().for_each(|density| digits(density, 4));
+        for leakage in &mut rx.leakage {
+            digits(&mut leakage.delay_s, 6);
+            digits(&mut leakage.amplitude_lsb, 5);
+            digits(&mut leakage.phase_rad, 5);
+        }
+        rx.transient.iter_mut().for_each(|transient| digits(&mut transient.amplitude_lsb, 5));
+    }
+    receiver.noise.psd_lsb2.iter_mut().flatten().for_each(|density| digits(density, 4));
+    let (clutter, drift) = (&mut receiver.clutter, &mut receiver.drift);
+    for value in [
+        &mut receiver.gain_correction_db,
+        &mut clutter.phase_jitter_rad,
+        &mut clutter.phase_drift_rad_per_10s,
+        &mut clutter.amplitude_jitter,
+        &mut clutter.leakage_jitter,
+        &mut clutter.leakage_drift_per_10s,
+        &mut drift.dc_lsb_per_s,
+        &mut drift.dc_jitter_lsb,
+    ] {
+        digits(value, 3);
     }
 }
 
@@ -80,18 +122,18 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
         answer.frames_fitted, answer.frames_judged, answer.copies
     ))?;
     line(format!(
-        "{:>9} {:>3} {:>16} {:>9} {:>14} {:>14} {:>21} {:>6} {:>6} {:>18} {:>12} {:>7} {:>6}",
+        "{:>9} {:>3} {:>16} {:>9} {:>14} {:>12} {:>23} {:>6} {:>6} {:>11} {:>12} {:>7} {:>6}",
         "receiver",
         "RX",
         "noise worst/mean",
         "leakage",
         "mean real/sim",
-        "sigma real/sim",
+        "sigma",
         "raised real/sim",
         "KS",
         "W1 dB",
-        "95 of 100",
-        "target/still",
+        "95 %",
+        "W1 who/still",
         "m/s",
         "m"
     ))?;
@@ -104,7 +146,7 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
                 100.0 * channel.leakage_error
             );
             let [low, high] = channel.interval.get("wasserstein_db").copied().unwrap_or_default();
-            let interval = format!("{low:.2}..{high:.2} dB");
+            let interval = format!("{low:.2}..{high:.2}");
             line(format!("{which:>9} {:>3} {receiver} {}", channel.rx, figures(&channel.figures, &interval)))?;
         }
     }
@@ -112,6 +154,16 @@ pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
         line(format!("{:>9} {:>3} {:>26} {}", "real", rx + 1, "", figures(between, "")))?;
     }
     line(format!("intervals: {} drawn anew; real: between them, or between the two parts of one", answer.resampled))?;
+    line(match &answer.clutter {
+        Some(clutter) => format!(
+            "clutter jitters by {:.0} mrad and {:.1} % and drifts by {:.2} rad in ten seconds, from {} bins that stand still",
+            1e3 * clutter.phase_jitter_rad,
+            100.0 * clutter.amplitude_jitter,
+            clutter.phase_drift_rad_per_10s,
+            clutter.bins
+        ),
+        None => "clutter jitters as the base has it: too little stands still".to_owned(),
+    })?;
     if let Some(gain) = &answer.gain {
         line(match (gain.gain_db, gain.error_db) {
             (Some(db), Some(error)) => {
@@ -142,12 +194,15 @@ fn figures(figures: &Figures, interval: &str) -> String {
         _ => "-".to_owned(),
     };
     let number = |name: &str, decimals: usize| get(name).map_or("-".to_owned(), |x| format!("{x:.decimals$}"));
-    let raised = |which: &str| {
-        let fraction = get(&format!("raised_fraction_{which}")).unwrap_or_default();
-        format!("{:.1}% {:.1}", 100.0 * fraction, get(&format!("raised_level_{which}_db")).unwrap_or_default())
+    let raised = |which: &str| match get(&format!("raised_fraction_{which}")).filter(|fraction| *fraction > 0.0) {
+        Some(fraction) => {
+            let level = get(&format!("raised_level_{which}_db")).unwrap_or_default();
+            format!("{:.1}% by {level:.1}", 100.0 * fraction)
+        }
+        None => "none".to_owned(),
     };
     format!(
-        "{:>14} {:>14} {:>21} {:>6} {:>6} {:>18} {:>12} {:>7} {:>6}",
+        "{:>14} {:>12} {:>23} {:>6} {:>6} {:>11} {:>12} {:>7} {:>6}",
         pair("mean_real_db", "mean_simulated_db"),
         pair("sigma_real_db", "sigma_simulated_db"),
         format!("{}/{}", raised("real"), raised("simulated")),
