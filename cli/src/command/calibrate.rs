@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use radome_dsp::Waveform;
 use radome_dsp::slow_time::SlowTime;
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, Fit, LEAST_FRAMES};
