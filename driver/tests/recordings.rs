@@ -77,6 +77,78 @@ fn npy(kind: &str, shape: &str, data: impl IntoIterator<Item = u8>) -> Vec<u8> {
     bytes
 }
 
+/// What the SDK's range-Doppler example asks for; the writer's antenna mask has landed in `tx_antennas`.
+const SCENE: &str = r#"{"device_config": {"fmcw_scene": {
+    "rx_antennas": [1, 2, 3], "tx_antennas": [1, 2, 3], "tx_power_level": 31, "if_gain_dB": 33,
+    "range_resolution_m": 0.15, "max_range_m": 4.8, "max_speed_m_s": 2.45, "speed_resolution_m_s": 0.2,
+    "sample_rate_Hz": 1000000, "center_frequency_Hz": 60750000000, "frame_repetition_time_s": 0.2}}}"#;
+
+/// Two frames configured by metrics.
+fn scene_recording(folder: &Path, config: &str, chirps: usize, samples: usize) {
+    std::fs::write(folder.join("config.json"), config).expect("writes");
+    std::fs::write(folder.join("format.version"), "1.0.0\n").expect("writes");
+    let codes = (0..2 * 3 * chirps * samples).flat_map(|i| (i as u16 % 4096).to_le_bytes());
+    let shape = format!("(2, 3, {chirps}, {samples})");
+    std::fs::write(folder.join("radar.npy"), npy("<u2", &shape, codes)).expect("writes");
+}
+
+/// Metrics instead of a waveform: what they make, with as many chirps as the data have.
+#[test]
+fn a_folder_configured_by_metrics_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // 24.5 chirps: rounded up, or to a power of two.
+    for chirps in [25, 32] {
+        scene_recording(folder.path(), SCENE, chirps, 64);
+        let mut reader = recording::Recording::open(folder.path()).expect("opens");
+        let w = reader.waveform().clone();
+        let request = &w.request;
+        assert_eq!((request.samples_per_chirp, request.chirps_per_frame, w.shape().rx), (64, chirps, 3));
+        let bandwidth = request.end_frequency_hz - request.start_frequency_hz;
+        assert!((299_792_458.0 / (2.0 * bandwidth) - 0.15).abs() < 1e-9, "{bandwidth}");
+        assert!((0.5 * (request.start_frequency_hz + request.end_frequency_hz) - 60.75e9).abs() < 1.0);
+        // A wave of 4.935 mm over four times 2.45 m/s.
+        assert!((request.chirp_interval_s - 503.55e-6).abs() < 0.01e-6, "{}", request.chirp_interval_s);
+        assert_eq!((request.frame_interval_s, request.sample_rate_hz, request.if_gain_db), (0.2, 1e6, 33.0));
+        assert_eq!(frames(&mut reader).len(), 2);
+    }
+    // What may be left to the SDK.
+    let left = SCENE.replace("\"sample_rate_Hz\": 1000000, \"center_frequency_Hz\": 60750000000, ", "");
+    scene_recording(folder.path(), &left, 32, 64);
+    let same = recording::Recording::open(folder.path()).expect("opens").waveform().clone();
+    assert_eq!((same.request.sample_rate_hz, same.request.start_frequency_hz.round()), (1e6, 60_250_345_903.0));
+    scene_recording(folder.path(), &SCENE.replace("60750000000", "0"), 32, 64);
+    assert_eq!(recording::Recording::open(folder.path()).expect("opens").waveform(), &same);
+}
+
+#[test]
+fn metrics_and_data_that_contradict_each_other_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let refused = |config: &str, chirps: usize, samples: usize| {
+        scene_recording(folder.path(), config, chirps, samples);
+        recording::Recording::open(folder.path()).expect_err("refused").to_string()
+    };
+    for (chirps, samples) in [(16, 64), (32, 128), (64, 64)] {
+        let said = refused(SCENE, chirps, samples);
+        assert!(said.contains(&format!("{chirps} chirps x {samples} samples")), "{said}");
+        assert!(said.contains("config.json says"), "{said}");
+    }
+    let said = refused(&SCENE.replace("\"max_speed_m_s\": 2.45, ", ""), 32, 64);
+    assert!(said.contains("max_speed_m_s") && said.contains("absent"), "{said}");
+    for wrong in ["0", "-1", "1e999"] {
+        let said = refused(
+            &SCENE.replace("\"range_resolution_m\": 0.15", &format!("\"range_resolution_m\": {wrong}")),
+            32,
+            64,
+        );
+        assert!(said.contains("range_resolution_m") || said.contains("not JSON"), "{said}");
+    }
+    // Finer than the chip's band is wide.
+    let said = refused(&SCENE.replace("0.15", "0.01"), 32, 1024);
+    assert!(said.contains("waveform is impossible"), "{said}");
+    let said = refused(&SCENE.replace("fmcw_scene", "doppler_ltr11"), 32, 64);
+    assert!(said.contains("fmcw_scene"), "{said}");
+}
+
 /// What hardware notes section 6 say of it: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each receiver.
 #[test]
 fn the_real_recording_opens_and_is_what_it_is_known_to_be() {

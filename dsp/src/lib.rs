@@ -30,6 +30,7 @@ mod frame;
 mod kernel;
 mod noise;
 pub mod rdm;
+pub mod slow_time;
 mod waveform;
 mod window;
 

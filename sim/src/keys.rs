@@ -78,6 +78,12 @@ impl Stretches {
         }
     }
 
+    /// The same paths by their delays ([`Stretch::by_delay`]).
+    pub fn by_delay(&self) -> Self {
+        let of = |paths: &Vec<Stretch>| paths.iter().map(Stretch::by_delay).collect();
+        Stretches { levels: self.levels.iter().map(|level| level.iter().map(of).collect()).collect() }
+    }
+
     /// How often paths are halved at most.
     pub fn most_halvings(&self) -> u32 {
         self.levels.len().saturating_sub(1) as u32

@@ -32,6 +32,10 @@ pub enum Purpose {
     Clothing,
     /// How a person walks.
     Gait,
+    /// Phase noise of a frame.
+    PhaseNoise,
+    /// When echoes step, and by how much.
+    ClutterStep,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

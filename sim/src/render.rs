@@ -22,8 +22,9 @@ use crate::field::image::ImageIndex;
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
-use crate::receiver::adc::{leakage_chirp_lsb, quantise};
+use crate::receiver::adc::{leakage_by_delay_lsb_s, leakage_chirp_lsb, quantise};
 use crate::receiver::noise::{NoiseScratch, NoiseShaper, channel_density_lsb2};
+use crate::receiver::phase_noise::PhaseRates;
 use crate::scene::Scene;
 use crate::scene::file::BodyFile;
 use crate::shadow;
@@ -62,6 +63,7 @@ pub(crate) struct Renderer {
     leakage: Vec<Vec<f32>>,
     /// Factor on the jitter of leakage.
     leakage_jitter: f64,
+    phase_rates: Option<PhaseRates>,
     integrator: Integrator,
     /// People as meshes, those last seen at the end; none where people are ellipsoids.
     skins: Mutex<Vec<(Arc<Motion>, Arc<SkinnedPerson>)>>,
@@ -86,6 +88,25 @@ struct Traced {
     /// Echoes of those who have a skin.
     skins: Option<ChirpGrids>,
     report: FrameReport,
+}
+
+impl Traced {
+    /// The same paths, each times `j` and its delay.
+    fn by_delay(&mut self) -> Self {
+        Traced {
+            snapshots: Vec::new(),
+            halvings: self.halvings,
+            paths: self.paths.iter().map(Stretches::by_delay).collect(),
+            skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
+            report: self.report,
+        }
+    }
+}
+
+/// What phase noise multiplies in a frame: everybody's paths by delay, and the phase's rates.
+struct NoisyPhase<'a> {
+    traced: Traced,
+    rates: &'a PhaseRates,
 }
 
 /// Skins of this many people are kept: those in the room, and who comes next.
@@ -123,6 +144,7 @@ impl Renderer {
             noise,
             leakage,
             leakage_jitter,
+            phase_rates: scene.receiver().phase_noise.map(|noise| PhaseRates::new(&noise, waveform.sample_rate_hz)),
             integrator: Integrator::default(),
             skins: Mutex::default(),
         }
@@ -246,6 +268,9 @@ impl Renderer {
         let times = FrameTimes::new(keys_s, chirps_s);
         let (demand, stage, integrator) = (self.demand(), &self.stage, &self.integrator);
         let mut grids = ChirpGrids::new(&self.synthesiser, shape.rx, shape.chirps);
+        if self.phase_rates.is_some() {
+            grids = grids.with_delays();
+        }
         let mut most = Missed::default();
         for (me, motion) in motions.iter().enumerate() {
             let Some(skin) = self.skin(motion) else { continue };
@@ -270,12 +295,13 @@ impl Renderer {
         frame.codes.resize(shape.codes(), 0);
         frame.truth = Some(self.truth(index));
 
-        let traced = self.traced(start_s, None);
+        let mut traced = self.traced(start_s, None);
+        let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });
         let mut report = traced.report;
         let clutter = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
         let mut scratch = Scratch::default();
         for rx in 0..shape.rx {
-            self.render_channel(rx, index, &traced, &clutter, frame, &mut scratch, &mut report);
+            self.render_channel(rx, index, &traced, phase.as_ref(), &clutter, frame, &mut scratch, &mut report);
         }
         report
     }
@@ -431,6 +457,7 @@ impl Renderer {
         let constants = &self.scene.receiver().clutter;
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
+        let steps = self.clutter_steps(index);
         let half = constants.phase_jitter_rad * 0.5f64.sqrt();
         let common = half * normal();
         let jitter: Vec<Complex64> = self
@@ -449,14 +476,36 @@ impl Renderer {
                 let columns: Vec<_> = people.iter().map(|p| p.column).collect();
                 let paths = self.stage.static_paths.iter().zip(&jitter);
                 paths
-                    .map(|(path, jitter)| {
+                    .enumerate()
+                    .map(|(i, (path, jitter))| {
                         let shade = shadow::along(&path.polyline, &columns, self.stage.wavelength_m);
-                        let turn = drift(t, &path.drift) * constants.phase_drift_rad_per_10s;
+                        let step = steps.get(i).copied().unwrap_or_default();
+                        let turn = drift(t, &path.drift) * constants.phase_drift_rad_per_10s + step;
                         jitter * Complex64::from_polar(shade, turn)
                     })
                     .collect()
             })
             .collect()
+    }
+
+    /// Phase of every static path by the steps before a frame, rad; nothing where there are none. Time is cut into intervals
+    /// with one step each, anywhere in it; between two steps paths rest at levels whose differences are the steps.
+    fn clutter_steps(&self, index: u64) -> Vec<f64> {
+        let constants = &self.scene.receiver().clutter;
+        if constants.phase_step_rad == 0.0 {
+            return Vec::new();
+        }
+        let at = self.start_s(index) / constants.phase_step_interval_s;
+        let interval = at as u64;
+        let step = generator(self.options.seed, Purpose::ClutterStep, [interval, 0]).random::<f64>();
+        let level = interval + u64::from(at - interval as f64 >= step);
+        let mut rng = generator(self.options.seed, Purpose::ClutterStep, [level, 1]);
+        let sigma_rad = constants.phase_step_rad * 0.5f64.sqrt();
+        let phase = |_| {
+            let normal: f64 = StandardNormal.sample(&mut rng);
+            sigma_rad * normal
+        };
+        self.stage.static_paths.iter().map(phase).collect()
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -465,13 +514,17 @@ impl Renderer {
         rx: usize,
         index: u64,
         traced: &Traced,
+        phase: Option<&NoisyPhase>,
         clutter: &[Vec<Complex64>],
         frame: &mut Frame,
         scratch: &mut Scratch,
         report: &mut FrameReport,
     ) {
         let shape = self.waveform().shape();
-        let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights)).collect();
+        let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights, false)).collect();
+        let by_delay = phase.map(|phase| self.by_delay(rx, phase, clutter, scratch));
+        // The same phase in all receivers.
+        let mut phase_rng = generator(self.options.seed, Purpose::PhaseNoise, [index, 0]);
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
@@ -479,6 +532,10 @@ impl Renderer {
             scratch.chirp.clear();
             scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
+            if let (Some(phase), Some(by_delay)) = (phase, &by_delay) {
+                let beside = by_delay.chunks(shape.samples).nth(chirp).unwrap_or_default();
+                phase.rates.add(&mut phase_rng, beside, &mut scratch.chirp);
+            }
             if let Some((shaper, scale)) = self.noise.get(rx) {
                 shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
             }
@@ -490,6 +547,21 @@ impl Renderer {
                 }
             }
         });
+    }
+
+    /// What stands beside the phase's rate in every sample, LSB s: `[chirp][sample]`.
+    fn by_delay(&self, rx: usize, phase: &NoisyPhase, clutter: &[Vec<Complex64>], scratch: &mut Scratch) -> Vec<f32> {
+        let grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights, true)).collect();
+        let channel = self.stage.channels.get(rx);
+        let leakage = channel.map(|c| leakage_by_delay_lsb_s(c, self.waveform())).unwrap_or_default();
+        let mut all = Vec::with_capacity(self.waveform().shape().codes());
+        self.each_chirp(rx, &phase.traced, &grids, |_, grid| {
+            scratch.chirp.clear();
+            scratch.chirp.extend(&leakage);
+            self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
+            all.extend_from_slice(&scratch.chirp);
+        });
+        all
     }
 
     /// The frequency grid of every chirp in turn: static grids at the ends of stretches, blended, paths, and skins.
@@ -536,11 +608,17 @@ impl Renderer {
         }
     }
 
-    fn static_grid(&self, rx: usize, weights: &[Complex64]) -> Grid {
+    /// What stands still; with every tone times `j` and its delay if so asked.
+    fn static_grid(&self, rx: usize, weights: &[Complex64], is_by_delay: bool) -> Grid {
         let mut grid = self.synthesiser.grid();
+        // Of a tone of one cycle a sample: what stands still has no Doppler.
+        let delay_s = self.stage.chirp.sample_rate_hz / self.stage.chirp.slope_hz_per_s;
         for (path, weight) in self.stage.static_paths.iter().zip(weights) {
             if let Some(&(phase_cycles, cycles_per_sample, amplitude)) = path.tones.get(rx) {
-                let a = amplitude * weight;
+                let mut a = amplitude * weight;
+                if is_by_delay {
+                    a *= Complex64::new(0.0, cycles_per_sample * delay_s);
+                }
                 let amplitude = Complex::new(a.re as f32, a.im as f32);
                 self.synthesiser.add(&Tone { phase_cycles, cycles_per_sample, amplitude }, &mut grid);
             }

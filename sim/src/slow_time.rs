@@ -111,6 +111,15 @@ impl Stretch {
         a + (b + (c + (d + (e + f * u) * u) * u) * u) * u
     }
 
+    /// The same path with its amplitude times `j` and its delay, LSB s: what phase noise multiplies. The delay is taken as a
+    /// straight line between the ends, and the highest power of the product left out.
+    pub fn by_delay(&self) -> Self {
+        let (begin, end) = (self.delay(0.0).0, self.delay(1.0).0);
+        let [first, step] = [begin, end - begin].map(|delay_s| Complex::new(0.0, delay_s as f32));
+        let below = |power: usize| power.checked_sub(1).map(|p| self.amplitude[p] * step).unwrap_or_default();
+        Stretch { amplitude: std::array::from_fn(|p| self.amplitude[p] * first + below(p)), ..*self }
+    }
+
     /// How far it is at a place from a key that was traced there, as a field at `frequency_hz`, LSB.
     pub fn error_lsb(&self, u: f64, key: &Key, frequency_hz: f64) -> f64 {
         let ((delay_s, _), amplitude) = (self.delay(u), self.amplitude(u));

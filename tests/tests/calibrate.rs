@@ -1,5 +1,7 @@
 //! Receivers fitted to recordings, and models judged on them.
 
+use std::path::Path;
+
 use radome_tests::{failure, fixture, json_lines, radome, shared};
 use serde_json::Value;
 
@@ -24,6 +26,24 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
         let sigma = number(&channel["sigma_simulated_db"]) - number(&channel["sigma_real_db"]);
         assert!(sigma.abs() < 0.2, "{channel}");
     }
+    // The gap has intervals, which hold the figures, and halves of the recording are nearer to each other than a simulation.
+    assert_eq!(answer["resampled"], "contiguous blocks of the one recording");
+    for (channel, between) in after.iter().zip(answer["between_real"].as_array().expect("channels")) {
+        for name in ["mean_difference_db", "kolmogorov_smirnov", "wasserstein_db", "doppler_m_per_s", "range_m"] {
+            let [low, high] = [0, 1].map(|end| number(&channel["interval"][name][end]));
+            assert!(low < high, "{name}: {channel}");
+        }
+        assert!(number(&between["wasserstein_db"]) < 0.2, "{between}");
+    }
+    let distance = |which: &str| -> f64 {
+        let channels = answer[which].as_array().expect("channels");
+        channels.iter().map(|channel| number(&channel["wasserstein_db"])).sum()
+    };
+    assert!(distance("after") < distance("before"), "{answer}");
+    // The file says how it was made, and not where.
+    let text = std::fs::read_to_string(&file).expect("readable");
+    assert!(text.contains("radome calibrate breathing-person-20260106 --part 0.5 -o receiver.toml"), "{text}");
+    assert!(!text.contains("/breathing-person"), "{text}");
     // A scene takes the file that was written.
     let scene = std::fs::read_to_string(fixture("scenes/desk.toml")).expect("readable");
     let scene = scene.replace("../receivers/desk.toml", "receiver.toml");
@@ -31,6 +51,94 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     std::fs::write(&path, scene).expect("written");
     let made = json_lines(radome().arg("simulate").arg(&path).args(["--frames", "4", "--json"]));
     assert_eq!(made[0]["frames"], 4);
+}
+
+/// Somebody of average build at the recording's distance, through the receiver that was fitted to it: a line of slow time as
+/// strong, and as far away. Persons differ, so that many are drawn; none is chosen by the recording.
+#[test]
+fn a_simulated_copy_of_the_recording_breathes_as_strongly_and_as_far_away() {
+    let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
+    let scene = fixture("scenes/desk-person.toml");
+    let lines = json_lines(
+        radome().arg("calibrate").arg(recording).arg("--scene").arg(scene).args(["--people", "1", "--json"]),
+    );
+    let (answer, line) = (&lines[0], &lines[0]["line"]);
+    let real = &line["real"];
+    // reference/hardware.md section 6: bins 12 and 13, corrected 0.36 to 0.39 m, 0.20 to 0.25 Hz.
+    assert!((0.34..0.40).contains(&number(&real["range_m"])), "{real}");
+    assert!((0.15..0.30).contains(&number(&real["breath_hz"])), "{real}");
+    let after = &line["after"];
+    assert_eq!(after["copies"], 16);
+    assert!(number(&after["level_difference_db"]).abs() < 3.0, "{line}");
+    assert!(number(&after["range_difference_m"]).abs() < 0.05, "{line}");
+    assert!((0.15..0.40).contains(&number(&after["breath_hz"])), "{line}");
+    // Nothing in this recording says how strong echoes are: what is beyond half a metre moves.
+    assert!(answer["gain"]["gain_db"].is_null() && number(&answer["gain"]["bins"]) < 9.0, "{answer}");
+}
+
+/// A recording of the corridor by a receiver that is 5 dB louder than the one that is assumed; two of it, of other drift.
+fn corridor(folder: &Path, seed: u64, frames: u32) -> std::path::PathBuf {
+    let paper = std::fs::read_to_string(fixture("receivers/paper.toml")).expect("readable");
+    let loud = paper.replace("gain_correction_db = 0.0 ", "gain_correction_db = 5.0 ");
+    assert_ne!(loud, paper);
+    std::fs::write(folder.join("loud.toml"), loud).expect("written");
+    let scene = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
+    std::fs::write(folder.join("scene.toml"), scene.replace("../receivers/paper.toml", "loud.toml")).expect("written");
+    let recording = folder.join(format!("corridor-{seed}.mcap"));
+    let (seed, frames) = (seed.to_string(), frames.to_string());
+    json_lines(
+        radome()
+            .arg("simulate")
+            .arg(folder.join("scene.toml"))
+            .args(["--people", "0", "--seed", &seed, "--frames", &frames, "--json", "-o"])
+            .arg(&recording),
+    );
+    recording
+}
+
+/// What stands still says how strong echoes are, and how far from constant.
+#[test]
+fn levels_and_jitter_of_what_stands_still_are_found_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = corridor(folder.path(), 3, 130);
+    let lines = json_lines(
+        radome()
+            .arg("calibrate")
+            .arg(recording)
+            .arg("--scene")
+            .arg(fixture("scenes/corridor.toml"))
+            .arg("--base")
+            .arg(fixture("receivers/typical.toml"))
+            .args(["--people", "0", "--copies", "1", "--json"]),
+    );
+    let (gain, clutter) = (&lines[0]["gain"], &lines[0]["clutter"]);
+    assert!(number(&gain["bins"]) >= 20.0, "{gain}");
+    assert!((number(&gain["gain_db"]) - 5.0).abs() < 3.0 * number(&gain["error_db"]), "{gain}");
+    // 30 mrad, 0.3 rad in ten seconds, 1 %.
+    assert!((0.02..0.045).contains(&number(&clutter["phase_jitter_rad"])), "{clutter}");
+    assert!((0.1..0.6).contains(&number(&clutter["phase_drift_rad_per_10s"])), "{clutter}");
+    assert!((0.006..0.02).contains(&number(&clutter["amplitude_jitter"])), "{clutter}");
+}
+
+#[test]
+fn several_recordings_are_fitted_together_and_drawn_anew() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recordings = [1, 2, 3].map(|seed| corridor(folder.path(), seed, 40));
+    let file = folder.path().join("receiver.toml");
+    let lines =
+        json_lines(radome().arg("calibrate").args(&recordings).args(["--copies", "1", "--json", "-o"]).arg(&file));
+    let answer = &lines[0];
+    assert_eq!((&answer["frames_fitted"], &answer["frames_judged"]), (&Value::from(60), &Value::from(60)));
+    assert_eq!(answer["resampled"], "recordings");
+    for channel in answer["after"].as_array().expect("channels") {
+        assert!(number(&channel["noise_worst_db"]) < 1.0, "{channel}");
+    }
+    let text = std::fs::read_to_string(&file).expect("readable");
+    assert!(text.contains("corridor-1: 20 of 40 frames; corridor-2: 20 of 40 frames"), "{text}");
+    // Those of one waveform only.
+    let Some(other) = shared("data/recordings/breathing-person-20260106") else { return };
+    let said = failure(radome().arg("calibrate").args(&recordings).arg(other));
+    assert!(said.contains("another waveform") && said.contains("hint:"), "{said}");
 }
 
 #[test]

@@ -50,8 +50,6 @@ impl InfineonReader {
         let folder = radar_folder(path)?;
         check_version(&folder.join("format.version"))?;
         let config = folder.join("config.json");
-        let waveform = read_waveform(&config)?;
-
         let data = folder.join("radar.npy");
         let mut file = BufReader::new(File::open(&data).map_err(RecordingError::io(&data, "cannot be opened"))?);
         let length = file.get_ref().metadata().map_err(RecordingError::io(&data, "cannot be read"))?.len();
@@ -64,6 +62,10 @@ impl InfineonReader {
             let reason = format!("the array has shape {:?}, expected (frames, rx, chirps, samples)", header.shape);
             return Err(RecordingError::Corrupt { path: data, offset: 10, reason });
         };
+        // More than any waveform has is not this recording's, whatever the configuration says.
+        let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
+        let of_data = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
+        let waveform = read_waveform(&config, Some(of_data))?;
         let shape = waveform.shape();
         if (rx, chirps, samples) != (shape.rx as u64, shape.chirps as u64, shape.samples as u64) {
             let got = format!("{rx} rx x {chirps} chirps x {samples} samples");

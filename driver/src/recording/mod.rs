@@ -9,6 +9,7 @@ mod partial;
 pub mod span_check;
 pub mod text;
 mod vendor_config;
+mod vendor_scene;
 mod writer;
 
 use std::path::{Path, PathBuf};

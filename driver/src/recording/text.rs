@@ -50,7 +50,7 @@ impl TextReader {
     /// Opens a text recording; its configuration lies beside it.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let config = config_path(path).ok_or_else(|| RecordingError::Missing { path: config_name(path) })?;
-        let waveform = read_waveform(&config)?;
+        let waveform = read_waveform(&config, None)?;
         let mut file = BufReader::new(File::open(path).map_err(RecordingError::io(path, "cannot be opened"))?);
         let length = file.get_ref().metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
         let mut line = Vec::new();

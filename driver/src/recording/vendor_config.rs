@@ -1,26 +1,28 @@
 //! `config.json` as the vendor's tools write it, beside folders and text files alike.
+//!
+//! Most state a waveform (`fmcw_single_shape`); some state what it is to achieve (`fmcw_scene`: [`super::vendor_scene`]).
 
 use std::io::Write;
 use std::path::Path;
 
-use radome_dsp::{RxMask, Waveform, WaveformRequest};
+use radome_dsp::{FrameShape, RxMask, Waveform, WaveformRequest};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{RecordingError, read_text};
+use super::{RecordingError, read_text, vendor_scene};
 
 /// Fields of a configuration under their new and old names.
-struct Fields<'a> {
-    path: &'a Path,
-    object: &'a Value,
+pub(super) struct Fields<'a> {
+    pub(super) path: &'a Path,
+    pub(super) object: &'a Value,
 }
 
 impl Fields<'_> {
-    fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
+    pub(super) fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
         RecordingError::Field { path: self.path.to_owned(), field: field.to_owned(), reason: reason.into() }
     }
 
-    fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
+    pub(super) fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
         match self.object.get(field) {
             None | Some(Value::Null) => Ok(None),
             // Some recorders write numbers as text.
@@ -35,7 +37,7 @@ impl Fields<'_> {
         }
     }
 
-    fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
+    pub(super) fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
         let value = match (self.optional(field)?, old) {
             (None, Some(old)) => self.optional(old)?,
             (value, _) => value,
@@ -54,7 +56,7 @@ impl Fields<'_> {
         Ok(number as usize)
     }
 
-    fn antennas(&self) -> Result<RxMask, RecordingError> {
+    pub(super) fn antennas(&self) -> Result<RxMask, RecordingError> {
         let field = "rx_antennas";
         let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
         let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
@@ -64,7 +66,8 @@ impl Fields<'_> {
     }
 }
 
-pub(super) fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
+/// Reads a configuration; `data` is the shape of the frames beside it, where that is known.
+pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Waveform, RecordingError> {
     let text = read_text(path)?;
     let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
         path: path.into(),
@@ -72,13 +75,19 @@ pub(super) fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
             + e.column() as u64,
         reason: format!("not JSON: {e}"),
     })?;
-    let object = root.pointer("/device_config/fmcw_single_shape").ok_or_else(|| RecordingError::Field {
-        path: path.into(),
-        field: "device_config.fmcw_single_shape".into(),
-        reason: "is absent; recordings configured otherwise cannot be read".into(),
-    })?;
+    let realise = |request: WaveformRequest| {
+        Waveform::realise(request).map_err(|source| RecordingError::Waveform { path: path.into(), source })
+    };
+    let Some(object) = root.pointer("/device_config/fmcw_single_shape") else {
+        let object = root.pointer("/device_config/fmcw_scene").ok_or_else(|| RecordingError::Field {
+            path: path.into(),
+            field: "device_config.fmcw_single_shape".into(),
+            reason: "is absent, and so is fmcw_scene; recordings configured otherwise cannot be read".into(),
+        })?;
+        return realise(vendor_scene::request(&Fields { path, object }, data)?);
+    };
     let fields = Fields { path, object };
-    let request = WaveformRequest {
+    realise(WaveformRequest {
         start_frequency_hz: fields.number("start_frequency_Hz", Some("lower_frequency_Hz"))?,
         end_frequency_hz: fields.number("end_frequency_Hz", Some("upper_frequency_Hz"))?,
         samples_per_chirp: fields.count("num_samples_per_chirp")?,
@@ -91,8 +100,7 @@ pub(super) fn read_waveform(path: &Path) -> Result<Waveform, RecordingError> {
         if_gain_db: fields.number("if_gain_dB", None)?,
         high_pass_cutoff_hz: fields.optional("hp_cutoff_Hz")?.unwrap_or(80e3),
         anti_alias_cutoff_hz: fields.optional("aaf_cutoff_Hz")?.unwrap_or(500e3),
-    };
-    Waveform::realise(request).map_err(|source| RecordingError::Waveform { path: path.into(), source })
+    })
 }
 
 /// A number as the vendor writes it: without a fraction where it has none.

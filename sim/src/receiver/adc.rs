@@ -19,6 +19,20 @@ pub fn leakage_chirp_lsb(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
         .collect()
 }
 
+/// The leakage's part of what phase noise multiplies ([`super::phase_noise`]) over one chirp, LSB s.
+pub fn leakage_by_delay_lsb_s(channel: &RxChannel, waveform: &Waveform) -> Vec<f32> {
+    (0..waveform.request.samples_per_chirp)
+        .map(|n| {
+            let t = n as f64 / waveform.sample_rate_hz;
+            let tones = channel.leakage.iter().map(|l| {
+                let turns = waveform.slope_hz_per_s * l.delay_s * t;
+                -l.delay_s * l.amplitude_lsb * (std::f64::consts::TAU * turns + l.phase_rad).sin()
+            });
+            tones.sum::<f64>() as f32
+        })
+        .collect()
+}
+
 /// Rounds to the nearest code and clips at both ends; NaN reads 0.
 pub fn quantise(lsb: f32) -> u16 {
     // `as` cuts the fraction off, saturates and takes NaN to 0.

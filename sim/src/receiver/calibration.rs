@@ -9,8 +9,12 @@
 //!   still lie at higher beats and are left alone.
 //! - *Jitter and drift* of offset and leakage, between frames and over the recording, noise subtracted.
 //!
-//! Echo levels are not fitted: without a target of known size in the recording they cannot be told from what it reflects.
+//! Echo levels are not fitted here: without a target of known size in the recording they cannot be told from what it reflects.
+//! Of a scene that is a copy of what the recording shows, [`gain`] fits them to what stands still.
+//!
+//! A recording may be longer than memory: of each frame a few numbers are kept, of its chirps and noise some evenly spread.
 
+pub mod gain;
 mod leakage;
 
 use std::sync::Arc;
@@ -27,6 +31,8 @@ use leakage::{Shape, fit_shape};
 pub const LEAST_FRAMES: usize = 16;
 /// Of a recording's noise so many periodograms a channel are kept, evenly spread.
 const MOST_PERIODOGRAMS: usize = 20_000;
+/// And of its frames' mean chirps so many.
+const MOST_CHIRPS: usize = 4096;
 /// From the median of a normal distribution's deviations to its standard deviation.
 const MAD: f64 = 1.4826;
 
@@ -65,8 +71,32 @@ pub enum CalibrationError {
 struct Channel {
     /// `[kept][bin]`, LSB^2 a sample.
     periodograms: Vec<Vec<f32>>,
-    /// Mean chirp of each frame, LSB.
+    /// Mean chirps of frames, LSB.
     chirps: Vec<Vec<f32>>,
+    /// Offset and leakage of every frame of each recording.
+    levels: Vec<Vec<Level>>,
+}
+
+/// What is kept of every frame's mean chirp.
+#[derive(Debug, Clone, Copy)]
+struct Level {
+    /// Its mean, LSB.
+    offset_lsb: f64,
+    /// One cycle a chirp: where the leakage is, and few echoes.
+    leakage: Complex64,
+}
+
+impl Level {
+    fn of(chirp_lsb: impl ExactSizeIterator<Item = f64>) -> Self {
+        let n = chirp_lsb.len() as f64;
+        let (mut sum, mut leakage) = (0.0, Complex64::default());
+        for (i, x) in chirp_lsb.enumerate() {
+            let turn = std::f64::consts::TAU * i as f64 / n;
+            sum += x;
+            leakage += Complex64::from_polar((0.5 - 0.5 * turn.cos()) * x, -turn);
+        }
+        Level { offset_lsb: sum / n, leakage }
+    }
 }
 
 /// Takes frames in, fits a receiver to them.
@@ -76,6 +106,7 @@ pub struct Calibration {
     fft: Arc<dyn RealToComplex<f64>>,
     seen: usize,
     stride: usize,
+    chirp_stride: usize,
 }
 
 /// A fitted channel, and how well it was met.
@@ -101,20 +132,27 @@ pub struct Fit {
 }
 
 impl Calibration {
-    /// Nothing yet, for recordings of a waveform of about so many frames.
+    /// Nothing yet, for recordings of a waveform of about so many frames in all.
     pub fn new(waveform: &Waveform, frames: usize) -> Result<Self, CalibrationError> {
         let shape = waveform.shape();
         if shape.chirps < 3 || shape.samples < 16 {
             return Err(CalibrationError::Shape { chirps: shape.chirps, samples: shape.samples });
         }
-        let channels = (0..shape.rx).map(|_| Channel { periodograms: Vec::new(), chirps: Vec::new() }).collect();
+        let channel = |_| Channel { periodograms: Vec::new(), chirps: Vec::new(), levels: vec![Vec::new()] };
+        let channels = (0..shape.rx).map(channel).collect();
         Ok(Calibration {
             waveform: waveform.clone(),
             channels,
             fft: RealFftPlanner::new().plan_fft_forward(shape.samples),
             seen: 0,
-            stride: (frames * (shape.chirps - 2)).div_ceil(MOST_PERIODOGRAMS).max(1),
+            stride: frames.saturating_mul(shape.chirps - 2).div_ceil(MOST_PERIODOGRAMS).max(1),
+            chirp_stride: frames.div_ceil(MOST_CHIRPS).max(1),
         })
+    }
+
+    /// What comes next is another recording: nothing is said of changes from the last frame to its first.
+    pub fn begin_recording(&mut self) {
+        self.channels.iter_mut().for_each(|channel| channel.levels.push(Vec::new()));
     }
 
     /// Takes in a frame.
@@ -132,7 +170,12 @@ impl Calibration {
                 let sum: u64 = chirps.iter().map(|chirp| u64::from(chirp[sample])).sum();
                 *mean = (sum as f64 / chirps.len() as f64) as f32;
             }
-            channel.chirps.push(mean);
+            if let Some(levels) = channel.levels.last_mut() {
+                levels.push(Level::of(mean.iter().map(|&x| f64::from(x))));
+            }
+            if self.seen.is_multiple_of(self.chirp_stride) {
+                channel.chirps.push(mean);
+            }
             for (triple, three) in chirps.windows(3).enumerate() {
                 if !(self.seen * (shape.chirps - 2) + triple).is_multiple_of(self.stride) {
                     continue;
@@ -201,45 +244,37 @@ impl Calibration {
         (ChannelFit { density_lsb2, residual_lsb: shape.residual_lsb, chirp_lsb }, shape)
     }
 
-    /// Jitter and drift of offsets and of the leakage: the median of the channels'.
+    /// Jitter and drift of offsets and of the leakage: the median of the channels' and recordings'.
     fn fit_changes(&self, shapes: &[&Shape], receiver: &mut Receiver) {
         let interval_s = self.waveform.frame_interval_s();
         let (n, chirps) = (self.waveform.request.samples_per_chirp, self.waveform.request.chirps_per_frame as f64);
         let second = ((1.0 / interval_s).round() as usize).max(1);
         let (mut dc_jitter, mut dc_rate, mut jitter, mut drift) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         for (channel, shape) in self.channels.iter().zip(shapes) {
-            let offsets: Vec<f64> = channel
-                .chirps
-                .iter()
-                .map(|chirp| chirp.iter().map(|&x| f64::from(x)).sum::<f64>() / n as f64)
-                .collect();
             let density = |bin: usize| median(channel.periodograms.iter().map(|p| f64::from(p[bin])).collect());
             let noise_lsb2 = density(0) / 0.454_936 / (n as f64 * chirps);
-            dc_jitter.push((step_variance(&offsets) - noise_lsb2).max(0.0).sqrt());
-            let half = offsets.len() / 2;
-            let slopes =
-                offsets.iter().zip(offsets.iter().skip(half)).map(|(a, b)| (b - a) / (half as f64 * interval_s));
-            dc_rate.push(median(slopes.collect()).abs());
-            // One cycle a chirp: where the leakage is, and few echoes.
-            let level = |chirp: &mut dyn Iterator<Item = f64>| -> Complex64 {
-                let turn = |i: usize| Complex64::from_polar(1.0, -std::f64::consts::TAU * i as f64 / n as f64);
-                let hann = |i: usize| 0.5 - 0.5 * (std::f64::consts::TAU * i as f64 / n as f64).cos();
-                chirp.enumerate().map(|(i, x)| turn(i) * (hann(i) * x)).sum()
-            };
-            let whole = level(&mut shape.leakage_lsb(n, &self.waveform).into_iter());
-            let along: Vec<f64> = (channel.chirps.iter())
-                .map(|chirp| (level(&mut chirp.iter().map(|&x| f64::from(x))) * whole.conj()).re / whole.norm_sqr())
-                .collect();
+            let whole = Level::of(shape.leakage_lsb(n, &self.waveform).into_iter()).leakage;
             // Hann's window leaves three eighths of the power, of which half is along.
             let noise = density(1) / std::f64::consts::LN_2 * 0.1875 * n as f64 / chirps / whole.norm_sqr();
-            jitter.push((step_variance(&along) - noise).max(0.0).sqrt());
-            // Seconds instead of frames, so that jitter is no drift.
-            let seconds: Vec<f64> = along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
-            let lag = 10.min(seconds.len().saturating_sub(1));
-            let later = seconds.iter().zip(seconds.iter().skip(lag)).map(|(a, b)| (b - a).abs());
-            let own = 2.0 * step_variance(&along) / second as f64;
-            let change = (median(later.collect()) * MAD).powi(2) - own;
-            drift.push((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt());
+            for levels in channel.levels.iter().filter(|levels| levels.len() > 1) {
+                let offsets: Vec<f64> = levels.iter().map(|level| level.offset_lsb).collect();
+                dc_jitter.push((step_variance(&offsets) - noise_lsb2).max(0.0).sqrt());
+                let half = offsets.len() / 2;
+                let slopes =
+                    offsets.iter().zip(offsets.iter().skip(half)).map(|(a, b)| (b - a) / (half as f64 * interval_s));
+                dc_rate.push(median(slopes.collect()).abs());
+                let along: Vec<f64> =
+                    levels.iter().map(|level| (level.leakage * whole.conj()).re / whole.norm_sqr()).collect();
+                jitter.push((step_variance(&along) - noise).max(0.0).sqrt());
+                // Seconds instead of frames, so that jitter is no drift.
+                let seconds: Vec<f64> =
+                    along.chunks(second).map(|of| of.iter().sum::<f64>() / of.len() as f64).collect();
+                let lag = 10.min(seconds.len().saturating_sub(1));
+                let later = seconds.iter().zip(seconds.iter().skip(lag)).map(|(a, b)| (b - a).abs());
+                let own = 2.0 * step_variance(&along) / second as f64;
+                let change = (median(later.collect()) * MAD).powi(2) - own;
+                drift.push((change.max(0.0) * 10.0 / lag.max(1) as f64).sqrt());
+            }
         }
         receiver.drift.dc_jitter_lsb = median(dc_jitter);
         receiver.drift.dc_lsb_per_s = median(dc_rate);
@@ -367,8 +402,39 @@ mod tests {
         assert_eq!(found.receiver.first_fault(), None);
     }
 
+    /// Two recordings whose offsets differ by far: that is no jitter, and no drift.
+    #[test]
+    fn what_differs_between_recordings_is_no_change_within_one() {
+        let mut second = Receiver::typical();
+        second.rx.iter_mut().for_each(|rx| rx.dc_code += 200.0);
+        let recordings = [frames(&Receiver::typical(), 60), frames(&second, 60)];
+        let mut calibration = Calibration::new(&waveform(), 120).expect("a calibration");
+        for recording in &recordings {
+            calibration.begin_recording();
+            recording.iter().try_for_each(|frame| calibration.push(frame)).expect("frames");
+        }
+        let found = calibration.fit(&Receiver::typical(), "fitted", "a test").expect("a fit").receiver.drift;
+        assert!(found.dc_lsb_per_s < 1.0 && found.dc_jitter_lsb < 1.0, "{found:?}");
+    }
+
     mod hard_cases {
         use super::*;
+
+        /// Most of a long recording's chirps are not kept; what is found is the same but for chance.
+        #[test]
+        fn a_part_of_a_long_recordings_chirps_is_enough() {
+            let all = frames(&Receiver::typical(), 96);
+            let fits = [all.len(), 40 * MOST_CHIRPS].map(|told| {
+                let mut calibration = Calibration::new(&waveform(), told).expect("a calibration");
+                all.iter().try_for_each(|frame| calibration.push(frame)).expect("frames");
+                calibration.fit(&Receiver::typical(), "fitted", "a test").expect("a fit")
+            });
+            for (whole, part) in fits[0].channels.iter().zip(&fits[1].channels) {
+                let apart = whole.chirp_lsb.iter().zip(&part.chirp_lsb).map(|(a, b)| (a - b).abs());
+                assert!(apart.fold(0.0, f64::max) < 3.0);
+            }
+            assert_eq!(fits[0].frames, fits[1].frames);
+        }
 
         #[test]
         fn what_cannot_be_fitted_is_refused() {

@@ -49,6 +49,9 @@ pub struct Receiver {
     /// Noise at the ADC.
     #[serde(default)]
     pub noise: Noise,
+    /// Phase noise of the transmitter. None if absent: most of it cancels, being in the echo as in what it is mixed with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub phase_noise: Option<PhaseNoise>,
     /// How far static echoes are from constant.
     #[serde(default)]
     pub clutter: ClutterDrift,
@@ -104,6 +107,22 @@ pub struct Noise {
     pub psd_lsb2: Option<Vec<f64>>,
 }
 
+/// Phase noise of the transmitter, which falls with the square of the offset from the carrier, as a free oscillator's does.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhaseNoise {
+    /// Power in a hertz on one side of the carrier, relative to it, dBc/Hz. The chip's is -80, at most -75, at 100 kHz
+    /// (datasheet V2.4.9 table 54).
+    pub level_dbc_per_hz: f64,
+    /// Offset from the carrier at which that holds, Hz. Default 100 kHz.
+    #[serde(default = "hundred_khz")]
+    pub offset_hz: f64,
+}
+
+fn hundred_khz() -> f64 {
+    1e5
+}
+
 /// Deviations of one receive channel and what it sees with nothing in front of it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -148,7 +167,7 @@ pub struct Transient {
 }
 
 /// How far static echoes are from constant (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
-/// ten seconds, amplitude 0.6..4 %).
+/// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClutterDrift {
@@ -159,6 +178,11 @@ pub struct ClutterDrift {
     pub phase_drift_rad_per_10s: f64,
     /// Standard deviation of an echo's amplitude from frame to frame, relative. Default 0.01.
     pub amplitude_jitter: f64,
+    /// Typical step of an echo's phase when something has been touched, rad: all echoes step at once, each by its own amount.
+    /// Default 0, for none.
+    pub phase_step_rad: f64,
+    /// Mean time between such steps, s. Default 60.
+    pub phase_step_interval_s: f64,
     /// Standard deviation of the leakage's amplitude from frame to frame, relative. Default 0.0005.
     pub leakage_jitter: f64,
     /// Typical change of the leakage's amplitude over ten seconds, relative. Default 0.003.
@@ -251,6 +275,8 @@ impl Default for ClutterDrift {
             phase_jitter_rad: 0.03,
             phase_drift_rad_per_10s: 0.3,
             amplitude_jitter: 0.01,
+            phase_step_rad: 0.0,
+            phase_step_interval_s: 60.0,
             leakage_jitter: 0.0005,
             leakage_drift_per_10s: 0.003,
         }
@@ -280,6 +306,7 @@ impl Receiver {
             anti_alias_cutoff_scale: 1.0,
             antenna: Antenna::default(),
             noise: Noise::default(),
+            phase_noise: None,
             clutter: ClutterDrift::default(),
             drift: OffsetDrift::default(),
             rx: typical_channels(),
@@ -315,6 +342,8 @@ impl Receiver {
             ("phase_jitter_rad", clutter.phase_jitter_rad, 0.0, 10.0),
             ("phase_drift_rad_per_10s", clutter.phase_drift_rad_per_10s, 0.0, 100.0),
             ("amplitude_jitter", clutter.amplitude_jitter, 0.0, 1.0),
+            ("phase_step_rad", clutter.phase_step_rad, 0.0, 10.0),
+            ("phase_step_interval_s", clutter.phase_step_interval_s, 0.1, 1e6),
             ("leakage_jitter", clutter.leakage_jitter, 0.0, 1.0),
             ("leakage_drift_per_10s", clutter.leakage_drift_per_10s, 0.0, 1.0),
             ("dc_lsb_per_s", drift.dc_lsb_per_s, -1e3, 1e3),
@@ -324,6 +353,14 @@ impl Receiver {
         for (key, value, min, max) in ranged {
             if !(value >= min && value <= max) {
                 return fault(key, value.to_string(), "a finite number within physical bounds (see the schema)");
+            }
+        }
+        if let Some(PhaseNoise { level_dbc_per_hz, offset_hz }) = self.phase_noise {
+            if !(level_dbc_per_hz >= -300.0 && level_dbc_per_hz <= -20.0) {
+                return fault("level_dbc_per_hz", level_dbc_per_hz.to_string(), "-300 to -20 dBc/Hz");
+            }
+            if !(offset_hz >= 1.0 && offset_hz <= 1e9) {
+                return fault("offset_hz", offset_hz.to_string(), "1 to 1e9 Hz");
             }
         }
         if self.rx.is_empty() || self.rx.len() > 3 {

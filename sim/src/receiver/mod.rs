@@ -5,5 +5,8 @@ pub mod budget;
 pub mod calibration;
 mod file;
 pub mod noise;
+pub mod phase_noise;
 
-pub use file::{Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, RECEIVER_FORMAT, Receiver, RxChannel, Transient};
+pub use file::{
+    Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, PhaseNoise, RECEIVER_FORMAT, Receiver, RxChannel, Transient,
+};

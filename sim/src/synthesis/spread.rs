@@ -183,6 +183,8 @@ pub struct ChirpGrids {
     blocks: Vec<Vec<Grids>>,
     kernel: EchoKernel,
     level: KernelLevel,
+    /// The same echoes times `j` and their delays, where that is asked for.
+    by_delay: Option<Box<ChirpGrids>>,
 }
 
 /// How echoes are laid down.
@@ -204,12 +206,30 @@ impl ChirpGrids {
             *slopes = taps.map(|c| -2.0 * (power + 1) as f32 * c);
         }
         let kernel = EchoKernel { taps: synthesiser.taps, slopes, cells: synthesiser.cells as f64 };
-        ChirpGrids { blocks, kernel, level: synthesiser.level }
+        ChirpGrids { blocks, kernel, level: synthesiser.level, by_delay: None }
+    }
+
+    /// Has every echo laid down once more, its field times `j` and its delay: what phase noise multiplies.
+    pub fn with_delays(mut self) -> Self {
+        self.by_delay = Some(Box::new(self.clone()));
+        self
+    }
+
+    /// Those grids, LSB s.
+    pub fn take_by_delay(&mut self) -> Option<ChirpGrids> {
+        self.by_delay.take().map(|grids| *grids)
     }
 
     /// Adds a moving echo to every chirp, by its ways to each receiver. Receivers are so close together, and a way and its
     /// reverse so alike, that its frequency is the same for all of them.
     pub fn add(&mut self, chirp: &Chirp, passes: &[EchoPass]) {
+        if let Some(grids) = &mut self.by_delay {
+            let ways: Vec<Vec<EchoWay>> =
+                passes.iter().map(|pass| pass.ways.iter().map(EchoWay::by_delay).collect()).collect();
+            let passes: Vec<EchoPass> =
+                passes.iter().zip(&ways).map(|(pass, ways)| EchoPass { ways, chirps: pass.chirps }).collect();
+            grids.add(chirp, &passes);
+        }
         echo(self.level, &self.kernel, chirp, passes, &mut self.blocks);
     }
 
@@ -251,6 +271,16 @@ pub struct EchoWay {
     pub wavelength_m: f64,
     /// Factor from field to LSB, and its change from chirp to chirp.
     pub response: [Complex<f32>; 2],
+}
+
+impl EchoWay {
+    /// The same with its response times `j` and its delay, to first order in the number of the chirp.
+    fn by_delay(&self) -> Self {
+        let [delay_s, change_s] =
+            [self.length_m[0], self.length_m[1]].map(|m| Complex::new(0.0, (m / SPEED_OF_LIGHT_M_PER_S) as f32));
+        let [begin, step] = self.response;
+        EchoWay { response: [begin * delay_s, step * delay_s + begin * change_s], ..*self }
+    }
 }
 
 /// A moving echo by one way to each receiver.

@@ -1,0 +1,407 @@
+//! Seconds of slow time: the range profile of each frame's mean chirp, what of it stands still and what changes.
+//!
+//! Frames are taken in windows of some seconds. What a window's profiles have in common stands still; the power of what is left
+//! is what moves. Who breathes shows as a line there: a range bin with more of it than those around.
+
+use std::sync::Arc;
+
+use num_complex::Complex64;
+use realfft::{RealFftPlanner, RealToComplex};
+
+use crate::{Frame, Waveform, Window};
+
+/// A line stands at least so far above the median bin, as power.
+const LINE_OVER_MEDIAN: f64 = 10.0;
+/// Breathing is looked for between these rates, Hz, in steps of this.
+const BREATH_HZ: (f64, f64) = (0.1, 0.7);
+const BREATH_STEP_HZ: f64 = 0.005;
+
+/// Takes frames in, says what stands still and what moves.
+pub struct SlowTime {
+    waveform: Waveform,
+    /// Frames of a window.
+    window: usize,
+    taper: Vec<f64>,
+    fft: Arc<dyn RealToComplex<f64>>,
+    /// `[frame][rx][bin]` of the window under way.
+    profiles: Vec<Vec<Complex64>>,
+    last_sequence: u64,
+    windows: usize,
+    /// Sums over windows, `[rx][bin]`: power of what stands still, and of what moves.
+    still: Vec<f64>,
+    moving: Vec<f64>,
+    /// And how what stands still changes.
+    changes: Vec<Changes>,
+    breath_hz: Vec<f64>,
+}
+
+/// How an echo that stands still changes all the same, noise contained: mean squares.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Changes {
+    /// Half of the square of its phase's step from frame to frame, rad^2.
+    pub phase_rad2: f64,
+    /// The same of its amplitude, relative.
+    pub amplitude: f64,
+    /// Square of its phase's change over ten seconds, rad^2, taking it for a random walk.
+    pub drift_rad2_per_10s: f64,
+}
+
+/// Who moves, by their line.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Line {
+    /// Where, m: between bins by a parabola through the strongest and its neighbours.
+    pub range_m: f64,
+    /// Power of what moves in the strongest bin, mean of windows and receivers, dBFS: 0 dB is a full-scale sine's.
+    pub level_dbfs: f64,
+    /// Rate of the phase's strongest swing, median of the windows, Hz; `None` where windows are too short for one.
+    pub breath_hz: Option<f64>,
+    /// Its range bin.
+    pub bin: usize,
+    /// Windows that it was found in.
+    pub windows: usize,
+}
+
+impl SlowTime {
+    /// Nothing yet, for frames of a waveform in windows of so many seconds.
+    pub fn new(waveform: &Waveform, window_s: f64) -> Self {
+        let shape = waveform.shape();
+        let window = (window_s / waveform.frame_interval_s()).round().clamp(4.0, 1e6) as usize;
+        let cells = shape.rx * (shape.samples / 2);
+        SlowTime {
+            waveform: waveform.clone(),
+            window,
+            taper: Window::Hann.weights(shape.samples),
+            fft: RealFftPlanner::new().plan_fft_forward(shape.samples),
+            profiles: Vec::new(),
+            last_sequence: 0,
+            windows: 0,
+            still: vec![0.0; cells],
+            moving: vec![0.0; cells],
+            changes: vec![Changes::default(); cells],
+            breath_hz: Vec::new(),
+        }
+    }
+
+    /// Takes in a frame; one of another shape is passed over. A window ends where frames are missing.
+    pub fn push(&mut self, frame: &Frame) {
+        let shape = self.waveform.shape();
+        if frame.shape != shape || frame.codes.len() != shape.codes() {
+            return;
+        }
+        if !self.profiles.is_empty() && frame.sequence != self.last_sequence.wrapping_add(1) {
+            self.end();
+        }
+        self.last_sequence = frame.sequence;
+        // Amplitude of a sine over full scale.
+        let scale = 2.0 / (self.taper.iter().sum::<f64>() * 2048.0);
+        let (mut chirp, mut spectrum) = (vec![0.0; shape.samples], self.fft.make_output_vec());
+        let mut profile = Vec::with_capacity(self.still.len());
+        for codes in frame.codes.chunks(shape.chirps * shape.samples) {
+            chirp.fill(0.0);
+            for one in codes.chunks(shape.samples) {
+                chirp.iter_mut().zip(one).for_each(|(sum, &code)| *sum += f64::from(code));
+            }
+            let mean = chirp.iter().sum::<f64>() / shape.samples as f64;
+            for (x, w) in chirp.iter_mut().zip(&self.taper) {
+                *x = (*x - mean) * w * scale / shape.chirps as f64;
+            }
+            if self.fft.process(&mut chirp, &mut spectrum).is_ok() {
+                profile.extend(spectrum.iter().take(shape.samples / 2));
+            }
+        }
+        self.profiles.push(profile);
+        if self.profiles.len() == self.window {
+            self.end();
+        }
+    }
+
+    /// Ends the window under way: it counts if it is at least half full.
+    pub fn end(&mut self) {
+        let profiles = std::mem::take(&mut self.profiles);
+        if 2 * profiles.len() < self.window {
+            return;
+        }
+        let count = profiles.len() as f64;
+        let mean = |cell: usize| profiles.iter().map(|p| p[cell]).sum::<Complex64>() / count;
+        let mut strongest = (0.0, None);
+        let first = self.first_bin();
+        for cell in 0..self.still.len() {
+            let still = mean(cell);
+            let moving = profiles.iter().map(|p| (p[cell] - still).norm_sqr()).sum::<f64>() / count;
+            self.still[cell] += still.norm_sqr();
+            self.moving[cell] += moving;
+            self.add_changes(&profiles, cell, still.norm());
+            if moving > strongest.0 && cell % self.bins() >= first {
+                strongest = (moving, Some(cell));
+            }
+        }
+        self.windows += 1;
+        if let Some(cell) = strongest.1 {
+            let series: Vec<Complex64> = profiles.iter().map(|p| p[cell]).collect();
+            self.breath_hz.extend(swing_hz(&series, self.waveform.frame_interval_s()));
+        }
+    }
+
+    fn add_changes(&mut self, profiles: &[Vec<Complex64>], cell: usize, level: f64) {
+        let interval_s = self.waveform.frame_interval_s();
+        let second = ((1.0 / interval_s).round() as usize).clamp(1, profiles.len() / 2);
+        let (mut phase, mut amplitude) = (0.0, 0.0);
+        for pair in profiles.windows(2) {
+            let [a, b] = [pair[0][cell], pair[1][cell]];
+            phase += (b * a.conj()).arg().powi(2);
+            amplitude += ((b.norm() - a.norm()) / level).powi(2);
+        }
+        // Seconds, so that jitter is no drift.
+        let sum = |part: &[Vec<Complex64>]| part.iter().map(|p| p[cell]).sum::<Complex64>();
+        let (first, last) = (sum(&profiles[..second]), sum(&profiles[profiles.len() - second..]));
+        let apart_s = (profiles.len() - second) as f64 * interval_s;
+        let steps = 2.0 * (profiles.len() - 1) as f64;
+        let changes = &mut self.changes[cell];
+        changes.phase_rad2 += phase / steps;
+        changes.amplitude += amplitude / steps;
+        changes.drift_rad2_per_10s += (last * first.conj()).arg().powi(2) * 10.0 / apart_s;
+    }
+
+    /// Range bins of a profile.
+    pub fn bins(&self) -> usize {
+        (self.waveform.request.samples_per_chirp / 2).max(1)
+    }
+
+    /// Leakage lies below this bin.
+    fn first_bin(&self) -> usize {
+        3.min(self.bins())
+    }
+
+    /// Mean power of what stands still in a window, over full scale; `None` before the first window's end.
+    pub fn still(&self, rx: usize, bin: usize) -> Option<f64> {
+        self.cell(&self.still, rx, bin)
+    }
+
+    /// Mean power of what moves.
+    pub fn moving(&self, rx: usize, bin: usize) -> Option<f64> {
+        self.cell(&self.moving, rx, bin)
+    }
+
+    /// Changes of what stands still, mean of the windows.
+    pub fn changes(&self, rx: usize, bin: usize) -> Option<Changes> {
+        let sums = self.changes.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
+        let windows = self.windows as f64;
+        Some(Changes {
+            phase_rad2: sums.phase_rad2 / windows,
+            amplitude: sums.amplitude / windows,
+            drift_rad2_per_10s: sums.drift_rad2_per_10s / windows,
+        })
+    }
+
+    fn cell(&self, of: &[f64], rx: usize, bin: usize) -> Option<f64> {
+        let value = of.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
+        Some(value / self.windows as f64)
+    }
+
+    /// The strongest line; `None` where nothing stands out.
+    pub fn line(&self) -> Option<Line> {
+        let receivers = self.waveform.shape().rx.max(1);
+        let power = |bin: usize| {
+            (0..receivers).filter_map(|rx| self.moving(rx, bin)).sum::<f64>().max(1e-30) / receivers as f64
+        };
+        let first = self.first_bin();
+        let bin = (first..self.bins()).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
+        let mut sorted: Vec<f64> = (first..self.bins()).map(power).collect();
+        sorted.sort_unstable_by(f64::total_cmp);
+        if self.windows == 0 || power(bin) < LINE_OVER_MEDIAN * sorted.get(sorted.len() / 2)? {
+            return None;
+        }
+        let beside = if bin > first && bin + 1 < self.bins() {
+            let [a, b, c] = [bin - 1, bin, bin + 1].map(|bin| power(bin).ln());
+            let bend = a - 2.0 * b + c;
+            if bend < 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+        } else {
+            0.0
+        };
+        let mut rates = self.breath_hz.clone();
+        rates.sort_unstable_by(f64::total_cmp);
+        Some(Line {
+            range_m: (bin as f64 + beside) * self.waveform.range_step_m(self.waveform.request.samples_per_chirp),
+            level_dbfs: 10.0 * power(bin).log10(),
+            breath_hz: rates.get(rates.len() / 2).map(|upper| 0.5 * (upper + rates[(rates.len() - 1) / 2])),
+            bin,
+            windows: self.windows,
+        })
+    }
+}
+
+/// Rate of the strongest swing of a phase about the centre of the circle that it follows, Hz. `None` where there are less than
+/// two of the slowest.
+fn swing_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
+    let span_s = series.len() as f64 * interval_s;
+    let (least, most) = (BREATH_HZ.0.max(1.5 / span_s), BREATH_HZ.1.min(0.4 / interval_s));
+    if series.len() < 16 || least >= most {
+        return None;
+    }
+    let centre = circle_centre(series)?;
+    let mut phase = Vec::with_capacity(series.len());
+    let (mut last, mut turned) = (0.0, 0.0);
+    for z in series {
+        let angle = (z - centre).arg();
+        let step: f64 = angle - last;
+        turned += step - std::f64::consts::TAU * (step / std::f64::consts::TAU).round();
+        last = angle;
+        phase.push(turned);
+    }
+    // Without its straight line, under a window.
+    let n = phase.len() as f64;
+    let mean = phase.iter().sum::<f64>() / n;
+    let middle = 0.5 * (n - 1.0);
+    let (mut along, mut square) = (0.0, 0.0);
+    for (i, y) in phase.iter().enumerate() {
+        let x = i as f64 - middle;
+        along += x * (y - mean);
+        square += x * x;
+    }
+    let slope = along / square;
+    let taper = Window::Hann.weights(phase.len());
+    let swing: Vec<f64> = (phase.iter().zip(&taper).enumerate())
+        .map(|(i, (y, w))| (y - mean - slope * (i as f64 - middle)) * w)
+        .collect();
+    let power = |hz: f64| {
+        let turn = -std::f64::consts::TAU * hz * interval_s;
+        swing.iter().enumerate().map(|(i, x)| Complex64::from_polar(*x, turn * i as f64)).sum::<Complex64>().norm_sqr()
+    };
+    let steps = ((most - least) / BREATH_STEP_HZ) as usize;
+    let rates = (0..=steps).map(|i| least + i as f64 * BREATH_STEP_HZ);
+    rates.map(|hz| (hz, power(hz))).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(hz, _)| hz)
+}
+
+/// The centre of the circle through points, by least squares (Kasa); `None` where they lie on a line.
+fn circle_centre(points: &[Complex64]) -> Option<Complex64> {
+    let n = points.len() as f64;
+    let mean = points.iter().sum::<Complex64>() / n;
+    let (mut uu, mut uv, mut vv, mut u3, mut v3) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for z in points.iter().map(|z| z - mean) {
+        let square = z.norm_sqr();
+        uu += z.re * z.re;
+        uv += z.re * z.im;
+        vv += z.im * z.im;
+        u3 += z.re * square;
+        v3 += z.im * square;
+    }
+    let determinant = uu * vv - uv * uv;
+    if !(determinant > 1e-12 * (uu + vv).powi(2)) {
+        return None;
+    }
+    Some(mean + Complex64::new(u3 * vv - v3 * uv, v3 * uu - u3 * uv) * 0.5 / determinant)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
+
+    fn waveform() -> Waveform {
+        let request = WaveformRequest {
+            samples_per_chirp: 64,
+            chirps_per_frame: 4,
+            start_frequency_hz: 58e9,
+            end_frequency_hz: 63e9,
+            ..WaveformRequest::paper()
+        };
+        Waveform::realise(request).expect("a waveform")
+    }
+
+    /// Frames of an echo of an amplitude, LSB, at a range that changes with time, beside one that stands still.
+    fn frames(count: u64, amplitude: f64, range_m: impl Fn(f64) -> f64) -> Vec<Frame> {
+        let w = waveform();
+        let shape = w.shape();
+        let frame = |sequence: u64| {
+            let mut frame = Frame::zeroed(shape);
+            frame.sequence = sequence;
+            let delay_s = 2.0 * range_m(sequence as f64 * w.frame_interval_s()) / SPEED_OF_LIGHT_M_PER_S;
+            for (i, code) in frame.codes.iter_mut().enumerate() {
+                let t = (i % shape.samples) as f64 / w.sample_rate_hz;
+                let cycles = delay_s * (w.sampled_start_frequency_hz + w.slope_hz_per_s * t);
+                let still = 150.0 * (0.9 + 6e9 * w.slope_hz_per_s / 1e15 * 1e-3 * t * 1e3).cos();
+                // Rounding would add up over chirps that are alike.
+                let mixed = (i as u64 + 1_000_003 * sequence).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+                let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+                let dither = (mixed >> 40) as f64 / (1u64 << 24) as f64 - 0.5;
+                let x = 2048.0 + amplitude * (std::f64::consts::TAU * cycles).cos() + still + dither;
+                *code = (x + 0.5) as u16;
+            }
+            frame
+        };
+        (0..count).map(frame).collect()
+    }
+
+    fn seen(frames: &[Frame]) -> SlowTime {
+        let mut slow_time = SlowTime::new(&waveform(), 10.0);
+        frames.iter().for_each(|frame| slow_time.push(frame));
+        slow_time.end();
+        slow_time
+    }
+
+    /// A chest that goes to and fro by several waves, and one that does by a part of one: level, range and rate.
+    #[test]
+    fn who_breathes_shows_where_how_strongly_and_how_often() {
+        for (swing_m, hz) in [(4e-3, 0.25), (0.25e-3, 0.3)] {
+            let breath = |t: f64| 0.5 + swing_m * (std::f64::consts::TAU * hz * t + 0.4).sin();
+            let line = seen(&frames(200, 100.0, breath)).line().expect("a line");
+            assert_eq!(line.windows, 2);
+            assert!((line.range_m - 0.5).abs() < 0.01, "{line:?}");
+            assert!(line.breath_hz.is_some_and(|found| (found - hz).abs() < 0.02), "{line:?}");
+            // All of it moves where the phase goes round; of a small swing what its sidebands hold.
+            let m = 4.0 * std::f64::consts::PI * swing_m / waveform().wavelength_m();
+            let still: f64 =
+                (0..4000).map(|i| (m * (std::f64::consts::TAU * f64::from(i) / 4000.0).sin()).cos()).sum::<f64>() / 4e3;
+            let expected = 20.0 * (100.0 / 2048.0f64).log10() + 10.0 * (1.0 - still * still).log10();
+            assert!((line.level_dbfs - expected).abs() < 1.0, "{line:?}, expected {expected}");
+        }
+    }
+
+    #[test]
+    fn what_stands_still_has_no_line_and_is_measured_as_such() {
+        let still = seen(&frames(100, 200.0, |_| 0.6));
+        assert_eq!(still.line(), None);
+        let bin = (0.6 / waveform().range_step_m(64)).round() as usize;
+        let level_db = 10.0 * still.still(0, bin).expect("seen").log10();
+        assert!((level_db - 20.0 * (200.0 / 2048.0f64).log10()).abs() < 1.5, "{level_db}");
+        assert!(still.moving(0, bin).expect("seen") < 1e-7);
+        let changes = still.changes(0, bin).expect("seen");
+        assert!(
+            changes.phase_rad2 < 1e-5 && changes.amplitude < 1e-5 && changes.drift_rad2_per_10s < 1e-4,
+            "{changes:?}"
+        );
+    }
+
+    /// Ten micrometres to and fro from frame to frame, and forty on in ten seconds: both come back as phases.
+    #[test]
+    fn what_hardly_moves_is_measured_by_its_phase() {
+        let at = |t: f64| {
+            let even = (t / waveform().frame_interval_s()).round() as u64 % 2 == 0;
+            0.5 + if even { 0.0 } else { 10e-6 } + 40e-6 * t / 10.0
+        };
+        let changes = seen(&frames(100, 200.0, at)).changes(0, (0.5 / waveform().range_step_m(64)).round() as usize);
+        let changes = changes.expect("seen");
+        let rad_per_m = 4.0 * std::f64::consts::PI / waveform().wavelength_m();
+        let jitter = (2.0 * changes.phase_rad2).sqrt() / rad_per_m;
+        assert!((jitter / 10e-6 - 1.0).abs() < 0.1, "{jitter} m");
+        let drift = changes.drift_rad2_per_10s.sqrt() / rad_per_m;
+        assert!((drift / 40e-6 - 1.0).abs() < 0.15, "{drift} m");
+        assert!(changes.amplitude < 1e-4, "{changes:?}");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn windows_end_at_gaps_and_odd_frames_are_passed_over() {
+            let mut all = frames(200, 100.0, |t| 0.5 + 2e-3 * (1.6 * t).sin());
+            all.iter_mut().skip(60).for_each(|frame| frame.sequence += 7);
+            all[3].codes.pop();
+            let seen = seen(&all);
+            // 57 to 60 frames, 100, and 40, which is less than half a window.
+            assert_eq!(seen.windows, 2);
+            assert!(SlowTime::new(&waveform(), 10.0).line().is_none());
+            assert!(seen.moving(0, 1000).is_none() && seen.moving(9, 0).is_none());
+        }
+    }
+}

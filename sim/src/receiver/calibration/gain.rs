@@ -1,0 +1,124 @@
+//! The level of echoes, from what stands still in a recording and in a scene that is a copy of what it shows.
+//!
+//! Where echoes interfere, a single bin says little: it may be off by 6 dB for a millimetre of furniture. The median over many does.
+
+/// Bins nearer than this hold leakage, m.
+pub const LEAST_RANGE_M: f64 = 0.5;
+/// What stands still must stand so far above noise and above what moves, as power.
+pub const LEAST_OVER_NOISE: f64 = 10.0;
+/// With fewer bins than these nothing is fitted: the gain would be off by 2 dB and more.
+pub const LEAST_BINS: usize = 9;
+/// What interference within a bin is worth, dB.
+const BIN_SIGMA_DB: f64 = 6.0;
+
+/// A range bin of one receiver, as powers of one scale.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Bin {
+    /// Where, m.
+    pub range_m: f64,
+    /// What stands still in the recording.
+    pub measured: f64,
+    /// What moves in it.
+    pub moving: f64,
+    /// What stands still in the scene.
+    pub simulated: f64,
+    /// Noise of both.
+    pub noise: f64,
+}
+
+/// By how much a recording's echoes are stronger than a scene's.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct GainFit {
+    /// Weighted median, dB; `None` where there are fewer than [`LEAST_BINS`] bins.
+    pub gain_db: Option<f64>,
+    /// What it may be off by, dB.
+    pub error_db: Option<f64>,
+    /// Bins that bore it.
+    pub bins: usize,
+    /// Of so many beyond [`LEAST_RANGE_M`].
+    pub of: usize,
+}
+
+/// Fits the gain to what stands still in both, far enough above noise.
+pub fn fit_gain(bins: &[Bin]) -> GainFit {
+    let far = bins.iter().filter(|bin| bin.range_m > LEAST_RANGE_M);
+    let bears = |bin: &&Bin| {
+        let least = LEAST_OVER_NOISE * bin.noise;
+        bin.measured >= least && bin.simulated >= least && bin.measured >= LEAST_OVER_NOISE * bin.moving
+    };
+    let mut points: Vec<(f64, f64)> = (far.clone().filter(bears))
+        .map(|bin| {
+            // Noise beside interference: 8.7 dB over the root of twice the ratio, for each of the two.
+            let noise_db2 = 37.7 * bin.noise * (1.0 / bin.measured + 1.0 / bin.simulated);
+            (10.0 * (bin.measured / bin.simulated).log10(), 1.0 / (BIN_SIGMA_DB.powi(2) + noise_db2))
+        })
+        .collect();
+    let (bins, of) = (points.len(), far.count());
+    if bins < LEAST_BINS {
+        return GainFit { bins, of, ..GainFit::default() };
+    }
+    points.sort_unstable_by(|a, b| a.0.total_cmp(&b.0));
+    let half = 0.5 * points.iter().map(|(_, weight)| weight).sum::<f64>();
+    let mut below = 0.0;
+    let middle = points.iter().find(|(_, weight)| {
+        below += weight;
+        below >= half
+    });
+    GainFit { gain_db: middle.map(|(db, _)| *db), error_db: Some(BIN_SIGMA_DB / (bins as f64).sqrt()), bins, of }
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::Rng;
+    use rand_distr::{Distribution, StandardNormal};
+
+    use super::*;
+    use crate::random::{Purpose, generator};
+
+    /// Bins of echoes that interfere anew, of which some hold what moves, or leakage, or only noise.
+    fn bins(count: usize, gain_db: f64) -> Vec<Bin> {
+        let mut rng = generator(11, Purpose::Furniture, [0, 0]);
+        let bin = |i: usize| {
+            let mut scattered = || {
+                let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
+                0.5 * (a * a + b * b)
+            };
+            let simulated = 1e-6 * scattered();
+            let mut bin = Bin {
+                range_m: 0.6 + 0.1 * i as f64,
+                measured: 1e-6 * scattered() * 10f64.powf(0.1 * gain_db),
+                moving: 1e-10,
+                simulated,
+                noise: 1e-9,
+            };
+            match i % 5 {
+                0 => bin.moving = 1e-4,
+                1 => bin.range_m = 0.2,
+                _ => {}
+            }
+            if bin.moving > 1e-6 || bin.range_m < 0.5 {
+                bin.measured = rng.random_range(1e-5..5e-4);
+            }
+            bin
+        };
+        (0..count).map(bin).collect()
+    }
+
+    #[test]
+    fn a_gain_is_found_among_what_moves_and_leaks() {
+        for gain_db in [-5.0, 0.0, 8.0] {
+            let fit = fit_gain(&bins(300, gain_db));
+            let error_db = fit.error_db.expect("enough bins");
+            assert!(fit.bins > 150 && fit.of == 240, "{fit:?}");
+            assert!((fit.gain_db.expect("enough bins") - gain_db).abs() < 3.0 * error_db, "{fit:?}");
+        }
+    }
+
+    #[test]
+    fn a_few_bins_bear_nothing() {
+        let fit = fit_gain(&bins(12, 3.0));
+        assert_eq!((fit.gain_db, fit.error_db), (None, None));
+        assert!(fit.bins < LEAST_BINS, "{fit:?}");
+        assert_eq!(fit_gain(&[]), GainFit::default());
+    }
+}
