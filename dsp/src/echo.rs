@@ -28,6 +28,9 @@ const SAME_RANGE: f64 = 1.5;
 const SAME_VELOCITY_M_PER_S: f64 = 0.3;
 /// Half the width of Doppler about a maximum that makes up a trunk's speed: the parts of a trunk differ by as much, m/s.
 const TRUNK_M_PER_S: f64 = 0.15;
+/// Of what is alive at least so much of the energy changes between frames: the echo of walls and furniture only drifts and
+/// jitters.
+const LEAST_CHANGING: f64 = 0.05;
 /// Range bins that hold leakage (unpadded).
 const LEAKAGE_BINS: usize = 3;
 
@@ -165,11 +168,13 @@ impl EchoFinder {
         let power: Vec<f64> =
             (0..self.bins).map(|range| (0..rx).map(|rx| power_of(rx * self.bins + range)).sum()).collect();
         let noise = median(power.iter().skip(RANGE_PADDING * LEAKAGE_BINS).copied());
+        let mean_power = |cell: usize| profiles.iter().map(|p| row(p, cell)).sum::<Complex64>().norm_sqr() / count;
         let mut echoes = Vec::new();
         for range in (RANGE_PADDING * LEAKAGE_BINS)..self.bins.saturating_sub(1) {
             let [before, cell, after] = [range - 1, range, range + 1].map(|i| power.get(i).copied().unwrap_or(0.0));
             let snr_db = ratio_db(cell, noise);
-            if before > cell || after > cell || snr_db < LEAST_SNR_DB {
+            let still = (0..rx).map(|rx| mean_power(rx * self.bins + range)).sum::<f64>();
+            if before > cell || after > cell || snr_db < LEAST_SNR_DB || cell < LEAST_CHANGING * (cell + still) {
                 continue;
             }
             let cosines = self.baselines.iter().map(|baseline| {
