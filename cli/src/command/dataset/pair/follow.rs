@@ -40,8 +40,12 @@ impl Sighting {
 
 /// Frames without an echo within a sighting last no longer than this, s.
 pub const BRIDGE_S: f64 = 1.0;
-/// A sighting has to be worth as much: an echo 22 dB above noise is worth 2.
-const LEAST_WORTH: f64 = 20.0;
+/// A sighting has to be worth as much: an echo 20 dB above noise is worth 1.
+const LEAST_WORTH: f64 = 6.0;
+/// Worth of a decibel beyond that: repeats are weaker than what they repeat.
+const STRONGER: f64 = 0.01;
+/// Nobody goes faster along the radar's sight, m/s.
+const FASTEST_M_PER_S: f64 = 2.6;
 /// Worth of a frame without an echo, within a sighting.
 const MISS: f64 = -0.3;
 /// What still people are worth against those who move: their echoes last.
@@ -49,7 +53,7 @@ const STILL: f64 = 0.5;
 /// How far two echoes of a chain may differ from each other: range by their speeds (m), speed (m/s and for each second),
 /// direction (cosine and for each second).
 const RANGE_M: f64 = 0.12;
-const SPEED_M_PER_S: [f64; 2] = [0.3, 2.0];
+const SPEED_M_PER_S: [f64; 2] = [0.25, 1.0];
 const COSINE: [f64; 2] = [0.15, 0.5];
 /// Echoes within this of somebody are theirs, m.
 const BODY_M: f64 = 0.55;
@@ -185,19 +189,25 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
     chains
 }
 
+/// What clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over from whom is far to
+/// whom is near where they pass each other.
 fn worth(echo: &Echo) -> f64 {
-    let worth = 1.0 + 0.1 * (echo.snr_db - 12.0).min(30.0);
+    let worth = (0.3 + 0.1 * (echo.snr_db - 12.0)).min(1.0) + STRONGER * echo.snr_db;
     if echo.is_still { STILL * worth } else { worth }
 }
 
 /// How unlikely it is that one echo follows another, as half a sum of squares.
 fn step_cost(a: &Echo, b: &Echo, gap_s: f64, sensor: &Sensor) -> f64 {
-    // Speeds may be folded: that which carries the first echo nearest to the second counts.
+    // Speeds may be folded: the one that people can have and that carries the first echo nearest to the second counts.
     let span = sensor.span_m_per_s;
-    let middle =
-        0.5 * (a.velocity_m_per_s + a.velocity_m_per_s + sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s));
+    let half = 0.5 * sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s);
     let moved = b.range_m - a.range_m;
-    let middle = middle + span * ((moved / gap_s - middle) / span).round();
+    let folds = (FASTEST_M_PER_S / span).ceil().min(20.0) as i32;
+    let middle = (-folds..=folds)
+        .map(|fold| a.velocity_m_per_s + half + span * f64::from(fold))
+        .filter(|speed| speed.abs() <= FASTEST_M_PER_S)
+        .min_by(|x, y| (moved - x * gap_s).abs().total_cmp(&(moved - y * gap_s).abs()))
+        .unwrap_or(a.velocity_m_per_s);
     let range = (moved - middle * gap_s) / (RANGE_M + 0.3 * gap_s);
     let speed = sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s) / (SPEED_M_PER_S[0] + SPEED_M_PER_S[1] * gap_s);
     let cosine = match (a.cosines.first(), b.cosines.first()) {

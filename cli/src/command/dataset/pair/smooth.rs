@@ -13,9 +13,11 @@ use radome_sim::scene::ANTENNA_OFFSETS_M;
 
 use super::follow::{Look, Place};
 
-/// From a trunk's axis to its surface before or behind it, and beside it, m: the chest's semi-axes of a body of average girth
+/// From the middle of the chest to its surface before or behind it, and beside it, m: its semi-axes in a body of average girth
 /// (sim/src/actor/body.rs).
 const REACH_M: [f64; 2] = [0.115, 0.165];
+/// Those who walk lean forward: their chest is so far before their hips, m.
+const LEAN_M: f64 = 0.024;
 /// Height of the chest's middle over that of the body.
 pub const CHEST_HEIGHT: f64 = 0.72;
 /// Errors of an echo's range (m) and speed (m/s): which part of the trunk it is.
@@ -24,8 +26,11 @@ const SPEED_M_PER_S: f64 = 0.12;
 /// Errors of its direction: by repeats off walls, and across the body (m).
 const COSINE: f64 = 0.03;
 const ACROSS_M: f64 = 0.08;
-/// People change their velocity by so much, m/s, in the root of a second.
-const RESTLESSNESS: f64 = 0.5;
+/// People change their velocity by so much, m/s, in the root of a second, as they walk on; where they turn or stop, by more.
+const RESTLESSNESS: f64 = 0.2;
+/// What is taken for a turn is looked at over this, s.
+const TURN_S: f64 = 0.5;
+const TURN: f64 = 2.0;
 /// Degrees of freedom of the errors' distribution.
 const FREEDOM: f64 = 4.0;
 const ROUNDS: usize = 8;
@@ -113,25 +118,24 @@ impl Sensor {
 
     /// Range, speed and cosine that a state makes, each with its gradient.
     fn measures(&self, state: DVec4) -> [(f64, DVec4); 3] {
-        let way = DVec3::new(state.x, state.y, self.trunk_height_m) - self.position;
+        let velocity = DVec2::new(state.z, state.w);
+        let lean = velocity.normalize_or_zero() * LEAN_M * velocity.length().min(1.0);
+        let way = DVec3::new(state.x + lean.x, state.y + lean.y, self.trunk_height_m) - self.position;
         let r = way.length().max(0.05);
-        let (unit, velocity) = (way / r, DVec2::new(state.z, state.w));
+        let unit = way / r;
         let ground = unit.truncate();
         let speed = velocity.dot(ground);
         // The support function of the trunk's ellipse; people face where they go, and those who stand either way.
         let [front, side] = REACH_M;
-        let reach = if velocity.length() > 0.2 {
-            let facing = velocity.normalize().dot(ground.normalize_or_zero());
-            (front * front * facing * facing + side * side * (1.0 - facing * facing)).sqrt()
-        } else {
-            0.5 * (front + side)
-        };
+        let facing = if velocity.length() > 0.2 { velocity.normalize().dot(ground.normalize_or_zero()) } else { 0.7 };
+        let level = front * front * facing * facing + side * side * (1.0 - facing * facing);
+        let reach = level.sqrt() * ground.length();
         let by_place = (velocity - speed * ground) / r;
         let beside = self.beside();
         let cosine = beside.dot(unit);
         let turn = (beside - cosine * unit) / r;
         [
-            (r - reach * ground.length(), DVec4::new(ground.x, ground.y, 0.0, 0.0)),
+            (r - reach, DVec4::new(ground.x, ground.y, 0.0, 0.0)),
             (speed, DVec4::new(by_place.x, by_place.y, ground.x, ground.y)),
             (cosine, DVec4::new(turn.x, turn.y, 0.0, 0.0)),
         ]
@@ -187,8 +191,10 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
     }
     let mut states = first_guess(&frames, &seen);
     let mut sigmas = vec![0.0; states.len()];
+    let mut restless = vec![4.0; states.len()];
     for _ in 0..ROUNDS {
-        (states, sigmas) = once(&frames, &measures, &states, sensor);
+        (states, sigmas) = once(&frames, &measures, &states, &restless, sensor);
+        restless = turns(&frames, &states);
         for (row, state) in measures.iter_mut().zip(&states) {
             let expected = sensor.measures(*state);
             for measure in row {
@@ -210,6 +216,21 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
         snr_db,
     })
     .collect()
+}
+
+/// Factor on how restless somebody is at each time, by how much their velocity changes there: as with errors, what is unlikely
+/// is taken for something else that happened.
+fn turns(frames: &[&Look], states: &[DVec4]) -> Vec<f64> {
+    let at = |time_s: f64| {
+        let later = frames.partition_point(|look| look.time_s < time_s).min(states.len().saturating_sub(1));
+        states.get(later).map_or(DVec2::ZERO, |s| DVec2::new(s.z, s.w))
+    };
+    let factor = |look: &&Look| {
+        let change = at(look.time_s + 0.5 * TURN_S) - at(look.time_s - 0.5 * TURN_S);
+        let usual = 2.0 * RESTLESSNESS * RESTLESSNESS * TURN_S;
+        1.0 + TURN * change.length_squared() / usual
+    };
+    frames.iter().map(factor).collect()
 }
 
 /// A measure less what it should be.
@@ -238,19 +259,25 @@ fn first_guess(frames: &[&Look], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
 }
 
 /// Forth and back once, with all measures linear about `about`. States, and standard deviations of the places.
-fn once(frames: &[&Look], measures: &[Vec<Measure>], about: &[DVec4], sensor: &Sensor) -> (Vec<DVec4>, Vec<f64>) {
+fn once(
+    frames: &[&Look],
+    measures: &[Vec<Measure>],
+    about: &[DVec4],
+    restless: &[f64],
+    sensor: &Sensor,
+) -> (Vec<DVec4>, Vec<f64>) {
     let mut state = about.first().copied().unwrap_or_default();
     // Little is known before.
     let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
     let mut before_s = frames.first().map_or(0.0, |look| look.time_s);
     // Of each frame: what the frame before made of it, and what its echo added; and how it came from there.
     let mut passed: Vec<(DMat4, DVec4, DMat4, DVec4, DMat4)> = Vec::with_capacity(frames.len());
-    for ((look, row), about) in frames.iter().zip(measures).zip(about) {
+    for ((look, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
         let dt = look.time_s - before_s;
         before_s = look.time_s;
         let mut step = DMat4::IDENTITY;
         (step.z_axis.x, step.w_axis.y) = (dt, dt);
-        let q = RESTLESSNESS * RESTLESSNESS;
+        let q = RESTLESSNESS * RESTLESSNESS * restless;
         let (a, b, c) = (q * dt.powi(3) / 3.0, q * dt.powi(2) / 2.0, q * dt);
         let restless = DMat4::from_cols(
             DVec4::new(a, 0.0, b, 0.0),
