@@ -7,7 +7,6 @@
 
 use glam::DVec3;
 use radome_dsp::echo::Echo;
-use radome_sim::field::image::{BoxRoom, Wall};
 
 use super::smooth::{Sensor, Smoothed, smooth};
 
@@ -44,6 +43,10 @@ pub const BRIDGE_S: f64 = 1.0;
 const LEAST_WORTH: f64 = 6.0;
 /// Worth of a decibel beyond that: repeats are weaker than what they repeat.
 const STRONGER: f64 = 0.01;
+/// Echoes so near to a stronger one, m, lose so much for each decibel, up to so many.
+const LIMBS_M: f64 = 0.4;
+const LIMB: f64 = 0.06;
+const MOST_LIMB_DB: f64 = 25.0;
 /// Nobody goes faster along the radar's sight, m/s.
 const FASTEST_M_PER_S: f64 = 2.6;
 /// Worth of a frame without an echo, within a sighting.
@@ -62,7 +65,7 @@ const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
 
 /// Follows up to `people` through the looks.
-pub fn follow(looks: &[Look], people: usize, sensor: &Sensor, room: &BoxRoom) -> Vec<Sighting> {
+pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
     let mut free: Vec<Vec<bool>> = looks.iter().map(|look| vec![look.people > 0; look.echoes.len()]).collect();
     let mut all: Vec<Sighting> = Vec::new();
     for person in 0..people {
@@ -77,7 +80,7 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor, room: &BoxRoom) ->
             for state in &track {
                 let Some((look, free)) = looks.get(state.frame).zip(free.get_mut(state.frame)) else { continue };
                 for (echo, free) in look.echoes.iter().zip(free) {
-                    *free &= !explains(state, echo, sensor, room);
+                    *free &= !explains(state, echo, sensor);
                 }
             }
             all.push(Sighting { places, track });
@@ -88,7 +91,7 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor, room: &BoxRoom) ->
 }
 
 /// Whether an echo is a part of somebody, or a repeat of them off a wall.
-fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor, room: &BoxRoom) -> bool {
+fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor) -> bool {
     let own = sensor.expected(state);
     let differs = |range_m: f64, velocity: f64, most_m: f64, most_m_per_s: f64| {
         (echo.range_m - range_m).abs() > most_m
@@ -100,7 +103,7 @@ fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor, room: &BoxRoom) -> b
     }
     let place = DVec3::new(state.x, state.y, sensor.trunk_height_m);
     let velocity = DVec3::new(state.vx, state.vy, 0.0);
-    images(room, sensor.position).any(|image| {
+    sensor.images().any(|(_, image)| {
         let way = place - image;
         let (image_m, image_speed) = (way.length(), velocity.dot(way.normalize_or_zero()));
         // There by the wall and back directly, or both ways by it.
@@ -109,18 +112,6 @@ fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor, room: &BoxRoom) -> b
             let speed = own.velocity_m_per_s * (1.0 - share) + share * image_speed;
             !differs(range_m, speed, REPEAT_M, REPEAT_M_PER_S)
         })
-    })
-}
-
-/// The radar in each wall's mirror.
-fn images(room: &BoxRoom, at: DVec3) -> impl Iterator<Item = DVec3> {
-    let size = room.size_m;
-    let walls = room.walls;
-    walls.into_iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open)).map(move |(i, _)| {
-        let mut image = at;
-        let axis = i / 2;
-        image[axis] = if i % 2 == 0 { -at[axis] } else { 2.0 * size[axis] - at[axis] };
-        image
     })
 }
 
@@ -160,7 +151,7 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
                     }
                 }
             }
-            let score = reached.0 + worth(echo);
+            let score = reached.0 + worth(echo, look);
             if let Some(row) = best.get_mut(k) {
                 row.push((score, reached.1));
             }
@@ -190,9 +181,12 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
 }
 
 /// What clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over from whom is far to
-/// whom is near where they pass each other.
-fn worth(echo: &Echo) -> f64 {
-    let worth = (0.3 + 0.1 * (echo.snr_db - 12.0)).min(1.0) + STRONGER * echo.snr_db;
+/// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
+fn worth(echo: &Echo, look: &Look) -> f64 {
+    let near = look.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
+    let weaker_db = near.map(|e| e.snr_db - echo.snr_db).fold(0.0, f64::max);
+    let worth =
+        (0.3 + 0.1 * (echo.snr_db - 12.0)).min(1.0) + STRONGER * echo.snr_db - LIMB * weaker_db.min(MOST_LIMB_DB);
     if echo.is_still { STILL * worth } else { worth }
 }
 

@@ -9,6 +9,9 @@ use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
 use radome_dsp::echo::Baseline;
 use radome_sim::Scene;
+use radome_sim::field::fresnel;
+use radome_sim::field::image::{BoxRoom, Wall};
+use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::ANTENNA_OFFSETS_M;
 
 use super::follow::{Look, Place};
@@ -30,7 +33,9 @@ const ACROSS_M: f64 = 0.08;
 const RESTLESSNESS: f64 = 0.2;
 /// What is taken for a turn is looked at over this, s.
 const TURN_S: f64 = 0.5;
-const TURN: f64 = 2.0;
+const MOST_TURN: f64 = 300.0;
+/// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
+const CLEAR: f64 = 0.5;
 /// Degrees of freedom of the errors' distribution.
 const FREEDOM: f64 = 4.0;
 const ROUNDS: usize = 8;
@@ -46,6 +51,9 @@ pub struct Sensor {
     pub trunk_height_m: f64,
     /// Span of speeds without ambiguity, m/s.
     pub span_m_per_s: f64,
+    range_resolution_m: f64,
+    pattern: Pattern,
+    room: BoxRoom,
 }
 
 /// A person in a frame.
@@ -62,6 +70,8 @@ pub struct Smoothed {
     pub sigma_m: f64,
     /// Level of the echo over noise, dB; `None` where there was none.
     pub snr_db: Option<f64>,
+    /// Whether there was one that no repeat off a wall is merged with.
+    pub is_visible: bool,
 }
 
 /// What an echo of somebody would be.
@@ -85,12 +95,20 @@ impl Sensor {
             let baseline = Baseline { to: index(to)?, from: index(from)?, length_m: way.length() };
             Some((world_from_radar * way.normalize(), baseline))
         });
+        let antenna = &scene.receiver().antenna;
         let sensor = Sensor {
             position: scene.radar_position(),
             world_from_radar,
             azimuth: pair.map(|(direction, _)| direction),
             trunk_height_m: CHEST_HEIGHT * height_m,
             span_m_per_s: 2.0 * waveform.max_velocity_m_per_s(),
+            range_resolution_m: waveform.range_resolution_m(),
+            pattern: Pattern::new(
+                antenna.azimuth_beamwidth_deg.to_radians(),
+                antenna.elevation_beamwidth_deg.to_radians(),
+                antenna.side_lobe_floor_db,
+            ),
+            room: scene.room(),
         };
         (sensor, pair.map(|(_, baseline)| baseline).into_iter().collect())
     }
@@ -103,6 +121,53 @@ impl Sensor {
     /// A difference of speeds, folded into the span without ambiguity.
     pub fn wrapped(&self, speed: f64) -> f64 {
         speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
+    }
+
+    /// Repeats off upright walls that fall into the range cell of somebody's own echo: their field over its, all together, and
+    /// by how much they can pull its cosine.
+    pub fn merged_repeats(&self, x: f64, y: f64) -> (f64, f64) {
+        let place = DVec3::new(x, y, self.trunk_height_m);
+        let field = |from: DVec3| {
+            let unit = (place - from).normalize_or_zero();
+            (self.pattern.field(self.world_from_radar.transpose() * unit), unit)
+        };
+        let (own, way_m) = (field(self.position), place.distance(self.position));
+        let (mut all, mut pull) = (0.0, 0.0);
+        for (wall, image) in self.images().filter(|(wall, _)| wall / 2 < 2) {
+            let later_m = 0.5 * (place.distance(image) - way_m);
+            if later_m > self.range_resolution_m {
+                continue;
+            }
+            // Seen from the antenna the repeat comes from the person's own image.
+            let (axis, at) = (wall / 2, if wall % 2 == 0 { 0.0 } else { self.room.size_m[wall / 2] });
+            let mut mirrored = place;
+            mirrored[axis] = 2.0 * at - place[axis];
+            let unit = (mirrored - self.position).normalize_or_zero();
+            let reflection = match self.room.walls.get(wall) {
+                Some(Wall::Slab { permittivity, thickness_m }) => {
+                    let slab = fresnel::slab(*permittivity, *thickness_m, self.room.wavenumber_per_m, unit[axis].abs());
+                    slab.reflection.te.norm()
+                }
+                Some(Wall::Conductor) => 1.0,
+                _ => 0.0,
+            };
+            let share = reflection * self.pattern.field(self.world_from_radar.transpose() * unit) / own.0.max(1e-3);
+            all += share;
+            pull += share * (self.beside().dot(unit) - self.beside().dot(own.1)).abs();
+        }
+        (all, pull)
+    }
+
+    /// The radar in each wall's mirror, with the wall's index.
+    pub fn images(&self) -> impl Iterator<Item = (usize, DVec3)> {
+        let (size, at) = (self.room.size_m, self.position);
+        let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
+        walls.map(move |(i, _)| {
+            let mut image = at;
+            let axis = i / 2;
+            image[axis] = if i % 2 == 0 { -at[axis] } else { 2.0 * size[axis] - at[axis] };
+            (i, image)
+        })
     }
 
     /// What an echo of somebody would be.
@@ -185,7 +250,9 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
             None => Some(0.0),
         };
         if let Some(cosine) = cosine {
-            add(2, cosine, (COSINE.powi(2) + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt());
+            let at = sensor.place(echo.range_m, cosine);
+            let pull = sensor.merged_repeats(at.x, at.y).1;
+            add(2, cosine, (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt());
         }
         seen.push((look.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
     }
@@ -214,6 +281,7 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
         vy: s.w,
         sigma_m,
         snr_db,
+        is_visible: snr_db.is_some() && sensor.merged_repeats(s.x, s.y).0 < CLEAR,
     })
     .collect()
 }
@@ -228,7 +296,7 @@ fn turns(frames: &[&Look], states: &[DVec4]) -> Vec<f64> {
     let factor = |look: &&Look| {
         let change = at(look.time_s + 0.5 * TURN_S) - at(look.time_s - 0.5 * TURN_S);
         let usual = 2.0 * RESTLESSNESS * RESTLESSNESS * TURN_S;
-        1.0 + TURN * change.length_squared() / usual
+        1.0 + (change.length_squared() / usual).powi(2).min(MOST_TURN)
     };
     frames.iter().map(factor).collect()
 }
