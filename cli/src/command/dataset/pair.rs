@@ -1,9 +1,11 @@
 //! `radome dataset pair`: a recording, and the scene that mirrors it.
 //!
 //! Whoever is in the recording is followed by range, speed and the angle between receivers ([`follow`], [`smooth`]); what they
-//! did becomes a script ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the recording's frames.
+//! did becomes a script ([`script`]) in a scene file ([`mirror`]), which is simulated at the times of the recording's frames; what
+//! following them there misses is taken off ([`bias`]).
 //! Maps of both are stored as one dataset, under one pair and one sequence, with the recording's labels.
 
+mod bias;
 mod follow;
 mod mirror;
 mod report;
@@ -28,7 +30,7 @@ use crate::source::{self, SourceOptions};
 use crate::{files, labels, output};
 use follow::Look;
 use mirror::Stage;
-use script::WayPoints;
+use script::{Role, WayPoints};
 use smooth::Sensor;
 
 /// Half the time over which frames are compared with each other for who is still, s.
@@ -72,6 +74,9 @@ pub struct Arguments {
     /// Who is in it
     #[arg(long)]
     subject: Option<String>,
+    /// How often the trajectory is corrected by what following the mirror misses
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=4))]
+    corrections: u8,
     /// End after this many frames
     #[arg(long)]
     frames: Option<u64>,
@@ -207,58 +212,45 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     // Who did what.
     let labelled = taken.iter().filter_map(|of| of.truth).map(|truth| truth.occupancy.index()).max().unwrap_or(0);
     let people = labelled.max(points.person.len()).min(2);
-    let sightings = follow::follow(&looks, people, &sensor, &stage.scene.room());
+    let sightings = follow::follow(&looks, people, &sensor);
     let mut roles = script::deal(sightings, people);
     // Way-points have the recording's clock, the mirror begins with its first frame.
     let points = points.shifted(-(first.time_ns as f64) * 1e-9);
-    script::fill(&mut roles, &looks, stage.scene.file(), &points)
-        .with_context(|| format!("{} cannot be mirrored as it is", arguments.recording))?;
-    let radar = stage.scene.radar_position().truncate();
-    let mut scripts = Vec::new();
-    for (person, role) in roles.iter().enumerate() {
-        scripts.extend(script::steps(person, &role.knots, radar, arguments.seated)?);
-    }
-    let text = stage.with_scripts(&format!("{name}-mirror"), arguments.height_m, &scripts);
-    let header = format!(
-        "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome dataset pair {} {} -o {}\n# Schema: \
-         sim/src/scene/file.rs.\n",
-        arguments.recording,
-        arguments.scene.display(),
-        arguments.output.display()
-    );
-    let text = header + &text;
+    let written = |roles: &mut [Role]| -> anyhow::Result<(String, Simulator)> {
+        script::fill(roles, &looks, stage.scene.file(), &points)
+            .with_context(|| format!("{} cannot be mirrored as it is", arguments.recording))?;
+        let text = mirror_text(arguments, &stage, &name, roles)?;
+        let scene = Scene::parse(&text, &arguments.output.join(MIRROR))?;
+        let options = SimulateOptions { seed: arguments.seed, ..SimulateOptions::default() };
+        Ok((text, Simulator::new(&scene, options)?))
+    };
 
     // The mirror.
-    let mirrored = Scene::parse(&text, &arguments.output.join(MIRROR))?;
-    let simulator = Simulator::new(&mirrored, SimulateOptions { seed: arguments.seed, ..SimulateOptions::default() })?;
-    let mut watcher = Watcher::new(&waveform, &baselines);
-    let mut processor = RdmProcessor::new(&spec, mirrored.waveform())?;
-    let bar = output::progress(taken.len() as u64, "mirroring");
-    let mut agreed = 0usize;
-    for (chunk, times_s) in taken.chunks(CHUNK).zip(times_s.chunks(CHUNK)) {
-        if output::interrupted() {
-            return Err(Interrupted.into());
-        }
-        let frames: Vec<Frame> = chunk
-            .par_iter()
-            .zip(times_s.par_iter())
-            .map(|(of, time_s)| simulator.render_at(of.sequence, *time_s))
-            .collect();
-        for (of, frame) in chunk.iter().zip(&frames) {
-            if of.after_gap {
-                processor.reset();
-            }
-            watcher.take(frame)?;
-            agreed += usize::from(frame.truth.map(|t| t.occupancy) == of.truth.map(|t| t.occupancy));
-            if processor.process(frame, &mut map)? == MapStatus::Ready
-                && let Some(truth) = of.truth
-            {
-                store.push(Domain::Sim, &map, of, truth, Some(arguments.seed))?;
-            }
-        }
-        bar.inc(chunk.len() as u64);
+    let (mut text, mut simulator) = written(&mut roles)?;
+    for _ in 0..if roles.iter().all(|role| role.sightings.is_empty()) { 0 } else { arguments.corrections } {
+        let mut watcher = Watcher::new(&waveform, &baselines);
+        render(&simulator, &taken, &times_s, "checking", |_, frame| watcher.take(frame))?;
+        let seen = follow::follow(&watcher.finish(&times_s, &taken, &waveform), people, &sensor);
+        bias::correct(&mut roles, &seen);
+        (text, simulator) = written(&mut roles)?;
     }
-    bar.finish_and_clear();
+    let mut watcher = Watcher::new(&waveform, &baselines);
+    let mut processor = RdmProcessor::new(&spec, &waveform)?;
+    let mut agreed = 0usize;
+    render(&simulator, &taken, &times_s, "mirroring", |of, frame| {
+        if of.after_gap {
+            processor.reset();
+        }
+        watcher.take(frame)?;
+        agreed += usize::from(frame.truth.map(|t| t.occupancy) == of.truth.map(|t| t.occupancy));
+        match of.truth {
+            Some(truth) if processor.process(frame, &mut map)? == MapStatus::Ready => {
+                store.push(Domain::Sim, &map, of, truth, Some(arguments.seed))
+            }
+            Some(_) => Ok(()),
+            None => processor.process(frame, &mut map).map(|_| ()).map_err(Into::into),
+        }
+    })?;
     let mirror_looks = watcher.finish(&times_s, &taken, &waveform);
 
     let maps = store.writer.maps();
@@ -272,6 +264,45 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// The mirrored scene's name in the dataset's folder, and that of where people were: a line a frame and person.
 const MIRROR: &str = "mirror.toml";
 const TRACK: &str = "track.jsonl";
+
+/// The scene file of a mirror.
+fn mirror_text(arguments: &Arguments, stage: &Stage, name: &str, roles: &[Role]) -> anyhow::Result<String> {
+    let radar = stage.scene.radar_position().truncate();
+    let mut scripts = Vec::new();
+    for (person, role) in roles.iter().enumerate() {
+        scripts.extend(script::steps(person, &role.knots, radar, arguments.seated)?);
+    }
+    Ok(format!(
+        "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome dataset pair {} {} -o {}\n# Schema: \
+         sim/src/scene/file.rs.\n{}",
+        arguments.recording,
+        arguments.scene.display(),
+        arguments.output.display(),
+        stage.with_scripts(&format!("{name}-mirror"), arguments.height_m, &scripts)
+    ))
+}
+
+/// Frames of a simulation at the times of those taken, in order.
+fn render(
+    simulator: &Simulator,
+    taken: &[Taken],
+    times_s: &[f64],
+    what: &'static str,
+    mut each: impl FnMut(&Taken, &Frame) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let bar = output::progress(taken.len() as u64, what);
+    for (chunk, times_s) in taken.chunks(CHUNK).zip(times_s.chunks(CHUNK)) {
+        if output::interrupted() {
+            return Err(Interrupted.into());
+        }
+        let both = chunk.par_iter().zip(times_s.par_iter());
+        let frames: Vec<Frame> = both.map(|(of, time_s)| simulator.render_at(of.sequence, *time_s)).collect();
+        chunk.iter().zip(&frames).try_for_each(|(of, frame)| each(of, frame))?;
+        bar.inc(chunk.len() as u64);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
 
 fn taken_numbers(taken: &[Taken]) -> Vec<(u64, f64)> {
     taken.iter().map(|of| (of.sequence, of.time_ns as f64 * 1e-9)).collect()

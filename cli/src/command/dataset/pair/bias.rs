@@ -26,7 +26,8 @@ pub fn correct(roles: &mut [Role], seen: &[Sighting]) {
                 // Who stands is told by small motions of parts that differ from person to person.
                 let place = (at.vx.hypot(at.vy) > MOVING_M_PER_S).then_some(DVec2::new(at.x, at.y))?;
                 let same = seen.iter().flat_map(|s| &s.track).filter(|s| s.frame == at.frame);
-                let miss = same.map(|s| DVec2::new(s.x, s.y) - place).min_by(|a, b| a.length().total_cmp(&b.length()))?;
+                let miss =
+                    same.map(|s| DVec2::new(s.x, s.y) - place).min_by(|a, b| a.length().total_cmp(&b.length()))?;
                 (miss.length() < NEAR_M).then_some((at.time_s, miss))
             })
             .collect();

@@ -43,7 +43,7 @@ impl Spread {
 /// One person's.
 #[derive(Debug, Clone, Serialize)]
 struct Person {
-    /// Frames with an echo.
+    /// Frames with an echo that no repeat off a wall is merged with.
     visible: usize,
     /// Frames in which they were followed, those bridged within included.
     followed: usize,
@@ -120,7 +120,7 @@ fn person(role: &Role, real: &[Look], mirror: &[Look], sensor: &Sensor) -> Perso
             sigma_m = sigma_m.max(state.sigma_m);
             let place = sighting.places.iter().find(|p| p.0 == state.frame);
             let Some(echo) = place.and_then(|p| real.get(p.0)?.echoes.get(p.1)) else { continue };
-            visible += 1;
+            visible += usize::from(state.is_visible);
             let Some(other) = mirror.get(state.frame).and_then(|look| near(look, state, sensor)) else { continue };
             range.push(other.range_m - echo.range_m);
             speed.push(sensor.wrapped(other.velocity_m_per_s - echo.velocity_m_per_s));
@@ -159,6 +159,7 @@ pub fn track_lines(roles: &[Role], frames: &[(u64, f64)]) -> anyhow::Result<Stri
             let line = json!({
                 "person": i + 1, "frame": frame, "frame_begins_s": begin_s, "position_m": [state.x, state.y],
                 "velocity_m_per_s": [state.vx, state.vy], "sigma_m": state.sigma_m, "snr_db": state.snr_db,
+                "visible": state.is_visible,
             });
             writeln!(text, "{line}").context("writing the track")?;
         }

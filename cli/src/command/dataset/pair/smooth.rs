@@ -252,7 +252,11 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
         if let Some(cosine) = cosine {
             let at = sensor.place(echo.range_m, cosine);
             let pull = sensor.merged_repeats(at.x, at.y).1;
-            add(2, cosine, (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt());
+            add(
+                2,
+                cosine,
+                (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt(),
+            );
         }
         seen.push((look.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
     }
