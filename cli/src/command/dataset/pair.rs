@@ -118,8 +118,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let points = arguments.waypoints.as_deref().map_or(Ok(WayPoints::default()), read_waypoints)?;
     let options = SourceOptions { frames: arguments.frames, seed: arguments.seed, ..SourceOptions::default() };
     let mut source = source::open(&arguments.recording, &options)?;
-    if arguments.frames.is_none() && source.frames.frame_count().is_none() && !Path::new(&arguments.recording).exists()
-    {
+    let is_recording = Recording::open(Path::new(&arguments.recording)).is_ok();
+    if arguments.frames.is_none() && source.frames.frame_count().is_none() && !is_recording {
         bail!("{} has no end\n\nhint: say how much of it with --frames", arguments.recording);
     }
     let waveform = source.frames.waveform().clone();

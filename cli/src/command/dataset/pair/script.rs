@@ -381,3 +381,74 @@ fn simplified(knots: &[Knot]) -> Vec<Knot> {
         _ => vec![*first, *last],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn knots(all: &[(f64, f64, f64)]) -> Vec<Knot> {
+        all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
+    }
+
+    /// What a script's steps make, at even speeds and without rounding.
+    fn walked(start_s: f64, steps: &[StepFile], time_s: f64) -> DVec2 {
+        let mut at = DVec2::from_array(steps[0].walk_to_m.expect("a place"));
+        let mut now_s = start_s;
+        for step in &steps[1..] {
+            let (to, lasts_s) = match (step.walk_to_m, step.stand_s.or(step.sit_s)) {
+                (Some(to), _) => {
+                    let to = DVec2::from_array(to);
+                    (to, to.distance(at) / step.speed_m_per_s.expect("a speed"))
+                }
+                (_, still) => (at, still.expect("a duration")),
+            };
+            if time_s < now_s + lasts_s {
+                return at.lerp(to, ((time_s - now_s) / lasts_s).max(0.0));
+            }
+            (at, now_s) = (to, now_s + lasts_s);
+        }
+        at
+    }
+
+    #[test]
+    fn few_legs_follow_a_trajectory_in_place_and_time() {
+        let path = |t: f64| match t {
+            t if t < 3.0 => (5.0 - t, 1.0 + 0.2 * t),
+            t if t < 5.0 => (2.0, 1.6),
+            t => (2.0 + 0.8 * (t - 5.0), 1.6 - 0.1 * (t - 5.0).powi(2)),
+        };
+        let all: Vec<(f64, f64, f64)> =
+            (0..90).map(|i| f64::from(i) * 0.1).map(|t| (t + 0.032, path(t).0, path(t).1)).collect();
+        let knots = knots(&all);
+        let (start_s, steps) = steps(0, &knots, DVec2::ZERO, false).expect("possible").expect("a script");
+        assert!(steps.len() < 12, "{steps:?}");
+        assert!(steps.iter().any(|s| s.stand_s.is_some_and(|s| (s - 2.0).abs() < 0.15)), "{steps:?}");
+        for knot in &knots {
+            let off = walked(start_s, &steps, knot.time_s).distance(knot.place);
+            assert!(off < 0.05, "{off} m at {} s: {steps:?}", knot.time_s);
+        }
+    }
+
+    #[test]
+    fn who_stays_in_one_place_faces_the_radar_and_may_sit() {
+        let (start_s, steps) = steps(0, &knots(&[(0.0, 2.0, 1.0), (10.0, 2.0, 1.01)]), DVec2::new(0.0, 1.0), true)
+            .expect("fine")
+            .expect("one");
+        assert_eq!(start_s, -ARRIVAL_S);
+        // From behind the place towards the radar.
+        assert!(steps[0].walk_to_m.expect("a place")[0] > steps[1].walk_to_m.expect("a place")[0]);
+        assert!(steps.last().and_then(|s| s.sit_s) > Some(10.0), "{steps:?}");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn nobody_runs_faster_than_scripts_go() {
+            let error = steps(1, &knots(&[(0.0, 0.0, 0.0), (1.0, 9.0, 0.0)]), DVec2::ZERO, false).expect_err("9 m/s");
+            assert!(matches!(error, ScriptError::TooFast { person: 2, .. }), "{error}");
+            assert!(error.to_string().contains("9.0 m/s from 0.00 to 1.00 s"), "{error}");
+            assert!(matches!(steps(0, &[], DVec2::ZERO, false), Ok(None)));
+        }
+    }
+}

@@ -394,3 +394,100 @@ fn once(
     }
     (states, sigmas)
 }
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::WaveformRequest;
+    use radome_dsp::echo::Echo;
+
+    use super::*;
+
+    fn sensor() -> Sensor {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        Sensor::new(&Scene::nothing(&waveform).expect("a scene"), &waveform, 1.75).0
+    }
+
+    /// Echoes of somebody on a straight way, exactly as the sensor expects them, but for some that come from elsewhere.
+    fn looks(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Look>, Vec<Smoothed>) {
+        let truth = |i: usize| {
+            let time_s = 0.1 * i as f64;
+            Smoothed {
+                frame: i,
+                time_s,
+                x: sensor.position.x + 6.0 - 1.1 * time_s,
+                y: sensor.position.y - 1.0 + 0.4 * time_s,
+                vx: -1.1,
+                vy: 0.4,
+                sigma_m: 0.0,
+                snr_db: Some(30.0),
+                is_visible: true,
+            }
+        };
+        let look = |i: usize| {
+            let expected = sensor.expected(&truth(i));
+            let (range, cosine) = if wrong(i) { (0.5, -0.3) } else { (0.0, 0.0) };
+            let echo = Echo {
+                range_m: expected.range_m + range,
+                velocity_m_per_s: expected.velocity_m_per_s,
+                snr_db: 30.0,
+                cosines: vec![Some(expected.cosine + cosine)],
+                is_still: false,
+            };
+            Look { time_s: truth(i).time_s, people: 1, echoes: vec![echo] }
+        };
+        ((0..40).map(look).collect(), (0..40).map(truth).collect())
+    }
+
+    #[test]
+    fn a_straight_way_is_found_again_from_what_it_makes() {
+        let sensor = sensor();
+        let (looks, truth) = looks(&sensor, |_| false);
+        let places: Vec<Place> = (0..40).filter(|i| !(15..20).contains(i)).map(|i| (i, 0)).collect();
+        let track = smooth(&looks, &places, &sensor);
+        assert_eq!(track.len(), 40);
+        for (told, truth) in track.iter().zip(&truth) {
+            let (place, speed) =
+                ((told.x - truth.x).hypot(told.y - truth.y), (told.vx - truth.vx).hypot(told.vy - truth.vy));
+            assert!(place < 0.01 && speed < 0.02, "{told:?} {truth:?}");
+            assert_eq!(told.snr_db.is_none(), (15..20).contains(&told.frame));
+        }
+    }
+
+    #[test]
+    fn echoes_from_elsewhere_pull_little() {
+        let sensor = sensor();
+        let (looks, truth) = looks(&sensor, |i| i % 7 == 3);
+        let places: Vec<Place> = (0..40).map(|i| (i, 0)).collect();
+        for (told, truth) in smooth(&looks, &places, &sensor).iter().zip(&truth) {
+            assert!((told.x - truth.x).hypot(told.y - truth.y) < 0.06, "{told:?} {truth:?}");
+        }
+    }
+
+    /// Gradients against differences of the values.
+    #[test]
+    fn measures_change_as_their_gradients_say() {
+        let sensor = sensor();
+        let state = DVec4::new(sensor.position.x + 3.0, sensor.position.y + 0.8, -0.9, 0.5);
+        for axis in 0..4 {
+            let mut step = DVec4::ZERO;
+            step[axis] = 1e-4;
+            let (after, before) = (sensor.measures(state + step), sensor.measures(state - step));
+            for (which, (value, gradient)) in sensor.measures(state).into_iter().enumerate() {
+                let slope = (after[which].0 - before[which].0) / 2e-4;
+                // How far the trunk reaches and leans is taken for constant.
+                assert!((slope - gradient[axis]).abs() < 0.05, "{which} {axis}: {slope} {} at {value}", gradient[axis]);
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn nothing_to_follow_is_no_trajectory() {
+            assert!(smooth(&[], &[], &sensor()).is_empty());
+            let lone = Look { time_s: 0.0, people: 1, echoes: Vec::new() };
+            assert!(smooth(&[lone], &[(0, 3)], &sensor()).len() <= 1);
+        }
+    }
+}
