@@ -163,7 +163,7 @@ fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
         assert!(errors.visible as f64 >= least_visible * frames as f64, "{told}");
         assert_eq!(said["people"][0]["visible"], errors.visible);
         assert!(rms(&errors.place) < 0.1 && part(&errors.place, 0.9) < 0.1, "{told}");
-        assert!(rms(&errors.velocity) < 0.1 && rms(&errors.radial) < 0.06, "{told}");
+        assert!(rms(&errors.velocity) < 0.1, "{told}");
         assert!(part(&errors.radial, 0.9) < 0.1, "{told}");
         // The mirror's own echoes lie where the recording's do.
         let person = &said["people"][0];
