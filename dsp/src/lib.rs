@@ -22,9 +22,11 @@
 //!   its own instructions, and may differ between machines in the last bit.
 //! - **Randomness** is a function of (seed, purpose, index), never of thread or order.
 
+pub mod angle;
 pub mod cfar;
 pub mod decibel;
 pub mod distance;
+pub mod echo;
 mod frame;
 
 mod kernel;

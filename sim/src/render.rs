@@ -185,7 +185,12 @@ impl Renderer {
     }
 
     pub(crate) fn truth(&self, index: u64) -> Truth {
-        let (start, active) = (self.start_s(index), self.active_s());
+        self.truth_from(self.start_s(index))
+    }
+
+    /// What is true of a frame that begins then.
+    fn truth_from(&self, start: f64) -> Truth {
+        let active = self.active_s();
         let size = self.stage.room.size_m;
         let (mut count, mut transition) = (0, false);
         for (_, motion) in self.program.between(start, start + active) {
@@ -283,9 +288,13 @@ impl Renderer {
     }
 
     pub(crate) fn render_into(&self, index: u64, frame: &mut Frame) -> FrameReport {
+        self.render_from(index, self.start_s(index), frame)
+    }
+
+    /// The same with its first chirp at another time.
+    pub(crate) fn render_from(&self, index: u64, start_s: f64, frame: &mut Frame) -> FrameReport {
         let waveform = self.waveform();
         let shape: FrameShape = waveform.shape();
-        let start_s = self.start_s(index);
         frame.sequence = index;
         frame.time_ns = (start_s * 1e9).round() as u64;
         frame.host_time_ns = 0;
@@ -293,7 +302,7 @@ impl Renderer {
         frame.temperature_millicelsius = None;
         frame.codes.clear();
         frame.codes.resize(shape.codes(), 0);
-        frame.truth = Some(self.truth(index));
+        frame.truth = Some(self.truth_from(start_s));
 
         let mut traced = self.traced(start_s, None);
         let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });

@@ -151,6 +151,14 @@ impl Simulator {
         frame
     }
 
+    /// One frame whose first chirp is at a time of the scene that need not be a multiple of the frame interval, as boards' are
+    /// not: what is drawn by chance is frame `index`'s.
+    pub fn render_at(&self, index: u64, start_s: f64) -> Frame {
+        let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());
+        self.inner.render_from(index, start_s, &mut frame);
+        frame
+    }
+
     /// One frame, and what it took.
     pub fn render_with_report(&self, index: u64) -> (Frame, FrameReport) {
         let mut frame = Frame::zeroed(self.inner.scene.waveform().shape());

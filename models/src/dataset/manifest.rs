@@ -61,7 +61,11 @@ pub struct ManifestRow {
     pub sequence: String,
     /// Sequence number of the (last) frame within its recording.
     pub frame: u64,
-    /// Common name of a simulated map and the measured one that it imitates.
+    /// When that frame began, by its recording's clock, ns.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time_ns: Option<u64>,
+    /// Common name of a recording and of the simulation that mirrors it: maps of the two with the same frame are of the same
+    /// moment.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pair: Option<String>,
     /// The class.
@@ -90,6 +94,7 @@ impl ManifestRow {
             subject: None,
             sequence: sequence.to_owned(),
             frame,
+            time_ns: None,
             pair: None,
             label,
             transition: false,

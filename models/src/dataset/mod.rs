@@ -28,7 +28,7 @@ pub use merge::merge;
 pub use reader::Dataset;
 pub use split::{SplitBy, SplitSpec};
 pub use statistics::{CellStatistics, Moments, statistics};
-pub use verify::{Damage, Duplicate, Leak, VerifyReport, verify};
+pub use verify::{Damage, Duplicate, Leak, PairFault, VerifyReport, verify};
 pub use writer::{DatasetWriter, lock_folder};
 
 use radome_dsp::RdmShape;

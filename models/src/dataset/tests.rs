@@ -290,3 +290,39 @@ mod hard_cases {
         assert!(error.contains("format 99 is newer than 1"), "{error}");
     }
 }
+
+/// A recording and its mirror: whatever they should share and do not is named, and nothing is wrong with those that do.
+#[test]
+fn pairs_whose_sides_differ_are_named() {
+    let header = header();
+    let rows = |change: &dyn Fn(&mut Vec<ManifestRow>)| {
+        let side = |domain, recording: &str| {
+            let row = |frame| {
+                let mut row = ManifestRow::new(domain, "corridor", recording, "walk", frame, Occupancy::One);
+                (row.pair, row.time_ns) = (Some("walk".into()), Some(frame * 100_000_000));
+                row
+            };
+            (0..4).map(row).collect::<Vec<_>>()
+        };
+        let mut rows = [side(Domain::Real, "walk"), side(Domain::Sim, "walk-mirror")].concat();
+        change(&mut rows);
+        let maps = rows.into_iter().enumerate().map(|(i, row)| (map(&header, i as u64), row)).collect();
+        let dataset = Dataset::from_maps(header.clone(), maps).expect("a dataset");
+        verify(&dataset, &SplitSpec::default()).expect("a report")
+    };
+    let sound = rows(&|_| {});
+    assert!(sound.is_sound() && sound.pairs == 1, "{sound:?}");
+    type Change = fn(&mut Vec<ManifestRow>);
+    let cases: [(Change, &str); 5] = [
+        (|rows| rows.truncate(4), "has no sim side"),
+        (|rows| drop(rows.remove(6)), "4 real and 3 simulated frames; frame 2 is real and not sim"),
+        (|rows| rows[5].label = Occupancy::Two, "frame 1 is one at 0.100000 s if real, two at 0.100000 s if simulated"),
+        (|rows| rows[7].time_ns = Some(1), "frame 3 is one at 0.300000 s"),
+        (|rows| rows[4..].iter_mut().for_each(|row| row.sequence = "other".into()), "2 sequences"),
+    ];
+    for (change, expected) in cases {
+        let report = rows(&change);
+        let said = report.unpaired.iter().map(|fault| fault.what.as_str()).collect::<Vec<_>>();
+        assert!(!report.is_sound() && said.len() == 1 && said[0].contains(expected), "{expected}: {said:?}");
+    }
+}

@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use super::{Dataset, DatasetError, ManifestRow, Split, SplitBy, SplitSpec};
+use super::{Dataset, DatasetError, Domain, ManifestRow, Split, SplitBy, SplitSpec};
 
 /// A map that cannot be read or is not the one that was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -41,6 +41,15 @@ pub struct Leak {
     pub splits: Vec<Split>,
 }
 
+/// A recording and its mirror that do not fit together.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct PairFault {
+    /// Name of the pair.
+    pub pair: String,
+    /// What is wrong.
+    pub what: String,
+}
+
 /// What [`verify`] finds.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
@@ -56,12 +65,16 @@ pub struct VerifyReport {
     pub duplicates: Vec<Duplicate>,
     /// Sequences, and what else was asked about, in more than one split.
     pub leaks: Vec<Leak>,
+    /// Pairs of a recording and its mirror.
+    pub pairs: usize,
+    /// Those whose sides differ in what they should share.
+    pub unpaired: Vec<PairFault>,
 }
 
 impl VerifyReport {
     /// Nothing was found.
     pub fn is_sound(&self) -> bool {
-        self.damaged.is_empty() && self.duplicates.is_empty() && self.leaks.is_empty()
+        self.damaged.is_empty() && self.duplicates.is_empty() && self.leaks.is_empty() && self.unpaired.is_empty()
     }
 }
 
@@ -115,7 +128,53 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     let mut split_maps = [0; 3];
     splits.iter().for_each(|split| split_maps[*split as usize] += 1);
     let sequences = rows.iter().map(|row| row.sequence.as_str()).collect::<BTreeSet<_>>().len();
-    Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks })
+    let (pairs, unpaired) = check_pairs(rows);
+    Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks, pairs, unpaired })
+}
+
+/// How many pairs there are, and what is wrong with them: both sides must have the same frames, of the same times, with the
+/// same labels, and belong to one sequence, so that no split parts them.
+fn check_pairs(rows: &[ManifestRow]) -> (usize, Vec<PairFault>) {
+    /// Of a frame: when it began, what it shows.
+    type Side = BTreeMap<u64, (Option<u64>, Occupancy, bool)>;
+    let mut pairs: BTreeMap<&str, (Side, Side, BTreeSet<&str>)> = BTreeMap::new();
+    for row in rows {
+        let Some(pair) = &row.pair else { continue };
+        let (real, sim, sequences) = pairs.entry(pair).or_default();
+        let side = if row.domain == Domain::Real { real } else { sim };
+        side.insert(row.frame, (row.time_ns, row.label, row.transition));
+        sequences.insert(&row.sequence);
+    }
+    let fault = |(pair, (real, sim, sequences)): (&&str, &(Side, Side, BTreeSet<&str>))| {
+        let differing =
+            || real.iter().find_map(|(frame, a)| sim.get(frame).filter(|b| *b != a).map(|b| (*frame, *a, *b)));
+        let what = if real.is_empty() || sim.is_empty() {
+            format!("has no {} side", if real.is_empty() { Domain::Real } else { Domain::Sim })
+        } else if let Some(frame) =
+            real.keys().chain(sim.keys()).find(|f| !(real.contains_key(f) && sim.contains_key(f)))
+        {
+            let (has, lacks) =
+                if real.contains_key(frame) { (Domain::Real, Domain::Sim) } else { (Domain::Sim, Domain::Real) };
+            format!(
+                "has {} real and {} simulated frames; frame {frame} is {has} and not {lacks}",
+                real.len(),
+                sim.len()
+            )
+        } else if let Some((frame, (time_a, label_a, _), (time_b, label_b, _))) = differing() {
+            let time = |time: Option<u64>| time.map_or("no time".into(), |ns| format!("{:.6} s", ns as f64 * 1e-9));
+            format!(
+                "frame {frame} is {label_a} at {} if real, {label_b} at {} if simulated",
+                time(time_a),
+                time(time_b)
+            )
+        } else if sequences.len() > 1 {
+            format!("is in {} sequences, which splits may part", sequences.len())
+        } else {
+            return None;
+        };
+        Some(PairFault { pair: (*pair).to_owned(), what })
+    };
+    (pairs.len(), pairs.iter().filter_map(fault).collect())
 }
 
 fn leaks(rows: &[ManifestRow], splits: &[Split], by: SplitBy) -> Vec<Leak> {

@@ -105,6 +105,13 @@ impl DatasetWriter {
         Ok(())
     }
 
+    /// Puts a file of another kind beside the maps: it appears when they do.
+    pub fn add_file(&mut self, name: &str, content: &[u8]) -> Result<(), DatasetError> {
+        let path = self.temporary.join(name);
+        let write = || File::create(&path).and_then(|mut f| f.write_all(content).and(f.sync_all()));
+        write().map_err(DatasetError::io(&path, "writing"))
+    }
+
     /// Maps so far.
     pub fn maps(&self) -> usize {
         self.maps

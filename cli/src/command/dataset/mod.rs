@@ -10,6 +10,7 @@ mod features;
 mod folders;
 mod label;
 mod merge;
+mod pair;
 mod plan;
 mod print;
 mod slurm;
@@ -33,6 +34,8 @@ enum Action {
     Label(label::Arguments),
     /// One dataset of all shards of a build, or of several datasets
     Merge(merge::Arguments),
+    /// A recording and the scene that mirrors it, as one dataset
+    Pair(pair::Arguments),
     /// Mean and sigma of the cells by scene, class and domain, and how much people raise them
     Stats(stats::Arguments),
     /// Hashes, duplicates, and what lies in more than one split
@@ -47,6 +50,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Action::Build(arguments) => build::run(arguments),
         Action::Label(arguments) => label::run(arguments),
         Action::Merge(arguments) => merge::run(arguments),
+        Action::Pair(arguments) => pair::run(arguments),
         Action::Stats(arguments) => stats::run(arguments),
         Action::Verify(arguments) => verify::run(arguments),
         Action::Slurm(arguments) => slurm::run(arguments),

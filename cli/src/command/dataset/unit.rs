@@ -162,7 +162,7 @@ fn recording(
 }
 
 /// What labels say of a frame: the class at its first chirp, and whether it is another at its last.
-fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
+pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
         let holds = |span: &&LabelSpan| {
             span.occupancy().is_some() && span.start_s <= time_s + ROUNDING_S && time_s + ROUNDING_S < span.end_s

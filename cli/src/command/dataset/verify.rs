@@ -68,14 +68,19 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             format!("{} '{}' is in {}", leak.by, leak.name, splits.join(" and "))
         };
         show(report.leaks.iter().map(leak), "leaks between splits")?;
+        if report.pairs > 0 {
+            output::text_line(&format!("{} pairs of a recording and its mirror", report.pairs))?;
+        }
+        show(report.unpaired.iter().map(|fault| format!("pair '{}' {}", fault.pair, fault.what)), "pairs")?;
     }
     if !report.is_sound() {
         bail!(
-            "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits",
+            "{}: {} damaged maps, {} groups of duplicates, {} leaks between splits, {} pairs that are none",
             arguments.dataset.display(),
             report.damaged.len(),
             report.duplicates.len(),
-            report.leaks.len()
+            report.leaks.len(),
+            report.unpaired.len()
         );
     }
     Ok(())

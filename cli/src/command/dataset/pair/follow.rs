@@ -1,0 +1,212 @@
+//! Which echoes are somebody: the best chains through the echoes of all frames.
+//!
+//! A chain of echoes that follow from each other by range, speed and direction is a sighting. The best set of sightings that
+//! do not overlap in time is found for the whole recording at once, by dynamic programming: what makes a sighting begin or
+//! end is not decided frame by frame. A second person is looked for among the echoes that the first does not explain, their
+//! repeats off the room's walls included.
+
+use glam::DVec3;
+use radome_dsp::echo::Echo;
+
+use super::smooth::{Sensor, Smoothed, smooth};
+
+/// Echoes of one frame.
+#[derive(Debug, Clone)]
+pub struct Look {
+    /// Middle of the frame, s.
+    pub time_s: f64,
+    /// People whom labels allow; as many as are looked for where there is none.
+    pub people: usize,
+    pub echoes: Vec<Echo>,
+}
+
+/// An echo by frame and place in its list.
+pub type Place = (usize, usize);
+
+/// A stretch of time in which somebody was followed.
+#[derive(Debug, Clone)]
+pub struct Sighting {
+    pub places: Vec<Place>,
+    pub track: Vec<Smoothed>,
+}
+
+impl Sighting {
+    /// First and last frame.
+    pub fn frames(&self) -> (usize, usize) {
+        (self.places.first().map_or(0, |p| p.0), self.places.last().map_or(0, |p| p.0))
+    }
+}
+
+/// Frames without an echo within a sighting last no longer than this, s.
+pub const BRIDGE_S: f64 = 1.0;
+/// A sighting has to be worth as much: an echo 20 dB above noise is worth 1.
+const LEAST_WORTH: f64 = 6.0;
+/// Worth of a decibel beyond that: repeats are weaker than what they repeat.
+const STRONGER: f64 = 0.01;
+/// Echoes so near to a stronger one, m, lose so much for each decibel, up to so many.
+const LIMBS_M: f64 = 0.4;
+const LIMB: f64 = 0.06;
+const MOST_LIMB_DB: f64 = 25.0;
+/// Nobody goes faster along the radar's sight, m/s.
+const FASTEST_M_PER_S: f64 = 2.6;
+/// Worth of a frame without an echo, within a sighting.
+const MISS: f64 = -0.3;
+/// What still people are worth against those who move: their echoes last.
+const STILL: f64 = 0.5;
+/// How far two echoes of a chain may differ from each other: range by their speeds (m), speed (m/s and for each second),
+/// direction (cosine and for each second).
+const RANGE_M: f64 = 0.12;
+const SPEED_M_PER_S: [f64; 2] = [0.25, 1.0];
+const COSINE: [f64; 2] = [0.15, 0.5];
+/// Echoes within this of somebody are theirs, m.
+const BODY_M: f64 = 0.55;
+/// Echoes so near to where a wall would repeat somebody are that repeat, m and m/s.
+const REPEAT_M: f64 = 0.25;
+const REPEAT_M_PER_S: f64 = 0.5;
+
+/// Follows up to `people` through the looks.
+pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
+    let mut free: Vec<Vec<bool>> = looks.iter().map(|look| vec![look.people > 0; look.echoes.len()]).collect();
+    let mut all: Vec<Sighting> = Vec::new();
+    for person in 0..people {
+        let chains = best_chains(looks, &free, sensor);
+        for places in chains {
+            // A second person is where labels say so, for the better part.
+            let counted = places.iter().filter(|p| looks.get(p.0).is_some_and(|look| look.people > person)).count();
+            if 2 * counted < places.len() {
+                continue;
+            }
+            let track = smooth(looks, &places, sensor);
+            for state in &track {
+                let Some((look, free)) = looks.get(state.frame).zip(free.get_mut(state.frame)) else { continue };
+                for (echo, free) in look.echoes.iter().zip(free) {
+                    *free &= !explains(state, echo, sensor);
+                }
+            }
+            all.push(Sighting { places, track });
+        }
+    }
+    all.sort_by_key(|sighting| sighting.frames());
+    all
+}
+
+/// Whether an echo is a part of somebody, or a repeat of them off a wall.
+fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor) -> bool {
+    let own = sensor.expected(state);
+    let differs = |range_m: f64, velocity: f64, most_m: f64, most_m_per_s: f64| {
+        (echo.range_m - range_m).abs() > most_m
+            || sensor.wrapped(echo.velocity_m_per_s - velocity).abs() > most_m_per_s && !echo.is_still
+    };
+    // Whose trunk has another speed within arm's reach may be somebody who passes by.
+    if !differs(own.range_m, own.velocity_m_per_s, BODY_M, 0.6) {
+        return true;
+    }
+    let place = DVec3::new(state.x, state.y, sensor.trunk_height_m);
+    let velocity = DVec3::new(state.vx, state.vy, 0.0);
+    sensor.images().any(|(_, image)| {
+        let way = place - image;
+        let (image_m, image_speed) = (way.length(), velocity.dot(way.normalize_or_zero()));
+        // There by the wall and back directly, or both ways by it.
+        [0.5, 1.0].iter().any(|share| {
+            let range_m = own.range_m + share * (image_m - place.distance(sensor.position));
+            let speed = own.velocity_m_per_s * (1.0 - share) + share * image_speed;
+            !differs(range_m, speed, REPEAT_M, REPEAT_M_PER_S)
+        })
+    })
+}
+
+/// The best sightings that do not overlap, in order of time.
+fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
+    /// Where a chain came from: an echo before, or nothing, after the best set of sightings that ended by then.
+    #[derive(Clone, Copy)]
+    enum From {
+        Echo(Place),
+        Ended(Option<Place>),
+    }
+    let mut best: Vec<Vec<(f64, From)>> = looks.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
+    // By frame, the best set of sightings that have ended before it.
+    let mut ended: Vec<(f64, Option<Place>)> = vec![(0.0, None)];
+    for (k, look) in looks.iter().enumerate() {
+        let before = ended.last().copied().unwrap_or((0.0, None));
+        let mut now = before;
+        for (i, echo) in look.echoes.iter().enumerate() {
+            if !free.get(k).and_then(|f| f.get(i)).is_some_and(|f| *f) {
+                if let Some(row) = best.get_mut(k) {
+                    row.push((f64::NEG_INFINITY, From::Ended(None)));
+                }
+                continue;
+            }
+            let mut reached = (before.0 - LEAST_WORTH, From::Ended(before.1));
+            for (j, earlier) in looks.iter().enumerate().take(k).rev() {
+                let gap_s = look.time_s - earlier.time_s;
+                if gap_s > BRIDGE_S {
+                    break;
+                }
+                let missed = MISS * (k - j - 1) as f64;
+                for (n, (other, (score, _))) in earlier.echoes.iter().zip(best.get(j).into_iter().flatten()).enumerate()
+                {
+                    let score = score + missed - step_cost(other, echo, gap_s, sensor);
+                    if score > reached.0 {
+                        reached = (score, From::Echo((j, n)));
+                    }
+                }
+            }
+            let score = reached.0 + worth(echo, look);
+            if let Some(row) = best.get_mut(k) {
+                row.push((score, reached.1));
+            }
+            if score > now.0 {
+                now = (score, Some((k, i)));
+            }
+        }
+        ended.push(now);
+    }
+    let mut chains = Vec::new();
+    let mut at = ended.last().and_then(|e| e.1);
+    let mut chain = Vec::new();
+    while let Some(place) = at {
+        chain.push(place);
+        at = match best.get(place.0).and_then(|row| row.get(place.1)).map(|b| b.1) {
+            Some(From::Echo(earlier)) => Some(earlier),
+            Some(From::Ended(earlier)) => {
+                chain.reverse();
+                chains.push(std::mem::take(&mut chain));
+                earlier
+            }
+            None => None,
+        };
+    }
+    chains.reverse();
+    chains
+}
+
+/// What clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over from whom is far to
+/// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
+fn worth(echo: &Echo, look: &Look) -> f64 {
+    let near = look.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
+    let weaker_db = near.map(|e| e.snr_db - echo.snr_db).fold(0.0, f64::max);
+    let worth =
+        (0.3 + 0.1 * (echo.snr_db - 12.0)).min(1.0) + STRONGER * echo.snr_db - LIMB * weaker_db.min(MOST_LIMB_DB);
+    if echo.is_still { STILL * worth } else { worth }
+}
+
+/// How unlikely it is that one echo follows another, as half a sum of squares.
+fn step_cost(a: &Echo, b: &Echo, gap_s: f64, sensor: &Sensor) -> f64 {
+    // Speeds may be folded: the one that people can have and that carries the first echo nearest to the second counts.
+    let span = sensor.span_m_per_s;
+    let half = 0.5 * sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s);
+    let moved = b.range_m - a.range_m;
+    let folds = (FASTEST_M_PER_S / span).ceil().min(20.0) as i32;
+    let middle = (-folds..=folds)
+        .map(|fold| a.velocity_m_per_s + half + span * f64::from(fold))
+        .filter(|speed| speed.abs() <= FASTEST_M_PER_S)
+        .min_by(|x, y| (moved - x * gap_s).abs().total_cmp(&(moved - y * gap_s).abs()))
+        .unwrap_or(a.velocity_m_per_s);
+    let range = (moved - middle * gap_s) / (RANGE_M + 0.3 * gap_s);
+    let speed = sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s) / (SPEED_M_PER_S[0] + SPEED_M_PER_S[1] * gap_s);
+    let cosine = match (a.cosines.first(), b.cosines.first()) {
+        (Some(Some(a)), Some(Some(b))) => (b - a) / (COSINE[0] + COSINE[1] * gap_s),
+        _ => 0.0,
+    };
+    0.5 * (range * range + speed * speed + cosine * cosine)
+}

@@ -1,0 +1,372 @@
+//! A recording and the scene that mirrors it: simulated recordings whose trajectory is known, and a real one.
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use radome_sim::actor::motion::{Motion, MotionBuilder, Person};
+use radome_tests::{failure, fixture, json_lines, radome, shared};
+use serde_json::Value;
+
+/// Where somebody walks: places, and the speed of the way to each; a place twice is a stand of two seconds.
+type Path2 = [([f64; 2], f64)];
+
+/// The way-points rounded as scenes round them; the person does not matter.
+fn motion(path: &Path2) -> Motion {
+    let mut builder = MotionBuilder::new(Person::draw(0, [0, 0], 1.75), 0.0, path[0].0, 0.0);
+    for (place, speed) in &path[1..] {
+        builder = if builder.place() == *place { builder.stand(2.0) } else { builder.walk_to(*place, *speed) };
+    }
+    builder.stay()
+}
+
+/// A scene file of the fixtures with these people in it.
+fn scene(folder: &Path, fixture_name: &str, paths: &[&Path2]) -> PathBuf {
+    let text = std::fs::read_to_string(fixture(fixture_name)).expect("a scene");
+    let (room, _) = text.split_once("[people.visits]").expect("a program of visits");
+    let receivers = fixture("receivers").canonicalize().expect("a folder");
+    let mut text = room.replace("../receivers", &receivers.display().to_string());
+    for path in paths {
+        let step = |(i, (place, speed)): (usize, &([f64; 2], f64))| match i {
+            0 => format!("{{ walk_to_m = {place:?} }}"),
+            _ if path[i - 1].0 == *place => "{ stand_s = 2.0 }".to_owned(),
+            _ => format!("{{ walk_to_m = {place:?}, speed_m_per_s = {speed:?} }}"),
+        };
+        let steps: Vec<String> = path.iter().enumerate().map(step).collect();
+        text += &format!("[[people.actor]]\nstep = [{}]\n", steps.join(", "));
+    }
+    let file = folder.join("walk.toml");
+    std::fs::write(&file, text).expect("writable");
+    file
+}
+
+fn record(scene: &Path, frames: u64, seed: u64) -> PathBuf {
+    let file = scene.with_extension("mcap");
+    let (frames, seed) = (frames.to_string(), seed.to_string());
+    json_lines(
+        radome().arg("simulate").arg(scene).args(["--frames", &frames, "--seed", &seed, "--json", "-o"]).arg(&file),
+    );
+    file
+}
+
+fn pair(recording: &Path, scene: &Path, output: &Path) -> Command {
+    let mut command = radome();
+    command.args(["dataset", "pair"]).arg(recording).arg(scene).arg("--json").arg("-o").arg(output);
+    command
+}
+
+fn numbers(value: &Value) -> [f64; 2] {
+    let number = |i: usize| value[i].as_f64().expect("a number");
+    [number(0), number(1)]
+}
+
+/// How far a followed trajectory is from the true one.
+#[derive(Debug, Default)]
+struct Errors {
+    /// Frames in which somebody was visible, of all.
+    visible: usize,
+    frames: usize,
+    /// Sorted: of place (m), of velocity (m/s) and of its radial part.
+    place: Vec<f64>,
+    velocity: Vec<f64>,
+    radial: Vec<f64>,
+}
+
+impl Errors {
+    /// Of a person's lines; who turns, starts or stops within these times (s, from and to) is not asked how fast.
+    fn of(set: &Path, person: u64, truth: &Motion, radar: [f64; 2], frames: usize, turns: &[[f64; 2]]) -> Self {
+        /// Middle of the frames of the paper's waveform, s.
+        const MIDDLE_S: f64 = 0.032;
+        let text = std::fs::read_to_string(set.join("track.jsonl")).expect("a track");
+        let mut errors = Errors { frames, ..Errors::default() };
+        for line in text.lines() {
+            let line: Value = serde_json::from_str(line).expect("JSON");
+            if line["person"] != person || line["visible"] != true {
+                continue;
+            }
+            errors.visible += 1;
+            let time_s = line["frame_begins_s"].as_f64().expect("a time") + MIDDLE_S;
+            let at = |t: f64| truth.walk(t).position_m;
+            let (place, [before, after]) = (at(time_s), [at(time_s - 0.01), at(time_s + 0.01)]);
+            let velocity = [0, 1].map(|i| (after[i] - before[i]) / 0.02);
+            let (told, told_velocity) = (numbers(&line["position_m"]), numbers(&line["velocity_m_per_s"]));
+            errors.place.push((told[0] - place[0]).hypot(told[1] - place[1]));
+            if turns.iter().any(|[from, to]| (*from..*to).contains(&time_s)) {
+                continue;
+            }
+            let off = [0, 1].map(|i| told_velocity[i] - velocity[i]);
+            let sight = [place[0] - radar[0], place[1] - radar[1]];
+            errors.velocity.push(off[0].hypot(off[1]));
+            errors.radial.push(((off[0] * sight[0] + off[1] * sight[1]) / sight[0].hypot(sight[1])).abs());
+        }
+        for all in [&mut errors.place, &mut errors.velocity, &mut errors.radial] {
+            all.sort_by(f64::total_cmp);
+        }
+        errors
+    }
+
+    fn said(&self) -> String {
+        let spread = |all: &[f64]| format!("{:.3}/{:.3}/{:.3}", rms(all), part(all, 0.9), part(all, 1.0));
+        let (place, velocity, radial) = (spread(&self.place), spread(&self.velocity), spread(&self.radial));
+        let (visible, frames) = (self.visible, self.frames);
+        format!(
+            "visible in {visible} of {frames}; rms/p90/worst: place {place} m, velocity {velocity} m/s, radial {radial} m/s"
+        )
+    }
+}
+
+fn rms(all: &[f64]) -> f64 {
+    (all.iter().map(|e| e * e).sum::<f64>() / all.len() as f64).sqrt()
+}
+
+fn part(sorted: &[f64], share: f64) -> f64 {
+    sorted[((sorted.len() - 1) as f64 * share).round() as usize]
+}
+
+/// Corners of a path, half a second either way: velocities change there by up to 3 m/s in a second.
+fn turns(path: &Path2) -> Vec<[f64; 2]> {
+    let mut time_s = 0.0;
+    let mut turns = vec![[-0.5, 0.5]];
+    for pair in path.windows(2) {
+        let (from, (to, speed)) = (pair[0].0, pair[1]);
+        let way_m = (to[0] - from[0]).hypot(to[1] - from[1]);
+        time_s += if way_m > 0.0 { way_m / speed } else { 2.0 };
+        turns.push([time_s - 0.5, time_s + 0.5]);
+    }
+    turns
+}
+
+const CORRIDOR: [f64; 2] = [0.35, 1.0];
+const ROOM: [f64; 2] = [0.1, 3.0];
+
+/// Along the corridor, past its walls, with noise and repeats: 10 cm and 0.1 m/s for nine in ten frames, and on the average,
+/// wherever the person is visible. Velocity across the sight is known from places alone, and where people turn on their heels it
+/// lags: there only places are held to it.
+#[test]
+fn a_walker_is_recovered_within_ten_centimetres_where_visible() {
+    let up_and_down: &Path2 = &[([6.5, 0.5], 0.0), ([2.0, 1.5], 1.3), ([6.0, 0.6], 0.9)];
+    let stands: &Path2 = &[([8.0, 1.3], 0.0), ([1.2, 0.7], 1.2), ([1.2, 0.7], 0.0), ([7.0, 1.0], 1.0)];
+    let crosses: &Path2 = &[([5.5, 1.4], 0.0), ([2.0, 4.0], 1.1), ([2.6, 2.0], 0.8), ([5.0, 3.4], 1.2)];
+    for (name, path, radar, frames, seed, least_visible) in [
+        ("scenes/corridor.toml", up_and_down, CORRIDOR, 100, 1, 0.6),
+        ("scenes/corridor.toml", stands, CORRIDOR, 130, 1, 0.75),
+        ("scenes/room.toml", crosses, ROOM, 100, 3, 0.95),
+        ("scenes/room.toml", crosses, ROOM, 100, 4, 0.95),
+    ] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene = scene(folder.path(), name, &[path]);
+        let recording = record(&scene, frames, seed);
+        let set = folder.path().join("set");
+        // Of the scene only the room is used: its fixture has other people.
+        let said = json_lines(&mut pair(&recording, &fixture(name), &set)).remove(0);
+        let errors = Errors::of(&set, 1, &motion(path), radar, frames as usize, &turns(path));
+        let told = format!("{name} seed {seed}: {}", errors.said());
+        assert!(errors.visible as f64 >= least_visible * frames as f64, "{told}");
+        assert_eq!(said["people"][0]["visible"], errors.visible);
+        assert!(rms(&errors.place) < 0.1 && part(&errors.place, 0.9) < 0.1, "{told}");
+        assert!(rms(&errors.velocity) < 0.1, "{told}");
+        assert!(part(&errors.radial, 0.9) < 0.1, "{told}");
+        // The mirror's own echoes lie where the recording's do.
+        let person = &said["people"][0];
+        assert!(person["compared"].as_u64() > Some(frames * 8 / 10), "{said}");
+        assert!(person["range_m"]["rms"].as_f64() < Some(0.1), "{said}");
+        assert_eq!(said["labels_agree"], frames);
+    }
+}
+
+/// Two who pass each other in the corridor keep their names.
+#[test]
+fn two_who_pass_each_other_are_both_recovered() {
+    let to: &Path2 = &[([7.0, 0.6], 0.0), ([1.5, 0.6], 1.2), ([5.0, 0.6], 1.0)];
+    let fro: &Path2 = &[([2.0, 1.4], 0.0), ([6.5, 1.4], 0.9), ([3.0, 1.4], 1.2)];
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = scene(folder.path(), "scenes/corridor.toml", &[to, fro]);
+    let recording = record(&scene, 100, 3);
+    let set = folder.path().join("set");
+    json_lines(&mut pair(&recording, &scene, &set));
+    for path in [to, fro] {
+        let of = |person| Errors::of(&set, person, &motion(path), CORRIDOR, 100, &turns(path));
+        let errors = [of(1), of(2)].into_iter().min_by(|a, b| rms(&a.place).total_cmp(&rms(&b.place)));
+        let errors = errors.expect("two");
+        assert!(errors.visible > 60 && rms(&errors.place) < 0.1, "{}", errors.said());
+        assert!(rms(&errors.velocity) < 0.12, "{}", errors.said());
+    }
+}
+
+/// What comes out is a dataset like any other, whose splits keep both sides together; the mirror is a scene like any other.
+#[test]
+fn a_pair_is_a_dataset_and_its_mirror_a_scene() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path: &Path2 = &[([5.0, 1.2], 0.0), ([2.0, 0.8], 1.1)];
+    let scene = scene(folder.path(), "scenes/corridor.toml", &[path]);
+    let recording = record(&scene, 30, 2);
+    // Labels of a file count before the recording's own truth, and half of the frames have none.
+    let labels = folder.path().join("labels.txt");
+    std::fs::write(&labels, "0.0\t2.0\ttwo\n").expect("writable");
+    let set = folder.path().join("set");
+    let make = |output: &Path| {
+        let mut command = pair(&recording, &scene, output);
+        command.args(["--map", "paper", "--subject", "somebody", "--name", "walk-1"]);
+        command
+    };
+    let said = json_lines(&mut make(&set)).remove(0);
+    assert_eq!((said["maps"].as_u64(), said["pair"].as_str()), (Some(60), Some("walk-1")));
+    let manifest = std::fs::read_to_string(set.join("manifest.jsonl")).expect("a manifest");
+    let rows: Vec<Value> = manifest.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let (real, sim) = rows.split_at(30);
+    for (a, b) in real.iter().zip(sim) {
+        assert_eq!((&a["domain"], &b["domain"]), (&Value::from("real"), &Value::from("sim")));
+        for key in ["pair", "sequence", "scene", "subject", "frame", "time_ns", "label", "transition"] {
+            assert_eq!(a[key], b[key], "{key}");
+        }
+        assert_ne!(a["recording"], b["recording"]);
+        assert_ne!(a["hash"], b["hash"]);
+    }
+    let verified = json_lines(radome().args(["dataset", "verify", "--json"]).arg(&set)).remove(0);
+    assert_eq!((verified["pairs"].as_u64(), verified["sequences"].as_u64()), (Some(1), Some(1)));
+    assert_eq!(verified["unpaired"], Value::Array(Vec::new()));
+    json_lines(radome().args(["dataset", "stats", "--json"]).arg(&set));
+    // The mirror gives the same frames once more.
+    let again =
+        json_lines(radome().args(["simulate", "--json", "--frames", "30"]).arg(set.join("mirror.toml"))).remove(0);
+    assert_eq!(again["frames"], 30);
+    let twice = folder.path().join("twice");
+    json_lines(&mut make(&twice));
+    for file in ["manifest.jsonl", "mirror.toml", "track.jsonl", "maps-00000.npy"] {
+        let read = |set: &Path| std::fs::read(set.join(file)).expect("a file");
+        let (a, b) = (read(&set), read(&twice));
+        // But for the folder's own name in the mirror's header.
+        assert!(a == b || file == "mirror.toml" && a.len() == b.len() + "set".len() - "twice".len(), "{file}");
+    }
+    let said = failure(&mut make(&set));
+    assert!(said.contains("exists already"), "{said}");
+    // Labels of two people where one is seen: somebody is missing, and is named.
+    let said = failure(make(&folder.path().join("three")).arg("--labels").arg(&labels));
+    assert!(said.contains("person 2 is in the room") && said.contains("--waypoints"), "{said}");
+    assert!(!folder.path().join("three").exists() && !folder.path().join("three.partial").exists());
+    let points = folder.path().join("points.toml");
+    std::fs::write(
+        &points,
+        "[[person]]\npoint = []\n[[person]]\npoint = [{ time_s = 0.0, position_m = [9.0, 1.0] }]\n",
+    )
+    .expect("writable");
+    let mut command = make(&folder.path().join("three"));
+    let said = json_lines(command.arg("--labels").arg(&labels).arg("--waypoints").arg(&points)).remove(0);
+    assert_eq!((said["maps"].as_u64(), said["people"].as_array().map(Vec::len)), (Some(60), Some(2)));
+}
+
+/// Somebody comes in by a door, walks, and goes: labels and doors say what the beam does not show.
+#[test]
+fn visitors_come_and_go_by_doors() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("a scene");
+    let receivers = fixture("receivers").canonicalize().expect("a folder");
+    let text =
+        text.replace("../receivers", &receivers.display().to_string()).replace("max_people = 2", "max_people = 1");
+    let scene = folder.path().join("visits.toml");
+    std::fs::write(&scene, text).expect("writable");
+    let recording = record(&scene, 150, 2);
+    let said = json_lines(&mut pair(&recording, &scene, &folder.path().join("set"))).remove(0);
+    assert!(said["labels_agree"].as_u64() >= Some(135), "{said}");
+    assert!(said["people"][0]["followed"].as_u64() > Some(40), "{said}");
+}
+
+#[test]
+fn one_receiver_tells_distance_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path: &Path2 = &[([6.0, 1.0], 0.0), ([2.0, 1.0], 1.0)];
+    let scene = scene(folder.path(), "scenes/corridor.toml", &[path]);
+    let text = std::fs::read_to_string(&scene).expect("a scene").replace("[1, 2, 3]", "[1]");
+    std::fs::write(&scene, text).expect("writable");
+    let recording = record(&scene, 30, 2);
+    // A scene of three receivers is no obstacle: the waveform is the recording's.
+    let set = folder.path().join("set");
+    let output = pair(&recording, &fixture("scenes/corridor.toml"), &set).output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && said.contains("along the boresight"), "{said}");
+    assert!(said.contains("the mirror has the recording's waveform"), "{said}");
+    let answer: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(answer["tells_direction"], false);
+    let errors = Errors::of(&set, 1, &motion(path), CORRIDOR, 30, &[]);
+    // It went along the boresight.
+    assert!(errors.visible > 10 && rms(&errors.place) < 0.1, "{}", errors.said());
+}
+
+/// A person who sits and breathes: no speed to go by, eight chirps a frame.
+#[test]
+fn a_real_recording_goes_through_to_the_end() {
+    let Some(recording) = shared("data/recordings/breathing-person-20260106") else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = fixture("scenes/desk.toml");
+    let said = failure(&mut pair(&recording, &scene, &folder.path().join("set")));
+    assert!(said.contains("no frame has a label") && said.contains("--people"), "{said}");
+    let set = folder.path().join("set");
+    let said = json_lines(pair(&recording, &scene, &set).args(["--people", "1", "--seated"])).remove(0);
+    assert_eq!((said["frames"].as_u64(), said["maps"].as_u64()), (Some(256), Some(512)));
+    assert_eq!(said["labels_agree"], 256);
+    json_lines(radome().args(["dataset", "verify", "--json"]).arg(&set));
+    // Bins 12 and 13: the person's surface is 0.36 to 0.39 m away.
+    let person = &said["people"][0];
+    assert_eq!(person["followed"], 256, "{said}");
+    assert!(person["range_m"]["rms"].as_f64() < Some(0.1), "{said}");
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn nobody_in_the_recording_and_no_people_in_the_scene() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let scene_file = scene(folder.path(), "scenes/corridor.toml", &[&[([5.0, 1.0], 0.0)]]);
+        let recording = folder.path().join("empty.mcap");
+        let mut simulate = radome();
+        simulate
+            .arg("simulate")
+            .arg(&scene_file)
+            .args(["--frames", "12", "--people", "0", "--json", "-o"])
+            .arg(&recording);
+        json_lines(&mut simulate);
+        let text = std::fs::read_to_string(&scene_file).expect("a scene");
+        let (room, _) = text.split_once("[[people.actor]]").expect("people");
+        std::fs::write(&scene_file, room).expect("writable");
+        let said = json_lines(&mut pair(&recording, &scene_file, &folder.path().join("set"))).remove(0);
+        assert_eq!((said["maps"].as_u64(), said["labels_agree"].as_u64()), (Some(24), Some(12)));
+        assert_eq!(said["people"], Value::Array(Vec::new()));
+    }
+
+    #[test]
+    fn what_cannot_be_mirrored_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path: &Path2 = &[([5.0, 1.0], 0.0), ([3.0, 1.0], 1.0)];
+        let scene_file = scene(folder.path(), "scenes/corridor.toml", &[path]);
+        let recording = record(&scene_file, 12, 1);
+        let set = folder.path().join("set");
+        let write = |name: &str, text: &str| {
+            let file = folder.path().join(name);
+            std::fs::write(&file, text).expect("writable");
+            file
+        };
+        let said = failure(&mut pair(&folder.path().join("nowhere.mcap"), &scene_file, &set));
+        assert!(said.contains("nowhere.mcap"), "{said}");
+        let said = failure(&mut pair(&recording, &folder.path().join("nowhere.toml"), &set));
+        assert!(said.contains("nowhere.toml"), "{said}");
+        let said = failure(&mut pair(&recording, &fixture("scenes/hall.toml"), &set));
+        assert!(said.contains("another for each seed") && said.contains("hint:"), "{said}");
+        let said = failure(&mut pair(&scene_file, &scene_file, &set));
+        assert!(said.contains("--frames"), "{said}");
+        let said = failure(pair(&recording, &scene_file, &set).args(["--height-m", "17"]));
+        assert!(said.contains("0.5 to 2.5 m"), "{said}");
+        let order = write(
+            "order.toml",
+            "[[person]]\npoint = [{ time_s = 2.0, position_m = [1.0, 1.0] }, { time_s = 1.0, position_m = [1.0, 1.0] }]\n",
+        );
+        let said = failure(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&order));
+        assert!(said.contains("1 s comes after 2 s"), "{said}");
+        let other = write("other.toml", "[[person]]\nplaces = 3\n");
+        let said = failure(pair(&recording, &scene_file, &set).arg("--waypoints").arg(&other));
+        assert!(said.contains("no way-points"), "{said}");
+        let late = write("late.txt", "0.0\t99.0\tone\n");
+        let said = failure(pair(&recording, &scene_file, &set).arg("--labels").arg(&late));
+        assert!(said.contains("99"), "{said}");
+        assert!(!set.exists() && !folder.path().join("set.partial").exists());
+    }
+}
