@@ -302,7 +302,7 @@ pub fn steps(
 ) -> Result<Option<(f64, Vec<StepFile>)>, ScriptError> {
     let knots = simplified(knots);
     let Some(first) = knots.first() else { return Ok(None) };
-    let blank = StepFile { walk_to_m: None, speed_m_per_s: None, stand_s: None, sit_s: None, seat: None };
+    let blank = StepFile::default();
     // From a little farther off, so that who stands faces the radar.
     let away = (first.place - radar).normalize_or(DVec2::X);
     let moves = |a: &Knot, b: &Knot| a.place.distance(b.place) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
