@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
-use radome_dsp::{Rdm, RdmShape, RdmSpec, Waveform};
+use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use thiserror::Error;
 
-use crate::dataset::{DatasetError, network_input};
+use crate::dataset::{DatasetError, ManifestRow, network_input};
 use crate::layer::softmax;
 use crate::model_file::{Model, ModelCard, ModelError};
 
@@ -40,6 +40,11 @@ pub enum ClassifyError {
         /// Index of the first in `db`.
         first: usize,
     },
+    /// The model was told the label of every map that it has seen.
+    #[error(
+        "the model standardises maps by scene and class, so it can only be asked about maps whose labels are known\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
+    )]
+    NeedsLabels,
     /// The network's answer is no number.
     #[error("the network's answer is not finite, cells of the map reach {largest_db} dB in magnitude")]
     Diverged {
@@ -92,20 +97,33 @@ impl Classifier {
 
     /// Probabilities of empty, one, two; they sum to one.
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
+        self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
-        Ok(self.run(&map.db, map.shape)?.1)
+        Ok(self.run(&map.db, map.shape, None)?.1)
     }
 
     /// The two numbers that the map is reduced to before the circuit, before their standardisation.
     pub fn latent(&mut self, map: &Rdm) -> Result<[f32; 2], ClassifyError> {
+        self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
-        Ok(self.run(&map.db, map.shape)?.0)
+        Ok(self.run(&map.db, map.shape, None)?.0)
     }
 
     /// [`Classifier::classify`] for bare cells `[rx][doppler][range]` dB.
     pub fn classify_cells(&mut self, db: &[f32], shape: RdmShape) -> Result<[f32; 3], ClassifyError> {
+        self.check_unlabelled()?;
         self.check_sequence(db, shape, 0)?;
-        Ok(self.run(db, shape)?.1)
+        Ok(self.run(db, shape, None)?.1)
+    }
+
+    /// The same for a map of a dataset, whose row tells scene and label to models that cannot do without.
+    pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
+        self.check_sequence(db, shape, row.frame)?;
+        Ok(self.run(db, shape, Some((&row.scene, row.label)))?.1)
+    }
+
+    fn check_unlabelled(&self) -> Result<(), ClassifyError> {
+        if self.model.card.standardisation.needs_labels() { Err(ClassifyError::NeedsLabels) } else { Ok(()) }
     }
 
     fn expected_shape(&self) -> RdmShape {
@@ -128,10 +146,15 @@ impl Classifier {
     }
 
     /// Latent and probabilities.
-    fn run(&self, db: &[f32], shape: RdmShape) -> Result<([f32; 2], [f32; 3]), ClassifyError> {
+    fn run(
+        &self,
+        db: &[f32],
+        shape: RdmShape,
+        of: Option<(&str, Occupancy)>,
+    ) -> Result<([f32; 2], [f32; 3]), ClassifyError> {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
-        self.model.card.standardisation.apply(&mut input, shape.doppler);
+        self.model.card.standardisation.apply(&mut input, shape.doppler, of);
         let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
         let stages = self.model.network.stages(&input)?;
         let latent: Vec<f32> = stages.latent.flatten_all()?.to_vec1()?;

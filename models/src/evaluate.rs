@@ -74,9 +74,9 @@ pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize
     let mut pairs = Vec::with_capacity(indices.len());
     for &index in indices {
         let map = dataset.map(index)?;
-        let probabilities = classifier.classify_cells(&map, dataset.header().shape)?;
-        let truth = dataset.rows().get(index).map(|r| r.label);
-        pairs.extend(truth.map(|t| (t, most_probable(&probabilities))));
+        let Some(row) = dataset.rows().get(index) else { continue };
+        let probabilities = classifier.classify_row(&map, dataset.header().shape, row)?;
+        pairs.push((row.label, most_probable(&probabilities)));
     }
     Ok(Metrics::from_predictions(pairs))
 }

@@ -4,6 +4,7 @@
 //! The paper standardises by scene *and occupancy*, which tells the network the label of every test map
 //! (paper.md section 4); this does not.
 
+use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -58,7 +59,7 @@ impl MapReference {
 }
 
 /// `(dB - mean) / sigma`, of cells in reference to what they are measured against.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Standardisation {
     /// What 0 dB is.
     #[serde(default, skip_serializing_if = "MapReference::is_absolute")]
@@ -67,10 +68,27 @@ pub struct Standardisation {
     pub mean_db: f64,
     /// Standard deviation of all cells, dB.
     pub sigma_db: f64,
+    /// Instead, for maps of these scenes with so many people in them: the paper's rule, which tells the network the label of
+    /// every map that it is shown.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub label_leaking_cells: Vec<CellConstants>,
+}
+
+/// Mean and standard deviation of the training maps of one scene and class.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CellConstants {
+    /// Scene or place.
+    pub scene: String,
+    /// How many are in it.
+    pub class: Occupancy,
+    /// Mean, dB.
+    pub mean_db: f64,
+    /// Standard deviation, dB.
+    pub sigma_db: f64,
 }
 
 /// Maps that cannot be standardised.
-#[derive(Debug, Clone, Copy, PartialEq, Error)]
+#[derive(Debug, Clone, PartialEq, Error)]
 pub enum StandardiseError {
     /// All cells are the same.
     #[error(
@@ -81,6 +99,16 @@ pub enum StandardiseError {
         mean_db: f64,
         /// Standard deviation, dB.
         sigma_db: f64,
+    },
+    /// Those of one scene and class are.
+    #[error("of scene {scene} with class {class}, {of}")]
+    Cell {
+        /// Scene.
+        scene: String,
+        /// Class.
+        class: Occupancy,
+        /// What is wrong with its maps.
+        of: Box<StandardiseError>,
     },
     /// There is no cell.
     #[error("there are no training maps to take mean and standard deviation from")]
@@ -102,19 +130,43 @@ impl Standardisation {
         if sigma.is_nan() || sigma < LEAST_SIGMA_DB {
             return Err(StandardiseError::NoSpread { mean_db: mean, sigma_db: sigma });
         }
-        Ok(Standardisation { reference, mean_db: mean, sigma_db: sigma })
+        Ok(Standardisation { reference, mean_db: mean, sigma_db: sigma, label_leaking_cells: Vec::new() })
     }
 
-    /// Standardises the cells `[range][doppler]` of a map in place.
-    pub fn apply(&self, cells: &mut [f32], doppler: usize) {
+    /// Adds the constants of one scene and class, from its training maps.
+    pub(crate) fn add_cell<'a>(
+        &mut self,
+        scene: &str,
+        class: Occupancy,
+        maps: impl Iterator<Item = &'a [f32]>,
+    ) -> Result<(), StandardiseError> {
+        let of_cell = Self::measure(self.reference, maps);
+        let of_cell =
+            of_cell.map_err(|of| StandardiseError::Cell { scene: scene.to_owned(), class, of: Box::new(of) })?;
+        let Standardisation { mean_db, sigma_db, .. } = of_cell;
+        self.label_leaking_cells.push(CellConstants { scene: scene.to_owned(), class, mean_db, sigma_db });
+        Ok(())
+    }
+
+    /// Whether maps without a label cannot be standardised.
+    pub fn needs_labels(&self) -> bool {
+        !self.label_leaking_cells.is_empty()
+    }
+
+    /// Standardises the cells `[range][doppler]` of a map in place; `of` is its scene and label, where it has them.
+    pub fn apply(&self, cells: &mut [f32], doppler: usize, of: Option<(&str, Occupancy)>) {
         self.reference.apply(cells, doppler);
-        self.scale(cells);
+        self.scale(cells, of);
     }
 
     /// The constants alone, for cells that are in reference already.
-    pub(crate) fn scale(&self, cells: &mut [f32]) {
+    pub(crate) fn scale(&self, cells: &mut [f32], of: Option<(&str, Occupancy)>) {
+        let of_cell = of.and_then(|(scene, class)| {
+            self.label_leaking_cells.iter().find(|cell| cell.scene == scene && cell.class == class)
+        });
+        let (mean_db, sigma_db) = of_cell.map_or((self.mean_db, self.sigma_db), |cell| (cell.mean_db, cell.sigma_db));
         for cell in cells {
-            *cell = ((f64::from(*cell) - self.mean_db) / self.sigma_db) as f32;
+            *cell = ((f64::from(*cell) - mean_db) / sigma_db) as f32;
         }
     }
 }
@@ -160,6 +212,25 @@ mod tests {
         let rest = &map[skip * doppler..];
         let mean = rest.iter().map(|v| f64::from(*v)).sum::<f64>() / rest.len() as f64;
         assert!((mean - 2.59).abs() < 0.25, "{mean}");
+    }
+
+    /// The paper's rule makes maps of unlike scenes and classes the same in mean and sigma; a cell that is flat is named.
+    #[test]
+    fn cells_have_constants_of_their_own() {
+        let maps = [vec![1.0f32, 3.0], vec![10.0, 20.0]];
+        let mut s = Standardisation::measure(MapReference::Absolute, maps.iter().map(Vec::as_slice)).expect("spread");
+        assert!(!s.needs_labels());
+        for (map, class) in maps.iter().zip([Occupancy::Empty, Occupancy::One]) {
+            s.add_cell("hall", class, [map.as_slice()].into_iter()).expect("a cell");
+        }
+        assert!(s.needs_labels());
+        for (map, class) in maps.iter().zip([Occupancy::Empty, Occupancy::One]) {
+            let mut map = map.clone();
+            s.apply(&mut map, 2, Some(("hall", class)));
+            assert_eq!(map, [-1.0, 1.0]);
+        }
+        let error = s.add_cell("cellar", Occupancy::Two, [&[5.0f32; 4][..]].into_iter()).expect_err("flat");
+        assert!(error.to_string().starts_with("of scene cellar with class two"), "{error}");
     }
 
     mod hard_cases {

@@ -7,6 +7,8 @@ use std::path::Path;
 use radome_dsp::{MapFlags, Occupancy, Rdm};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
+use radome_models::occupancy_filter::Smoothing;
+use radome_models::standardise::MapReference;
 use radome_models::train::{Augmentation, LatentStandardisation};
 use radome_models::{Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train};
 use support::{Maps, dataset, header};
@@ -114,6 +116,44 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
         assert_eq!(constants, outcome.model.network.latent);
         assert_eq!(latent == LatentStandardisation::None, constants == Default::default(), "{latent:?}");
     }
+}
+
+/// What a spec asks for beyond the paper's network travels in the file and is what the loaded model does.
+#[test]
+fn reference_grid_and_smoothing_travel_with_the_model() {
+    let (set, spec) = brief();
+    let smoothing = Smoothing { dwell_s: 20.0, unseen_share: 0.3, unseen_s: 1.0, weight: 0.2 };
+    let reference = MapReference::OverNoise { skip_range_bins: 2 };
+    let outcome = train(&set, &TrainSpec { reference, pooled: [4, 6], smoothing, ..spec }, &mut |_| {});
+    let model = outcome.expect("training").model;
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("model.safetensors");
+    model.save(&path).expect("save");
+    let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(model));
+    assert_eq!(loaded.card(), original.card());
+    assert_eq!((loaded.card().smoothing, loaded.card().pooled), (smoothing, [4, 6]));
+    let map = rdm(&set, 1);
+    let answer = loaded.classify(&map).expect("classify");
+    assert_eq!(answer, original.classify(&map).expect("classify"));
+    // Another gain is no other map.
+    let mut louder = map.clone();
+    louder.db.iter_mut().for_each(|db| *db += 13.0);
+    for (a, b) in answer.iter().zip(loaded.classify(&louder).expect("classify")) {
+        assert!((a - b).abs() < 1e-3, "{a} {b}");
+    }
+}
+
+/// The paper's rule: the model is told the label of every map that it judges, says so, and cannot judge maps without.
+#[test]
+fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
+    let (set, spec) = brief();
+    let outcome = train(&set, &TrainSpec { label_leaking_cells: true, ..spec }, &mut |_| {}).expect("training");
+    assert!(outcome.warnings.iter().any(|warning| warning.contains("label")), "{:?}", outcome.warnings);
+    let mut classifier = Classifier::new(outcome.model);
+    let error = classifier.classify(&rdm(&set, 0)).expect_err("no label").to_string();
+    assert!(error.contains("labels") && error.contains("hint:"), "{error}");
+    let (row, map) = (&set.rows()[0], set.map(0).expect("map"));
+    classifier.classify_row(&map, set.header().shape, row).expect("with its label");
 }
 
 mod hard_cases {

@@ -171,6 +171,9 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
     let metrics = evaluate(classifier, &dataset, &indices)?;
+    if classifier.card().standardisation.needs_labels() {
+        eprintln!("the labels of these maps were told to the model: it standardises by scene and class");
+    }
     if arguments.json {
         return output::json_line(&metrics);
     }

@@ -121,6 +121,9 @@ pub struct TrainSpec {
     pub latent: LatentStandardisation,
     /// What the maps' cells are measured against.
     pub reference: MapReference,
+    /// Standardise by scene and class, as the paper does, which tells the network the label of every map; its models answer to
+    /// maps with labels only.
+    pub label_leaking_cells: bool,
     /// How answers to frames are put together where the model is put to work.
     pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
@@ -154,6 +157,7 @@ impl Default for TrainSpec {
             latent_penalty: 0.05,
             latent: LatentStandardisation::None,
             reference: MapReference::Absolute,
+            label_leaking_cells: false,
             smoothing: Smoothing::default(),
             pooled: PAPER_POOLED,
             class_weights: true,
@@ -382,7 +386,7 @@ pub fn train(
         axes: input_axes(),
         waveform: header.waveform.clone(),
         rdm_spec: header.rdm_spec,
-        standardisation: data.standardisation,
+        standardisation: data.standardisation.clone(),
         smoothing: spec.smoothing,
         pooled: spec.pooled,
         latent: network.latent,
