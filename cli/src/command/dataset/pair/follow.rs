@@ -63,6 +63,8 @@ const BODY_M: f64 = 0.55;
 /// Echoes so near to where a wall would repeat somebody are that repeat, m and m/s.
 const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
+/// So much weaker than somebody would be there who is as large, dB, is what walls throw in all directions of who is nearer.
+const THROWN_DB: f64 = 15.0;
 
 /// Follows up to `people` through the looks.
 pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
@@ -79,8 +81,13 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
             let track = smooth(looks, &places, sensor);
             for state in &track {
                 let Some((look, free)) = looks.get(state.frame).zip(free.get_mut(state.frame)) else { continue };
+                let range_m = sensor.expected(state).range_m;
+                let own = look.echoes.iter().filter(|echo| (echo.range_m - range_m).abs() < BODY_M);
+                let loudest_db = own.map(|echo| echo.snr_db).fold(f64::NEG_INFINITY, f64::max);
                 for (echo, free) in look.echoes.iter().zip(free) {
-                    *free &= !explains(state, echo, sensor);
+                    let as_large_db = loudest_db - 40.0 * (echo.range_m / range_m.max(0.1)).log10();
+                    let is_thrown = echo.range_m > range_m + BODY_M && echo.snr_db < as_large_db - THROWN_DB;
+                    *free &= !explains(state, echo, sensor) && !is_thrown;
                 }
             }
             all.push(Sighting { places, track });
