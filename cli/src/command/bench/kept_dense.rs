@@ -65,12 +65,12 @@ impl DenseFrame<'_> {
         [shape.rx, shape.chirps, shape.samples]
     }
 
-    /// Named by all that is asked for, so that nothing else is found under the name.
+    /// Named by what is asked for. What is in the scene's file under that name is not in it: the chirp that is computed again
+    /// tells, and a scene that has learnt a new key is still the same.
     fn path(&self, folder: &Path) -> PathBuf {
-        let scene = self.simulator.scene();
-        let asked = format!("{:?} {:?} {} {}", scene.file(), scene.receiver(), self.margin_db, self.settings);
-        let digest: String = Sha256::digest(asked).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        folder.join(format!("dense-{digest}-{}.npy", self.index))
+        let asked = format!("{} {}", self.margin_db, self.settings);
+        let digest: String = Sha256::digest(asked).iter().take(4).map(|byte| format!("{byte:02x}")).collect();
+        folder.join(format!("dense-{}-{digest}-{}.npy", self.simulator.scene().name(), self.index))
     }
 
     fn compute(&self) -> anyhow::Result<DenseSamples> {
