@@ -1,0 +1,37 @@
+//! `dataset stats --features`: simulated halls beside what recordings of people walking about show.
+
+use radome_tests::{failure, fixture, json_lines, radome};
+
+#[test]
+fn noise_of_simulated_halls_is_that_of_real_frames() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = std::fs::read_to_string(fixture("datasets/hall.toml")).expect("a spec");
+    let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
+    let spec = spec.replace("../scenes/hall.toml", &scene.display().to_string()).replace("[1, 2600]", "[1, 3]");
+    let file = folder.path().join("halls.toml");
+    std::fs::write(&file, spec).expect("writable");
+    let set = folder.path().join("set");
+    json_lines(radome().args(["dataset", "build", "--json"]).arg(&file).arg("-o").arg(&set));
+    let stats = |more: &[&str]| {
+        let mut command = radome();
+        command.args(["dataset", "stats", "--features", "--json"]).arg(&set).args(more);
+        command
+    };
+    let rows = json_lines(&mut stats(&[])).remove(0);
+    let rows = rows.as_array().expect("a list");
+    let row = |key: &str| rows.iter().find(|row| row["key"] == key).expect("a row");
+    for bin in [3, 10, 20, 30, 40, 50, 60] {
+        let noise = row(&format!("noise_lsb.{bin}"));
+        assert_eq!(noise["holds"], true, "{noise}");
+    }
+    // A map of noise alone has the moving energy of an empty room, people more.
+    let found = |key: &str| row(key)["found"].as_f64().expect("a number");
+    assert!((found("empty.moving_energy_db") - 13.0).abs() < 2.0);
+    assert!(found("one.moving_energy_db") > 17.0);
+    // Clutter is seen in frames, which a dataset does not hold.
+    assert!(row("clutter.level_lsb")["found"].is_null());
+    let measured = folder.path().join("measured.toml");
+    std::fs::write(&measured, "[[feature]]\nkey = \"one.peak_db\"\n").expect("writable");
+    let said = failure(&mut stats(&["--measured", measured.to_str().expect("a path")]));
+    assert!(said.contains("measured.toml") && said.contains("name"), "{said}");
+}
