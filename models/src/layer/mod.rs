@@ -5,7 +5,7 @@
 //! - [`conv_relu_pool`]: 3x3 convolution, ReLU and 2x2 max-pooling in one pass. Only the winner of each pooling window
 //!   has a gradient, so the backward pass does a quarter of the dense work or less, and the convolution's output never
 //!   touches memory.
-//! - [`adaptive_average_pool`], [`linear`], [`circuit`], [`cross_entropy`].
+//! - [`adaptive_average_pool`], [`linear`], [`circuit_of`], [`cross_entropy`].
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
 //! threads. [`mod@reference`] holds the slow obvious versions.
@@ -21,7 +21,7 @@ pub mod reference;
 mod tests;
 
 pub use average_pool::adaptive_average_pool;
-pub use circuit::circuit;
+pub use circuit::{circuit, circuit_of, circuit_of_call};
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;

@@ -203,8 +203,10 @@ fn circuit_and_cross_entropy_agree_with_finite_differences() {
     let gd = to_f64(&upstream);
     let forward = |x: &[f64], t: &[f64]| -> f64 {
         let t = [t[0], t[1], t[2], t[3]];
-        let out: Vec<f64> =
-            x.chunks_exact(2).flat_map(|r| crate::quantum::state_vector::run([r[0], r[1]], t).expectations()).collect();
+        let out: Vec<f64> = x
+            .chunks_exact(2)
+            .flat_map(|r| crate::quantum::state_vector::paper([r[0], r[1]], t).expectations())
+            .collect();
         weighted_sum(&out, &gd)
     };
     let (input, angles) = (var(&x, &[batch, 2]), var(&theta, &[4]));

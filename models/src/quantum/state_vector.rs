@@ -1,112 +1,132 @@
-//! The same circuit gate by gate on a vector of four amplitudes: slow, obvious, f64. Gradients by parameter shift.
+//! Any circuit gate by gate on a vector of amplitudes, and gradients by parameter shift: slow, obvious, f64.
+
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
 use num_complex::Complex64;
-use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
-/// Amplitudes of two qubits; index is `2 q1 + q0` (Qiskit's little-endian order).
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct State([Complex64; 4]);
+use super::gates::{Circuit, Gate};
+use super::spec::CircuitError;
+
+/// Amplitudes of some qubits; bit `q` of an index is qubit `q` (Qiskit's little-endian order).
+#[derive(Debug, Clone, PartialEq)]
+pub struct State(pub(super) Vec<Complex64>);
 
 impl State {
-    /// |00>.
-    pub fn zero() -> Self {
-        let o = Complex64::ZERO;
-        State([Complex64::ONE, o, o, o])
+    /// All qubits 0.
+    pub(super) fn zero(qubits: usize) -> Self {
+        let mut amplitudes = vec![Complex64::ZERO; 1 << qubits];
+        amplitudes[0] = Complex64::ONE;
+        State(amplitudes)
     }
 
-    /// Amplitudes at `2 q1 + q0`.
-    pub fn amplitudes(&self) -> [Complex64; 4] {
-        self.0
+    /// The amplitudes.
+    pub fn amplitudes(&self) -> &[Complex64] {
+        &self.0
     }
 
-    /// Applies a 2x2 unitary to one qubit (0 or 1).
-    fn single(self, qubit: Qubit, u: [[Complex64; 2]; 2]) -> Self {
-        let [a, b, c, d] = self.0;
-        let rotate = |p: Complex64, q: Complex64| (u[0][0] * p + u[0][1] * q, u[1][0] * p + u[1][1] * q);
-        match qubit {
-            Qubit::Zero => {
-                let ((a, b), (c, d)) = (rotate(a, b), rotate(c, d));
-                State([a, b, c, d])
-            }
-            Qubit::One => {
-                let ((a, c), (b, d)) = (rotate(a, c), rotate(b, d));
-                State([a, b, c, d])
-            }
+    /// Applies a 2 x 2 matrix to one qubit.
+    pub(super) fn single(&mut self, qubit: usize, u: [[Complex64; 2]; 2]) {
+        let bit = 1 << qubit;
+        for low in (0..self.0.len()).filter(|k| k & bit == 0) {
+            let (a, b) = (self.0[low], self.0[low | bit]);
+            self.0[low] = u[0][0] * a + u[0][1] * b;
+            self.0[low | bit] = u[1][0] * a + u[1][1] * b;
         }
     }
 
-    fn hadamard(self, qubit: Qubit) -> Self {
+    pub(super) fn hadamard(&mut self, qubit: usize) {
         let h = Complex64::from(FRAC_1_SQRT_2);
-        self.single(qubit, [[h, h], [h, -h]])
+        self.single(qubit, [[h, h], [h, -h]]);
     }
 
-    fn phase(self, qubit: Qubit, angle: f64) -> Self {
+    pub(super) fn phase(&mut self, qubit: usize, angle: f64) {
         let o = Complex64::ZERO;
-        self.single(qubit, [[Complex64::ONE, o], [o, Complex64::cis(angle)]])
+        self.single(qubit, [[Complex64::ONE, o], [o, Complex64::cis(angle)]]);
     }
 
-    fn ry(self, qubit: Qubit, angle: f64) -> Self {
+    pub(super) fn rotation_y(&mut self, qubit: usize, angle: f64) {
         let (s, c) = (0.5 * angle).sin_cos();
         let (s, c) = (Complex64::from(s), Complex64::from(c));
-        self.single(qubit, [[c, -s], [s, c]])
+        self.single(qubit, [[c, -s], [s, c]]);
     }
 
-    /// Control qubit 0, target qubit 1: exchanges |01> and |11>.
-    fn cx(self) -> Self {
-        let [a, b, c, d] = self.0;
-        State([a, d, c, b])
-    }
-
-    /// Probabilities of the four outcomes, index `2 q1 + q0`.
-    pub fn probabilities(&self) -> [f64; 4] {
-        self.0.map(|z| z.norm_sqr())
-    }
-
-    /// `[<ZI>, <IZ>]`.
-    pub fn expectations(&self) -> [f64; 2] {
-        let [p00, p01, p10, p11] = self.probabilities();
-        [p00 + p01 - p10 - p11, p00 - p01 + p10 - p11]
-    }
-}
-
-#[derive(Clone, Copy)]
-enum Qubit {
-    Zero,
-    One,
-}
-
-/// State at the end of the circuit, before measurement.
-pub fn run(x: [f64; 2], theta: [f64; 4]) -> State {
-    use Qubit::{One, Zero};
-    State::zero()
-        .hadamard(Zero)
-        .hadamard(One)
-        .phase(Zero, 2.0 * x[0])
-        .phase(One, 2.0 * x[1])
-        .cx()
-        .phase(One, 2.0 * (PI - x[0]) * (PI - x[1]))
-        .cx()
-        .ry(Zero, theta[0])
-        .ry(One, theta[1])
-        .cx()
-        .ry(Zero, theta[2])
-        .ry(One, theta[3])
-}
-
-/// Gradients of `[<ZI>, <IZ>]` by the four angles, exact by the parameter-shift rule (Mitarai et al., Phys. Rev. A 98
-/// (2018) 032309): half the difference at `theta +- pi/2`. `[observable][angle]`.
-pub fn parameter_shift(x: [f64; 2], theta: [f64; 4]) -> [[f64; 4]; 2] {
-    let mut gradient = [[0.0; 4]; 2];
-    for angle in 0..4 {
-        let shifted = |by: f64| {
-            let mut t = theta;
-            t[angle] += by;
-            run(x, t).expectations()
-        };
-        let (plus, minus) = (shifted(FRAC_PI_2), shifted(-FRAC_PI_2));
-        for observable in 0..2 {
-            gradient[observable][angle] = 0.5 * (plus[observable] - minus[observable]);
+    pub(super) fn controlled_not(&mut self, control: usize, target: usize) {
+        let (control, target) = (1 << control, 1 << target);
+        for k in (0..self.0.len()).filter(|k| k & control != 0 && k & target == 0) {
+            self.0.swap(k, k | target);
         }
     }
-    gradient
+
+    pub(super) fn apply(&mut self, gate: Gate, angles: &[f64]) {
+        match gate {
+            Gate::Hadamard { qubit } => self.hadamard(qubit),
+            Gate::Phase { qubit, angle } => self.phase(qubit, angles[angle]),
+            Gate::RotationY { qubit, angle } => self.rotation_y(qubit, angles[angle]),
+            Gate::ControlledNot { control, target } => self.controlled_not(control, target),
+        }
+    }
+
+    /// Probability of each outcome.
+    pub fn probabilities(&self) -> Vec<f64> {
+        self.0.iter().map(|z| z.norm_sqr()).collect()
+    }
+
+    /// `<Z>` of each qubit, the highest first.
+    pub fn expectations(&self) -> Vec<f64> {
+        z_expectations(&self.probabilities())
+    }
+}
+
+/// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. Each qubit that has been looked at is
+/// summed over.
+pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
+    let (mut left, mut expectations) = (probabilities.to_vec(), Vec::new());
+    while left.len() > 1 {
+        let (zeros, ones) = left.split_at(left.len() / 2);
+        expectations.push(zeros.iter().sum::<f64>() - ones.iter().sum::<f64>());
+        left = zeros.iter().zip(ones).map(|(a, b)| a + b).collect();
+    }
+    expectations
+}
+
+/// State at the end of the circuit at inputs `x` and angles `theta`, before the measurement; noise and shots are not
+/// looked at.
+pub fn run(circuit: &Circuit, x: &[f64], theta: &[f64]) -> Result<State, CircuitError> {
+    circuit.check_counts(x, theta)?;
+    Ok(run_at(circuit, &circuit.gate_angles(x, theta)))
+}
+
+/// The same at these angles of all turned gates.
+pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
+    let mut state = State::zero(circuit.qubits());
+    for &gate in circuit.gates.iter() {
+        state.apply(gate, angles);
+    }
+    state
+}
+
+/// The paper's circuit.
+#[cfg(test)]
+pub(crate) fn paper(x: [f64; 2], theta: [f64; 4]) -> State {
+    let circuit = Circuit::new(&super::CircuitSpec::default()).expect("the default");
+    run(&circuit, &x, &theta).expect("as many numbers as it takes")
+}
+
+/// Derivatives of what `run` answers by the angle of each turned gate, `[observable][gate]`: half the difference at
+/// `+- pi/2`, exact for gates with two eigenvalues (Mitarai et al., Phys. Rev. A 98 (2018) 032309), through whatever
+/// linear noise follows them.
+pub(super) fn parameter_shift(angles: &[f64], mut run: impl FnMut(&[f64]) -> Vec<f64>) -> Vec<Vec<f64>> {
+    let (mut shifted, mut jacobian) = (angles.to_vec(), Vec::new());
+    for (gate, &angle) in angles.iter().enumerate() {
+        shifted[gate] = angle + FRAC_PI_2;
+        let plus = run(&shifted);
+        shifted[gate] = angle - FRAC_PI_2;
+        let minus = run(&shifted);
+        shifted[gate] = angle;
+        jacobian.resize_with(plus.len(), Vec::new);
+        for (row, (plus, minus)) in jacobian.iter_mut().zip(plus.iter().zip(&minus)) {
+            row.push(0.5 * (plus - minus));
+        }
+    }
+    jacobian
 }

@@ -1,0 +1,145 @@
+//! Circuits whose gates err: exact, by density matrix.
+//!
+//! A density matrix of `n` qubits is kept as a [`State`] of `2n`: bit `q` of an index is row bit `q`'s partner in the
+//! column, bit `q + n` the row's. A gate acts on both, conjugated on the column; a depolarising channel mixes them.
+
+use super::gates::{Circuit, Gate};
+use super::spec::Noise;
+use super::state_vector::State;
+use std::f64::consts::FRAC_PI_2;
+
+/// A density matrix, or an observable.
+#[derive(Debug, Clone)]
+pub(super) struct Density {
+    qubits: usize,
+    entries: State,
+}
+
+impl Density {
+    /// A diagonal matrix.
+    fn diagonal(qubits: usize, values: impl IntoIterator<Item = f64>) -> Self {
+        let mut entries = State::zero(2 * qubits);
+        for (k, value) in values.into_iter().take(1 << qubits).enumerate() {
+            entries.0[k << qubits | k] = value.into();
+        }
+        Density { qubits, entries }
+    }
+
+    /// Probability of each outcome.
+    fn probabilities(&self) -> Vec<f64> {
+        (0..1 << self.qubits).map(|k| self.entries.0[k << self.qubits | k].re).collect()
+    }
+
+    /// The gate with `angle` if it is a turned one.
+    fn apply(&mut self, gate: Gate, angle: f64) {
+        let n = self.qubits;
+        match gate {
+            Gate::Hadamard { qubit } => [qubit, qubit + n].map(|q| self.entries.hadamard(q)),
+            Gate::Phase { qubit, .. } => [(qubit, -angle), (qubit + n, angle)].map(|(q, a)| self.entries.phase(q, a)),
+            Gate::RotationY { qubit, .. } => [qubit, qubit + n].map(|q| self.entries.rotation_y(q, angle)),
+            Gate::ControlledNot { control, target } => {
+                [(control, target), (control + n, target + n)].map(|(c, t)| self.entries.controlled_not(c, t))
+            }
+        };
+    }
+
+    /// What follows the gate: `rho -> (1 - p) rho + p I / d` on its qubits. It is its own adjoint.
+    fn depolarise(&mut self, gate: Gate, noise: &Noise) {
+        let (p, bits) = match gate {
+            Gate::Hadamard { qubit } | Gate::Phase { qubit, .. } | Gate::RotationY { qubit, .. } => {
+                (noise.depolarising_one_qubit, vec![1usize << qubit])
+            }
+            Gate::ControlledNot { control, target } => (noise.depolarising_two_qubit, vec![1 << control, 1 << target]),
+        };
+        if p == 0.0 {
+            return;
+        }
+        let n = self.qubits;
+        let row_and_column = |bits: usize| bits << n | bits;
+        // All settings of the gate's qubits, the same in row and column.
+        let settings: Vec<usize> =
+            (0..1 << bits.len()).map(|k: usize| bits.iter().enumerate().map(|(i, b)| (k >> i & 1) * b).sum()).collect();
+        let touched = row_and_column(bits.iter().sum());
+        let entries = &mut self.entries.0;
+        for rest in (0..entries.len()).filter(|k| k & touched == 0) {
+            let diagonal = || settings.iter().map(|&s| rest | row_and_column(s));
+            let mean = p * diagonal().map(|k| entries[k]).sum::<num_complex::Complex64>() / settings.len() as f64;
+            for (row, column) in settings.iter().flat_map(|&row| settings.iter().map(move |&column| (row, column))) {
+                let entry = &mut entries[rest | row << n | column];
+                *entry = *entry * (1.0 - p) + if row == column { mean } else { 0.0.into() };
+            }
+        }
+    }
+
+    /// `Re tr(self^dagger other)`.
+    fn overlap(&self, other: &Density) -> f64 {
+        self.entries.0.iter().zip(&other.entries.0).map(|(a, b)| a.re * b.re + a.im * b.im).sum()
+    }
+}
+
+fn angle_of(gate: Gate, angles: &[f64]) -> Option<(usize, f64)> {
+    match gate {
+        Gate::Phase { angle, .. } | Gate::RotationY { angle, .. } => Some((angle, angles[angle])),
+        Gate::Hadamard { .. } | Gate::ControlledNot { .. } => None,
+    }
+}
+
+fn step(circuit: &Circuit, rho: &mut Density, gate: Gate, angle: f64) {
+    rho.apply(gate, angle);
+    rho.depolarise(gate, &circuit.spec.noise);
+}
+
+/// Probability of each outcome before it is read.
+pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
+    let mut rho = Density::diagonal(circuit.qubits(), [1.0]);
+    for &gate in circuit.gates.iter() {
+        step(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
+    }
+    rho.probabilities()
+}
+
+/// Gradient by the angle of each turned gate of the expectations' sum weighted by `cotangent`: parameter shift, which is
+/// exact because channels are linear. What follows a shifted gate is not run again: the observable is carried back to it.
+pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
+    let qubits = circuit.qubits();
+    let mut before = Vec::with_capacity(circuit.gates.len());
+    let mut rho = Density::diagonal(qubits, [1.0]);
+    for &gate in circuit.gates.iter() {
+        before.push(rho.clone());
+        step(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
+    }
+    let weight = |k: usize| {
+        let signed = |(o, g): (usize, &f64)| if k >> (qubits - 1 - o) & 1 == 0 { *g } else { -g };
+        cotangent.iter().enumerate().map(signed).sum()
+    };
+    let mut observable = Density::diagonal(qubits, (0..1 << qubits).map(weight));
+    let mut gradient = vec![0.0; angles.len()];
+    for (&gate, before) in circuit.gates.iter().zip(&before).rev() {
+        observable.depolarise(gate, &circuit.spec.noise);
+        let turned = angle_of(gate, angles);
+        if let Some((index, angle)) = turned {
+            let shifted = |by: f64| {
+                let mut after = before.clone();
+                after.apply(gate, angle + by);
+                observable.overlap(&after)
+            };
+            gradient[index] = 0.5 * (shifted(FRAC_PI_2) - shifted(-FRAC_PI_2));
+        }
+        // H and CX are their own inverses.
+        observable.apply(gate, turned.map_or(0.0, |(_, angle)| -angle));
+    }
+    gradient
+}
+
+/// Probabilities of what is read, each qubit's outcome being read as the other one with probability `flip`.
+pub(super) fn read_out(probabilities: &mut [f64], flip: f64) {
+    let mut bit = 1;
+    while flip > 0.0 && bit < probabilities.len() {
+        for low in (0..probabilities.len()).filter(|k| k & bit == 0) {
+            let (zero, one) = (probabilities[low], probabilities[low | bit]);
+            probabilities[low] = (1.0 - flip) * zero + flip * one;
+            probabilities[low | bit] = flip * zero + (1.0 - flip) * one;
+        }
+        bit <<= 1;
+    }
+}

@@ -1,0 +1,185 @@
+//! What circuit: the settings of the quantum layer, as they stand in files, and what is wrong with them.
+
+use serde::{Deserialize, Serialize};
+
+/// Qubits of a circuit at most.
+pub const MOST_QUBITS: usize = 12;
+/// Qubits of a circuit with depolarising gates at most: its density matrix has `4^qubits` entries.
+pub const MOST_DEPOLARISED_QUBITS: usize = 6;
+/// Repetitions of the trained part at most.
+pub const MOST_DEPTH: usize = 1000;
+
+/// A circuit that encodes one input a qubit, turns it by trained angles and measures Z on each qubit.
+///
+/// The default is the paper's: two qubits, ZZ feature map and RealAmplitudes, one repetition each, exact.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CircuitSpec {
+    /// Qubits, 1 to [`MOST_QUBITS`]; also the number of inputs and of outputs.
+    pub qubits: usize,
+    /// How inputs become a state.
+    pub encoding: Encoding,
+    /// Repetitions of the ZZ feature map, 1 or 2; 1 with angle encoding.
+    pub repetitions: usize,
+    /// Repetitions of RealAmplitudes, 0 to [`MOST_DEPTH`]; each but the last layer of turns is followed by an entangler.
+    pub depth: usize,
+    /// Exact expectations or measured ones.
+    pub execution: Execution,
+    /// Errors of gates and of the measurement.
+    pub noise: Noise,
+}
+
+impl Default for CircuitSpec {
+    fn default() -> Self {
+        CircuitSpec {
+            qubits: 2,
+            encoding: Encoding::ZzFeatureMap,
+            repetitions: 1,
+            depth: 1,
+            execution: Execution::Exact,
+            noise: Noise::default(),
+        }
+    }
+}
+
+/// How inputs become a state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Encoding {
+    /// Qiskit's ZZFeatureMap with full entanglement (Havlicek et al., Nature 567 (2019) 209): H on each qubit, P(2 x_i),
+    /// and for each pair P(2 (pi - x_i)(pi - x_j)) between two CX.
+    ZzFeatureMap,
+    /// RY(x_i) on each qubit.
+    Angle,
+}
+
+/// Where expectations come from.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Execution {
+    /// The expectations themselves.
+    Exact,
+    /// Means over a finite number of measurements of all qubits.
+    Shots(Shots),
+}
+
+/// Measurements.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Shots {
+    /// Measurements of each circuit that is run, at least 1.
+    pub count: u32,
+    /// Seed of their outcomes.
+    #[serde(default)]
+    pub seed: u64,
+    /// Where gradients come from.
+    #[serde(default)]
+    pub gradient: ShotGradient,
+}
+
+/// Gradients of measured expectations.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ShotGradient {
+    /// By parameter shift from shots of their own, as on hardware: two runs of `count` shots for each turned gate.
+    #[default]
+    Shots,
+    /// The gradients of the exact expectations.
+    Exact,
+}
+
+/// Errors of gates and of the measurement, none by default.
+///
+/// A depolarising gate of strength `p` replaces the state of the qubits that it acts on by the maximally mixed one with
+/// probability `p` (Qiskit's `depolarizing_error`): `rho -> (1 - p) rho + p I / d`.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Noise {
+    /// Strength after each gate on one qubit (H, P, RY), 0 to 1.
+    pub depolarising_one_qubit: f64,
+    /// Strength after each gate on two qubits (CX), 0 to 1.
+    pub depolarising_two_qubit: f64,
+    /// Probability that a qubit's outcome is read as the other one, 0 to 1.
+    pub readout_flip: f64,
+}
+
+impl Noise {
+    /// Whether gates err, which takes a density matrix. Errors of the measurement alone do not.
+    pub fn is_depolarising(&self) -> bool {
+        self.depolarising_one_qubit > 0.0 || self.depolarising_two_qubit > 0.0
+    }
+}
+
+/// Why there is no such circuit, or no answer from it.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CircuitError {
+    /// A setting that no circuit has.
+    #[error("circuit: {key} is {value}, expected {expected}")]
+    Setting {
+        /// The setting.
+        key: &'static str,
+        /// What it is.
+        value: String,
+        /// What it may be.
+        expected: String,
+    },
+    /// Too few or too many numbers for this circuit.
+    #[error("circuit: expected {expected} {what}, got {got}")]
+    Count {
+        /// Inputs, angles or cotangents, and what makes their number.
+        what: &'static str,
+        /// How many the circuit takes.
+        expected: usize,
+        /// How many there were.
+        got: usize,
+    },
+}
+
+impl CircuitSpec {
+    /// Number of trained angles: one for each qubit in each of `depth + 1` layers.
+    pub fn angle_count(&self) -> usize {
+        self.qubits.saturating_mul(self.depth.saturating_add(1))
+    }
+
+    /// Names of the outputs in their order, as Qiskit prints Pauli strings: qubit 0 is the rightmost letter, and the
+    /// first output is Z on the highest qubit.
+    pub fn observables(&self) -> Vec<String> {
+        let letters = self.qubits.min(MOST_QUBITS);
+        (0..letters).map(|o| (0..letters).map(|k| if k == o { 'Z' } else { 'I' }).collect()).collect()
+    }
+
+    /// Checks every setting.
+    pub fn check(&self) -> Result<(), CircuitError> {
+        let demand = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
+            true => Ok(()),
+            false => Err(CircuitError::Setting { key, value: value.to_string(), expected: expected.to_owned() }),
+        };
+        demand((1..=MOST_QUBITS).contains(&self.qubits), "qubits", &self.qubits, &format!("1 to {MOST_QUBITS}"))?;
+        let (most, expected) = match self.encoding {
+            Encoding::ZzFeatureMap => (2, "1 or 2"),
+            Encoding::Angle => (1, "1 with angle encoding"),
+        };
+        demand((1..=most).contains(&self.repetitions), "repetitions", &self.repetitions, expected)?;
+        demand(self.depth <= MOST_DEPTH, "depth", &self.depth, &format!("0 to {MOST_DEPTH}"))?;
+        if let Execution::Shots(shots) = self.execution {
+            demand(shots.count > 0, "shots", &shots.count, "at least 1")?;
+        }
+        for (key, p) in [
+            ("depolarising_one_qubit", self.noise.depolarising_one_qubit),
+            ("depolarising_two_qubit", self.noise.depolarising_two_qubit),
+            ("readout_flip", self.noise.readout_flip),
+        ] {
+            demand((0.0..=1.0).contains(&p), key, &p, "a probability, 0 to 1")?;
+        }
+        let expected = format!(
+            "at most {MOST_DEPOLARISED_QUBITS} with depolarising gates, which take a density matrix of 4^qubits entries\n\n\
+             hint: use fewer qubits, or errors of the readout alone"
+        );
+        demand(
+            !self.noise.is_depolarising() || self.qubits <= MOST_DEPOLARISED_QUBITS,
+            "qubits",
+            &self.qubits,
+            &expected,
+        )
+    }
+}
