@@ -99,27 +99,31 @@ impl Classifier {
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
-        Ok(self.run(&map.db, map.shape, None)?.1)
+        self.run(&map.db, map.shape, None)
     }
 
-    /// The two numbers that the map is reduced to before the circuit, before their standardisation.
-    pub fn latent(&mut self, map: &Rdm) -> Result<[f32; 2], ClassifyError> {
+    /// The numbers that the HQNN reduces the map to before the circuit, before their standardisation; none for other networks.
+    pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
-        Ok(self.run(&map.db, map.shape, None)?.0)
+        let input = self.input(&map.db, map.shape, None)?;
+        Ok(match self.model.network.latent(&input)? {
+            Some(latent) => latent.flatten_all()?.to_vec1()?,
+            None => Vec::new(),
+        })
     }
 
     /// [`Classifier::classify`] for bare cells `[rx][doppler][range]` dB.
     pub fn classify_cells(&mut self, db: &[f32], shape: RdmShape) -> Result<[f32; 3], ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(db, shape, 0)?;
-        Ok(self.run(db, shape, None)?.1)
+        self.run(db, shape, None)
     }
 
     /// The same for a map of a dataset, whose row tells scene and label to models that cannot do without.
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
         self.check_sequence(db, shape, row.frame)?;
-        Ok(self.run(db, shape, Some((&row.scene, row.label)))?.1)
+        self.run(db, shape, Some((&row.scene, row.label)))
     }
 
     fn check_unlabelled(&self) -> Result<(), ClassifyError> {
@@ -145,26 +149,22 @@ impl Classifier {
         }
     }
 
-    /// Latent and probabilities.
-    fn run(
-        &self,
-        db: &[f32],
-        shape: RdmShape,
-        of: Option<(&str, Occupancy)>,
-    ) -> Result<([f32; 2], [f32; 3]), ClassifyError> {
+    /// Probabilities of a map that has been checked.
+    fn run(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
+        let input = self.input(db, shape, of)?;
+        let logits: Vec<f32> = self.model.network.logits(&input)?.flatten_all()?.to_vec1()?;
+        let probabilities = softmax(&logits, self.model.card.temperature);
+        match probabilities.as_slice() {
+            &[p, q, r] if [p, q, r].iter().all(|v| v.is_finite()) => Ok([p as f32, q as f32, r as f32]),
+            _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
+        }
+    }
+
+    /// What the network sees of a map: standardised, `[1][range][doppler]`.
+    fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Tensor, ClassifyError> {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
         self.model.card.standardisation.apply(&mut input, shape.doppler, of);
-        let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
-        let stages = self.model.network.stages(&input)?;
-        let latent: Vec<f32> = stages.latent.flatten_all()?.to_vec1()?;
-        let logits: Vec<f32> = stages.logits.flatten_all()?.to_vec1()?;
-        let probabilities = softmax(&logits, self.model.card.temperature);
-        match (latent.as_slice(), probabilities.as_slice()) {
-            (&[a, b], &[p, q, r]) if [p, q, r].iter().all(|v| v.is_finite()) => {
-                Ok(([a, b], [p as f32, q as f32, r as f32]))
-            }
-            _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
-        }
+        Ok(Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?)
     }
 }

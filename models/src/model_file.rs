@@ -1,6 +1,6 @@
 //! Trained networks as safetensors with a card in the metadata.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use thiserror::Error;
 
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
-use crate::network::{Hqnn, LatentConstants, MOST_POOLED, PAPER_POOLED};
+use crate::network::{Centring, Head, MOST_POOLED, Network, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::Standardisation;
 
@@ -44,8 +44,11 @@ pub struct TrainingSummary {
 pub struct ModelCard {
     /// [`MODEL_FORMAT_VERSION`] of the writer.
     pub format_version: u32,
-    /// Name of the network.
-    pub network: String,
+    /// Which network.
+    pub network: NetworkKind,
+    /// What stands behind the HQNN's latent.
+    #[serde(default, skip_serializing_if = "is_default_head")]
+    pub head: Head,
     /// Classes in the order of the probabilities.
     pub classes: Vec<Occupancy>,
     /// Shape of the input, `axes` long.
@@ -64,8 +67,8 @@ pub struct ModelCard {
     /// How answers to frames are put together.
     #[serde(default)]
     pub smoothing: Smoothing,
-    /// Standardisation of the latent.
-    pub latent: LatentConstants,
+    /// Standardisation of the HQNN's latent; empty where there is none.
+    pub latent: Centring,
     /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
     pub temperature: f64,
     /// Hash of the dataset trained on.
@@ -81,7 +84,7 @@ pub struct Model {
     /// What it is.
     pub card: ModelCard,
     /// Its numbers.
-    pub network: Hqnn,
+    pub network: Network,
 }
 
 /// A model file that cannot be written or read.
@@ -161,12 +164,16 @@ impl Model {
         };
         let card =
             serde_json::to_string(&self.card).map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
-        let bytes: Vec<Vec<u8>> =
-            self.network.values()?.iter().map(|values| values.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
+        let values = self.network.values()?;
+        let arrays = self.network.spec().layout().into_iter().map(|(name, shape)| {
+            let numbers = values.get(&name).map(Vec::as_slice).unwrap_or_default();
+            (name, shape, numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
+        });
+        let arrays: Vec<_> = arrays.collect();
         let mut views = Vec::new();
-        for ((name, shape), bytes) in Hqnn::layout(self.network.pooled()).iter().zip(&bytes) {
-            let view = TensorView::new(Dtype::F32, shape.to_vec(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
-            views.push((*name, view));
+        for (name, shape, bytes) in &arrays {
+            let view = TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
+            views.push((name, view));
         }
         let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
         let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
@@ -212,15 +219,16 @@ impl Model {
         let card: ModelCard = serde_json::from_str(card).map_err(json)?;
         card.check(path)?;
 
-        let mut values = Vec::new();
-        for (name, shape) in Hqnn::layout(card.pooled) {
+        let spec = card.network_spec();
+        let mut values = BTreeMap::new();
+        for (name, shape) in spec.layout() {
             let inconsistent = |found: String| ModelError::Inconsistent {
                 path: path.to_owned(),
                 what: format!("tensor {name}"),
                 expected: format!("F32 {shape:?}, finite"),
                 found,
             };
-            let view = tensors.tensor(name).map_err(|e| inconsistent(e.to_string()))?;
+            let view = tensors.tensor(&name).map_err(|e| inconsistent(e.to_string()))?;
             if view.dtype() != Dtype::F32 || view.shape() != shape {
                 return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
             }
@@ -229,21 +237,24 @@ impl Model {
             if bad > 0 {
                 return Err(inconsistent(format!("{bad} values that are NaN or infinite")));
             }
-            values.push(numbers);
+            values.insert(name, numbers);
         }
-        let network = Hqnn::from_values(&values, card.pooled, card.latent, KernelLevel::detect())?;
+        let mut network = Network::from_values(&spec, &values, KernelLevel::detect())?;
+        network.set_latent_constants(card.latent.clone());
         Ok(Model { card, network })
     }
 }
 
 impl ModelCard {
+    /// The network that the numbers are of.
+    pub fn network_spec(&self) -> NetworkSpec {
+        NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
+    }
+
     fn check(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |what: &str, expected: String, found: String| {
             Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found })
         };
-        if self.network != Hqnn::NAME {
-            return fail("network", format!("'{}'", Hqnn::NAME), format!("'{}'", self.network));
-        }
         if self.classes != Occupancy::ALL {
             return fail("classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes));
         }
@@ -257,6 +268,20 @@ impl ModelCard {
             }
             Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
         }
+        if let Head::Circuit { circuit, .. } = &self.head
+            && let Err(error) = circuit.check()
+        {
+            return fail("head.circuit", "a circuit that can be run".to_owned(), error.to_string());
+        }
+        let [_, range, doppler] = self.input_shape;
+        if let Some(layer) = self.network_spec().too_small_for(range, doppler) {
+            return fail("input_shape", format!("a map that is large enough for layer {layer}"), format!("{:?}", self.input_shape));
+        }
+        let Centring { mean, sigma } = &self.latent;
+        let width = if self.network == NetworkKind::Hqnn { self.head.width() } else { 0 };
+        if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
+            return fail("latent", format!("{width} constants or none"), format!("{:?}", self.latent));
+        }
         if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
             return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
         }
@@ -264,14 +289,18 @@ impl ModelCard {
             return fail(name, expected.to_owned(), value.to_string());
         }
         let Standardisation { mean_db, sigma_db, .. } = self.standardisation;
-        let constants = [sigma_db, self.temperature, f64::from(self.latent.sigma[0]), f64::from(self.latent.sigma[1])];
-        let positive = constants.iter().all(|v| v.is_finite() && *v > 0.0);
-        if !positive || !mean_db.is_finite() || self.latent.mean.iter().any(|v| !v.is_finite()) {
+        let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
+        let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
+        if !positive || !mean_db.is_finite() || mean.iter().any(|v| !v.is_finite()) {
             let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
             return fail("constants", "finite means, sigmas and temperature above zero".to_owned(), found);
         }
         Ok(())
     }
+}
+
+fn is_default_head(head: &Head) -> bool {
+    *head == Head::default()
 }
 
 fn paper_pooled() -> [usize; 2] {

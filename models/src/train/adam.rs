@@ -1,67 +1,147 @@
-//! Adam (Kingma and Ba, ICLR 2015, algorithm 1) with a step size for each parameter.
+//! Adam (Kingma and Ba, ICLR 2015, algorithm 1) with a step size for each array.
 
-use candle_core::{Device, Result, Tensor, Var, backprop::GradStore};
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use candle_core::{CpuStorage, InplaceOp2, Layout, Result, Var, backprop::GradStore};
+use rayon::prelude::*;
 
 const BETA1: f32 = 0.9;
 const BETA2: f32 = 0.999;
 const EPSILON: f32 = 1e-8;
+/// Numbers that one task takes.
+const CHUNK: usize = 1 << 14;
 
-/// Moments of all parameters.
+/// Moments of all arrays.
 pub(super) struct Adam {
-    first: Vec<Vec<f32>>,
-    second: Vec<Vec<f32>>,
+    moments: Vec<Mutex<Moments>>,
     steps: i32,
 }
 
+struct Moments {
+    first: Vec<f32>,
+    second: Vec<f32>,
+}
+
 impl Adam {
-    pub(super) fn new(variables: &[Var]) -> Self {
-        let zeros: Vec<Vec<f32>> = variables.iter().map(|v| vec![0.0; v.elem_count()]).collect();
-        Adam { first: zeros.clone(), second: zeros, steps: 0 }
+    pub(super) fn new<'a>(variables: impl Iterator<Item = &'a Var>) -> Self {
+        let zeros = |variable: &Var| vec![0.0; variable.elem_count()];
+        let moments = variables.map(|v| Mutex::new(Moments { first: zeros(v), second: zeros(v) })).collect();
+        Adam { moments, steps: 0 }
     }
 
-    /// One step. Gives the index of the first parameter with a gradient that is not finite instead of taking it.
-    pub(super) fn step(&mut self, variables: &[Var], grads: &GradStore, rates: &[f32]) -> Result<Option<usize>> {
-        let mut gradients = Vec::with_capacity(variables.len());
-        for (index, variable) in variables.iter().enumerate() {
-            let gradient: Vec<f32> = match grads.get(variable) {
-                Some(gradient) => gradient.flatten_all()?.to_vec1()?,
-                None => vec![0.0; variable.elem_count()],
-            };
-            if gradient.iter().any(|g| !g.is_finite()) {
-                return Ok(Some(index));
+    /// Steps taken.
+    pub(super) fn steps(&self) -> i32 {
+        self.steps
+    }
+
+    /// First and second moments by name.
+    pub(super) fn arrays<'a>(&self, names: impl Iterator<Item = &'a str>) -> BTreeMap<String, Vec<f32>> {
+        let mut arrays = BTreeMap::new();
+        for (name, moments) in names.zip(&self.moments) {
+            let moments = moments.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            arrays.insert(format!("first.{name}"), moments.first.clone());
+            arrays.insert(format!("second.{name}"), moments.second.clone());
+        }
+        arrays
+    }
+
+    /// Takes back what [`Adam::arrays`] and [`Adam::steps`] gave; names what is missing or of another length.
+    pub(super) fn restore<'a>(
+        &mut self,
+        names: impl Iterator<Item = &'a str>,
+        arrays: &BTreeMap<String, Vec<f32>>,
+        steps: i32,
+    ) -> std::result::Result<(), String> {
+        for (name, moments) in names.zip(&mut self.moments) {
+            let moments = moments.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner);
+            for (prefix, array) in [("first", &mut moments.first), ("second", &mut moments.second)] {
+                let key = format!("{prefix}.{name}");
+                let found = arrays.get(&key).filter(|found| found.len() == array.len()).ok_or(key)?;
+                array.clone_from(found);
             }
-            gradients.push(gradient);
+        }
+        self.steps = steps;
+        Ok(())
+    }
+
+    /// One step. Gives the index of the first array with a gradient that is not finite instead of taking it.
+    pub(super) fn step<'a>(
+        &mut self,
+        variables: impl Iterator<Item = &'a Var> + Clone,
+        gradients: &GradStore,
+        rates: &[f32],
+    ) -> Result<Option<usize>> {
+        for (index, variable) in variables.clone().enumerate() {
+            if let Some(gradient) = gradients.get(variable) {
+                let finite = |values: &[f32]| Ok(values.par_chunks(CHUNK).all(|c| c.iter().all(|g| g.is_finite())));
+                if !crate::layer::with_values("adam", gradient, finite)? {
+                    return Ok(Some(index));
+                }
+            }
         }
         self.steps += 1;
         let (c1, c2) = (1.0 - BETA1.powi(self.steps), 1.0 - BETA2.powi(self.steps));
-        let moments = self.first.iter_mut().zip(&mut self.second);
-        for (((variable, gradient), (first, second)), &rate) in variables.iter().zip(&gradients).zip(moments).zip(rates)
-        {
-            let mut values: Vec<f32> = variable.flatten_all()?.to_vec1()?;
+        for ((variable, moments), &rate) in variables.zip(&self.moments).zip(rates) {
+            // What has had no gradient yet stays as it is: its moments are zero.
+            let Some(gradient) = gradients.get(variable) else { continue };
+            variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, c1, c2 })?;
+        }
+        Ok(None)
+    }
+}
+
+struct Step<'a> {
+    moments: &'a Mutex<Moments>,
+    rate: f32,
+    c1: f32,
+    c2: f32,
+}
+
+impl InplaceOp2 for Step<'_> {
+    fn name(&self) -> &'static str {
+        "adam"
+    }
+
+    fn cpu_fwd(&self, values: &mut CpuStorage, at: &Layout, gradient: &CpuStorage, from: &Layout) -> Result<()> {
+        let (CpuStorage::F32(values), CpuStorage::F32(gradient)) = (values, gradient) else {
+            candle_core::bail!("adam: expected f32 values and gradients");
+        };
+        let (Some((a, b)), Some((c, d))) = (at.contiguous_offsets(), from.contiguous_offsets()) else {
+            candle_core::bail!("adam: values or gradients are not contiguous");
+        };
+        let (Some(values), Some(gradient)) = (values.get_mut(a..b), gradient.get(c..d)) else {
+            candle_core::bail!("adam: layout exceeds storage");
+        };
+        let mut moments = self.moments.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let Moments { first, second } = &mut *moments;
+        let chunks = values.par_chunks_mut(CHUNK).zip(gradient.par_chunks(CHUNK));
+        let moments = first.par_chunks_mut(CHUNK).zip(second.par_chunks_mut(CHUNK));
+        chunks.zip(moments).for_each(|((values, gradient), (first, second))| {
             for (((value, &g), m), v) in values.iter_mut().zip(gradient).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * g;
                 *v = BETA2 * *v + (1.0 - BETA2) * g * g;
-                *value -= rate * (*m / c1) / ((*v / c2).sqrt() + EPSILON);
+                *value -= self.rate * (*m / self.c1) / ((*v / self.c2).sqrt() + EPSILON);
             }
-            variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
-        }
-        Ok(None)
+        });
+        Ok(())
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use candle_core::Device;
 
     /// The first step of Adam has the size of the rate whatever the gradient's, and a quadratic is minimised.
     #[test]
     fn a_quadratic_is_minimised() {
         let x = Var::new(&[3.0f32, -2.0], &Device::Cpu).expect("var");
         let variables = [x.clone()];
-        let mut adam = Adam::new(&variables);
+        let mut adam = Adam::new(variables.iter());
         let step = |adam: &mut Adam| {
-            let grads = x.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("gradient");
-            adam.step(&variables, &grads, &[0.1]).expect("step");
+            let gradients = x.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("gradient");
+            adam.step(variables.iter(), &gradients, &[0.1]).expect("step");
             x.to_vec1::<f32>().expect("values")
         };
         let first = step(&mut adam);

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use candle_core::{Device, Result as CandleResult, Tensor};
 use radome_dsp::Occupancy;
 use rand::Rng;
+use rand::seq::SliceRandom;
 use rand_distr::{Distribution, Normal};
 
 use super::{Augmentation, TrainError, TrainSpec};
@@ -38,8 +39,8 @@ impl Data {
         if shape.rx != 1 {
             return Err(TrainError::Channels { rx: shape.rx });
         }
-        if shape.range < 4 || shape.doppler < 4 {
-            return Err(TrainError::TooSmall { range: shape.range, doppler: shape.doppler });
+        if let Some(layer) = spec.network_spec().too_small_for(shape.range, shape.doppler) {
+            return Err(TrainError::TooSmall { layer, range: shape.range, doppler: shape.doppler });
         }
         let splits = dataset.splits(&spec.split)?;
         let rows = dataset.rows();
@@ -47,7 +48,10 @@ impl Data {
             let of_split = splits.iter().enumerate().filter(|&(_, &s)| s == split).map(|(index, _)| index);
             let wanted =
                 |i: &usize| split != Split::Train || spec.transitions || rows.get(*i).is_none_or(|r| !r.transition);
-            let indices: Vec<usize> = of_split.filter(wanted).collect();
+            let mut indices: Vec<usize> = of_split.filter(wanted).collect();
+            if split == Split::Train && spec.label_fraction < 1.0 {
+                indices = fraction_by_class(&indices, |i| rows.get(i).map(|r| r.label.index()), spec);
+            }
             let mut maps: Vec<Vec<f32>> = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
             maps.iter_mut().for_each(|map| spec.reference.apply(map, shape.doppler));
             let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
@@ -145,6 +149,19 @@ impl Data {
         }
         Tensor::from_vec(cells, (positions.len(), self.range, self.doppler), &Device::Cpu)
     }
+}
+
+/// The share of maps that a spec asks for, drawn class by class (at least one of each), in their order.
+fn fraction_by_class(indices: &[usize], class: impl Fn(usize) -> Option<usize>, spec: &TrainSpec) -> Vec<usize> {
+    let mut kept = Vec::new();
+    for label in Occupancy::ALL {
+        let mut of_class: Vec<usize> = indices.iter().copied().filter(|&i| class(i) == Some(label.index())).collect();
+        of_class.shuffle(&mut stream(spec.seed, "label fraction", label.index() as u64));
+        of_class.truncate(((spec.label_fraction * of_class.len() as f64).round() as usize).max(1));
+        kept.extend(of_class);
+    }
+    kept.sort_unstable();
+    kept
 }
 
 /// Exchanges velocity `v` and `-v` in `[range][doppler]`. Zero is at `n / 2`; for an even n, bin 0 (the most negative

@@ -4,7 +4,7 @@
 //! The squash before the circuit makes training fragile. From a cold start it is easier for the first steps to shift the
 //! common mean of the latent than to draw classes apart; the mean runs onto the flat end of `pi * sigmoid`, no gradient
 //! is left, and the loss stays at ln 3. What is done about it:
-//! 1. *Centred features.* See [`crate::network::FeatureScale`]: measured at the start, folded into the weights at the
+//! 1. *Centred features.* See [`crate::network::Network::fold_features`]: measured at the start, folded into the weights at the
 //!    end.
 //! 2. *A linear warm-up.* For the first `linear_epochs` the head sees the latent itself, without squash and
 //!    circuit. This control head trains reliably.
@@ -32,11 +32,14 @@
 //! The last row says that the circuit costs nothing against the linear control here, nor gains anything.
 
 mod adam;
-mod circuit_start;
+mod checkpoint;
 mod data;
+mod head_start;
 mod run;
 mod start;
 mod temperature;
+
+use std::path::Path;
 
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
@@ -48,7 +51,7 @@ use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes};
-use crate::network::{Hqnn, MOST_POOLED, PAPER_POOLED};
+use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
@@ -90,6 +93,12 @@ impl Default for Augmentation {
 pub struct TrainSpec {
     /// Seed of initialisation, order and augmentation.
     pub seed: u64,
+    /// Which network.
+    pub network: NetworkKind,
+    /// What stands behind the HQNN's latent.
+    pub head: Head,
+    /// Share of the training split's maps that is trained on, drawn by class; 1 for all.
+    pub label_fraction: f64,
     /// How sequences are divided.
     pub split: SplitSpec,
     /// Passes over the training split.
@@ -142,6 +151,9 @@ impl Default for TrainSpec {
     fn default() -> Self {
         TrainSpec {
             seed: 11,
+            network: NetworkKind::Hqnn,
+            head: Head::default(),
+            label_fraction: 1.0,
             split: SplitSpec::default(),
             epochs: 15,
             batch_size: 32,
@@ -226,9 +238,11 @@ pub enum TrainError {
         /// Channels of a map.
         rx: usize,
     },
-    /// Maps are too small for two poolings.
-    #[error("maps are {range} range x {doppler} doppler bins, at least 4 x 4 are needed")]
+    /// Maps are too small for the network's poolings.
+    #[error("maps are {range} range x {doppler} doppler bins, too few for the network's layer {layer}")]
     TooSmall {
+        /// Layer that has nothing left to work on.
+        layer: String,
         /// Range bins.
         range: usize,
         /// Doppler bins.
@@ -271,6 +285,12 @@ pub enum TrainError {
         /// Learning rate of the spec.
         learning_rate: f64,
     },
+    /// A stopped training cannot be carried on with.
+    #[error("checkpoint: {what}\n\nhint: remove the file to begin anew")]
+    Checkpoint {
+        /// File and reason.
+        what: String,
+    },
     /// The dataset cannot be read or split.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
@@ -286,6 +306,11 @@ pub enum TrainError {
 }
 
 impl TrainSpec {
+    /// The network that is trained.
+    pub fn network_spec(&self) -> NetworkSpec {
+        NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
+    }
+
     /// Epochs with the linear head.
     fn linear_epochs(&self) -> usize {
         self.linear_epochs.unwrap_or(self.epochs / 2)
@@ -321,6 +346,14 @@ impl TrainSpec {
                 return fail(name, value.to_string(), "a finite number above 0");
             }
         }
+        if !(self.label_fraction > 0.0 && self.label_fraction <= 1.0) {
+            return fail("label_fraction", self.label_fraction.to_string(), "above 0 and up to 1");
+        }
+        if let Head::Circuit { circuit, .. } = &self.head
+            && let Err(error) = circuit.check()
+        {
+            return fail("head.circuit", error.to_string(), "a circuit that can be run");
+        }
         if !(self.augmentation.noise_db >= 0.0 && self.augmentation.noise_db.is_finite()) {
             return fail("augmentation.noise_db", self.augmentation.noise_db.to_string(), "0 or more");
         }
@@ -339,7 +372,7 @@ impl TrainSpec {
     }
 }
 
-/// Trains an HQNN. `report` is called after each epoch.
+/// Trains a network. `report` is called after each epoch.
 ///
 /// The same dataset, spec and kernel level give the same model, bit for bit, on any number of threads.
 pub fn train(
@@ -347,32 +380,21 @@ pub fn train(
     spec: &TrainSpec,
     report: &mut dyn FnMut(EpochReport),
 ) -> Result<TrainOutcome, TrainError> {
+    train_with_checkpoint(dataset, spec, None, report)
+}
+
+/// [`train`] that writes `checkpoint` after each epoch, carries on from it if it is there, and removes it at the end. A training
+/// that was killed and carried on with gives the model that it would have given undisturbed.
+pub fn train_with_checkpoint(
+    dataset: &Dataset,
+    spec: &TrainSpec,
+    checkpoint: Option<&Path>,
+    report: &mut dyn FnMut(EpochReport),
+) -> Result<TrainOutcome, TrainError> {
     spec.check()?;
     let data = data::Data::load(dataset, spec)?;
     let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
-    let mut history = Vec::new();
-    let mut tell = |r: EpochReport, report: &mut dyn FnMut(EpochReport)| {
-        history.push(r.clone());
-        report(r);
-    };
-
-    let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
-    let mut best: Option<run::Run> = None;
-    for start in 0..spec.starts {
-        let mut run = run::Run::start(&data, spec, start, level)?;
-        for _ in 0..trials {
-            tell(run.epoch(false)?, report);
-        }
-        if best.as_ref().is_none_or(|b| run.validation_loss() < b.validation_loss()) {
-            best = Some(run);
-        }
-    }
-    let Some(mut run) = best else {
-        return Err(TrainError::Setting { name: "starts", value: "0".into(), expected: "at least 1" });
-    };
-    for _ in trials..spec.epochs {
-        tell(run.epoch(true)?, report);
-    }
+    let (run, history) = Training { data: &data, spec, level, checkpoint, dataset_hash: dataset.hash() }.run(report)?;
 
     let chosen_start = run.start_index();
     let (network, best_epoch) = run.finish()?;
@@ -380,7 +402,8 @@ pub fn train(
     let header = dataset.header();
     let mut card = ModelCard {
         format_version: MODEL_FORMAT_VERSION,
-        network: Hqnn::NAME.to_owned(),
+        network: spec.network,
+        head: spec.head.clone(),
         classes: Occupancy::ALL.to_vec(),
         input_shape: [1, header.shape.range, header.shape.doppler],
         axes: input_axes(),
@@ -389,7 +412,7 @@ pub fn train(
         standardisation: data.standardisation.clone(),
         smoothing: spec.smoothing,
         pooled: spec.pooled,
-        latent: network.latent,
+        latent: network.latent_constants(),
         temperature,
         dataset_hash: dataset.hash(),
         seed: spec.seed,
@@ -414,5 +437,102 @@ pub fn train(
     card.training.validation = validation.clone();
     card.training.test = test.clone();
     let model = Model { card, network: classifier.into_model().network };
+    if let Some(path) = checkpoint {
+        // What it was for is done; it being left behind would only cost a repeated last step.
+        let _ = std::fs::remove_file(path);
+    }
     Ok(TrainOutcome { model, history, validation, test, warnings })
+}
+
+/// The epochs of all starts, in their order.
+struct Training<'a> {
+    data: &'a data::Data,
+    spec: &'a TrainSpec,
+    level: KernelLevel,
+    checkpoint: Option<&'a Path>,
+    dataset_hash: String,
+}
+
+impl<'a> Training<'a> {
+    fn run(
+        &self,
+        report: &mut dyn FnMut(EpochReport),
+    ) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
+        let Training { data, spec, level, .. } = *self;
+        let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
+        let resume = |state| run::Run::resume(data, spec, state, level);
+        let (mut leader, mut trial, mut history, mut next_start) = match self.load()? {
+            None => (None, None, Vec::new(), 0),
+            Some(found) => (
+                found.leader.map(resume).transpose()?,
+                found.trial.map(resume).transpose()?,
+                found.history,
+                found.next_start,
+            ),
+        };
+        while trial.is_some() || next_start < spec.starts {
+            let mut run = match trial.take() {
+                Some(run) => run,
+                None => {
+                    next_start += 1;
+                    run::Run::start(data, spec, next_start - 1, level)?
+                }
+            };
+            while run.epochs_done() < trials {
+                let told = run.epoch(false)?;
+                history.push(told.clone());
+                report(told);
+                self.save(leader.as_ref(), Some(&run), &history, next_start)?;
+            }
+            if leader.as_ref().is_none_or(|leader: &run::Run| run.validation_loss() < leader.validation_loss()) {
+                leader = Some(run);
+            }
+        }
+        let Some(mut run) = leader else {
+            return Err(TrainError::Setting { name: "starts", value: "0".into(), expected: "at least 1" });
+        };
+        while run.epochs_done() < spec.epochs {
+            let told = run.epoch(true)?;
+            history.push(told.clone());
+            report(told);
+            self.save(Some(&run), None, &history, next_start)?;
+        }
+        Ok((run, history))
+    }
+
+    /// What decides the outcome.
+    fn fingerprint(&self) -> Result<String, TrainError> {
+        let spec = serde_json::to_string(self.spec).map_err(|e| TrainError::Checkpoint { what: e.to_string() })?;
+        Ok(format!("{spec} {:?} {}", self.level, self.dataset_hash))
+    }
+
+    fn load(&self) -> Result<Option<checkpoint::Checkpoint>, TrainError> {
+        let Some(path) = self.checkpoint else { return Ok(None) };
+        let Some(found) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
+        if found.fingerprint != self.fingerprint()? {
+            let what = format!("{} is of a training with other settings, data or instructions", path.display());
+            return Err(TrainError::Checkpoint { what });
+        }
+        Ok(Some(found))
+    }
+
+    fn save(
+        &self,
+        leader: Option<&run::Run>,
+        trial: Option<&run::Run>,
+        history: &[EpochReport],
+        next_start: u64,
+    ) -> Result<(), TrainError> {
+        let Some(path) = self.checkpoint else { return Ok(()) };
+        let state = |run: Option<&run::Run>| run.map(run::Run::state).transpose();
+        let history = history.to_vec();
+        checkpoint::Checkpoint {
+            fingerprint: self.fingerprint()?,
+            leader: state(leader)?,
+            trial: state(trial)?,
+            history,
+            next_start,
+        }
+        .save(path)
+    }
 }

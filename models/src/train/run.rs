@@ -1,41 +1,47 @@
 //! One initialisation on its way through the epochs.
 
+use std::collections::BTreeMap;
 use std::time::Instant;
 
-use candle_core::Tensor;
+use candle_core::{Tensor, Var};
 use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 
 use super::adam::Adam;
-use super::circuit_start;
+use super::checkpoint::RunState;
 use super::data::Data;
-use super::start::{self, collect, feature_scale, moments, place_hidden, place_latent};
+use super::head_start;
+use super::start::{self, collect, feature_centring, moments, place_hidden, place_latent};
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, cross_entropy};
-use crate::network::{Bypass, Hqnn, LatentConstants};
+use crate::network::{Centring, Mode, Network, NetworkKind, Value};
 use crate::stream;
 
 pub(super) struct Run<'a> {
     data: &'a Data,
     spec: &'a TrainSpec,
     start: u64,
-    network: Hqnn,
+    network: Network,
     adam: Adam,
     epoch: usize,
     step: usize,
-    /// Step at which the circuit came in: the step size warms up again from there.
-    circuit_step: usize,
+    /// Whether a linear head stands in for the head.
+    warming_up: bool,
+    /// Step at which the head came in: the step size warms up again from there.
+    head_step: usize,
     latest_loss: f64,
     best: Option<Best>,
 }
 
-struct Best {
-    balanced_accuracy: f64,
-    loss: f64,
-    epoch: usize,
-    values: Vec<Vec<f32>>,
-    latent: LatentConstants,
+/// The best epoch so far.
+#[derive(Debug, Clone)]
+pub(super) struct Best {
+    pub balanced_accuracy: f64,
+    pub loss: f64,
+    pub epoch: usize,
+    pub values: BTreeMap<String, Vec<f32>>,
+    pub latent: Centring,
 }
 
 impl<'a> Run<'a> {
@@ -46,18 +52,38 @@ impl<'a> Run<'a> {
         start: u64,
         level: KernelLevel,
     ) -> Result<Self, TrainError> {
-        let mut network = Hqnn::initialise(spec.seed, start, spec.pooled, level)?;
+        let network = Network::initialise(&spec.network_spec(), spec.seed, start, level)?;
+        let mut run = Self::around(data, spec, start, network);
+        if spec.network != NetworkKind::Hqnn {
+            return Ok(run);
+        }
         let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         positions.shuffle(&mut stream(spec.seed, "start maps", start));
         positions.truncate(start::START_MAPS);
-        let features = collect(&network, data, &data.train, &positions, |s| &s.features)?;
-        network.set_feature_scale(Some(feature_scale(&features, spec.feature_sigma)));
-        let hidden = collect(&network, data, &data.train, &positions, |s| &s.hidden)?;
-        place_hidden(&network, &hidden)?;
-        let latent = collect(&network, data, &data.train, &positions, |s| &s.latent)?;
-        place_latent(&network, &latent, spec.latent_sigma)?;
-        let adam = Adam::new(network.variables());
-        let mut run = Run {
+        let of = |network: &Network, name: &str| {
+            let value = network.graph().value(name).unwrap_or_default();
+            collect(network, data, &data.train, &positions, value)
+        };
+        let features = of(&run.network, "pool")?;
+        run.network.parameters_mut().set_centring("features", feature_centring(&features, spec.feature_sigma));
+        // In front of the latent there may be no hidden layer.
+        if run.network.graph().value("hidden") < run.network.graph().value("latent") {
+            place_hidden(&run.network, &of(&run.network, "hidden")?)?;
+        }
+        place_latent(&run.network, &of(&run.network, "fc2")?, spec.latent_sigma)?;
+        if spec.latent != LatentStandardisation::None {
+            run.measure_latent()?;
+        }
+        run.warming_up = true;
+        if spec.linear_epochs() == 0 {
+            run.start_head()?;
+        }
+        Ok(run)
+    }
+
+    fn around(data: &'a Data, spec: &'a TrainSpec, start: u64, network: Network) -> Self {
+        let adam = Adam::new(network.trained().iter().map(|p| &p.variable));
+        Run {
             data,
             spec,
             start,
@@ -65,66 +91,111 @@ impl<'a> Run<'a> {
             adam,
             epoch: 0,
             step: 0,
-            circuit_step: 0,
+            warming_up: false,
+            head_step: 0,
             latest_loss: f64::INFINITY,
             best: None,
-        };
-        if spec.latent != LatentStandardisation::None {
-            run.measure_latent()?;
         }
-        if spec.linear_epochs() > 0 {
-            run.network.bypass = Bypass::Circuit;
-        } else {
-            run.start_circuit()?;
+    }
+
+    /// Carries on from where [`Run::state`] was taken; names what does not fit.
+    pub(super) fn resume(
+        data: &'a Data,
+        spec: &'a TrainSpec,
+        state: RunState,
+        level: KernelLevel,
+    ) -> Result<Self, TrainError> {
+        let network = Network::initialise(&spec.network_spec(), spec.seed, state.start, level)?;
+        let mut run = Self::around(data, spec, state.start, network);
+        run.network.parameters().set_values(&state.values)?;
+        for (name, centring) in state.centrings {
+            run.network.parameters_mut().set_centring(&name, centring);
         }
+        let names: Vec<String> = run.network.trained().iter().map(|p| p.name.clone()).collect();
+        run.adam
+            .restore(names.iter().map(String::as_str), &state.moments, state.adam_steps)
+            .map_err(|missing| TrainError::Checkpoint { what: format!("array {missing} is missing or too short") })?;
+        run.epoch = state.epoch;
+        run.step = state.step;
+        run.warming_up = state.warming_up;
+        run.head_step = state.head_step;
+        run.latest_loss = state.latest_loss;
+        run.best = state.best;
         Ok(run)
     }
 
-    /// Puts the circuit between latent and head: angles, head and placement of the latent from [`circuit_start`].
-    fn start_circuit(&mut self) -> Result<(), TrainError> {
+    /// Everything that [`Run::resume`] needs.
+    pub(super) fn state(&self) -> Result<RunState, TrainError> {
+        let parameters = self.network.parameters();
+        let centrings = ["features", "latent"]
+            .iter()
+            .filter_map(|name| Some(((*name).to_owned(), parameters.centring(name)?.clone())));
+        Ok(RunState {
+            start: self.start,
+            epoch: self.epoch,
+            step: self.step,
+            warming_up: self.warming_up,
+            head_step: self.head_step,
+            adam_steps: self.adam.steps(),
+            latest_loss: self.latest_loss,
+            centrings: centrings.collect(),
+            values: parameters.values(true)?,
+            moments: self.adam.arrays(self.network.trained().iter().map(|p| p.name.as_str())),
+            best: self.best.clone(),
+        })
+    }
+
+    /// Ends the warm-up: parameters of the head and placement of the latent from [`head_start`].
+    fn start_head(&mut self) -> Result<(), TrainError> {
+        let Some(latent) = self.network.graph().value("latent") else { return Ok(()) };
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         positions.shuffle(&mut stream(self.spec.seed, "circuit maps", self.start));
         positions.truncate(start::START_MAPS);
         let move_latent = self.spec.latent == LatentStandardisation::None;
-        let rows = collect(&self.network, self.data, &self.data.train, &positions, |s| &s.standardised)?;
-        let found = if move_latent { moments(&rows) } else { LatentConstants::default() };
-        let centred = |k: usize, row: &[f32]| {
-            row.get(k).map_or(0.0, |&v| f64::from(v - found.mean[k]) / f64::from(found.sigma[k]))
-        };
-        let latents: Vec<[f64; 2]> = rows.iter().map(|r| [centred(0, r), centred(1, r)]).collect();
-        let labels: Vec<usize> = positions.iter().filter_map(|&p| self.data.train.labels.get(p)).copied().collect();
-        let points = circuit_start::Points {
-            latents: &latents,
-            labels: &labels,
-            class_weights: &self.data.class_weights,
-            penalty: self.spec.latent_penalty,
-            move_latent,
-            sigma: f64::from(self.spec.latent_sigma),
-        };
-        let best = circuit_start::search(&points, self.spec.seed, self.start);
-        let mut values = self.network.values()?;
-        if let [_, _, _, _, _, _, weight, bias, theta, head_weight, head_bias] = values.as_mut_slice() {
-            *theta = best.theta.map(|v| v as f32).to_vec();
-            *head_weight = best.head_weight.map(|v| v as f32).to_vec();
-            *head_bias = best.head_bias.map(|v| v as f32).to_vec();
-            if move_latent && let [old_a, old_b] = bias.as_mut_slice() {
-                // u = matrix (z - mean) / sigma + offset with z = weight h + bias, folded into weight and bias.
-                let m: [f32; 4] = std::array::from_fn(|k| best.matrix[k] as f32 / found.sigma[k % 2]);
-                let half = weight.len() / 2;
-                let (row_a, row_b) = weight.split_at_mut(half);
-                for (a, b) in row_a.iter_mut().zip(row_b) {
-                    (*a, *b) = (m[0] * *a + m[1] * *b, m[2] * *a + m[3] * *b);
-                }
-                let (a, b) = (*old_a - found.mean[0], *old_b - found.mean[1]);
-                *old_a = m[0] * a + m[1] * b + best.offset[0] as f32;
-                *old_b = m[2] * a + m[3] * b + best.offset[1] as f32;
+        let mut rows = collect(&self.network, self.data, &self.data.train, &positions, latent)?;
+        let found = if move_latent { moments(&rows) } else { Centring::default() };
+        for row in &mut rows {
+            for ((z, mean), sigma) in row.iter_mut().zip(&found.mean).zip(&found.sigma) {
+                *z = (*z - mean) / sigma;
             }
         }
-        self.network.set_values(&values)?;
-        self.network.bypass = Bypass::No;
-        self.adam = Adam::new(self.network.variables());
-        self.circuit_step = self.step;
+        let labels: Vec<usize> = positions.iter().filter_map(|&p| self.data.train.labels.get(p)).copied().collect();
+        let points = head_start::Points {
+            latents: &rows,
+            labels: &labels,
+            class_weights: &self.data.class_weights,
+            penalty: self.penalty(),
+            move_latent,
+            sigma: self.spec.latent_sigma,
+        };
+        let placing = head_start::search(&self.network, latent, &points, self.spec.seed, self.start)?;
+        if move_latent {
+            self.place(&placing, &found)?;
+        }
+        self.warming_up = false;
+        self.adam = Adam::new(self.network.trained().iter().map(|p| &p.variable));
+        self.head_step = self.step;
         self.best = None;
+        Ok(())
+    }
+
+    /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
+    fn place(&self, placing: &head_start::Placing, found: &Centring) -> Result<(), TrainError> {
+        let parameters = self.network.parameters();
+        let (weight, bias) = (parameters.numbers("fc2.weight")?, parameters.numbers("fc2.bias")?);
+        let width = bias.len();
+        let inputs = weight.len() / width.max(1);
+        let (mut new_weight, mut new_bias) = (vec![0.0f32; weight.len()], placing.offset.clone());
+        for (k, matrix) in placing.matrix.chunks_exact(width.max(1)).enumerate() {
+            for (j, &m) in matrix.iter().enumerate() {
+                let m = m / found.sigma[j];
+                new_bias[k] += m * (bias[j] - found.mean[j]);
+                let row = weight.get(j * inputs..(j + 1) * inputs).unwrap_or_default();
+                new_weight.iter_mut().skip(k * inputs).zip(row).for_each(|(new, old)| *new += m * old);
+            }
+        }
+        parameters.set_numbers("fc2.weight", &new_weight)?;
+        parameters.set_numbers("fc2.bias", &new_bias)?;
         Ok(())
     }
 
@@ -132,9 +203,25 @@ impl<'a> Run<'a> {
         self.start
     }
 
+    /// Epochs done.
+    pub(super) fn epochs_done(&self) -> usize {
+        self.epoch
+    }
+
     /// Loss on the validation split after the latest epoch.
     pub(super) fn validation_loss(&self) -> f64 {
         self.latest_loss
+    }
+
+    /// The logits that are trained: the head's, or those of its stand-in.
+    fn output(&self) -> Value {
+        let graph = self.network.graph();
+        if self.warming_up { graph.warm_up.unwrap_or(graph.output) } else { graph.output }
+    }
+
+    /// Weight of the mean square of the latent: heads that squash need it small.
+    fn penalty(&self) -> f64 {
+        if self.spec.network == NetworkKind::Hqnn && self.spec.head.squashes() { self.spec.latent_penalty } else { 0.0 }
     }
 
     /// Trains for one epoch.
@@ -143,15 +230,20 @@ impl<'a> Run<'a> {
         if self.spec.latent == LatentStandardisation::FrozenByEpoch {
             self.measure_latent()?;
         }
-        if self.network.bypass == Bypass::Circuit && self.epoch >= self.spec.linear_epochs() {
-            self.start_circuit()?;
+        if self.warming_up && self.epoch >= self.spec.linear_epochs() {
+            self.start_head()?;
         }
         self.epoch += 1;
         let mut order: Vec<usize> = (0..self.data.train.maps.len()).collect();
         order.shuffle(&mut stream(self.spec.seed, "order", self.epoch as u64));
-        let (mut loss, mut pairs) = (0.0, Vec::with_capacity(order.len()));
+        let (mut loss, mut pairs, mut maps) = (0.0, Vec::with_capacity(order.len()), 0);
         for batch in order.chunks(self.spec.batch_size) {
+            // A batch normalisation has no variance of one map; it is in another batch in the next epoch.
+            if batch.len() == 1 && order.len() > 1 && self.network.graph().batch_norms().next().is_some() {
+                continue;
+            }
             loss += self.train_batch(batch, &mut pairs)? * batch.len() as f64;
+            maps += batch.len();
         }
         let training = Metrics::from_predictions(pairs);
         let (validation_loss, validation) = self.validate()?;
@@ -166,7 +258,7 @@ impl<'a> Run<'a> {
                 loss: validation_loss,
                 epoch: self.epoch,
                 values: self.network.values()?,
-                latent: self.network.latent,
+                latent: self.network.latent_constants(),
             });
         }
         Ok(EpochReport {
@@ -174,7 +266,7 @@ impl<'a> Run<'a> {
             chosen,
             epoch: self.epoch,
             epochs: self.spec.epochs,
-            training_loss: loss / order.len() as f64,
+            training_loss: loss / maps.max(1) as f64,
             training_balanced_accuracy: training.balanced_accuracy,
             validation_loss,
             validation_balanced_accuracy: validation.balanced_accuracy,
@@ -182,18 +274,18 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// The network (with its circuit) as it was after its best epoch, and that epoch.
-    pub(super) fn finish(mut self) -> Result<(Hqnn, usize), TrainError> {
-        if self.network.bypass == Bypass::Circuit {
-            self.start_circuit()?;
+    /// The network (with its head) as it was after its best epoch, and that epoch.
+    pub(super) fn finish(mut self) -> Result<(Network, usize), TrainError> {
+        if self.warming_up {
+            self.start_head()?;
         }
         let mut epoch = self.epoch;
         if let Some(best) = self.best.take() {
-            self.network.set_values(&best.values)?;
-            self.network.latent = best.latent;
+            self.network.parameters().set_values(&best.values)?;
+            self.network.set_latent_constants(best.latent);
             epoch = best.epoch;
         }
-        self.network.fold()?;
+        self.network.fold_features()?;
         Ok((self.network, epoch))
     }
 
@@ -202,82 +294,103 @@ impl<'a> Run<'a> {
         self.step += 1;
         let labels: Vec<usize> = batch.iter().filter_map(|&p| self.data.train.labels.get(p)).copied().collect();
         let input = self.data.augmented(batch, self.spec.augmentation, self.spec.seed, self.epoch)?;
-        let stages = self.network.stages(&input)?;
-        let loss = cross_entropy(&stages.logits, &labels, &self.data.class_weights)?;
+        // Another start is another draw of what is dropped.
+        let step = (self.start << 32) + self.step as u64;
+        let output = self.output();
+        let mode = Mode::Training { seed: self.spec.seed, step };
+        let values = self.network.run(&input, output, mode)?;
+        let logits = values.get(output)?;
+        let loss = cross_entropy(logits, &labels, &self.data.class_weights)?;
         let value = f64::from(loss.to_scalar::<f32>()?);
         if !value.is_finite() {
-            let what = stages.first_non_finite()?.unwrap_or("loss");
+            let what = values.first_non_finite()?.unwrap_or("loss").to_owned();
             return Err(self.non_finite(format!("output of {what}")));
         }
-        predictions(&stages.logits, &labels, pairs)?;
-        let loss = match self.network.bypass {
-            Bypass::No => (loss + (stages.standardised.sqr()?.mean_all()? * self.spec.latent_penalty)?)?,
-            Bypass::Circuit => loss,
+        predictions(logits, &labels, pairs)?;
+        let graph = self.network.graph();
+        let loss = match graph.value("latent") {
+            Some(latent) if !self.warming_up && self.penalty() > 0.0 => {
+                (loss + (values.get(latent)?.sqr()?.mean_all()? * self.penalty())?)?
+            }
+            _ => loss,
         };
+        let gradients = loss.backward()?;
+        let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, graph.value("fc2")) {
+            (LatentStandardisation::Running { .. }, Some(raw)) if self.spec.network == NetworkKind::Hqnn => {
+                Some(values.get(raw)?.to_vec2()?)
+            }
+            _ => None,
+        };
+        drop(values);
         let rates = self.rates();
-        if let Some(bad) = self.adam.step(self.network.variables(), &loss.backward()?, &rates)? {
-            let name = Hqnn::layout(self.spec.pooled).get(bad).map_or("a parameter", |(name, _)| *name);
+        let variables: Vec<&Var> = self.network.trained().iter().map(|p| &p.variable).collect();
+        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &rates)? {
+            let name = self.network.trained().get(bad).map_or("a parameter", |p| &p.name).to_owned();
             return Err(self.non_finite(format!("gradient of {name}")));
         }
-        if let LatentStandardisation::Running { momentum } = self.spec.latent {
-            let rows: Vec<Vec<f32>> = stages.latent.to_vec2()?;
-            let batch = moments(&rows);
-            let old = self.network.latent;
-            self.network.latent = LatentConstants {
-                mean: std::array::from_fn(|k| old.mean[k] + momentum * (batch.mean[k] - old.mean[k])),
-                sigma: std::array::from_fn(|k| {
-                    let (a, b) = (old.sigma[k] * old.sigma[k], batch.sigma[k] * batch.sigma[k]);
-                    (a + momentum * (b - a)).sqrt().max(start::LEAST_LATENT_SIGMA)
-                }),
-            };
+        if let (LatentStandardisation::Running { momentum }, Some(rows)) = (self.spec.latent, latent_rows) {
+            let (batch, mut latent) = (moments(&rows), self.network.latent_constants());
+            for (old, new) in latent.mean.iter_mut().zip(&batch.mean) {
+                *old += momentum * (new - *old);
+            }
+            for (old, new) in latent.sigma.iter_mut().zip(&batch.sigma) {
+                let (a, b) = (*old * *old, new * new);
+                *old = (a + momentum * (b - a)).sqrt().max(start::LEAST_LATENT_SIGMA);
+            }
+            self.network.set_latent_constants(latent);
         }
         Ok(value)
     }
 
-    /// Step size of each parameter at this step.
+    /// Step size of each array at this step.
     fn rates(&self) -> Vec<f32> {
         let steps = self.data.train.maps.len().div_ceil(self.spec.batch_size) * self.spec.epochs;
         let progress = self.step as f64 / steps as f64;
-        let warm_up = ((self.step - self.circuit_step) as f64 / self.spec.warm_up_steps.max(1) as f64).min(1.0);
+        let warm_up = ((self.step - self.head_step) as f64 / self.spec.warm_up_steps.max(1) as f64).min(1.0);
         let cosine = 0.5 * (1.0 + (std::f64::consts::PI * progress.min(1.0)).cos());
         let rate = self.spec.learning_rate * warm_up * (0.05 + 0.95 * cosine);
-        Hqnn::layout(self.spec.pooled)
-            .iter()
-            .map(|(name, _)| match *name {
-                "circuit.theta" => (rate * self.spec.angle_rate) as f32,
-                "head.weight" | "head.bias" => (rate * self.spec.head_rate) as f32,
-                _ => rate as f32,
-            })
-            .collect()
+        let of = |parameter: &crate::network::Parameter| {
+            if !head_start::is_trained(&self.network, parameter) {
+                return 0.0;
+            }
+            let factor = match parameter.name.split('.').next() {
+                Some("circuit") => self.spec.angle_rate,
+                Some("head" | "head_hidden" | "warm_up") => self.spec.head_rate,
+                _ => 1.0,
+            };
+            (rate * factor) as f32
+        };
+        self.network.trained().iter().map(of).collect()
     }
 
     fn validate(&self) -> Result<(f64, Metrics), TrainError> {
         let part = &self.data.validation;
+        let output = self.output();
         let (mut loss, mut weight, mut pairs) = (0.0, 0.0, Vec::new());
         let positions: Vec<usize> = (0..part.maps.len()).collect();
         for batch in positions.chunks(start::EVALUATION_BATCH) {
             let labels: Vec<usize> = batch.iter().filter_map(|&p| part.labels.get(p)).copied().collect();
-            let stages = self.network.stages(&self.data.batch(part, batch)?)?;
-            let batch_loss =
-                f64::from(cross_entropy(&stages.logits, &labels, &self.data.class_weights)?.to_scalar::<f32>()?);
+            let input = self.data.batch(part, batch)?;
+            let logits = self.network.run(&input, output, Mode::Evaluation)?.take(output)?;
+            let batch_loss = f64::from(cross_entropy(&logits, &labels, &self.data.class_weights)?.to_scalar::<f32>()?);
             if !batch_loss.is_finite() {
-                let what = stages.first_non_finite()?.unwrap_or("loss");
-                return Err(self.non_finite(format!("output of {what} (validation)")));
+                return Err(self.non_finite("loss of the validation split".to_owned()));
             }
             let batch_weight: f64 =
                 labels.iter().filter_map(|&l| self.data.class_weights.get(l)).map(|&w| f64::from(w)).sum();
             loss += batch_loss * batch_weight;
             weight += batch_weight;
-            predictions(&stages.logits, &labels, &mut pairs)?;
+            predictions(&logits, &labels, &mut pairs)?;
         }
         Ok((if weight > 0.0 { loss / weight } else { 0.0 }, Metrics::from_predictions(pairs)))
     }
 
     /// Takes mean and sigma of the latent over the training split.
     fn measure_latent(&mut self) -> Result<(), TrainError> {
+        let Some(raw) = self.network.graph().value("fc2") else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
-        let latent = collect(&self.network, self.data, &self.data.train, &positions, |s| &s.latent)?;
-        self.network.latent = moments(&latent);
+        let latent = collect(&self.network, self.data, &self.data.train, &positions, raw)?;
+        self.network.set_latent_constants(moments(&latent));
         Ok(())
     }
 

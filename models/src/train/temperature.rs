@@ -3,7 +3,7 @@
 use super::TrainError;
 use super::data::Data;
 use crate::layer::softmax;
-use crate::network::Hqnn;
+use crate::network::Network;
 
 /// Temperatures that are considered.
 const RANGE: (f64, f64) = (0.05, 20.0);
@@ -12,12 +12,12 @@ const LEAST_PROBABILITY: f64 = 1e-12;
 
 /// The temperature with the least class-weighted cross-entropy on the validation split: golden-section search on its
 /// logarithm (the loss is convex in 1/T).
-pub(super) fn fit(network: &Hqnn, data: &Data) -> Result<f64, TrainError> {
+pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
     let part = &data.validation;
     let positions: Vec<usize> = (0..part.maps.len()).collect();
     let mut logits = Vec::new();
     for batch in positions.chunks(64) {
-        logits.extend(network.stages(&data.batch(part, batch)?)?.logits.to_vec2::<f32>()?);
+        logits.extend(network.logits(&data.batch(part, batch)?)?.to_vec2::<f32>()?);
     }
     Ok(minimise(&logits, &part.labels, &data.class_weights))
 }

@@ -1,0 +1,284 @@
+//! What a network is made of: layers in the order in which they run. Training, inference, costs and ONNX all read this one
+//! list, so that they cannot disagree.
+
+use crate::layer::{Activation, ConvGeometry};
+use crate::quantum::CircuitSpec;
+
+/// A value that flows through a network: 0 is the input `[batch][range][doppler][channel]`, `k` the result of node `k - 1`.
+pub(crate) type Value = usize;
+/// The input.
+pub(crate) const INPUT: Value = 0;
+
+/// One step of a network. Feature maps are `[batch][range][doppler][channel]`, vectors `[batch][feature]`.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) enum Layer {
+    /// The map once for each of so many channels.
+    Repeat { channels: usize },
+    /// 3x3 convolution with padding, ReLU and 2x2 max-pooling.
+    ConvReluPool { inputs: usize, outputs: usize },
+    /// Convolution with a square kernel.
+    Convolution { inputs: usize, outputs: usize, kernel: usize, geometry: ConvGeometry, bias: bool },
+    /// Batch normalisation of channels or features, then an activation.
+    BatchNorm { channels: usize, activation: Activation },
+    /// Element by element.
+    Activate(Activation),
+    /// Largest value of windows.
+    MaxPool { kernel: usize, stride: usize, padding: usize },
+    /// Means of so many bins in range and Doppler, flattened channel-first: a vector.
+    AveragePool { rows: usize, columns: usize },
+    /// Fully connected.
+    Linear { inputs: usize, outputs: usize },
+    /// A feature map times a vector of a factor for each channel.
+    ScaleChannels,
+    /// Sum of two values, then an activation.
+    Add { activation: Activation },
+    /// Zeroes values at random while training, and scales the others up.
+    Dropout { probability: f32 },
+    /// Zeroes whole samples at random while training (stochastic depth, Huang et al., ECCV 2016), and scales the others up.
+    DropSamples { probability: f32 },
+    /// `(x - mean) / sigma` by constants that travel with the model or are folded into the layer behind.
+    Standardise { width: usize },
+    /// `pi * sigmoid(x)`: radians in (0, pi).
+    Squash,
+    /// Expectations of a quantum circuit at angles that are trained, or stay as they were drawn.
+    Circuit { circuit: CircuitSpec, frozen: bool },
+    /// The five features of which the two-qubit circuit is a linear combination (see [`crate::quantum`]).
+    Trigonometric,
+    /// Two vectors one after the other.
+    Concatenate,
+}
+
+/// A layer, its name and what it reads.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Node {
+    /// Also the prefix of its parameters' names.
+    pub name: String,
+    pub layer: Layer,
+    pub inputs: Vec<Value>,
+}
+
+/// How a parameter starts.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) enum Start {
+    /// Uniform in plus or minus this.
+    Uniform(f32),
+    /// Gaussian of this standard deviation.
+    Normal(f32),
+    /// This number.
+    Constant(f32),
+}
+
+/// Name, shape and start of a trained array.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct Declaration {
+    pub name: String,
+    pub shape: Vec<usize>,
+    pub start: Start,
+}
+
+/// A network's nodes in the order of running.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub(crate) struct Graph {
+    pub nodes: Vec<Node>,
+    /// The logits.
+    pub output: Value,
+    /// Logits of a linear head that stands in for the head during the warm-up, where there is one.
+    pub warm_up: Option<Value>,
+}
+
+/// Size of a value for one map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Size {
+    Map { rows: usize, columns: usize, channels: usize },
+    Vector(usize),
+}
+
+impl Graph {
+    /// Adds a node that reads `inputs`, and gives its result.
+    pub fn add(&mut self, name: impl Into<String>, layer: Layer, inputs: &[Value]) -> Value {
+        self.nodes.push(Node { name: name.into(), layer, inputs: inputs.to_vec() });
+        self.nodes.len()
+    }
+
+    /// Result of the node of this name.
+    pub fn value(&self, name: &str) -> Option<Value> {
+        self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
+    }
+
+    /// The node that makes a value.
+    pub fn node(&self, value: Value) -> Option<&Node> {
+        self.nodes.get(value.checked_sub(1)?)
+    }
+
+    /// Which nodes have to run for `wanted` where the values `given` are there.
+    pub fn needed(&self, wanted: &[Value], given: &[Value]) -> Vec<bool> {
+        let mut values = vec![false; self.nodes.len() + 1];
+        for &value in wanted {
+            if let Some(needed) = values.get_mut(value) {
+                *needed = !given.contains(&value);
+            }
+        }
+        for (index, node) in self.nodes.iter().enumerate().rev() {
+            if values.get(index + 1) == Some(&true) {
+                for &input in &node.inputs {
+                    if let Some(needed) = values.get_mut(input) {
+                        *needed |= !given.contains(&input);
+                    }
+                }
+            }
+        }
+        values.into_iter().skip(1).collect()
+    }
+
+    /// Sizes of all values for maps of `range x doppler`, or the node that such maps are too small for.
+    pub fn sizes(&self, range: usize, doppler: usize) -> Result<Vec<Size>, &Node> {
+        let mut sizes = vec![Size::Map { rows: range, columns: doppler, channels: 1 }];
+        for node in &self.nodes {
+            let of = |k: usize| node.inputs.get(k).and_then(|&value| sizes.get(value)).copied();
+            let size = of(0).and_then(|first| node.layer.size(first, of(1))).ok_or(node)?;
+            sizes.push(size);
+        }
+        Ok(sizes)
+    }
+
+    /// Multiply-adds of one map of `range x doppler`; 0 where the map is too small. Convolutions, dense layers and circuits
+    /// are counted, as is usual; a circuit as the multiplications of its state vector.
+    pub fn multiply_adds(&self, range: usize, doppler: usize) -> u64 {
+        let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
+        let needed = self.needed(&[self.output], &[]);
+        let nodes = self.nodes.iter().zip(sizes.windows(2)).zip(needed).filter(|(_, needed)| *needed);
+        let count = |((node, _), _): ((&Node, &[Size]), bool)| {
+            let input = node.inputs.first().and_then(|&value| sizes.get(value)).copied();
+            let cells = |size: Option<Size>| match size {
+                Some(Size::Map { rows, columns, .. }) => rows * columns,
+                _ => 1,
+            };
+            match &node.layer {
+                Layer::ConvReluPool { inputs, outputs } => 9 * inputs * outputs * cells(input),
+                Layer::Convolution { inputs, outputs, kernel, geometry, .. } => {
+                    let out = input.and_then(|input| node.layer.size(input, None));
+                    kernel * kernel * inputs / geometry.groups.max(1) * outputs * cells(out)
+                }
+                Layer::Linear { inputs, outputs } => inputs * outputs,
+                Layer::Circuit { circuit, .. } => circuit.multiply_adds(),
+                Layer::Trigonometric => 5,
+                _ => 0,
+            }
+        };
+        nodes.map(count).sum::<usize>() as u64
+    }
+
+    /// All trained arrays, in the order of the nodes.
+    pub fn declarations(&self) -> Vec<Declaration> {
+        self.nodes.iter().flat_map(Node::declarations).collect()
+    }
+
+    /// Names and widths of the batch normalisations, whose running statistics travel with the parameters.
+    pub fn batch_norms(&self) -> impl Iterator<Item = (&str, usize)> {
+        self.nodes.iter().filter_map(|node| match node.layer {
+            Layer::BatchNorm { channels, .. } => Some((node.name.as_str(), channels)),
+            _ => None,
+        })
+    }
+}
+
+impl Layer {
+    /// Size of the result, or nothing where the layer cannot read such a value.
+    fn size(&self, first: Size, second: Option<Size>) -> Option<Size> {
+        let window = |length: usize, kernel: usize, stride: usize, padding: usize| {
+            (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1)
+        };
+        match (self, first) {
+            (Layer::Repeat { channels }, Size::Map { rows, columns, .. }) => {
+                Some(Size::Map { rows, columns, channels: *channels })
+            }
+            (Layer::ConvReluPool { inputs, outputs }, Size::Map { rows, columns, channels }) => {
+                let fits = rows >= 2 && columns >= 2 && channels == *inputs;
+                fits.then_some(Size::Map { rows: rows / 2, columns: columns / 2, channels: *outputs })
+            }
+            (Layer::Convolution { inputs, outputs, kernel, geometry, .. }, Size::Map { rows, columns, channels })
+                if channels == *inputs =>
+            {
+                let rows = window(rows, *kernel, geometry.stride, geometry.padding)?;
+                let columns = window(columns, *kernel, geometry.stride, geometry.padding)?;
+                Some(Size::Map { rows, columns, channels: *outputs })
+            }
+            (Layer::MaxPool { kernel, stride, padding }, Size::Map { rows, columns, channels }) => {
+                let rows = window(rows, *kernel, *stride, *padding)?;
+                let columns = window(columns, *kernel, *stride, *padding)?;
+                Some(Size::Map { rows, columns, channels })
+            }
+            (Layer::AveragePool { rows, columns }, Size::Map { channels, .. }) => {
+                Some(Size::Vector(rows * columns * channels))
+            }
+            (Layer::Linear { inputs, outputs }, Size::Vector(width)) if width == *inputs => {
+                Some(Size::Vector(*outputs))
+            }
+            (Layer::Circuit { circuit, .. }, Size::Vector(width)) if width == circuit.qubits => {
+                Some(Size::Vector(width))
+            }
+            (Layer::Trigonometric, Size::Vector(2)) => Some(Size::Vector(5)),
+            (Layer::Concatenate, Size::Vector(a)) => match second {
+                Some(Size::Vector(b)) => Some(Size::Vector(a + b)),
+                _ => None,
+            },
+            (Layer::Add { .. }, _) if second != Some(first) => None,
+            (
+                Layer::Add { .. }
+                | Layer::BatchNorm { .. }
+                | Layer::Activate(_)
+                | Layer::ScaleChannels
+                | Layer::Dropout { .. }
+                | Layer::DropSamples { .. }
+                | Layer::Standardise { .. }
+                | Layer::Squash,
+                _,
+            ) => Some(first),
+            _ => None,
+        }
+    }
+}
+
+impl Node {
+    /// Trained arrays of this layer; shapes as PyTorch's.
+    ///
+    /// Starts are He's (He et al., ICCV 2015): uniform over the inputs before a ReLU, and, as torchvision's networks have it,
+    /// Gaussian over the outputs for convolutions before a batch normalisation.
+    pub fn declarations(&self) -> Vec<Declaration> {
+        let declare = |what: &str, shape: Vec<usize>, start| Declaration {
+            name: format!("{}.{what}", self.name),
+            shape,
+            start,
+        };
+        match &self.layer {
+            Layer::ConvReluPool { inputs, outputs } => vec![
+                declare("weight", vec![*outputs, *inputs, 3, 3], Start::Uniform((6.0 / (9 * inputs) as f32).sqrt())),
+                declare("bias", vec![*outputs], Start::Constant(0.0)),
+            ],
+            Layer::Convolution { inputs, outputs, kernel, geometry, bias } => {
+                let each = inputs / geometry.groups.max(1);
+                let fan_out = kernel * kernel * outputs / geometry.groups.max(1);
+                let start = Start::Normal((2.0 / fan_out as f32).sqrt());
+                let weight = declare("weight", vec![*outputs, each, *kernel, *kernel], start);
+                let bias = bias.then(|| declare("bias", vec![*outputs], Start::Constant(0.0)));
+                [Some(weight), bias].into_iter().flatten().collect()
+            }
+            Layer::BatchNorm { channels, .. } => vec![
+                declare("weight", vec![*channels], Start::Constant(1.0)),
+                declare("bias", vec![*channels], Start::Constant(0.0)),
+            ],
+            Layer::Linear { inputs, outputs } => {
+                // Before a ReLU six, else three: unit variance in, unit variance out.
+                let gain = if self.name == "fc1" { 6.0 } else { 3.0 };
+                vec![
+                    declare("weight", vec![*outputs, *inputs], Start::Uniform((gain / *inputs as f32).sqrt())),
+                    declare("bias", vec![*outputs], Start::Constant(0.0)),
+                ]
+            }
+            Layer::Circuit { circuit, .. } => {
+                vec![declare("theta", vec![circuit.angles()], Start::Uniform(std::f32::consts::PI))]
+            }
+            _ => Vec::new(),
+        }
+    }
+}

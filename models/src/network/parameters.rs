@@ -1,0 +1,194 @@
+//! The numbers of a network: trained arrays, running statistics of batch normalisations, and constants of standardisations.
+
+use std::collections::{BTreeMap, HashMap};
+
+use candle_core::{Device, Result, Tensor, Var};
+use rand::Rng;
+use rand_distr::{Distribution, Normal};
+use serde::{Deserialize, Serialize};
+
+use super::graph::{Declaration, Graph, Layer, Start};
+use crate::layer::RunningStatistics;
+use crate::stream;
+
+/// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct Centring {
+    /// Subtracted.
+    pub mean: Vec<f32>,
+    /// Divided by.
+    pub sigma: Vec<f32>,
+}
+
+/// One trained array.
+pub struct Parameter {
+    /// Name in files: the layer's and what it is.
+    pub name: String,
+    /// Its numbers.
+    pub variable: Var,
+}
+
+/// All numbers of a network.
+pub(crate) struct Parameters {
+    list: Vec<Parameter>,
+    index: HashMap<String, usize>,
+    statistics: BTreeMap<String, RunningStatistics>,
+    centrings: BTreeMap<String, Centring>,
+}
+
+/// Names of what a batch normalisation keeps besides its parameters, as PyTorch's.
+const RUNNING: [&str; 2] = ["running_mean", "running_var"];
+
+/// Whether an array is only there while training.
+fn is_transient(name: &str) -> bool {
+    name.starts_with("warm_up.")
+}
+
+impl Parameters {
+    /// Random parameters, each a function of seed, name and attempt.
+    pub fn initialise(graph: &Graph, seed: u64, attempt: u64) -> Result<Self> {
+        let start = |declaration: &Declaration| {
+            let mut rng = stream(seed, &declaration.name, attempt);
+            let count = declaration.shape.iter().product::<usize>();
+            Some(match declaration.start {
+                Start::Uniform(bound) => (0..count).map(|_| rng.random_range(-bound..bound)).collect(),
+                Start::Normal(sigma) => {
+                    let normal = Normal::new(0.0f32, sigma).ok()?;
+                    (0..count).map(|_| normal.sample(&mut rng)).collect()
+                }
+                Start::Constant(value) => vec![value; count],
+            })
+        };
+        Self::build(graph, start)
+    }
+
+    /// Parameters by name. What only training needs may be missing; anything else is named in the error.
+    pub fn from_values(graph: &Graph, values: &BTreeMap<String, Vec<f32>>) -> Result<Self> {
+        let start = |declaration: &Declaration| match values.get(&declaration.name) {
+            None if is_transient(&declaration.name) => Some(vec![0.0; declaration.shape.iter().product()]),
+            found => found.cloned(),
+        };
+        let parameters = Self::build(graph, start)?;
+        parameters.set_statistics(values)?;
+        Ok(parameters)
+    }
+
+    fn build(graph: &Graph, start: impl Fn(&Declaration) -> Option<Vec<f32>>) -> Result<Self> {
+        let mut list = Vec::new();
+        for declaration in graph.declarations() {
+            let Declaration { name, shape, .. } = &declaration;
+            let Some(values) = start(&declaration) else {
+                candle_core::bail!("parameter {name} {shape:?} is missing");
+            };
+            if values.len() != shape.iter().product::<usize>() {
+                candle_core::bail!("parameter {name} has {} values, expected {shape:?}", values.len());
+            }
+            let variable = Var::from_tensor(&Tensor::from_vec(values, shape.as_slice(), &Device::Cpu)?)?;
+            list.push(Parameter { name: declaration.name, variable });
+        }
+        let index = list.iter().enumerate().map(|(k, parameter)| (parameter.name.clone(), k)).collect();
+        let statistics =
+            graph.batch_norms().map(|(name, channels)| (name.to_owned(), RunningStatistics::new(channels))).collect();
+        Ok(Parameters { list, index, statistics, centrings: BTreeMap::new() })
+    }
+
+    /// Trained arrays in the order of the layers.
+    pub fn list(&self) -> &[Parameter] {
+        &self.list
+    }
+
+    /// The array of this name.
+    pub fn get(&self, name: &str) -> Result<&Tensor> {
+        match self.index.get(name).and_then(|&index| self.list.get(index)) {
+            Some(parameter) => Ok(parameter.variable.as_tensor()),
+            None => candle_core::bail!("there is no parameter {name}"),
+        }
+    }
+
+    /// Running statistics of a batch normalisation.
+    pub fn statistics(&self, name: &str) -> Result<&RunningStatistics> {
+        match self.statistics.get(name) {
+            Some(statistics) => Ok(statistics),
+            None => candle_core::bail!("there is no batch normalisation {name}"),
+        }
+    }
+
+    /// Constants of a standardisation; none leaves values as they are.
+    pub fn centring(&self, name: &str) -> Option<&Centring> {
+        self.centrings.get(name)
+    }
+
+    /// Sets the constants of a standardisation; empty ones remove them.
+    pub fn set_centring(&mut self, name: &str, centring: Centring) {
+        if centring.mean.is_empty() {
+            self.centrings.remove(name);
+        } else {
+            self.centrings.insert(name.to_owned(), centring);
+        }
+    }
+
+    /// Copies of an array's numbers.
+    pub fn numbers(&self, name: &str) -> Result<Vec<f32>> {
+        self.get(name)?.flatten_all()?.to_vec1()
+    }
+
+    /// Overwrites an array's numbers.
+    pub fn set_numbers(&self, name: &str, values: &[f32]) -> Result<()> {
+        let Some(parameter) = self.index.get(name).and_then(|&index| self.list.get(index)) else {
+            candle_core::bail!("there is no parameter {name}");
+        };
+        let shape = parameter.variable.shape();
+        parameter.variable.set(&Tensor::from_slice(values, shape, &Device::Cpu)?)
+    }
+
+    /// Copies of everything that travels with a model, by name; of what only training needs too if `all`.
+    pub fn values(&self, all: bool) -> Result<BTreeMap<String, Vec<f32>>> {
+        let mut values = BTreeMap::new();
+        for Parameter { name, variable } in &self.list {
+            if all || !is_transient(name) {
+                values.insert(name.clone(), variable.flatten_all()?.to_vec1()?);
+            }
+        }
+        for (name, statistics) in &self.statistics {
+            let arrays = [statistics.mean(), statistics.variance()];
+            values.extend(RUNNING.iter().zip(arrays).map(|(what, array)| (format!("{name}.{what}"), array)));
+        }
+        Ok(values)
+    }
+
+    /// Overwrites what [`Parameters::values`] gave.
+    pub fn set_values(&self, values: &BTreeMap<String, Vec<f32>>) -> Result<()> {
+        for Parameter { name, variable } in &self.list {
+            match values.get(name) {
+                Some(numbers) => variable.set(&Tensor::from_slice(numbers, variable.shape(), &Device::Cpu)?)?,
+                None if is_transient(name) => {}
+                None => candle_core::bail!("parameter {name} is missing"),
+            }
+        }
+        self.set_statistics(values)
+    }
+
+    fn set_statistics(&self, values: &BTreeMap<String, Vec<f32>>) -> Result<()> {
+        for (name, statistics) in &self.statistics {
+            let [mean, variance] = RUNNING.map(|what| values.get(&format!("{name}.{what}")));
+            let (Some(mean), Some(variance)) = (mean, variance) else {
+                candle_core::bail!("running statistics of {name} are missing");
+            };
+            statistics.set(mean, variance)?;
+        }
+        Ok(())
+    }
+}
+
+/// Names and shapes of what travels with a model, in the order of files.
+pub(crate) fn layout(graph: &Graph) -> Vec<(String, Vec<usize>)> {
+    let mut layout = Vec::new();
+    for node in &graph.nodes {
+        let kept = node.declarations().into_iter().filter(|declaration| !is_transient(&declaration.name));
+        layout.extend(kept.map(|declaration| (declaration.name, declaration.shape)));
+        if let Layer::BatchNorm { channels, .. } = node.layer {
+            layout.extend(RUNNING.map(|what| (format!("{}.{what}", node.name), vec![channels])));
+        }
+    }
+    layout
+}

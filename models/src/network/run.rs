@@ -1,0 +1,189 @@
+//! Running a network's layers one after the other, with gradients.
+
+use candle_core::{Device, Result, Tensor};
+use rand::Rng;
+
+use super::graph::{Graph, INPUT, Layer, Node, Value};
+use super::{Centring, Network};
+use crate::layer::{
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, batch_norm, circuit_of, conv2d,
+    conv_relu_pool, dropout, linear, max_pool2d, scale_channels,
+};
+use crate::stream;
+
+/// What a run is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Gradients, statistics of the batch, and dropout that is a function of seed and step.
+    Training {
+        /// Of the training.
+        seed: u64,
+        /// Number of the step.
+        step: u64,
+    },
+    /// Running statistics, nothing dropped, no gradients.
+    Evaluation,
+}
+
+/// What the layers put out that have run.
+pub struct Values<'a> {
+    graph: &'a Graph,
+    tensors: Vec<Option<Tensor>>,
+}
+
+impl Values<'_> {
+    /// A result that was asked for.
+    pub(crate) fn take(&mut self, value: Value) -> Result<Tensor> {
+        match self.tensors.get_mut(value).and_then(Option::take) {
+            Some(tensor) => Ok(tensor),
+            None => candle_core::bail!("value {value} was not computed"),
+        }
+    }
+
+    /// A result that was asked for, or any of a training run.
+    pub(crate) fn get(&self, value: Value) -> Result<&Tensor> {
+        match self.tensors.get(value) {
+            Some(Some(tensor)) => Ok(tensor),
+            _ => candle_core::bail!("value {value} was not computed"),
+        }
+    }
+
+    /// Name of the first layer whose output holds a NaN or an infinity.
+    pub fn first_non_finite(&self) -> Result<Option<&str>> {
+        for (node, tensor) in self.graph.nodes.iter().zip(self.tensors.iter().skip(1)) {
+            if let Some(tensor) = tensor
+                && tensor.flatten_all()?.to_vec1::<f32>()?.iter().any(|v| !v.is_finite())
+            {
+                return Ok(Some(&node.name));
+            }
+        }
+        Ok(None)
+    }
+}
+
+impl Network {
+    /// Runs what `wanted` needs on standardised maps `[batch][range][doppler]`.
+    pub(crate) fn run(&self, input: &Tensor, wanted: Value, mode: Mode) -> Result<Values<'_>> {
+        let input = input.unsqueeze(3)?;
+        self.run_from(INPUT, &input, &[wanted], mode)
+    }
+
+    /// Runs what `wanted` needs where one value is given.
+    pub(crate) fn run_from(&self, given: Value, tensor: &Tensor, wanted: &[Value], mode: Mode) -> Result<Values<'_>> {
+        let nodes = &self.graph().nodes;
+        let needed = self.graph().needed(wanted, &[given]);
+        let running = || nodes.iter().zip(&needed).enumerate().filter(|(_, (_, needed))| **needed);
+        // Where no gradient will ask for them, values are let go after their last reader.
+        let mut last_reader = vec![usize::MAX; nodes.len() + 1];
+        if mode == Mode::Evaluation {
+            for (index, (node, _)) in running() {
+                node.inputs.iter().for_each(|&input| last_reader[input] = index);
+            }
+            wanted.iter().for_each(|&value| last_reader[value] = usize::MAX);
+        }
+        let mut tensors: Vec<Option<Tensor>> = vec![None; nodes.len() + 1];
+        tensors[given] = Some(tensor.clone());
+        for (index, (node, _)) in running() {
+            let result = self.layer(index, node, &tensors, mode).map_err(|error| error.context(&node.name))?;
+            tensors[index + 1] = Some(result);
+            for &input in node.inputs.iter().filter(|&&input| last_reader[input] == index) {
+                tensors[input] = None;
+            }
+        }
+        Ok(Values { graph: self.graph(), tensors })
+    }
+
+    fn layer(&self, index: usize, node: &Node, tensors: &[Option<Tensor>], mode: Mode) -> Result<Tensor> {
+        let level = self.level();
+        let input = |k: usize| match node.inputs.get(k).and_then(|&value| tensors.get(value)) {
+            Some(Some(tensor)) => Ok(tensor),
+            _ => candle_core::bail!("input {k} was not computed"),
+        };
+        // Gradients are followed from variables; their bare tensors have none.
+        let parameter = |what: &str| {
+            let tensor = self.parameters().get(&format!("{}.{what}", node.name))?;
+            Ok::<Tensor, candle_core::Error>(if mode == Mode::Evaluation { tensor.detach() } else { tensor.clone() })
+        };
+        let needs = if node.inputs == [INPUT] { InputGradient::Unused } else { InputGradient::Needed };
+        let first = input(0)?;
+        match &node.layer {
+            Layer::Repeat { channels } => first.repeat((1, 1, 1, *channels)),
+            Layer::ConvReluPool { .. } => {
+                conv_relu_pool(first, &parameter("weight")?, &parameter("bias")?, needs, level)
+            }
+            Layer::Convolution { geometry, bias, .. } => {
+                let bias = if *bias { Some(parameter("bias")?) } else { None };
+                conv2d(first, &parameter("weight")?, bias.as_ref(), *geometry, needs, level)
+            }
+            Layer::BatchNorm { activation, .. } => {
+                let statistics = self.parameters().statistics(&node.name)?;
+                let of = match mode {
+                    Mode::Training { .. } => BatchNormMode::Training,
+                    Mode::Evaluation => BatchNormMode::Evaluation,
+                };
+                batch_norm(first, &parameter("weight")?, &parameter("bias")?, statistics, of, *activation, level)
+            }
+            Layer::Activate(function) => activation(first, *function, level),
+            Layer::MaxPool { kernel, stride, padding } => max_pool2d(first, *kernel, *stride, *padding),
+            Layer::AveragePool { rows, columns } => adaptive_average_pool(first, *rows, *columns),
+            Layer::Linear { .. } => linear(first, &parameter("weight")?, &parameter("bias")?, level),
+            Layer::ScaleChannels => scale_channels(first, input(1)?, level),
+            Layer::Add { activation } => add(first, input(1)?, *activation, level),
+            Layer::Dropout { probability } => match mode {
+                Mode::Evaluation => Ok(first.clone()),
+                Mode::Training { seed, step } => dropout(first, *probability, seed, mask(index, step)),
+            },
+            Layer::DropSamples { probability } => match mode {
+                Mode::Evaluation => Ok(first.clone()),
+                Mode::Training { seed, step } => drop_samples(first, *probability, seed, mask(index, step)),
+            },
+            Layer::Standardise { .. } => match self.parameters().centring(&node.name) {
+                None => Ok(first.clone()),
+                Some(Centring { mean, sigma }) => {
+                    let mean = Tensor::from_slice(mean, mean.len(), &Device::Cpu)?;
+                    let factor = sigma.iter().map(|sigma| 1.0 / sigma).collect::<Vec<f32>>();
+                    let factor = Tensor::from_vec(factor, sigma.len(), &Device::Cpu)?;
+                    first.broadcast_sub(&mean)?.broadcast_mul(&factor)
+                }
+            },
+            Layer::Squash => squash(first),
+            Layer::Circuit { circuit, .. } => circuit_of(first, &parameter("theta")?, circuit),
+            Layer::Trigonometric => trigonometric(first),
+            Layer::Concatenate => Tensor::cat(&[first, input(1)?], 1),
+        }
+    }
+}
+
+/// Which draw of a training's a layer's mask is, in a step.
+fn mask(node: usize, step: u64) -> u64 {
+    step.wrapping_mul(1 << 16) + node as u64
+}
+
+/// Drops whole samples of a batch, and scales the others so that the mean stays.
+fn drop_samples(input: &Tensor, probability: f32, seed: u64, index: u64) -> Result<Tensor> {
+    let batch = input.dim(0)?;
+    let mut rng = stream(seed, "drop samples", index);
+    let kept = 1.0 / (1.0 - probability);
+    let factors: Vec<f32> =
+        (0..batch).map(|_| if rng.random::<f32>() < probability { 0.0 } else { kept }).collect();
+    let shape: Vec<usize> = std::iter::once(batch).chain(std::iter::repeat_n(1, input.rank() - 1)).collect();
+    input.broadcast_mul(&Tensor::from_vec(factors, shape, &Device::Cpu)?)
+}
+
+/// `pi * sigmoid(u)`: the circuit's input, radians in (0, pi). The sigmoid is half a hyperbolic tangent of half its
+/// argument, which does not overflow.
+fn squash(standardised: &Tensor) -> Result<Tensor> {
+    let half_pi = 0.5 * std::f64::consts::PI;
+    standardised.affine(0.5, 0.0)?.tanh()?.affine(half_pi, half_pi)
+}
+
+/// `[batch][2]` radians to the features a, b, c, d, e of [`crate::quantum`], `[batch][5]`.
+fn trigonometric(input: &Tensor) -> Result<Tensor> {
+    let pi = std::f64::consts::PI;
+    let (x0, x1) = (input.narrow(1, 0, 1)?, input.narrow(1, 1, 1)?);
+    let w = (x0.affine(-1.0, pi)? * x1.affine(-1.0, pi)?)?.affine(2.0, 0.0)?;
+    let (x0, x1) = (x0.affine(2.0, 0.0)?, x1.affine(2.0, 0.0)?);
+    let (sw, cw) = (w.sin()?, w.cos()?);
+    let (s0, c0, s1, c1) = (x0.sin()?, x0.cos()?, x1.sin()?, x1.cos()?);
+    Tensor::cat(&[(s1 * &sw)?, (s0 * &sw)?, (&c0 * &c1)?, (c1 * &cw)?, (c0 * &cw)?], 1)
+}

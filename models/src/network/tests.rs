@@ -1,0 +1,156 @@
+use super::*;
+use crate::layer::KernelLevel;
+use candle_core::Device;
+use rand::Rng;
+
+fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {
+    let mut rng = crate::stream(5, "maps", 0);
+    let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.0..1.0)).collect();
+    Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu).expect("tensor")
+}
+
+/// paper.md section 6, models.md section 5.
+#[test]
+fn parameters_are_the_papers() {
+    let expected = [
+        ("hqnn", 66_447),
+        ("estimator_matched", 66_443),
+        ("dequantization", 66_449),
+        ("doppler_net", 2_558_307),
+        ("resnet18", 11_171_779),
+        ("efficientnet_b0", 4_010_815),
+        ("efficientnet_b0_rgb", 4_011_391),
+    ];
+    for (name, parameters) in expected {
+        let spec = NetworkSpec::named(name).expect(name);
+        assert_eq!(spec.parameter_count(), parameters, "{name}");
+    }
+}
+
+/// ResNet-18 is known for 1.82 G multiply-adds at 3 x 224 x 224; ours differ by the stem's two channels and the classes.
+#[test]
+fn multiply_adds_are_the_known_ones() {
+    let resnet = NetworkSpec::named("resnet18").expect("known").multiply_adds(224, 224);
+    let stem = 2 * 64 * 49 * 112 * 112;
+    assert_eq!(resnet + stem + 997 * 512, 1_814_073_344);
+    let b0 = NetworkSpec::named("efficientnet_b0_rgb").expect("known").multiply_adds(224, 224);
+    assert!((b0 as f64 + 997.0 * 1280.0 - 385.8e6).abs() < 2e6, "{b0}");
+    let hqnn = NetworkSpec::named("hqnn").expect("known").multiply_adds(128, 128);
+    assert!((21.0e6..22.0e6).contains(&(hqnn as f64)), "{hqnn}");
+}
+
+#[test]
+fn folding_the_feature_scale_leaves_the_answer_alone() {
+    let spec = NetworkSpec { kind: NetworkKind::Hqnn, pooled: [3, 4], head: Head::default() };
+    let mut network = Network::initialise(&spec, 5, 0, KernelLevel::detect()).expect("network");
+    let input = maps(2, 40, 48);
+    let mut rng = crate::stream(5, "features", 0);
+    let features = 32 * 3 * 4;
+    network.parameters_mut().set_centring(
+        "features",
+        Centring {
+            mean: (0..features).map(|_| rng.random_range(0.0..1.0)).collect(),
+            sigma: (0..features).map(|_| rng.random_range(0.5..2.0)).collect(),
+        },
+    );
+    let latent = |n: &Network| {
+        n.latent(&input).and_then(|l| l.expect("latent").flatten_all()?.to_vec1::<f32>()).expect("run")
+    };
+    let before = latent(&network);
+    network.fold_features().expect("fold");
+    for (a, b) in before.iter().zip(latent(&network)) {
+        assert!((a - b).abs() < 1e-4 * a.abs().max(1.0), "{a} {b}");
+    }
+}
+
+/// Every network answers, and every trained number that reaches the answer has a gradient.
+#[test]
+fn every_network_runs_and_learns() {
+    for (name, spec) in named() {
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect(name);
+        let input = maps(3, 64, 64);
+        let output = network.graph().output;
+        let mut values = network.run(&input, output, Mode::Training { seed: 1, step: 1 }).expect(name);
+        let logits = values.take(output).expect(name);
+        assert_eq!(logits.dims(), [3, 3], "{name}");
+        let gradients = logits.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect(name);
+        for Parameter { name: parameter, variable } in network.trained() {
+            let found = gradients.get(variable).is_some();
+            assert_eq!(found, !parameter.starts_with("warm_up."), "{name}: {parameter}");
+        }
+        assert_eq!(network.logits(&input).expect(name).dims(), [3, 3]);
+    }
+}
+
+/// The circuit is a linear function of the trigonometric features, so that a head on them can be the circuit's.
+#[test]
+fn the_trigonometric_head_can_be_the_circuit() {
+    let level = KernelLevel::detect();
+    let circuit = Network::initialise(&NetworkSpec::named("hqnn").expect("known"), 3, 0, level).expect("network");
+    let spec = NetworkSpec::named("trigonometric").expect("known");
+    let mut values = circuit.values().expect("values");
+    let theta: Vec<f64> = values["circuit.theta"].iter().map(|&v| f64::from(v)).collect();
+    let [(s0, c0), (s1, c1), (s2, c2), (s3, c3)] = [0, 1, 2, 3].map(|k| f64::sin_cos(theta[k]));
+    let zi = [c3 * c0 * s1, c3 * s0 * c1, c3 * s0 * s1, -s3 * c1, 0.0];
+    let iz = [s2 * s0 * c1, s2 * c0 * s1, -s2 * c0 * c1, 0.0, -c2 * s0];
+    let head = values["head.weight"].clone();
+    let folded = (0..3).flat_map(|class| {
+        let (a, b) = (f64::from(head[2 * class]), f64::from(head[2 * class + 1]));
+        (0..5).map(move |k| (a * zi[k] + b * iz[k]) as f32).collect::<Vec<_>>()
+    });
+    values.insert("head.weight".to_owned(), folded.collect());
+    let twin = Network::from_values(&spec, &values, level).expect("network");
+    let logits = |n: &Network| n.logits(&maps(4, 32, 32)).and_then(|t| t.flatten_all()?.to_vec1::<f32>()).expect("run");
+    for (a, b) in logits(&circuit).iter().zip(logits(&twin)) {
+        assert!((a - b).abs() < 1e-5, "{a} {b}");
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn maps_that_are_too_small_are_named() {
+        let spec = NetworkSpec::named("doppler_net").expect("known");
+        assert_eq!(spec.too_small_for(16, 64).as_deref(), Some("pool5"));
+        assert_eq!(spec.too_small_for(32, 32), None);
+    }
+
+    #[test]
+    fn a_missing_or_short_array_is_named() {
+        let spec = NetworkSpec::named("hqnn").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        let mut values = network.values().expect("values");
+        values.remove("fc2.bias");
+        let error = Network::from_values(&spec, &values, KernelLevel::detect()).err().expect("refused");
+        assert!(error.to_string().contains("fc2.bias"), "{error}");
+        values.insert("fc2.bias".to_owned(), vec![0.0; 3]);
+        let error = Network::from_values(&spec, &values, KernelLevel::detect()).err().expect("refused");
+        assert!(error.to_string().contains("fc2.bias has 3 values"), "{error}");
+    }
+
+    /// A saturated squash is finite and so are the answers.
+    #[test]
+    fn a_saturated_latent_gives_an_answer() {
+        let spec = NetworkSpec::named("hqnn").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        for scale in [1e-30f32, 1e4, 1e30] {
+            let weight: Vec<f32> =
+                network.parameters().numbers("fc2.weight").expect("weight").iter().map(|w| w.signum() * scale).collect();
+            network.parameters().set_numbers("fc2.weight", &weight).expect("set");
+            let logits: Vec<f32> =
+                network.logits(&maps(1, 16, 16)).and_then(|t| t.flatten_all()?.to_vec1()).expect("run");
+            assert!(logits.iter().all(|v| v.is_finite()), "{scale}: {logits:?}");
+        }
+    }
+
+    #[test]
+    fn a_nan_is_found_in_the_layer_where_it_arose() {
+        let spec = NetworkSpec::named("hqnn").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        network.parameters().set_numbers("fc1.bias", &[f32::NAN; 64]).expect("set");
+        let values =
+            network.run(&maps(1, 16, 16), network.graph().output, Mode::Training { seed: 1, step: 1 }).expect("run");
+        assert_eq!(values.first_non_finite().expect("look"), Some("fc1"));
+    }
+}

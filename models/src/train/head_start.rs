@@ -1,0 +1,207 @@
+//! Where a head starts: its parameters and the placement of the latent, fitted to latents that a linear head has already drawn
+//! apart.
+//!
+//! The backbone is trained with the plain linear head first, which never failed here. Its latent shows the classes as
+//! clusters; what is left is a problem of a few numbers on a few hundred points, small enough to be solved many times over
+//! from random angles and rotations, and the best solution is taken. Every head gets this.
+
+use candle_core::{Device, Tensor, Var};
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::TrainError;
+use super::adam::Adam;
+use crate::layer::cross_entropy;
+use crate::network::{Layer, Mode, Network, Parameter, Value};
+use crate::stream;
+
+/// Random starts of the search.
+const SEARCHES: u64 = 24;
+/// Adam steps of each.
+const STEPS: usize = 200;
+const RATE: f32 = 0.05;
+
+/// The points of the search.
+pub(super) struct Points<'a> {
+    /// Standardised latents, `[map][component]`.
+    pub latents: &'a [Vec<f32>],
+    pub labels: &'a [usize],
+    pub class_weights: &'a [f32],
+    /// Weight of the mean square of the placed latent; 0 where nothing squashes it.
+    pub penalty: f64,
+    /// Whether an affine map of the latent is fitted too.
+    pub move_latent: bool,
+    /// Standard deviation of the latent at the start.
+    pub sigma: f32,
+}
+
+/// The map `u = matrix z + offset` of the latent, row by row.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Placing {
+    pub matrix: Vec<f32>,
+    pub offset: Vec<f32>,
+    /// Loss that was reached.
+    pub loss: f64,
+}
+
+/// Fits what stands behind the latent, leaves the best fit's parameters in the network, and gives its placing of the latent.
+pub(super) fn search(
+    network: &Network,
+    latent: Value,
+    points: &Points,
+    seed: u64,
+    start: u64,
+) -> Result<Placing, TrainError> {
+    let head = parameters_behind(network, latent);
+    let width = points.latents.first().map_or(0, Vec::len);
+    let flat: Vec<f32> = points.latents.iter().flatten().copied().collect();
+    let latents = Tensor::from_vec(flat, (points.latents.len(), width), &Device::Cpu)?;
+    let mut best: Option<(Placing, Vec<Vec<f32>>)> = None;
+    for index in 0..SEARCHES {
+        let mut rng = stream(seed, "head start", start * SEARCHES + index);
+        for Parameter { name, variable } in head.iter().copied().filter(|p| is_trained(network, p)) {
+            let bound = if name == "circuit.theta" { std::f32::consts::PI } else { 1.0 };
+            let values: Vec<f32> = if name.ends_with(".bias") {
+                vec![0.0; variable.elem_count()]
+            } else {
+                (0..variable.elem_count()).map(|_| rng.random_range(-bound..bound)).collect()
+            };
+            variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
+        }
+        let matrix = if points.move_latent { rotation(width, points.sigma, &mut rng) } else { identity(width) };
+        let matrix = Var::from_tensor(&Tensor::from_vec(matrix, (width, width), &Device::Cpu)?)?;
+        let offset = Var::zeros(width, candle_core::DType::F32, &Device::Cpu)?;
+        let loss = fit(network, latent, points, &latents, &head, &matrix, &offset)?;
+        // The first of equals; a NaN loses against everything.
+        if best.as_ref().is_none_or(|(b, _)| loss < b.loss || (b.loss.is_nan() && !loss.is_nan())) {
+            let placing =
+                Placing { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
+            let values = head.iter().map(|p| p.variable.flatten_all()?.to_vec1()).collect::<Result<_, _>>()?;
+            best = Some((placing, values));
+        }
+    }
+    let Some((placing, values)) = best else {
+        return Ok(Placing { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
+    };
+    for (Parameter { variable, .. }, values) in head.iter().zip(values) {
+        variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
+    }
+    Ok(placing)
+}
+
+/// One fit from where the parameters are; gives the loss at its end.
+fn fit(
+    network: &Network,
+    latent: Value,
+    points: &Points,
+    latents: &Tensor,
+    head: &[&Parameter],
+    matrix: &Var,
+    offset: &Var,
+) -> Result<f64, TrainError> {
+    let output = network.graph().output;
+    let loss = || {
+        let placed = latents.matmul(&matrix.t()?)?.broadcast_add(offset)?;
+        let logits = network.run_from(latent, &placed, &[output], Mode::Training { seed: 0, step: 0 })?.take(output)?;
+        let loss = cross_entropy(&logits, points.labels, points.class_weights)?;
+        match points.penalty {
+            0.0 => Ok(loss),
+            penalty => loss + (placed.sqr()?.mean_all()? * penalty)?,
+        }
+    };
+    let variables: Vec<Var> =
+        head.iter().map(|p| p.variable.clone()).chain([matrix.clone(), offset.clone()]).collect();
+    let mut rates: Vec<f32> = head.iter().map(|p| if is_trained(network, p) { RATE } else { 0.0 }).collect();
+    rates.extend([if points.move_latent { RATE } else { 0.0 }; 2]);
+    let mut adam = Adam::new(variables.iter());
+    for _ in 0..STEPS {
+        // A fit that runs away is not the best one.
+        if adam.step(variables.iter(), &loss()?.backward()?, &rates)?.is_some() {
+            return Ok(f64::NAN);
+        }
+    }
+    Ok(f64::from(loss()?.to_scalar::<f32>()?))
+}
+
+/// Parameters of the layers between the latent and the logits.
+fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parameter> {
+    let graph = network.graph();
+    let needed = graph.needed(&[graph.output], &[latent]);
+    let nodes = graph.nodes.iter().zip(needed).filter(|(_, needed)| *needed);
+    let names: Vec<String> = nodes.flat_map(|(node, _)| node.declarations()).map(|declared| declared.name).collect();
+    network.trained().iter().filter(|parameter| names.contains(&parameter.name)).collect()
+}
+
+/// Whether an array is trained at all: angles may be frozen.
+pub(super) fn is_trained(network: &Network, parameter: &Parameter) -> bool {
+    let frozen = |layer: &Layer| matches!(layer, Layer::Circuit { frozen: true, .. });
+    !(parameter.name == "circuit.theta" && network.graph().nodes.iter().any(|node| frozen(&node.layer)))
+}
+
+fn identity(width: usize) -> Vec<f32> {
+    (0..width * width).map(|k| if k / width.max(1) == k % width.max(1) { 1.0 } else { 0.0 }).collect()
+}
+
+/// A random orthogonal matrix times `scale`: Gaussian rows, each made orthogonal to those before it.
+fn rotation(width: usize, scale: f32, rng: &mut impl Rng) -> Vec<f32> {
+    let mut rows: Vec<Vec<f64>> = Vec::with_capacity(width);
+    while rows.len() < width {
+        let mut row: Vec<f64> = (0..width).map(|_| StandardNormal.sample(rng)).collect();
+        for other in &rows {
+            let along: f64 = row.iter().zip(other).map(|(a, b)| a * b).sum();
+            row.iter_mut().zip(other).for_each(|(a, b)| *a -= along * b);
+        }
+        let length = row.iter().map(|a| a * a).sum::<f64>().sqrt();
+        if length > 1e-6 {
+            rows.push(row.into_iter().map(|a| a / length).collect());
+        }
+    }
+    rows.into_iter().flatten().map(|a| scale * a as f32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::layer::KernelLevel;
+    use crate::network::NetworkSpec;
+    use rand_distr::Normal;
+
+    fn clusters() -> (Vec<Vec<f32>>, Vec<usize>) {
+        let mut rng = stream(4, "clusters", 0);
+        let normal = Normal::new(0.0f32, 0.25).expect("normal");
+        let centres = [[-1.2, -0.7], [1.2, -0.7], [0.0, 1.4]];
+        (0..150)
+            .map(|k| (centres[k % 3].iter().map(|c| c + normal.sample(&mut rng)).collect(), k % 3))
+            .unzip()
+    }
+
+    #[test]
+    fn rotations_are_orthogonal() {
+        let q = rotation(5, 2.0, &mut stream(1, "rotation", 0));
+        for (a, b) in (0..5).flat_map(|a| (0..5).map(move |b| (a, b))) {
+            let product: f32 = (0..5).map(|k| q[5 * a + k] * q[5 * b + k]).sum();
+            assert!((product - if a == b { 4.0 } else { 0.0 }).abs() < 1e-5);
+        }
+    }
+
+    /// Three clusters in general position are separated by every head that can, whatever its random start.
+    #[test]
+    fn three_clusters_are_told_apart() {
+        let (latents, labels) = clusters();
+        for (name, seed) in [("hqnn", 0), ("hqnn", 1), ("estimator_matched", 0), ("trigonometric", 0)] {
+            let spec = NetworkSpec::named(name).expect("known");
+            let network = Network::initialise(&spec, seed, 0, KernelLevel::detect()).expect("network");
+            let points = Points {
+                latents: &latents,
+                labels: &labels,
+                class_weights: &[1.0; 3],
+                penalty: if spec.head.squashes() { 0.02 } else { 0.0 },
+                move_latent: true,
+                sigma: 0.7,
+            };
+            let latent = network.graph().value("latent").expect("latent");
+            let found = search(&network, latent, &points, seed, 0).expect("search");
+            assert!(found.loss < 0.15, "{name} seed {seed}: {}", found.loss);
+        }
+    }
+}
