@@ -131,7 +131,9 @@ impl Classifier {
     }
 
     fn expected_shape(&self) -> RdmShape {
-        let [_, range, doppler] = self.model.card.input_shape;
+        let card = &self.model.card;
+        let [_, rows, columns] = card.input_shape;
+        let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
         RdmShape { rx: 1, doppler, range }
     }
 
@@ -165,6 +167,7 @@ impl Classifier {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
         self.model.card.standardisation.apply(&mut input, shape.doppler, of);
-        Ok(Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?)
+        let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
+        Ok(if self.model.card.is_transposed() { input.transpose(1, 2)?.contiguous()? } else { input })
     }
 }

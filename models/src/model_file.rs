@@ -251,6 +251,11 @@ impl ModelCard {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
     }
 
+    /// Whether the network sees range and Doppler exchanged.
+    pub fn is_transposed(&self) -> bool {
+        self.axes == input_axes(true)
+    }
+
     fn check(&self, path: &Path) -> Result<(), ModelError> {
         let fail = |what: &str, expected: String, found: String| {
             Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found })
@@ -258,11 +263,12 @@ impl ModelCard {
         if self.classes != Occupancy::ALL {
             return fail("classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes));
         }
-        if self.axes != input_axes() {
-            return fail("axes", format!("{:?}", input_axes()), format!("{:?}", self.axes));
+        if self.axes != input_axes(false) && self.axes != input_axes(true) {
+            return fail("axes", format!("{:?}", input_axes(false)), format!("{:?}", self.axes));
         }
         match self.rdm_spec.shape(&self.waveform) {
-            Ok(RdmShape { rx: 1, doppler, range }) if self.input_shape == [1, range, doppler] => {}
+            Ok(RdmShape { rx: 1, doppler, range })
+                if self.input_shape == input_shape(range, doppler, self.is_transposed()) => {}
             Ok(shape) => {
                 return fail("input_shape", format!("that of a map of {shape}"), format!("{:?}", self.input_shape));
             }
@@ -273,8 +279,8 @@ impl ModelCard {
         {
             return fail("head.circuit", "a circuit that can be run".to_owned(), error.to_string());
         }
-        let [_, range, doppler] = self.input_shape;
-        if let Some(layer) = self.network_spec().too_small_for(range, doppler) {
+        let [_, rows, columns] = self.input_shape;
+        if let Some(layer) = self.network_spec().too_small_for(rows, columns) {
             return fail("input_shape", format!("a map that is large enough for layer {layer}"), format!("{:?}", self.input_shape));
         }
         let Centring { mean, sigma } = &self.latent;
@@ -312,8 +318,14 @@ fn is_paper_pooled(pooled: &[usize; 2]) -> bool {
 }
 
 /// Names of the axes of a network's input.
-pub(crate) fn input_axes() -> [String; 3] {
-    ["channel", "range", "doppler"].map(str::to_owned)
+pub(crate) fn input_axes(transposed: bool) -> [String; 3] {
+    let axes = if transposed { ["channel", "doppler", "range"] } else { ["channel", "range", "doppler"] };
+    axes.map(str::to_owned)
+}
+
+/// Shape of a network's input.
+pub(crate) fn input_shape(range: usize, doppler: usize, transposed: bool) -> [usize; 3] {
+    if transposed { [1, doppler, range] } else { [1, range, doppler] }
 }
 
 fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {

@@ -10,6 +10,12 @@ use super::{Split, SplitBy};
 /// A dataset that cannot be read, written or used.
 #[derive(Debug, Error)]
 pub enum DatasetError {
+    /// A sequence that is to be held out is not there.
+    #[error("there is no sequence '{sequence}' to hold out")]
+    NoSuchSequence {
+        /// Its name.
+        sequence: String,
+    },
     /// A file operation failed.
     #[error("{path}: {action} failed: {source}")]
     Io {

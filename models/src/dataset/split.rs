@@ -57,7 +57,7 @@ impl std::fmt::Display for SplitBy {
 }
 
 /// How maps without a split of their own get one.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitSpec {
     /// Seed of the assignment.
@@ -69,6 +69,10 @@ pub struct SplitSpec {
     /// What stays whole beside sequences, which always do.
     #[serde(skip_serializing_if = "SplitBy::is_sequence")]
     pub by: SplitBy,
+    /// The sequence whose group alone is the test split, whatever rows say and `test` asks for: what people with a dozen
+    /// recordings do with each in turn.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<String>,
 }
 
 /// A group behind the hash that orders it.
@@ -85,7 +89,7 @@ struct Group<'a> {
 
 impl Default for SplitSpec {
     fn default() -> Self {
-        SplitSpec { seed: 0, validation: 0.15, test: 0.2, by: SplitBy::Sequence }
+        SplitSpec { seed: 0, validation: 0.15, test: 0.2, by: SplitBy::Sequence, held_out: None }
     }
 }
 
@@ -103,11 +107,18 @@ impl SplitSpec {
             return Err(DatasetError::Fractions { validation: self.validation, test: self.test });
         }
         let names = group_names(rows, self.by);
+        let held_out = match &self.held_out {
+            None => None,
+            Some(name) => match names.get(name.as_str()) {
+                Some(group) => Some(*group),
+                None => return Err(DatasetError::NoSuchSequence { sequence: name.clone() }),
+            },
+        };
         let group_of = |row: &ManifestRow| names.get(row.sequence.as_str()).copied().unwrap_or_default();
         let mut groups: BTreeMap<&str, Group> = BTreeMap::new();
         for row in rows {
             let group = groups.entry(group_of(row)).or_default();
-            match (group.fixed, row.split) {
+            match (group.fixed, row.split.filter(|_| held_out.is_none())) {
                 (Some((first, sequence)), Some(second)) if first != second => {
                     return Err(if sequence == row.sequence {
                         DatasetError::SequenceInTwoSplits { sequence: row.sequence.clone(), first, second }
@@ -128,7 +139,7 @@ impl SplitSpec {
         }
         let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
         for (name, group) in &groups {
-            if group.fixed.is_none() {
+            if group.fixed.is_none() && held_out != Some(*name) {
                 let mut hash = Sha256::new();
                 hash.update(self.seed.to_le_bytes());
                 hash.update(name.as_bytes());
@@ -139,14 +150,15 @@ impl SplitSpec {
         for mut names in strata.into_values() {
             names.sort_unstable();
             let count = names.len() as f64;
-            let test = (self.test * count).round() as usize;
+            let share = if held_out.is_some() { 0.0 } else { self.test };
+            let test = (share * count).round() as usize;
             let validation = (self.validation * count).round() as usize;
             // A share above zero gets at least one as long as one is left to train on: of three sequences and more, and of
             // two subjects, scenes or seeds, of which there may be few.
             let least_room = if self.by == SplitBy::Sequence { 2 } else { 1 };
             let least =
                 |share: f64, n: usize, room: usize| if share > 0.0 && n == 0 && room >= least_room { 1 } else { n };
-            let test = least(self.test, test, names.len().saturating_sub(1)).min(names.len().saturating_sub(1));
+            let test = least(share, test, names.len().saturating_sub(1)).min(names.len().saturating_sub(1));
             let room = names.len() - test;
             let validation = least(self.validation, validation, room).min(room.saturating_sub(1));
             for (index, (_, name)) in names.into_iter().enumerate() {
@@ -162,6 +174,9 @@ impl SplitSpec {
             .iter()
             .map(|row| {
                 let name = group_of(row);
+                if held_out == Some(name) {
+                    return Split::Test;
+                }
                 let fixed = groups.get(name).and_then(|group| Some(group.fixed?.0));
                 fixed.or_else(|| dealt.get(name).copied()).unwrap_or(Split::Train)
             })

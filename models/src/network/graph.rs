@@ -160,7 +160,7 @@ impl Graph {
                     kernel * kernel * inputs / geometry.groups.max(1) * outputs * cells(out)
                 }
                 Layer::Linear { inputs, outputs } => inputs * outputs,
-                Layer::Circuit { circuit, .. } => circuit.multiply_adds(),
+                Layer::Circuit { circuit, .. } => state_vector_multiplications(circuit),
                 Layer::Trigonometric => 5,
                 _ => 0,
             }
@@ -180,6 +180,13 @@ impl Graph {
             _ => None,
         })
     }
+}
+
+/// Multiplications of a state vector of `2^qubits` amplitudes by a circuit's gates, four a gate and amplitude.
+fn state_vector_multiplications(circuit: &CircuitSpec) -> usize {
+    let pairs = circuit.qubits * circuit.qubits.saturating_sub(1) / 2;
+    let encoding = circuit.repetitions * (2 * circuit.qubits + pairs);
+    (encoding + circuit.angle_count()) * (4 << circuit.qubits)
 }
 
 impl Layer {
@@ -276,7 +283,7 @@ impl Node {
                 ]
             }
             Layer::Circuit { circuit, .. } => {
-                vec![declare("theta", vec![circuit.angles()], Start::Uniform(std::f32::consts::PI))]
+                vec![declare("theta", vec![circuit.angle_count()], Start::Uniform(std::f32::consts::PI))]
             }
             _ => Vec::new(),
         }

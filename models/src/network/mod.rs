@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
 
-pub(crate) use graph::{Graph, INPUT, Layer, Value};
+pub(crate) use graph::{Graph, INPUT, Layer, Node, Size, Value};
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
 pub use parameters::{Centring, Parameter};
 pub use run::{Mode, Values};

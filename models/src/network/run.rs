@@ -6,9 +6,10 @@ use rand::Rng;
 use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, batch_norm, circuit_of, conv2d,
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, batch_norm, circuit_of_call, conv2d,
     conv_relu_pool, dropout, linear, max_pool2d, scale_channels,
 };
+use crate::quantum::Circuit;
 use crate::stream;
 
 /// What a run is for.
@@ -147,7 +148,11 @@ impl Network {
                 }
             },
             Layer::Squash => squash(first),
-            Layer::Circuit { circuit, .. } => circuit_of(first, &parameter("theta")?, circuit),
+            Layer::Circuit { circuit, .. } => {
+                let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
+                let call = if let Mode::Training { step, .. } = mode { step } else { 0 };
+                circuit_of_call(first, &parameter("theta")?, &circuit, call)
+            }
             Layer::Trigonometric => trigonometric(first),
             Layer::Concatenate => Tensor::cat(&[first, input(1)?], 1),
         }

@@ -10,6 +10,7 @@ use rand_distr::{Distribution, Normal};
 
 use super::{Augmentation, TrainError, TrainSpec};
 use crate::dataset::{Dataset, Split};
+use crate::model_file::input_shape;
 use crate::standardise::Standardisation;
 use crate::stream;
 
@@ -30,6 +31,8 @@ pub(super) struct Data {
     pub class_weights: Vec<f32>,
     pub range: usize,
     pub doppler: usize,
+    /// Whether batches have range and Doppler exchanged.
+    pub transposed: bool,
     pub warnings: Vec<String>,
 }
 
@@ -39,7 +42,8 @@ impl Data {
         if shape.rx != 1 {
             return Err(TrainError::Channels { rx: shape.rx });
         }
-        if let Some(layer) = spec.network_spec().too_small_for(shape.range, shape.doppler) {
+        let [_, rows, columns] = input_shape(shape.range, shape.doppler, spec.transposed);
+        if let Some(layer) = spec.network_spec().too_small_for(rows, columns) {
             return Err(TrainError::TooSmall { layer, range: shape.range, doppler: shape.doppler });
         }
         let splits = dataset.splits(&spec.split)?;
@@ -111,13 +115,18 @@ impl Data {
             }
         }
         let (range, doppler) = (shape.range, shape.doppler);
-        Ok(Data { train, validation, test, standardisation, class_weights, range, doppler, warnings })
+        Ok(Data { train, validation, test, standardisation, class_weights, range, doppler, transposed: spec.transposed, warnings })
     }
 
-    /// Maps of a part by their position in it, `[batch][range][doppler]`, as they are.
+    /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.
     pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
         let cells: Vec<f32> = positions.iter().filter_map(|&p| part.maps.get(p)).flatten().copied().collect();
-        Tensor::from_vec(cells, (positions.len(), self.range, self.doppler), &Device::Cpu)
+        self.tensor(cells, positions.len())
+    }
+
+    fn tensor(&self, cells: Vec<f32>, batch: usize) -> CandleResult<Tensor> {
+        let maps = Tensor::from_vec(cells, (batch, self.range, self.doppler), &Device::Cpu)?;
+        if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
     }
 
     /// Training maps with augmentation: what happens to a map is a function of seed, epoch and map.
@@ -147,7 +156,7 @@ impl Data {
             }
             cells.extend(map);
         }
-        Tensor::from_vec(cells, (positions.len(), self.range, self.doppler), &Device::Cpu)
+        self.tensor(cells, positions.len())
     }
 }
 

@@ -50,7 +50,7 @@ use crate::ClassifyError;
 use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
-use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes};
+use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes, input_shape};
 use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
@@ -137,6 +137,8 @@ pub struct TrainSpec {
     pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
     pub pooled: [usize; 2],
+    /// Show the network maps with range and Doppler exchanged.
+    pub transposed: bool,
     /// Weigh classes by the inverse of their number.
     pub class_weights: bool,
     /// Train on maps in which someone is just entering or leaving.
@@ -172,6 +174,7 @@ impl Default for TrainSpec {
             label_leaking_cells: false,
             smoothing: Smoothing::default(),
             pooled: PAPER_POOLED,
+            transposed: false,
             class_weights: true,
             transitions: true,
             augmentation: Augmentation::default(),
@@ -405,8 +408,8 @@ pub fn train_with_checkpoint(
         network: spec.network,
         head: spec.head.clone(),
         classes: Occupancy::ALL.to_vec(),
-        input_shape: [1, header.shape.range, header.shape.doppler],
-        axes: input_axes(),
+        input_shape: input_shape(header.shape.range, header.shape.doppler, spec.transposed),
+        axes: input_axes(spec.transposed),
         waveform: header.waveform.clone(),
         rdm_spec: header.rdm_spec,
         standardisation: data.standardisation.clone(),

@@ -1,0 +1,327 @@
+//! Networks as ONNX (opset 17), for runtimes and tools elsewhere.
+//!
+//! The input `map` is `[batch][1][range][doppler]`, standardised; the output `logits` is `[batch][3]`. The model's card travels
+//! in the metadata under `radome`, so that such a file can be put to work as the model itself.
+//!
+//! What ONNX lacks is written as products: adaptive pooling multiplies by a matrix of means from either side, and a circuit
+//! is phases, a trained real matrix and squares ([`circuit`]).
+
+mod circuit;
+pub mod proto;
+
+use prost::Message;
+use thiserror::Error;
+
+use crate::layer::{Activation, BATCH_NORM_EPSILON, bin};
+use crate::model_file::Model;
+use crate::network::{INPUT, Layer, Network, Node, Value};
+use crate::quantum::CircuitError;
+
+/// Name of the input.
+pub const INPUT_NAME: &str = "map";
+/// Name of the output.
+pub const OUTPUT_NAME: &str = "logits";
+/// Key of the model's card in the metadata.
+pub const CARD_KEY: &str = "radome";
+const OPSET: i64 = 17;
+const IR_VERSION: i64 = 8;
+const FLOAT: i32 = 1;
+
+/// A network that cannot be written as ONNX.
+#[derive(Debug, Error)]
+pub enum ExportError {
+    /// The circuit has no closed form of a size that anyone would run.
+    #[error("layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits")]
+    Circuit {
+        /// Name of the layer.
+        layer: String,
+        /// What stands in the way.
+        reason: String,
+        /// Qubits at most.
+        most: usize,
+    },
+    /// The circuit is none.
+    #[error(transparent)]
+    Spec(#[from] CircuitError),
+    /// The card cannot be written.
+    #[error("model card: {0}")]
+    Card(#[from] serde_json::Error),
+    /// The network's numbers cannot be read.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+/// The bytes of an ONNX file.
+pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
+    let [_, range, doppler] = model.card.input_shape;
+    let card = serde_json::to_string(&model.card)?;
+    let graph = graph(&model.network, range, doppler)?;
+    Ok(file(graph, vec![proto::Entry { key: CARD_KEY.to_owned(), value: card }]))
+}
+
+/// The bytes of an ONNX file of a network without a card, for maps of `range x doppler` bins.
+pub fn export_network(network: &Network, range: usize, doppler: usize) -> Result<Vec<u8>, ExportError> {
+    Ok(file(graph(network, range, doppler)?, Vec::new()))
+}
+
+fn file(graph: proto::Graph, metadata: Vec<proto::Entry>) -> Vec<u8> {
+    let model = proto::Model {
+        ir_version: IR_VERSION,
+        producer_name: "radome".to_owned(),
+        producer_version: env!("CARGO_PKG_VERSION").to_owned(),
+        graph: Some(graph),
+        opset_import: vec![proto::OperatorSet { domain: String::new(), version: OPSET }],
+        metadata,
+    };
+    model.encode_to_vec()
+}
+
+fn graph(network: &Network, range: usize, doppler: usize) -> Result<proto::Graph, ExportError> {
+    let mut writer = Writer { network, graph: proto::Graph::default(), sizes: Vec::new() };
+    let layers = network.graph();
+    writer.sizes = match layers.sizes(range, doppler) {
+        Ok(sizes) => sizes,
+        Err(node) => {
+            let error = format!("maps of {range} x {doppler} bins are too small for layer {}", node.name);
+            return Err(ExportError::Network(candle_core::Error::Msg(error)));
+        }
+    };
+    let needed = layers.needed(&[layers.output], &[]);
+    for (index, (node, _)) in layers.nodes.iter().zip(needed).enumerate().filter(|(_, (_, needed))| *needed) {
+        let inputs: Vec<String> = node.inputs.iter().map(|&value| name_of(layers.output, value)).collect();
+        writer.layer(node, &inputs, name_of(layers.output, index + 1))?;
+    }
+    let mut graph = writer.graph;
+    graph.name = "radome".to_owned();
+    let map = [None, Some(1), Some(range), Some(doppler)];
+    graph.input = vec![value_info(INPUT_NAME, &map)];
+    graph.output = vec![value_info(OUTPUT_NAME, &[None, Some(3)])];
+    Ok(graph)
+}
+
+fn name_of(output: Value, value: Value) -> String {
+    match value {
+        INPUT => INPUT_NAME.to_owned(),
+        value if value == output => OUTPUT_NAME.to_owned(),
+        value => format!("v{value}"),
+    }
+}
+
+fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
+    let dim = |size: &Option<usize>| match size {
+        Some(size) => proto::Dimension { value: Some(*size as i64), name: None },
+        None => proto::Dimension { value: None, name: Some("batch".to_owned()) },
+    };
+    let shape = proto::Shape { dim: shape.iter().map(dim).collect() };
+    let tensor = proto::TensorType { element: FLOAT, shape: Some(shape) };
+    proto::ValueInfo { name: name.to_owned(), of: Some(proto::Type { tensor: Some(tensor) }) }
+}
+
+/// A graph that grows node by node.
+struct Writer<'a> {
+    network: &'a Network,
+    graph: proto::Graph,
+    sizes: Vec<crate::network::Size>,
+}
+
+impl Writer<'_> {
+    /// Adds an operator and gives its result's name.
+    fn op(&mut self, kind: &str, inputs: &[&str], output: &str, attributes: Vec<proto::Attribute>) -> String {
+        self.graph.node.push(proto::Node {
+            input: inputs.iter().map(|&input| input.to_owned()).collect(),
+            output: vec![output.to_owned()],
+            name: output.to_owned(),
+            op_type: kind.to_owned(),
+            attribute: attributes,
+        });
+        output.to_owned()
+    }
+
+    /// Adds constant numbers and gives their name.
+    fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> String {
+        self.graph.initializer.push(proto::Tensor {
+            dims: shape.iter().map(|&size| size as i64).collect(),
+            data_type: FLOAT,
+            name: name.to_owned(),
+            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+        });
+        name.to_owned()
+    }
+
+    /// Adds a trained array and gives its name.
+    fn parameter(&mut self, name: &str) -> Result<String, ExportError> {
+        let tensor = self.network.parameters().get(name)?;
+        let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
+        let shape = tensor.dims().to_vec();
+        Ok(self.constant(name, &shape, &values))
+    }
+
+    fn activate(&mut self, function: Activation, input: &str, output: &str) -> String {
+        match function {
+            Activation::None => self.op("Identity", &[input], output, Vec::new()),
+            Activation::Relu => self.op("Relu", &[input], output, Vec::new()),
+            Activation::Sigmoid => self.op("Sigmoid", &[input], output, Vec::new()),
+            Activation::Silu => {
+                let sigmoid = self.op("Sigmoid", &[input], &format!("{output}.sigmoid"), Vec::new());
+                self.op("Mul", &[input, &sigmoid], output, Vec::new())
+            }
+        }
+    }
+
+    /// An operator, then an activation where there is one.
+    fn activated(
+        &mut self,
+        kind: &str,
+        inputs: &[&str],
+        output: &str,
+        attributes: Vec<proto::Attribute>,
+        function: Activation,
+    ) -> String {
+        match function {
+            Activation::None => self.op(kind, inputs, output, attributes),
+            function => {
+                let bare = self.op(kind, inputs, &format!("{output}.bare"), attributes);
+                self.activate(function, &bare, output)
+            }
+        }
+    }
+
+    fn layer(&mut self, node: &Node, inputs: &[String], output: String) -> Result<(), ExportError> {
+        let name = &node.name;
+        let first = inputs.first().map(String::as_str).unwrap_or_default();
+        let second = inputs.get(1).map(String::as_str).unwrap_or_default();
+        let named = |what: &str| format!("{name}.{what}");
+        match &node.layer {
+            Layer::Repeat { channels } => {
+                let copies = vec![first; *channels];
+                self.op("Concat", &copies, &output, vec![int("axis", 1)]);
+            }
+            Layer::ConvReluPool { .. } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                let window = window(3, 1, 1);
+                let convolved = self.op("Conv", &[first, &weight, &bias], &named("convolved"), window);
+                let rectified = self.op("Relu", &[&convolved], &named("rectified"), Vec::new());
+                self.op("MaxPool", &[&rectified], &output, pool(2, 2, 0));
+            }
+            Layer::Convolution { kernel, geometry, bias, .. } => {
+                let mut read = vec![first.to_owned(), self.parameter(&named("weight"))?];
+                if *bias {
+                    read.push(self.parameter(&named("bias"))?);
+                }
+                let mut attributes = window(*kernel, geometry.stride, geometry.padding);
+                attributes.push(int("group", geometry.groups as i64));
+                self.op("Conv", &read.iter().map(String::as_str).collect::<Vec<_>>(), &output, attributes);
+            }
+            Layer::BatchNorm { channels, activation } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                let statistics = self.network.parameters().statistics(name)?;
+                let (mean, variance) = (statistics.mean(), statistics.variance());
+                let mean = self.constant(&named("running_mean"), &[*channels], &mean);
+                let variance = self.constant(&named("running_var"), &[*channels], &variance);
+                let read = [first, &weight, &bias, &mean, &variance];
+                let epsilon = vec![float("epsilon", BATCH_NORM_EPSILON)];
+                self.activated("BatchNormalization", &read, &output, epsilon, *activation);
+            }
+            Layer::Activate(function) => drop(self.activate(*function, first, &output)),
+            Layer::MaxPool { kernel, stride, padding } => {
+                self.op("MaxPool", &[first], &output, pool(*kernel, *stride, *padding));
+            }
+            Layer::AveragePool { rows, columns } => {
+                let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
+                    Some(&crate::network::Size::Map { rows, columns, .. }) => (rows, columns),
+                    _ => (1, 1),
+                };
+                let by_columns = self.constant(&named("columns"), &[width, *columns], &means(width, *columns, true));
+                let by_rows = self.constant(&named("rows"), &[*rows, height], &means(height, *rows, false));
+                let narrow = self.op("MatMul", &[first, &by_columns], &named("narrow"), Vec::new());
+                let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"), Vec::new());
+                self.op("Flatten", &[&pooled], &output, vec![int("axis", 1)]);
+            }
+            Layer::Linear { .. } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                self.op("Gemm", &[first, &weight, &bias], &output, vec![int("transB", 1)]);
+            }
+            Layer::ScaleChannels => {
+                let axes = named("axes");
+                // Axes are whole numbers, which only this operator wants: as a shape, then.
+                let shape = self.whole_numbers(&axes, &[0, -1, 1, 1]);
+                let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
+                self.op("Mul", &[first, &factors], &output, Vec::new());
+            }
+            Layer::Add { activation } => {
+                self.activated("Add", &[first, second], &output, Vec::new(), *activation);
+            }
+            Layer::Dropout { .. } | Layer::DropSamples { .. } => {
+                self.op("Identity", &[first], &output, Vec::new());
+            }
+            Layer::Standardise { width } => match self.network.parameters().centring(name).cloned() {
+                None => drop(self.op("Identity", &[first], &output, Vec::new())),
+                Some(centring) => {
+                    let mean = self.constant(&named("mean"), &[*width], &centring.mean);
+                    let sigma = self.constant(&named("sigma"), &[*width], &centring.sigma);
+                    let centred = self.op("Sub", &[first, &mean], &named("centred"), Vec::new());
+                    self.op("Div", &[&centred, &sigma], &output, Vec::new());
+                }
+            },
+            Layer::Squash => {
+                let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
+                let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"), Vec::new());
+                self.op("Mul", &[&sigmoid, &pi], &output, Vec::new());
+            }
+            Layer::Circuit { circuit, .. } => {
+                let theta = self.network.parameters().numbers(&named("theta"))?;
+                circuit::write(self, name, circuit, &theta, first, &output)?;
+            }
+            Layer::Trigonometric => circuit::write_features(self, name, first, &output),
+            Layer::Concatenate => {
+                self.op("Concat", &[first, second], &output, vec![int("axis", 1)]);
+            }
+        }
+        Ok(())
+    }
+
+    /// Adds constant 64-bit whole numbers and gives their name.
+    fn whole_numbers(&mut self, name: &str, values: &[i64]) -> String {
+        const INT64: i32 = 7;
+        self.graph.initializer.push(proto::Tensor {
+            dims: vec![values.len() as i64],
+            data_type: INT64,
+            name: name.to_owned(),
+            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
+        });
+        name.to_owned()
+    }
+}
+
+/// `[length][bins]` (or transposed) of means over the bins of an adaptive pooling.
+fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
+    let mut matrix = vec![0.0; length * bins];
+    for index in 0..bins {
+        let (from, to) = bin(index, bins, length);
+        for cell in from..to {
+            let at = if bins_last { cell * bins + index } else { index * length + cell };
+            matrix[at] = 1.0 / (to - from) as f32;
+        }
+    }
+    matrix
+}
+
+fn window(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
+    vec![ints("kernel_shape", kernel, 2), ints("strides", stride, 2), ints("pads", padding, 4)]
+}
+
+fn pool(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
+    window(kernel, stride, padding)
+}
+
+fn int(name: &str, value: i64) -> proto::Attribute {
+    proto::Attribute { name: name.to_owned(), i: Some(value), kind: 2, ..Default::default() }
+}
+
+fn float(name: &str, value: f32) -> proto::Attribute {
+    proto::Attribute { name: name.to_owned(), f: Some(value), kind: 1, ..Default::default() }
+}
+
+fn ints(name: &str, value: usize, count: usize) -> proto::Attribute {
+    proto::Attribute { name: name.to_owned(), ints: vec![value as i64; count], kind: 7, ..Default::default() }
+}

@@ -1,0 +1,51 @@
+//! Gaussian noise on maps, as the paper adds it (paper.md section 4).
+
+use rand_distr::{Distribution, StandardNormal};
+
+use crate::dataset::Dataset;
+use crate::evaluate::{Metrics, most_probable};
+use crate::{Classifier, ClassifyError, stream};
+
+/// Test maps with noise on them.
+pub struct NoisyMaps<'a> {
+    dataset: &'a Dataset,
+    maps: Vec<(usize, Vec<f32>)>,
+}
+
+/// `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, `P` the mean square of the map's dB values before any
+/// standardisation. One draw for each map and ratio, the same for every model.
+///
+/// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
+pub fn with_noise<'a>(
+    dataset: &'a Dataset,
+    indices: &[usize],
+    snr_db: f64,
+) -> Result<NoisyMaps<'a>, ClassifyError> {
+    let mut maps = Vec::with_capacity(indices.len());
+    for &index in indices {
+        let mut map = dataset.map(index)?;
+        let power = map.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>() / map.len().max(1) as f64;
+        let sigma = (power / 10f64.powf(0.1 * snr_db)).sqrt();
+        let mut rng = stream(snr_db.to_bits(), "noise on maps", index as u64);
+        for value in &mut map {
+            let draw: f64 = StandardNormal.sample(&mut rng);
+            *value += (sigma * draw) as f32;
+        }
+        maps.push((index, map));
+    }
+    Ok(NoisyMaps { dataset, maps })
+}
+
+impl NoisyMaps<'_> {
+    /// Scores of a classifier.
+    pub fn evaluate(&self, classifier: &mut Classifier) -> Result<Metrics, ClassifyError> {
+        let shape = self.dataset.header().shape;
+        let mut pairs = Vec::with_capacity(self.maps.len());
+        for (index, map) in &self.maps {
+            let Some(row) = self.dataset.rows().get(*index) else { continue };
+            let probabilities = classifier.classify_row(map, shape, row)?;
+            pairs.push((row.label, most_probable(&probabilities)));
+        }
+        Ok(Metrics::from_predictions(pairs))
+    }
+}

@@ -1,0 +1,381 @@
+//! What a study says: tables in Markdown, the same as JSON, with the paper's numbers beside ours.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use radome_dsp::Occupancy;
+use serde::{Deserialize, Serialize};
+
+use super::statistics::{Interval, t_interval};
+use super::{Outcome, StudySpec};
+use crate::dataset::Dataset;
+
+/// Confusion matrices summed over seeds: `[truth][prediction]`.
+type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+
+/// One variant trained on one share of the maps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    /// Name of the variant.
+    pub variant: String,
+    /// Share of the training maps.
+    pub label_fraction: f64,
+    /// Learning rate, chosen on the validation split where there was a choice.
+    pub learning_rate: f64,
+    /// Trainings that are there.
+    pub done: usize,
+    /// Of them, those that came to nothing; they stay in the means.
+    pub failed: usize,
+    /// Balanced accuracy on the test split; chance where a training broke off.
+    pub test: Option<Interval>,
+    /// Accuracy on the test split.
+    pub accuracy: Option<Interval>,
+    /// Macro-F1 on the test split.
+    pub macro_f1: Option<Interval>,
+    /// Recall of somebody (one or two) on the test split.
+    pub populated_recall: Option<Interval>,
+    /// Balanced accuracy on the training maps in the last epoch.
+    pub training: Option<Interval>,
+    /// Balanced accuracy on the validation split.
+    pub validation: Option<Interval>,
+    /// Confusion on the test split, summed over trainings.
+    pub confusion: Confusion,
+    /// Balanced accuracy under noise, by signal-to-noise ratio.
+    pub noisy: Vec<(f64, Option<Interval>)>,
+    /// Trainings that reached the target on the validation split, and their median time there in epochs and seconds.
+    pub reached_target: usize,
+    /// Median epochs until then.
+    pub epochs_to_target: Option<f64>,
+    /// Median seconds until then.
+    pub seconds_to_target: Option<f64>,
+    /// Seconds of a training.
+    pub training_seconds: Option<Interval>,
+    /// Median time of one map through the classifier, ms.
+    pub latency_ms: Option<f64>,
+    /// Trained numbers.
+    pub parameters: usize,
+    /// Multiply-adds of one map.
+    pub multiply_adds: u64,
+}
+
+/// A study's results.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Heading.
+    pub title: String,
+    /// What differs from the protocol that it is put beside.
+    pub remarks: Vec<String>,
+    /// Hash of the dataset.
+    pub dataset_hash: String,
+    /// Maps of the dataset.
+    pub maps: usize,
+    /// Trainings that are there, and that the plan has.
+    pub done: usize,
+    /// Trainings of the plan, less those that only choose learning rates.
+    pub planned: usize,
+    /// Seconds of all trainings that are there.
+    pub seconds: f64,
+    /// Balanced accuracy whose first epoch is reported.
+    pub target: f64,
+    /// One for each variant and label fraction.
+    pub cells: Vec<Cell>,
+}
+
+/// Puts outcomes together.
+pub fn report(
+    spec: &StudySpec,
+    dataset: &Dataset,
+    chosen: &BTreeMap<String, f64>,
+    outcomes: &[Outcome],
+) -> Report {
+    let mut cells = Vec::new();
+    let held_out = if spec.leave_one_recording_out {
+        let names: std::collections::BTreeSet<&str> =
+            dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        names.len()
+    } else {
+        1
+    };
+    for variant in &spec.variants {
+        for &label_fraction in &spec.label_fractions {
+            let learning_rate = chosen.get(&variant.name).copied().unwrap_or(f64::NAN);
+            let of: Vec<&Outcome> = outcomes
+                .iter()
+                .filter(|outcome| {
+                    let job = &outcome.job;
+                    let ours = job.variant == variant.name && job.label_fraction == label_fraction;
+                    ours && job.learning_rate == learning_rate && spec.seeds.contains(&job.seed)
+                })
+                .collect();
+            cells.push(cell(spec, &variant.name, label_fraction, learning_rate, &of));
+        }
+    }
+    Report {
+        title: spec.title.clone(),
+        remarks: spec.remarks.clone(),
+        dataset_hash: dataset.hash(),
+        maps: dataset.rows().len(),
+        done: cells.iter().map(|cell| cell.done).sum(),
+        planned: cells.len() * spec.seeds.len() * held_out,
+        seconds: outcomes.iter().map(|outcome| outcome.training_seconds).sum(),
+        target: spec.target,
+        cells,
+    }
+}
+
+fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64, of: &[&Outcome]) -> Cell {
+    let chance = 1.0 / Occupancy::ALL.len() as f64;
+    let interval = |f: &dyn Fn(&Outcome) -> Option<f64>| {
+        let values: Vec<f64> = of.iter().filter_map(|outcome| f(outcome)).collect();
+        t_interval(&values)
+    };
+    let test = |f: &dyn Fn(&crate::Metrics) -> Option<f64>, broken: Option<f64>| {
+        interval(&|outcome| match (&outcome.error, &outcome.test) {
+            (Some(_), _) => broken,
+            (None, Some(metrics)) => f(metrics),
+            (None, None) => None,
+        })
+    };
+    let mut confusion = Confusion::default();
+    for metrics in of.iter().filter_map(|outcome| outcome.test.as_ref()) {
+        for (sum, counts) in confusion.iter_mut().flatten().zip(metrics.confusion.iter().flatten()) {
+            *sum += counts;
+        }
+    }
+    let under = |snr_db: f64| {
+        interval(&|outcome| {
+            if outcome.error.is_some() {
+                return Some(chance);
+            }
+            outcome.noisy.iter().find(|noisy| noisy.snr_db == snr_db).map(|noisy| noisy.metrics.balanced_accuracy)
+        })
+    };
+    let noisy = if label_fraction == 1.0 { spec.snr_db.iter().map(|&snr| (snr, under(snr))).collect() } else { vec![] };
+    Cell {
+        variant: variant.to_owned(),
+        label_fraction,
+        learning_rate,
+        done: of.len(),
+        failed: of.iter().filter(|outcome| outcome.failed()).count(),
+        test: test(&|metrics| Some(metrics.balanced_accuracy), Some(chance)),
+        accuracy: test(&|metrics| Some(metrics.accuracy), Some(chance)),
+        macro_f1: test(&|metrics| Some(metrics.macro_f1), Some(0.0)),
+        populated_recall: test(&|metrics| metrics.populated_recall, None),
+        training: interval(&|outcome| Some(outcome.training)),
+        validation: interval(&|outcome| Some(outcome.validation.as_ref()?.balanced_accuracy)),
+        confusion,
+        noisy,
+        reached_target: of.iter().filter(|outcome| outcome.epochs_to_target.is_some()).count(),
+        epochs_to_target: median(of.iter().filter_map(|outcome| Some(outcome.epochs_to_target? as f64))),
+        seconds_to_target: median(of.iter().filter_map(|outcome| outcome.seconds_to_target)),
+        training_seconds: interval(&|outcome| outcome.error.is_none().then_some(outcome.training_seconds)),
+        latency_ms: median(of.iter().filter(|outcome| outcome.error.is_none()).map(|outcome| outcome.latency_ms)),
+        parameters: of.first().map_or(0, |outcome| outcome.parameters),
+        multiply_adds: of.first().map_or(0, |outcome| outcome.multiply_adds),
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied()
+}
+
+/// Clean accuracy of the paper on synthetic data, test and training, %.
+const PAPER_CLEAN: [(&str, f64, f64); 6] = [
+    ("doppler_net", 99.9, 99.8),
+    ("resnet18", 99.8, 100.0),
+    ("efficientnet_b0", 99.6, 99.9),
+    ("hqnn", 99.7, 100.0),
+    ("estimator_matched", 71.7, 73.8),
+    ("dequantization", 60.2, 55.4),
+];
+/// Balanced accuracy of the paper on synthetic data under noise at -20, -10, 10 and 20 dB.
+const PAPER_NOISE: [(&str, [f64; 4]); 4] = [
+    ("doppler_net", [0.333, 0.333, 0.415, 0.904]),
+    ("resnet18", [0.333, 0.325, 0.755, 0.978]),
+    ("efficientnet_b0", [0.407, 0.280, 0.594, 0.903]),
+    ("hqnn", [0.378, 0.321, 0.792, 0.988]),
+];
+const PAPER_SNR_DB: [f64; 4] = [-20.0, -10.0, 10.0, 20.0];
+/// Balanced accuracy of the paper on synthetic data with 10, 30 and 50 % of the labels.
+const PAPER_FRACTIONS: [(&str, [f64; 3]); 4] = [
+    ("hqnn", [0.47, 0.82, 0.85]),
+    ("doppler_net", [0.76, 0.85, 0.86]),
+    ("resnet18", [0.75, 0.83, 0.87]),
+    ("efficientnet_b0", [0.73, 0.83, 0.86]),
+];
+const PAPER_SHARES: [f64; 3] = [0.1, 0.3, 0.5];
+
+impl Report {
+    /// The report as Markdown.
+    pub fn markdown(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string does not fail.
+        let _ = self.write(&mut text);
+        text
+    }
+
+    fn whole(&self) -> impl Iterator<Item = &Cell> {
+        self.cells.iter().filter(|cell| cell.label_fraction == 1.0 && cell.done > 0)
+    }
+
+    fn write(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(out, "# {}\n", self.title)?;
+        writeln!(
+            out,
+            "{} of {} trainings, {:.0} s of training. Dataset {} of {} maps.",
+            self.done,
+            self.planned,
+            self.seconds,
+            self.dataset_hash.get(..12).unwrap_or(&self.dataset_hash),
+            self.maps
+        )?;
+        writeln!(
+            out,
+            "Balanced accuracy with 95 % intervals of the mean over seeds (Student's t); [least, most]. Trainings that failed \
+             (broke off, or ended below {} on their own training maps) are counted and stay in the means.\n",
+            super::FAILED_BELOW
+        )?;
+        for remark in &self.remarks {
+            writeln!(out, "{remark}\n")?;
+        }
+        self.write_clean(out)?;
+        self.write_noise(out)?;
+        self.write_fractions(out)?;
+        self.write_cost(out)?;
+        self.write_confusion(out)
+    }
+
+    fn write_clean(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(out, "## Clean\n")?;
+        writeln!(out, "| network | rate | seeds | failed | test | training | accuracy % | macro-F1 | paper % test/training |")?;
+        writeln!(out, "|---|---|---|---|---|---|---|---|---|")?;
+        for cell in self.whole() {
+            let paper = PAPER_CLEAN.iter().find(|(name, ..)| *name == cell.variant);
+            writeln!(
+                out,
+                "| {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+                cell.variant,
+                cell.learning_rate,
+                cell.done,
+                cell.failed,
+                spread(cell.test),
+                short(cell.training),
+                cell.accuracy.map_or("-".to_owned(), |a| format!("{:.1}", 100.0 * a.mean)),
+                short(cell.macro_f1),
+                paper.map_or("-".to_owned(), |(_, test, training)| format!("{test} / {training}"))
+            )?;
+        }
+        writeln!(out)
+    }
+
+    fn write_noise(&self, out: &mut String) -> std::fmt::Result {
+        let ratios: Vec<f64> = self.whole().next().map(|c| c.noisy.iter().map(|n| n.0).collect()).unwrap_or_default();
+        if ratios.is_empty() {
+            return Ok(());
+        }
+        writeln!(out, "## Gaussian noise on the test maps\n\nIn brackets the paper's.\n")?;
+        let heads: Vec<String> = ratios.iter().map(|ratio| format!("{ratio:+} dB")).collect();
+        writeln!(out, "| network | {} |\n|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+        for cell in self.whole() {
+            let paper = PAPER_NOISE.iter().find(|(name, _)| *name == cell.variant);
+            let told: Vec<String> = cell
+                .noisy
+                .iter()
+                .map(|(ratio, interval)| {
+                    let index = PAPER_SNR_DB.iter().position(|known| known == ratio);
+                    let theirs = paper.zip(index).and_then(|((_, values), index)| values.get(index));
+                    format!("{}{}", short(*interval), theirs.map_or(String::new(), |v| format!(" ({v:.3})")))
+                })
+                .collect();
+            writeln!(out, "| {} | {} |", cell.variant, told.join(" | "))?;
+        }
+        writeln!(out)
+    }
+
+    fn write_fractions(&self, out: &mut String) -> std::fmt::Result {
+        let mut shares: Vec<f64> = self.cells.iter().map(|cell| cell.label_fraction).collect();
+        shares.sort_by(f64::total_cmp);
+        shares.dedup();
+        if shares.len() < 2 {
+            return Ok(());
+        }
+        writeln!(out, "## Shares of the training maps\n\nIn brackets the paper's.\n")?;
+        let heads: Vec<String> = shares.iter().map(|share| format!("{:.0} %", 100.0 * share)).collect();
+        writeln!(out, "| network | {} |\n|---|{}", heads.join(" | "), "---|".repeat(heads.len()))?;
+        let mut names: Vec<&str> = Vec::new();
+        for cell in &self.cells {
+            if !names.contains(&cell.variant.as_str()) {
+                names.push(&cell.variant);
+            }
+        }
+        for name in names {
+            let paper = PAPER_FRACTIONS.iter().find(|(known, _)| *known == name);
+            let told: Vec<String> = shares
+                .iter()
+                .map(|share| {
+                    let cell = self.cells.iter().find(|c| c.variant == name && c.label_fraction == *share);
+                    let index = PAPER_SHARES.iter().position(|known| known == share);
+                    let theirs = paper.zip(index).and_then(|((_, values), index)| values.get(index));
+                    let ours = short(cell.and_then(|cell| cell.test));
+                    format!("{ours}{}", theirs.map_or(String::new(), |v| format!(" ({v:.2})")))
+                })
+                .collect();
+            writeln!(out, "| {name} | {} |", told.join(" | "))?;
+        }
+        writeln!(out)
+    }
+
+    fn write_cost(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(out, "## Cost\n")?;
+        writeln!(
+            out,
+            "| network | parameters | multiply-adds | training s | one map ms | reached {} | epochs to it | s to it |",
+            self.target
+        )?;
+        writeln!(out, "|---|---|---|---|---|---|---|---|")?;
+        let number = |value: Option<f64>, digits: usize| value.map_or("-".to_owned(), |v| format!("{v:.digits$}"));
+        for cell in self.whole() {
+            writeln!(
+                out,
+                "| {} | {} | {:.1} M | {} | {} | {} of {} | {} | {} |",
+                cell.variant,
+                cell.parameters,
+                cell.multiply_adds as f64 * 1e-6,
+                number(cell.training_seconds.map(|interval| interval.mean), 1),
+                number(cell.latency_ms, 2),
+                cell.reached_target,
+                cell.done,
+                number(cell.epochs_to_target, 0),
+                number(cell.seconds_to_target, 1)
+            )?;
+        }
+        writeln!(out)
+    }
+
+    fn write_confusion(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(out, "## Confusion on the test split, all seeds\n")?;
+        writeln!(out, "| network | truth | called empty | one | two |\n|---|---|---|---|---|")?;
+        for cell in self.whole() {
+            for (truth, row) in Occupancy::ALL.iter().zip(cell.confusion) {
+                let [a, b, c] = row;
+                writeln!(out, "| {} | {truth} | {a} | {b} | {c} |", cell.variant)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn short(interval: Option<Interval>) -> String {
+    match interval {
+        None => "-".to_owned(),
+        Some(Interval { mean, half_width: Some(half), .. }) => format!("{mean:.3} ± {half:.3}"),
+        Some(Interval { mean, .. }) => format!("{mean:.3}"),
+    }
+}
+
+fn spread(interval: Option<Interval>) -> String {
+    let range = interval.filter(|i| i.count > 1).map(|i| format!(" [{:.3}, {:.3}]", i.least, i.most));
+    format!("{}{}", short(interval), range.unwrap_or_default())
+}

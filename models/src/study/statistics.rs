@@ -1,0 +1,68 @@
+//! Means over few seeds.
+
+use serde::{Deserialize, Serialize};
+
+/// A mean and its 95 % interval.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Interval {
+    /// Values.
+    pub count: usize,
+    /// Their mean.
+    pub mean: f64,
+    /// Half of the interval's width, by Student's t; nothing for one value.
+    pub half_width: Option<f64>,
+    /// Smallest value.
+    pub least: f64,
+    /// Largest value.
+    pub most: f64,
+}
+
+/// 97.5 % quantiles of Student's t for 1 to 30 degrees of freedom (NIST/SEMATECH e-Handbook, section 1.3.6.7.2).
+const T_QUANTILES: [f64; 30] = [
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131, 2.120,
+    2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+];
+const NORMAL_QUANTILE: f64 = 1.960;
+
+/// Mean of the values and the 95 % interval of the mean; nothing without values.
+pub fn t_interval(values: &[f64]) -> Option<Interval> {
+    let count = values.len();
+    if count == 0 {
+        return None;
+    }
+    let mean = values.iter().sum::<f64>() / count as f64;
+    let half_width = (count > 1).then(|| {
+        let variance = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (count - 1) as f64;
+        let quantile = T_QUANTILES.get(count - 2).copied().unwrap_or(NORMAL_QUANTILE);
+        quantile * (variance / count as f64).sqrt()
+    });
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    Some(Interval { count, mean, half_width, least, most })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// from scipy import stats; stats.t.interval(0.95, 4, 0.9, stats.sem([.9, .92, .88, .91, .89]))
+    #[test]
+    fn intervals_are_those_of_student() {
+        let interval = t_interval(&[0.9, 0.92, 0.88, 0.91, 0.89]).expect("values");
+        assert!((interval.mean - 0.9).abs() < 1e-12);
+        assert!((interval.half_width.expect("width") - 0.019_632).abs() < 1e-5);
+        assert_eq!((interval.least, interval.most), (0.88, 0.92));
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn one_value_has_no_interval_and_none_has_no_mean() {
+            assert_eq!(t_interval(&[]), None);
+            assert_eq!(t_interval(&[0.5]).expect("one").half_width, None);
+            let many = t_interval(&[0.5; 40]).expect("many");
+            assert_eq!(many.half_width, Some(0.0));
+        }
+    }
+}
