@@ -27,7 +27,9 @@ fn seconds(mut f: impl FnMut()) -> f64 {
 }
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    rayon::ThreadPoolBuilder::new().num_threads(1).build()?.install(measure)
+    // Before anything asks for the pool.
+    rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
+    measure()
 }
 
 fn measure() -> Result<(), Box<dyn std::error::Error>> {
@@ -54,7 +56,7 @@ fn measure() -> Result<(), Box<dyn std::error::Error>> {
         a_sample * (forward + backward)
     );
 
-    let input = Var::from_tensor(&Tensor::new(x.clone(), &Device::Cpu)?)?;
+    let input = Var::from_tensor(&Tensor::from_slice(x.as_flattened(), (BATCH, 2), &Device::Cpu)?)?;
     let angles = Var::from_tensor(&Tensor::new(&theta, &Device::Cpu)?)?;
     let through = seconds(|| {
         let loss = layer::circuit(&input, &angles).and_then(|out| out.sum_all());
