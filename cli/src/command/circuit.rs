@@ -1,43 +1,160 @@
 use anyhow::bail;
-use radome_models::quantum;
+use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Jacobian, Noise, ShotGradient, Shots};
+use serde::{Serialize, Serializer};
 
 use crate::output;
 
 /// `radome circuit`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Inputs X0,X1 in radians
+    /// Inputs X0,X1,... in radians, one for each qubit
     #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
     x: Vec<f64>,
-    /// Angles T0,T1,T2,T3 in radians
+    /// Angles T0,T1,... in radians: qubits times depth + 1
     #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
     theta: Vec<f64>,
-    /// Repetitions of the feature map
+    /// Qubits, 1 to 12
+    #[arg(long, default_value_t = 2)]
+    qubits: usize,
+    /// How inputs become a state: the ZZ feature map, or RY(x)
+    #[arg(long, value_enum, default_value = "zz")]
+    encoding: EncodingName,
+    /// Repetitions of the feature map, 1 or 2
     #[arg(long, default_value_t = 1)]
     repetitions: usize,
+    /// Repetitions of the trained part
+    #[arg(long, default_value_t = 1)]
+    depth: usize,
+    /// Measurements to estimate from, in place of exact expectations
+    #[arg(long, value_name = "COUNT")]
+    shots: Option<u32>,
+    /// Seed of the measurements' outcomes
+    #[arg(long, default_value_t = 0, requires = "shots")]
+    seed: u64,
+    /// Gradients with shots: from shots of their own by parameter shift, or exact
+    #[arg(long, value_enum, default_value = "shots", requires = "shots")]
+    gradient: GradientName,
+    /// Depolarising probability after each gate on one qubit
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    depolarising_one_qubit: f64,
+    /// Depolarising probability after each gate on two qubits
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    depolarising_two_qubit: f64,
+    /// Probability that an outcome is read as the other one
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    readout_flip: f64,
     /// One object
     #[arg(long)]
     json: bool,
 }
 
-/// The two-qubit circuit at one point.
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum EncodingName {
+    Zz,
+    Angle,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum GradientName {
+    Shots,
+    Exact,
+}
+
+/// A quantum circuit at one point.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let (Ok(x), Ok(theta)) = (<[f64; 2]>::try_from(&*arguments.x), <[f64; 4]>::try_from(&*arguments.theta)) else {
-        bail!("--x takes two numbers and --theta four, got {} and {}", arguments.x.len(), arguments.theta.len());
-    };
-    if arguments.repetitions != 1 {
-        bail!("--repetitions {} is not offered: the closed form is for 1", arguments.repetitions);
+    let spec = arguments.spec();
+    let circuit = Circuit::new(&spec)?;
+    let (x, theta) = (&arguments.x, &arguments.theta);
+    let (inputs, angles) = (circuit.qubits(), circuit.angle_count());
+    if (x.len(), theta.len()) != (inputs, angles) {
+        bail!(
+            "--x takes {} {} and --theta {}, got {} and {}\n\n\
+             hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
+            in_words(inputs),
+            if inputs == 1 { "number" } else { "numbers" },
+            in_words(angles),
+            x.len(),
+            theta.len()
+        );
     }
-    if x.iter().chain(&theta).any(|v| !v.is_finite()) {
+    if x.iter().chain(theta).any(|v| !v.is_finite()) {
         bail!("--x and --theta must be finite numbers");
     }
-    let point = quantum::circuit(x, theta);
-    if arguments.json {
-        return output::json_line(&point);
+    let jacobian = circuit.jacobian(x, theta, Draw::default())?;
+    let answer = Answer { names: spec.observables(), jacobian };
+    if arguments.json { output::json_line(&answer) } else { answer.print() }
+}
+
+impl Arguments {
+    fn spec(&self) -> CircuitSpec {
+        CircuitSpec {
+            qubits: self.qubits,
+            encoding: match self.encoding {
+                EncodingName::Zz => Encoding::ZzFeatureMap,
+                EncodingName::Angle => Encoding::Angle,
+            },
+            repetitions: self.repetitions,
+            depth: self.depth,
+            execution: match self.shots {
+                None => Execution::Exact,
+                Some(count) => Execution::Shots(Shots {
+                    count,
+                    seed: self.seed,
+                    gradient: match self.gradient {
+                        GradientName::Shots => ShotGradient::Shots,
+                        GradientName::Exact => ShotGradient::Exact,
+                    },
+                }),
+            },
+            noise: Noise {
+                depolarising_one_qubit: self.depolarising_one_qubit,
+                depolarising_two_qubit: self.depolarising_two_qubit,
+                readout_flip: self.readout_flip,
+            },
+        }
     }
-    output::text_line(&format!("<ZI> {:+.12}   <IZ> {:+.12}", point.zi, point.iz))?;
-    output::text_line(&format!("d<ZI>/dtheta {:?}", point.zi_grad_theta))?;
-    output::text_line(&format!("d<IZ>/dtheta {:?}", point.iz_grad_theta))?;
-    output::text_line(&format!("d<ZI>/dx     {:?}", point.zi_grad_x))?;
-    output::text_line(&format!("d<IZ>/dx     {:?}", point.iz_grad_x))
+}
+
+/// What the circuit answers, by the names of what is measured: `ZI`, `IZ`.
+struct Answer {
+    names: Vec<String>,
+    jacobian: Jacobian,
+}
+
+impl Answer {
+    fn print(&self) -> anyhow::Result<()> {
+        let (names, j) = (&self.names, &self.jacobian);
+        let values = names.iter().zip(&j.expectations).map(|(name, v)| format!("<{name}> {v:+.12}"));
+        output::text_line(&values.collect::<Vec<_>>().join("   "))?;
+        for (name, gradient) in names.iter().zip(&j.by_theta) {
+            output::text_line(&format!("d<{name}>/dtheta {gradient:?}"))?;
+        }
+        for (name, gradient) in names.iter().zip(&j.by_x) {
+            output::text_line(&format!("d<{name}>/dx     {gradient:?}"))?;
+        }
+        Ok(())
+    }
+}
+
+impl Serialize for Answer {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeMap;
+        let (j, mut map) = (&self.jacobian, serializer.serialize_map(None)?);
+        let names: Vec<String> = self.names.iter().map(|n| n.to_lowercase()).collect();
+        for (name, value) in names.iter().zip(&j.expectations) {
+            map.serialize_entry(name, value)?;
+        }
+        for (rows, by) in [(&j.by_theta, "theta"), (&j.by_x, "x")] {
+            for (name, row) in names.iter().zip(rows) {
+                map.serialize_entry(&format!("{name}_grad_{by}"), row)?;
+            }
+        }
+        map.end()
+    }
+}
+
+fn in_words(count: usize) -> String {
+    const WORDS: [&str; 13] =
+        ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"];
+    WORDS.get(count).map_or_else(|| count.to_string(), |word| (*word).to_owned())
 }

@@ -155,3 +155,209 @@ impl CustomOp2 for CircuitLayer {
         ))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::quantum::{self, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
+    use crate::stream;
+    use candle_core::{Device, Var};
+    use rand::Rng;
+    use std::f32::consts::PI;
+
+    fn ready(spec: CircuitSpec) -> Circuit {
+        Circuit::new(&spec).expect("a good spec")
+    }
+
+    fn shots(count: u32) -> Execution {
+        Execution::Shots(Shots { count, seed: 3, gradient: ShotGradient::Shots })
+    }
+
+    fn numbers(count: usize, what: &str, low: f32, high: f32) -> Vec<f32> {
+        let mut rng = stream(5, what, 0);
+        (0..count).map(|_| rng.random_range(low..high)).collect()
+    }
+
+    fn var(values: Vec<f32>, shape: &[usize]) -> Var {
+        Var::from_tensor(&Tensor::from_vec(values, shape, &Device::Cpu).expect("tensor")).expect("variable")
+    }
+
+    fn flat(tensor: &Tensor) -> Vec<f32> {
+        tensor.flatten_all().and_then(|t| t.to_vec1()).expect("f32")
+    }
+
+    /// Output and gradients of a weighted sum of it.
+    fn run(circuit: &Circuit, x: Vec<f32>, theta: Vec<f32>, weights: &[f32], call: u64) -> [Vec<f32>; 3] {
+        let shape = [x.len() / circuit.qubits(), circuit.qubits()];
+        let (input, theta) = (var(x, &shape), {
+            let count = theta.len();
+            var(theta, &[count])
+        });
+        let out = circuit_of_call(&input, &theta, circuit, call).expect("forward");
+        let weights = Tensor::from_slice(weights, &shape, &Device::Cpu).expect("tensor");
+        let grads = (&out * weights).and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("backward");
+        [flat(&out), flat(grads.get(&input).expect("gradient")), flat(grads.get(&theta).expect("gradient"))]
+    }
+
+    /// The closed form in vector loops against the scalar one in f64 at the same f32 inputs, within what the module
+    /// states, at batches of all kinds of lengths.
+    #[test]
+    fn rows_follow_the_closed_form_to_the_last_bit_of_f32() {
+        let paper = ready(CircuitSpec::default());
+        for batch in [1, 2, 31, 32, 33, 1025, 3000] {
+            let (x, theta) = (numbers(2 * batch, "x", 0.0, PI), numbers(4, "theta", -PI, PI));
+            let weights = numbers(2 * batch, "weights", -1.0, 1.0);
+            let [out, by_x, by_theta] = run(&paper, x.clone(), theta.clone(), &weights, 0);
+            let angles = [theta[0], theta[1], theta[2], theta[3]].map(f64::from);
+            let mut want_theta = [0.0; 4];
+            for (row, x) in x.chunks(2).enumerate() {
+                let point = quantum::circuit([x[0], x[1]].map(f64::from), angles);
+                let w = [weights[2 * row], weights[2 * row + 1]].map(f64::from);
+                for (got, want) in out[2 * row..].iter().zip([point.zi, point.iz]) {
+                    assert!((f64::from(*got) - want).abs() < 6e-8, "{x:?}: {got} {want}");
+                }
+                for (k, got) in by_x[2 * row..].iter().take(2).enumerate() {
+                    let want = w[0] * point.zi_grad_x[k] + w[1] * point.iz_grad_x[k];
+                    assert!((f64::from(*got) - want).abs() < 6e-8 * want.abs() + 1e-13, "{x:?}: {got} {want}");
+                }
+                for (k, sum) in want_theta.iter_mut().enumerate() {
+                    *sum += w[0] * point.zi_grad_theta[k] + w[1] * point.iz_grad_theta[k];
+                }
+            }
+            for (got, want) in by_theta.iter().zip(want_theta) {
+                assert!((f64::from(*got) - want).abs() < 6e-8 * want.abs() + 1e-12 * batch as f64, "{got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn any_circuit_is_a_layer() {
+        for spec in [
+            CircuitSpec { qubits: 4, ..CircuitSpec::default() },
+            CircuitSpec { qubits: 2, repetitions: 2, ..CircuitSpec::default() },
+            CircuitSpec { qubits: 3, encoding: Encoding::Angle, depth: 2, ..CircuitSpec::default() },
+        ] {
+            let circuit = ready(spec);
+            let (qubits, batch) = (circuit.qubits(), 5);
+            let x = numbers(qubits * batch, "x", 0.0, PI);
+            let theta = numbers(circuit.angle_count(), "theta", -PI, PI);
+            let weights = numbers(qubits * batch, "weights", -1.0, 1.0);
+            let [out, by_x, by_theta] = run(&circuit, x.clone(), theta.clone(), &weights, 0);
+            let loss = |x: &[f64], theta: &[f64]| -> f64 {
+                let rows = x.chunks(qubits).map(|x| state_vector::run(&circuit, x, theta).expect("run").expectations());
+                rows.flatten().zip(&weights).map(|(z, w)| z * f64::from(*w)).sum()
+            };
+            let (x, theta) = (widen(&x), widen(&theta));
+            let slow = |row: &[f64]| state_vector::run(&circuit, row, &theta).expect("run").expectations();
+            for (got, want) in out.iter().zip(x.chunks(qubits).flat_map(slow)) {
+                assert!((f64::from(*got) - want).abs() < 6e-8, "{got} {want}");
+            }
+            let difference = |values: &[f64], k: usize, f: &dyn Fn(&[f64]) -> f64| {
+                let (mut up, mut down) = (values.to_vec(), values.to_vec());
+                up[k] += 1e-5;
+                down[k] -= 1e-5;
+                (f(&up) - f(&down)) / 2e-5
+            };
+            for (k, got) in by_x.iter().enumerate() {
+                let want = difference(&x, k, &|x| loss(x, &theta));
+                assert!((f64::from(*got) - want).abs() < 1e-6 * (1.0 + want.abs()), "{got} {want}");
+            }
+            for (k, got) in by_theta.iter().enumerate() {
+                let want = difference(&theta, k, &|theta| loss(&x, theta));
+                assert!((f64::from(*got) - want).abs() < 1e-6 * (1.0 + want.abs()), "{got} {want}");
+            }
+        }
+    }
+
+    #[test]
+    fn shots_are_counted_by_calls_and_can_be_had_again() {
+        let circuit = ready(CircuitSpec { execution: shots(100), ..CircuitSpec::default() });
+        let (x, theta) = (var(vec![1.0; 6], &[3, 2]), var(vec![0.5; 4], &[4]));
+        let next = || flat(&circuit_of(&x, &theta, &circuit).expect("forward"));
+        let (first, second) = (next(), next());
+        assert_ne!(first, second);
+        assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "rows have outcomes of their own");
+        circuit.clone().set_next_call(0);
+        assert_eq!(first, next());
+        assert_eq!(second, flat(&circuit_of_call(&x, &theta, &circuit, 1).expect("forward")));
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn any_number_of_threads_gives_the_same_bits() {
+            let noise = Noise { depolarising_one_qubit: 0.01, depolarising_two_qubit: 0.02, readout_flip: 0.03 };
+            let default = CircuitSpec::default;
+            let specs = [
+                (default(), 5000),
+                (CircuitSpec { qubits: 5, ..default() }, 9),
+                (CircuitSpec { qubits: 3, execution: shots(50), ..default() }, 9),
+                (CircuitSpec { qubits: 3, noise, ..default() }, 9),
+            ];
+            for (spec, batch) in specs {
+                let circuit = ready(spec);
+                let on = |threads: usize| {
+                    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+                    let x = numbers(circuit.qubits() * batch, "x", 0.0, PI);
+                    let weights = numbers(circuit.qubits() * batch, "weights", -1.0, 1.0);
+                    pool.install(|| run(&circuit, x, numbers(circuit.angle_count(), "theta", -PI, PI), &weights, 7))
+                };
+                let one = on(1);
+                for threads in [2, 3, 5] {
+                    assert_eq!(on(threads), one, "{threads} threads");
+                }
+            }
+        }
+
+        /// One bad row is a bad row and no other, in the batch and in its gradients; the angles' are lost.
+        #[test]
+        fn what_is_no_number_stays_visible_and_in_its_row() {
+            for spec in [
+                CircuitSpec::default(),
+                CircuitSpec { repetitions: 2, ..CircuitSpec::default() },
+                CircuitSpec { execution: shots(9), ..CircuitSpec::default() },
+            ] {
+                for bad in [f32::NAN, f32::INFINITY] {
+                    let mut x = numbers(12, "x", 0.0, PI);
+                    x[5] = bad;
+                    let [out, by_x, by_theta] = run(&ready(spec.clone()), x, vec![0.3; 4], &[1.0; 12], 0);
+                    for (k, (out, by_x)) in out.iter().zip(&by_x).enumerate() {
+                        assert_eq!(out.is_nan(), k / 2 == 2, "{spec:?} {k} {out}");
+                        assert_eq!(by_x.is_nan(), k / 2 == 2, "{spec:?} {k} {by_x}");
+                    }
+                    assert!(by_theta.iter().any(|v| v.is_nan()));
+                }
+                let out = run(&ready(spec), vec![1.0; 4], vec![f32::NAN; 4], &[1.0; 4], 0);
+                assert!(out.iter().flatten().all(|v| v.is_nan()));
+            }
+        }
+
+        /// Far outside the range that the vector sines reduce.
+        #[test]
+        fn enormous_inputs_are_still_angles() {
+            let x = vec![1e30f32, 2.0, 1e5, 4e4, 1.0, 2.0];
+            let [out, by_x, _] = run(&ready(CircuitSpec::default()), x.clone(), vec![0.3; 4], &[1.0; 6], 0);
+            for (row, x) in x.chunks(2).enumerate() {
+                let point = quantum::circuit([f64::from(x[0]), f64::from(x[1])], [f64::from(0.3f32); 4]);
+                assert!((f64::from(out[2 * row]) - point.zi).abs() < 6e-8);
+                let want = point.zi_grad_x[0] + point.iz_grad_x[0];
+                assert!((f64::from(by_x[2 * row]) - want).abs() <= 1e-6 * want.abs().max(1.0));
+            }
+        }
+
+        #[test]
+        fn wrong_shapes_say_what_was_expected() {
+            let circuit = ready(CircuitSpec { qubits: 3, ..CircuitSpec::default() });
+            let said = |x: &[usize], theta: usize| {
+                let zeros =
+                    |shape: &[usize]| Tensor::zeros(shape, candle_core::DType::F32, &Device::Cpu).expect("zeros");
+                circuit_of(&zeros(x), &zeros(&[theta]), &circuit).expect_err("wrong shape").to_string()
+            };
+            for said in [said(&[5, 2], 6), said(&[5, 3], 4), said(&[3], 6)] {
+                assert!(said.contains("expected input [batch, 3] and 6 angles"), "{said}");
+            }
+            assert_eq!(run(&circuit, vec![], vec![0.0; 6], &[], 0)[2], [0.0; 6]);
+        }
+    }
+}

@@ -42,16 +42,17 @@ fn coefficients(angles: [(f64, f64); 4]) -> Coefficients {
     ]
 }
 
-/// What depends on the trained angles alone.
+/// What depends on the trained angles alone, for many inputs.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Trained {
+pub struct Trained {
     coefficients: Coefficients,
     /// Their derivatives by each angle.
     by_angle: [Coefficients; 4],
 }
 
 impl Trained {
-    pub(crate) fn new(theta: [f64; 4]) -> Self {
+    /// At these angles (radians).
+    pub fn new(theta: [f64; 4]) -> Self {
         let angles = theta.map(f64::sin_cos);
         // Each coefficient has each angle once or not at all: parameter shift is its derivative, and zero where it
         // should be.
@@ -180,7 +181,7 @@ pub(super) use vectorised;
 
 vectorised! {
     /// `[<ZI>, <IZ>]` of each of `x` into `result` of the same length.
-    pub(crate) fn expectations_of_rows(trained: &Trained, x: &[[f32; 2]], result: &mut [[f32; 2]]) {
+    pub fn expectations_of_rows(trained: &Trained, x: &[[f32; 2]], result: &mut [[f32; 2]]) {
         for (x, result) in x.chunks(LANES).zip(result.chunks_mut(LANES)) {
             let waves = waves(&widen(x));
             let mut values = [[0.0f32; 2]; LANES];
@@ -196,7 +197,7 @@ vectorised! {
 vectorised! {
     /// Gradients by each of `x` into `by_x`, and by the angles summed over rows, given the gradients of a loss by the
     /// expectations.
-    pub(crate) fn gradients_of_rows(
+    pub fn gradients_of_rows(
         trained: &Trained,
         x: &[[f32; 2]],
         cotangents: &[[f32; 2]],

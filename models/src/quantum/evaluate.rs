@@ -35,6 +35,11 @@ pub struct Jacobian {
     pub by_x: Vec<Vec<f64>>,
 }
 
+/// A number that is not finite spoils everything, even what does not depend on it: nobody takes the rest for an answer.
+fn are_finite(x: &[f64], theta: &[f64]) -> bool {
+    x.iter().chain(theta).all(|v| v.is_finite())
+}
+
 impl Circuit {
     /// Whether [`closed_form`] is about this circuit: the paper's, exact and without noise.
     pub(crate) fn is_closed_form(&self) -> bool {
@@ -62,9 +67,12 @@ impl Circuit {
     }
 
     /// `<Z>` of each qubit at inputs `x` (radians) and angles `theta` (radians), in the order of
-    /// [`CircuitSpec::observables`]. NaN if a number is not finite.
+    /// [`CircuitSpec::observables`]. All NaN if one of the numbers is not finite.
     pub fn expectations(&self, x: &[f64], theta: &[f64], draw: Draw) -> Result<Vec<f64>, CircuitError> {
         self.check_counts(x, theta)?;
+        if !are_finite(x, theta) {
+            return Ok(vec![f64::NAN; self.qubits()]);
+        }
         if self.is_closed_form()
             && let (&[x0, x1], &[t0, t1, t2, t3]) = (x, theta)
         {
@@ -79,7 +87,7 @@ impl Circuit {
         })
     }
 
-    /// Gradients by `x` and by `theta` of the expectations' sum weighted by `cotangent`.
+    /// Gradients by `x` and by `theta` of the expectations' sum weighted by `cotangent`. All NaN if a number is not finite.
     pub fn gradients(
         &self,
         x: &[f64],
@@ -91,6 +99,9 @@ impl Circuit {
         let (what, expected, got) = ("cotangents, one for each observable", self.qubits(), cotangent.len());
         if got != expected {
             return Err(CircuitError::Count { what, expected, got });
+        }
+        if !are_finite(x, theta) {
+            return Ok((vec![f64::NAN; x.len()], vec![f64::NAN; theta.len()]));
         }
         let angles = self.gate_angles(x, theta);
         let by_gate = match self.shots() {
@@ -118,6 +129,11 @@ impl Circuit {
                 by_theta: vec![point.zi_grad_theta.to_vec(), point.iz_grad_theta.to_vec()],
                 by_x: vec![point.zi_grad_x.to_vec(), point.iz_grad_x.to_vec()],
             });
+        }
+        if !are_finite(x, theta) {
+            let (by_theta, by_x) = (vec![f64::NAN; theta.len()], vec![f64::NAN; x.len()]);
+            let rows = self.qubits();
+            return Ok(Jacobian { expectations, by_theta: vec![by_theta; rows], by_x: vec![by_x; rows] });
         }
         let angles = self.gate_angles(x, theta);
         let by_gate = match self.shots() {

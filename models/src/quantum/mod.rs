@@ -28,8 +28,7 @@ pub mod state_vector;
 #[cfg(test)]
 mod tests;
 
-pub use closed_form::{CircuitPoint, circuit, expectations};
-pub(crate) use closed_form::{Trained, expectations_of_rows, gradients_of_rows};
+pub use closed_form::{CircuitPoint, Trained, circuit, expectations, expectations_of_rows, gradients_of_rows};
 pub use evaluate::{Draw, Jacobian};
 pub use gates::Circuit;
 pub use spec::{

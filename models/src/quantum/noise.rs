@@ -3,10 +3,13 @@
 //! A density matrix of `n` qubits is kept as a [`State`] of `2n`: bit `q` of an index is row bit `q`'s partner in the
 //! column, bit `q + n` the row's. A gate acts on both, conjugated on the column; a depolarising channel mixes them.
 
+use std::f64::consts::FRAC_PI_2;
+
+use num_complex::Complex64;
+
 use super::gates::{Circuit, Gate};
 use super::spec::Noise;
 use super::state_vector::State;
-use std::f64::consts::FRAC_PI_2;
 
 /// A density matrix, or an observable.
 #[derive(Debug, Clone)]
@@ -55,18 +58,24 @@ impl Density {
             return;
         }
         let n = self.qubits;
-        let row_and_column = |bits: usize| bits << n | bits;
-        // All settings of the gate's qubits, the same in row and column.
+        // Places of the entries that meet, counted from the one where the gate's qubits are 0 in row and column.
         let settings: Vec<usize> =
             (0..1 << bits.len()).map(|k: usize| bits.iter().enumerate().map(|(i, b)| (k >> i & 1) * b).sum()).collect();
-        let touched = row_and_column(bits.iter().sum());
+        let places = settings.iter().flat_map(|row| settings.iter().map(move |column| (row, column)));
+        let (diagonal, others): (Vec<_>, Vec<_>) = places.partition(|(row, column)| row == column);
+        let offsets = |places: Vec<(&usize, &usize)>| places.iter().map(|(r, c)| *r << n | *c).collect::<Vec<_>>();
+        let (diagonal, others) = (offsets(diagonal), offsets(others));
+        let all: usize = bits.iter().sum();
+        let touched = all << n | all;
         let entries = &mut self.entries.0;
         for rest in (0..entries.len()).filter(|k| k & touched == 0) {
-            let diagonal = || settings.iter().map(|&s| rest | row_and_column(s));
-            let mean = p * diagonal().map(|k| entries[k]).sum::<num_complex::Complex64>() / settings.len() as f64;
-            for (row, column) in settings.iter().flat_map(|&row| settings.iter().map(move |&column| (row, column))) {
-                let entry = &mut entries[rest | row << n | column];
-                *entry = *entry * (1.0 - p) + if row == column { mean } else { 0.0.into() };
+            let sum: Complex64 = diagonal.iter().map(|offset| entries[rest | offset]).sum();
+            let mixed = sum * (p / diagonal.len() as f64);
+            for offset in &diagonal {
+                entries[rest | offset] = entries[rest | offset] * (1.0 - p) + mixed;
+            }
+            for offset in &others {
+                entries[rest | offset] *= 1.0 - p;
             }
         }
     }

@@ -12,7 +12,7 @@ use super::state_vector::z_expectations;
 /// same for any number of shots.
 pub(super) fn estimate(probabilities: &[f64], shots: u32, rng: &mut impl Rng) -> Vec<f64> {
     // What is left is summed from the end, so that the last possible outcome takes all that remain, whatever rounding.
-    let mut tails: Vec<f64> = probabilities.iter().map(|p| p.max(0.0)).collect();
+    let mut tails: Vec<f64> = probabilities.iter().map(|&p| if p < 0.0 { 0.0 } else { p }).collect();
     for k in (1..tails.len()).rev() {
         tails[k - 1] += tails[k];
     }

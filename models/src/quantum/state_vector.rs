@@ -24,30 +24,26 @@ impl State {
         &self.0
     }
 
-    /// Applies a 2 x 2 matrix to one qubit.
-    pub(super) fn single(&mut self, qubit: usize, u: [[Complex64; 2]; 2]) {
-        let bit = 1 << qubit;
-        for low in (0..self.0.len()).filter(|k| k & bit == 0) {
-            let (a, b) = (self.0[low], self.0[low | bit]);
-            self.0[low] = u[0][0] * a + u[0][1] * b;
-            self.0[low | bit] = u[1][0] * a + u[1][1] * b;
+    /// Replaces each pair of amplitudes that differ in this qubit, 0 first.
+    fn single(&mut self, qubit: usize, gate: impl Fn(Complex64, Complex64) -> (Complex64, Complex64)) {
+        for pair in self.0.chunks_exact_mut(2 << qubit) {
+            let (zeros, ones) = pair.split_at_mut(1 << qubit);
+            zeros.iter_mut().zip(ones).for_each(|(a, b)| (*a, *b) = gate(*a, *b));
         }
     }
 
     pub(super) fn hadamard(&mut self, qubit: usize) {
-        let h = Complex64::from(FRAC_1_SQRT_2);
-        self.single(qubit, [[h, h], [h, -h]]);
+        self.single(qubit, |a, b| ((a + b) * FRAC_1_SQRT_2, (a - b) * FRAC_1_SQRT_2));
     }
 
     pub(super) fn phase(&mut self, qubit: usize, angle: f64) {
-        let o = Complex64::ZERO;
-        self.single(qubit, [[Complex64::ONE, o], [o, Complex64::cis(angle)]]);
+        let turn = Complex64::cis(angle);
+        self.single(qubit, |a, b| (a, turn * b));
     }
 
     pub(super) fn rotation_y(&mut self, qubit: usize, angle: f64) {
         let (s, c) = (0.5 * angle).sin_cos();
-        let (s, c) = (Complex64::from(s), Complex64::from(c));
-        self.single(qubit, [[c, -s], [s, c]]);
+        self.single(qubit, |a, b| (a * c - b * s, a * s + b * c));
     }
 
     pub(super) fn controlled_not(&mut self, control: usize, target: usize) {

@@ -182,7 +182,7 @@ mod measured {
         let circuit = ready(&zz(3, 1, 1));
         let (x, theta) = point(&circuit, 2);
         let p = run_at(&circuit, &circuit.gate_angles(&x, &theta)).probabilities();
-        // Each outcome once as its own: an indicator's expectation is the outcome's share.
+        // The expectations of a single shot spell its outcome.
         let (shots, mut rng) = (1u32, stream(9, "outcomes", 0));
         let mut counts = [0u32; 8];
         let runs = 20_000;
@@ -471,14 +471,16 @@ mod hard_cases {
                 for (x, theta) in [(&bad_x, &theta), (&x, &bad_theta)] {
                     let z = circuit.expectations(x, theta, NONE).expect("answer");
                     let (by_x, by_theta) = circuit.gradients(x, theta, &vec![1.0; x.len()], NONE).expect("answer");
-                    // What stands on other qubits alone may have a value of its own, what is bad may not.
-                    assert!(z.iter().any(|v| v.is_nan()), "{spec:?} {z:?}");
-                    assert!(by_x.iter().chain(&by_theta).any(|v| v.is_nan()), "{spec:?}");
+                    assert!(z.iter().all(|v| v.is_nan()), "{spec:?} {z:?}");
+                    assert!(by_x.iter().chain(&by_theta).all(|v| v.is_nan()), "{spec:?}");
+                    let all = circuit.jacobian(x, theta, NONE).expect("answer");
+                    assert!(all.by_x.concat().iter().chain(&all.by_theta.concat()).any(|v| v.is_nan()));
                     let state = state_vector::run(&circuit, x, theta).expect("answer");
                     assert!(state.expectations().iter().any(|v| v.is_nan()));
                 }
             }
         }
+        assert!(super::super::shots::estimate(&[0.5, f64::NAN], 9, &mut stream(1, "bad", 0))[0].is_nan());
         assert!(circuit([f64::NAN, 1.0], [0.1; 4]).zi.is_nan());
         assert!(circuit([f64::INFINITY, 1.0], [0.1; 4]).iz.is_nan());
     }

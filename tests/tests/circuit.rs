@@ -1,0 +1,86 @@
+//! `radome circuit` for other circuits than the paper's.
+
+use radome_tests::{failure, json_lines, radome};
+
+fn circuit(arguments: &str) -> serde_json::Value {
+    json_lines(radome().arg("circuit").args(arguments.split(' ')).arg("--json")).remove(0)
+}
+
+fn numbers(value: &serde_json::Value) -> Vec<f64> {
+    value.as_array().expect("a list").iter().map(|v| v.as_f64().expect("a number")).collect()
+}
+
+/// Two repetitions against Qiskit: values of its Statevector.
+#[test]
+fn two_repetitions_agree_with_qiskit() {
+    let text = include_str!("../../fixtures/circuit/qiskit_pqc.json");
+    let reference: serde_json::Value = serde_json::from_str(text).expect("JSON");
+    let joined = |v: &serde_json::Value| numbers(v).iter().map(|x| format!("{x:e}")).collect::<Vec<_>>().join(",");
+    for point in reference["reps"]["2"]["points"].as_array().expect("points").iter().step_by(7) {
+        let got = circuit(&format!("--repetitions 2 --x {} --theta {}", joined(&point["x"]), joined(&point["theta"])));
+        for (name, key) in [("ZI", "zi"), ("IZ", "iz")] {
+            let want = point["exp"][name].as_f64().expect("number");
+            assert!((got[key].as_f64().expect("number") - want).abs() < 1e-12, "{point}");
+            for (gradient, by) in [("grad_theta", "theta"), ("grad_x", "x")] {
+                let got = numbers(&got[format!("{key}_grad_{by}")]);
+                for (got, want) in got.iter().zip(numbers(&point[gradient][name])) {
+                    assert!((got - want).abs() < 1e-9, "{point}");
+                }
+            }
+        }
+    }
+}
+
+/// Without an entangler each qubit is a cosine, the first output that of the highest qubit.
+#[test]
+fn angles_that_add_up_are_cosines() {
+    let got = circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5");
+    for (key, angle) in [("zii", 0.8f64), ("izi", -1.8), ("iiz", 1.1)] {
+        assert!((got[key].as_f64().expect("number") - angle.cos()).abs() < 1e-14, "{key}");
+    }
+    assert!((numbers(&got["zii_grad_x"])[2] + 0.8f64.sin()).abs() < 1e-14);
+    let noisy = circuit("--qubits 3 --encoding angle --depth 0 --x 0.1,0.2,0.3 --theta 1,-2,0.5 --readout-flip 0.25");
+    assert!((noisy["iiz"].as_f64().expect("number") - 0.5 * 1.1f64.cos()).abs() < 1e-14);
+}
+
+#[test]
+fn shots_are_seeded() {
+    let at = |rest: &str| circuit(&format!("--x 0.8,2.1 --theta 0.4,-1.2,2,0.7 {rest}"));
+    let exact = at("--depth 1");
+    let (one, two) = (at("--shots 4096 --seed 1"), at("--shots 4096 --seed 2"));
+    assert_eq!(one, at("--shots 4096 --seed 1"));
+    assert_ne!(one["zi"], two["zi"]);
+    // Ten standard errors.
+    assert!((one["zi"].as_f64().expect("number") - exact["zi"].as_f64().expect("number")).abs() < 10.0 / 64.0);
+    // Exact gradients are the state vector's here, the closed form's there.
+    let gradient = numbers(&at("--shots 4096 --gradient exact")["zi_grad_theta"]);
+    for (got, want) in gradient.iter().zip(numbers(&exact["zi_grad_theta"])) {
+        assert!((got - want).abs() < 1e-14);
+    }
+    assert_eq!(at("--shots 1")["iz"].as_f64().map(f64::abs), Some(1.0));
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn what_no_circuit_is_is_said() {
+        for (arguments, part) in [
+            ("--x 1,2,3 --theta 1,2,3,4,5,6", "--x takes two numbers and --theta four, got 3 and 6"),
+            ("--qubits 3 --x 1,2,3 --theta 1,2,3,4", "--x takes three numbers and --theta six, got 3 and 4"),
+            ("--qubits 12 --x 1 --theta 1", "--x takes twelve numbers and --theta 24, got 1 and 1"),
+            ("--qubits 13 --x 1 --theta 1", "qubits is 13, expected 1 to 12"),
+            ("--repetitions 3 --x 1,2 --theta 1,2,3,4", "repetitions is 3, expected 1 or 2"),
+            ("--shots 0 --x 1,2 --theta 1,2,3,4", "shots is 0, expected at least 1"),
+            ("--readout-flip -0.5 --x 1,2 --theta 1,2,3,4", "readout_flip is -0.5, expected a probability"),
+            ("--qubits 8 --depolarising-two-qubit 0.1 --x 1 --theta 1", "at most 6 with depolarising gates"),
+            ("--x nan,2 --theta 1,2,3,4", "must be finite"),
+        ] {
+            let said = failure(radome().arg("circuit").args(arguments.split(' ')));
+            assert!(said.contains(part), "{arguments}: {said}");
+        }
+        let wrong_use =
+            radome().args(["circuit", "--x", "1,2", "--theta", "1,2,3,4", "--seed", "3"]).output().expect("runs");
+        assert_eq!(wrong_use.status.code(), Some(2), "a seed of nothing");
+    }
+}
