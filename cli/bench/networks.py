@@ -14,7 +14,7 @@ import os
 import sys
 import time
 
-NETWORKS = ["hqnn", "linear", "doppler_net", "resnet18", "efficientnet_b0"]
+NETWORKS = ["hqnn", "estimator_matched", "doppler_net", "resnet18", "efficientnet_b0"]
 
 
 def circuit(x, theta):
@@ -68,7 +68,7 @@ def build(name):
         layers += [nn.Linear(512, 128), nn.BatchNorm1d(128), nn.ReLU(), nn.Dropout(0.5), nn.Linear(128, 3)]
         return nn.Sequential(*layers)
 
-    if name in ("hqnn", "linear"):
+    if name in ("hqnn", "estimator_matched"):
         return Hqnn(name == "hqnn")
     if name == "doppler_net":
         return doppler_net()

@@ -130,6 +130,56 @@ pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f6
     image.save(path).with_context(|| format!("cannot write {}", path.display()))
 }
 
+/// Writes lines through points of several series, a colour a series, on linear axes; `up` runs from 0 to 1.
+pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
+    const WIDTH: u32 = 640;
+    const HEIGHT: u32 = 400;
+    const LEGEND: u32 = 230;
+    let size = (MARGIN_LEFT + WIDTH + LEGEND, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM);
+    let mut image = RgbImage::from_pixel(size.0, size.1, Rgb([255, 255, 255]));
+    let across_values = || series.iter().flat_map(|s| &s.1).map(|p| p.0).filter(|x| x.is_finite());
+    let low = across_values().fold(f64::INFINITY, f64::min);
+    let high = across_values().fold(f64::NEG_INFINITY, f64::max);
+    let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
+    let x_of = |v: f64| MARGIN_LEFT + ((v - low) / (high - low) * f64::from(WIDTH)) as u32;
+    let y_of = |v: f64| MARGIN_TOP + ((1.0 - v.clamp(0.0, 1.0)) * f64::from(HEIGHT)) as u32;
+    for tick in ticks(low, high) {
+        vertical(&mut image, x_of(tick), MARGIN_TOP + HEIGHT, 5);
+        let name = label(tick, high - low);
+        text(&mut image, x_of(tick).saturating_sub(4 * name.len() as u32), MARGIN_TOP + HEIGHT + 8, &name);
+    }
+    for tenth in (0..=10).step_by(2) {
+        let v = f64::from(tenth) / 10.0;
+        horizontal(&mut image, MARGIN_LEFT - 5, y_of(v), WIDTH + 5);
+        text(&mut image, MARGIN_LEFT - 40, y_of(v).saturating_sub(4), &format!("{v:.1}"));
+    }
+    vertical(&mut image, MARGIN_LEFT, MARGIN_TOP, HEIGHT);
+    text(&mut image, MARGIN_LEFT + WIDTH / 2 - 36, MARGIN_TOP + HEIGHT + 26, across);
+    text(&mut image, 4, 8, up);
+    let blot = |image: &mut RgbImage, x: u32, y: u32, half: u32, colour: Rgb<u8>| {
+        for (dx, dy) in (0..=2 * half).flat_map(|dx| (0..=2 * half).map(move |dy| (dx, dy))) {
+            let (px, py) = ((x + dx).saturating_sub(half), (y + dy).saturating_sub(half));
+            if px < image.width() && py < image.height() {
+                image.put_pixel(px, py, colour);
+            }
+        }
+    };
+    for (i, (name, points)) in (0u32..).zip(series) {
+        let colour = viridis(i as f32 / (series.len().max(2) - 1) as f32 * 0.9);
+        for pair in points.windows(2) {
+            let [(x0, y0), (x1, y1)] = [pair[0], pair[1]].map(|(x, y)| (f64::from(x_of(x)), f64::from(y_of(y))));
+            for step in 0..=400 {
+                let t = f64::from(step) / 400.0;
+                blot(&mut image, (x0 + t * (x1 - x0)) as u32, (y0 + t * (y1 - y0)) as u32, 1, colour);
+            }
+        }
+        points.iter().for_each(|(x, y)| blot(&mut image, x_of(*x), y_of(*y), 3, colour));
+        blot(&mut image, MARGIN_LEFT + WIDTH + 16, MARGIN_TOP + 10 + 20 * i, 3, colour);
+        text(&mut image, MARGIN_LEFT + WIDTH + 26, MARGIN_TOP + 6 + 20 * i, name);
+    }
+    image.save(path).with_context(|| format!("cannot write {}", path.display()))
+}
+
 /// Round values between two ends, about seven of them.
 fn ticks(from: f64, to: f64) -> Vec<f64> {
     let raw = (to - from) / 7.0;

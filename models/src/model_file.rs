@@ -281,7 +281,11 @@ impl ModelCard {
         }
         let [_, rows, columns] = self.input_shape;
         if let Some(layer) = self.network_spec().too_small_for(rows, columns) {
-            return fail("input_shape", format!("a map that is large enough for layer {layer}"), format!("{:?}", self.input_shape));
+            return fail(
+                "input_shape",
+                format!("a map that is large enough for layer {layer}"),
+                format!("{:?}", self.input_shape),
+            );
         }
         let Centring { mean, sigma } = &self.latent;
         let width = if self.network == NetworkKind::Hqnn { self.head.width() } else { 0 };

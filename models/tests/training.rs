@@ -10,7 +10,9 @@ use radome_models::layer::KernelLevel;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::standardise::MapReference;
 use radome_models::train::{Augmentation, LatentStandardisation};
-use radome_models::{Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train};
+use radome_models::{
+    Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train, train_with_checkpoint,
+};
 use support::{Maps, dataset, header};
 
 /// Small maps with strong targets: learnt in a second.
@@ -103,6 +105,75 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     assert_eq!(run(1, &portable), run(2, &portable));
 }
 
+/// Wherever it is stopped, a training that is carried on with ends with the weights of one that was not.
+#[test]
+fn a_stopped_training_ends_as_if_it_had_not_been() {
+    let (set, spec) = brief();
+    let doppler_net = TrainSpec { network: radome_models::network::NetworkKind::DopplerNet, ..spec.clone() };
+    let large = dataset(Maps { size: 32, sequences: [3, 2, 1], length: 3, ..Maps::default() });
+    for (set, spec) in [(&set, spec), (&large, doppler_net)] {
+        let whole = train(set, &spec, &mut |_| {}).expect("training");
+        let epochs = whole.history.len();
+        assert!(epochs >= 2);
+        for stop in 1..epochs {
+            let dir = tempfile::tempdir().expect("folder");
+            let path = dir.path().join("checkpoint");
+            // A panic in the middle of the report is as sudden as a signal; the file is written after it.
+            let mut count = 0;
+            let stopped = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+                let _ = train_with_checkpoint(set, &spec, Some(&path), &mut |_| {
+                    count += 1;
+                    assert!(count <= stop, "stop");
+                });
+            }));
+            assert!(stopped.is_err() && path.exists());
+            let mut told = 0;
+            let resumed = train_with_checkpoint(set, &spec, Some(&path), &mut |_| told += 1).expect("training");
+            assert_eq!(told, epochs - stop);
+            assert_eq!(resumed.model.network.values().expect("values"), whole.model.network.values().expect("values"));
+            assert_eq!(resumed.model.card, whole.model.card);
+            assert!(!path.exists(), "what it was for is done");
+        }
+    }
+}
+
+#[test]
+fn a_checkpoint_of_another_training_is_refused() {
+    let (set, spec) = brief();
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("checkpoint");
+    let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        let mut count = 0;
+        let _ = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {
+            count += 1;
+            assert!(count < 2, "stop");
+        });
+    }));
+    let other = TrainSpec { seed: spec.seed + 1, ..spec.clone() };
+    let error = train_with_checkpoint(&set, &other, Some(&path), &mut |_| {}).err().expect("refused").to_string();
+    assert!(error.contains("other settings") && error.contains("hint:"), "{error}");
+    let whole = std::fs::read(&path).expect("read");
+    for length in (0..whole.len()).step_by(9973) {
+        std::fs::write(&path, &whole[..length]).expect("write");
+        let error = train_with_checkpoint(&set, &spec, Some(&path), &mut |_| {}).err().expect("refused").to_string();
+        assert!(error.contains("checkpoint"), "{error}");
+    }
+}
+
+/// A network that sees range and Doppler exchanged says so in its card and answers the same after a round through a file.
+#[test]
+fn orientation_travels_with_the_model() {
+    let (set, spec) = brief();
+    let model = train(&set, &TrainSpec { transposed: true, ..spec }, &mut |_| {}).expect("training").model;
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("model.safetensors");
+    model.save(&path).expect("save");
+    let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(model));
+    assert!(loaded.card().is_transposed());
+    let map = rdm(&set, 1);
+    assert_eq!(loaded.classify(&map).expect("classify"), original.classify(&map).expect("classify"));
+}
+
 #[test]
 fn every_standardisation_of_the_latent_is_saved_with_the_model() {
     let (set, spec) = brief();
@@ -113,7 +184,7 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
     ] {
         let outcome = train(&set, &TrainSpec { latent, ..spec.clone() }, &mut |_| {}).expect("training");
         let constants = outcome.model.card.latent;
-        assert_eq!(constants, outcome.model.network.latent);
+        assert_eq!(constants, outcome.model.network.latent_constants());
         assert_eq!(latent == LatentStandardisation::None, constants == Default::default(), "{latent:?}");
     }
 }
@@ -191,7 +262,8 @@ mod hard_cases {
         };
         assert!(matches!(replace("format_version\\\":1", "format_version\\\":9"), ModelError::Newer { found: 9, .. }));
         assert!(matches!(replace("\"radome\"", "\"random\""), ModelError::NoCard { .. }));
-        assert!(matches!(replace("hqnn", "hqmm"), ModelError::Inconsistent { .. }));
+        let unknown = replace("hqnn", "hqmm");
+        assert!(matches!(unknown, ModelError::Card { .. }) && unknown.to_string().contains("hqmm"), "{unknown}");
         assert!(matches!(replace("fc1.weight", "fc7.weight"), ModelError::Inconsistent { .. }));
         let mut bytes = whole.clone();
         let end = bytes.len();

@@ -1,4 +1,5 @@
 mod kept_dense;
+mod networks;
 mod scene;
 mod solver;
 mod synthesis;
@@ -35,6 +36,10 @@ enum Stage {
     Synthesis(synthesis::Arguments),
     /// People with skins in a scene at several tolerances, beside dense physical optics in every chirp
     Scene(scene::Arguments),
+    /// A training step of the networks at maps of 128 x 128, beside PyTorch's
+    Train(networks::Arguments),
+    /// Networks at work on one map of 128 x 128, beside onnxruntime and PyTorch
+    Infer(networks::Arguments),
 }
 
 /// One way to make the maps of a frame.
@@ -53,6 +58,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Stage::Solver(arguments) => solver::run(arguments),
         Stage::Synthesis(arguments) => synthesis::run(arguments),
         Stage::Scene(arguments) => scene::run(arguments),
+        Stage::Train(arguments) => networks::train(arguments),
+        Stage::Infer(arguments) => networks::infer(arguments),
     }
 }
 

@@ -10,6 +10,7 @@ mod demo;
 mod devices;
 mod emulate;
 mod evaluate;
+mod export;
 mod labels;
 mod live;
 mod models;
@@ -18,6 +19,7 @@ mod rdm;
 mod record;
 mod repair;
 mod simulate;
+mod study;
 mod train;
 
 use clap::Subcommand;
@@ -57,6 +59,10 @@ pub enum Command {
     Train(train::Arguments),
     /// Metrics of a model on a dataset or on labelled recordings
     Evaluate(evaluate::Arguments),
+    /// Compare networks over seeds, noise and shares of the labels: one report, carried on with where it was stopped
+    Study(study::Arguments),
+    /// A model as ONNX
+    Export(export::Arguments),
     /// The networks: parameters, multiply-adds, input
     Models(models::Arguments),
     /// The quantum layer at one point: expectations and gradients
@@ -84,6 +90,8 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Study(arguments) => study::run(&arguments),
+        Command::Export(arguments) => export::run(&arguments),
         Command::Models(arguments) => models::run(&arguments),
         Command::Circuit(arguments) => circuit::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),

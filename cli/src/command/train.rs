@@ -1,8 +1,8 @@
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_models::dataset::Dataset;
-use radome_models::{TrainSpec, train};
+use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
 use serde_json::json;
 
 use crate::{files, output};
@@ -18,40 +18,65 @@ pub struct Arguments {
     /// TOML file with the settings of the training; defaults for what it leaves out
     #[arg(long)]
     spec: Option<PathBuf>,
+    /// Network, as `radome models` names it
+    #[arg(long)]
+    network: Option<String>,
     /// Passes over the training split
     #[arg(long)]
     epochs: Option<usize>,
     /// Seed of initial weights and order
     #[arg(long)]
     seed: Option<u64>,
+    /// The recording (sequence) that alone is the test split
+    #[arg(long, value_name = "SEQUENCE")]
+    hold_out: Option<String>,
+    /// File that holds the training after each epoch; one that is there is carried on with. OUTPUT.checkpoint if not given
+    #[arg(long)]
+    checkpoint: Option<PathBuf>,
     /// One object an epoch and one at the end
     #[arg(long)]
     json: bool,
 }
 
-/// Trains the HQNN and writes the weights of its best epoch.
+/// Trains a network and writes the weights of its best epoch.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     files::check_parent(&arguments.output)?;
     let dataset = Dataset::open(&arguments.dataset)?;
-    let mut spec = match &arguments.spec {
-        None => TrainSpec::default(),
-        Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-            toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))?
-        }
-    };
+    let mut spec = read_spec(arguments.spec.as_deref())?;
+    if let Some(name) = &arguments.network {
+        let Some(network) = NetworkSpec::named(name) else {
+            let known: Vec<String> = radome_models::networks().into_iter().map(|network| network.name).collect();
+            bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
+        };
+        (spec.network, spec.head) = (network.kind, network.head);
+    }
     if let Some(epochs) = arguments.epochs {
         spec.epochs = epochs;
     }
     if let Some(seed) = arguments.seed {
         spec.seed = seed;
     }
+    if let Some(sequence) = &arguments.hold_out {
+        spec.split.held_out = Some(sequence.clone());
+    }
+    let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
+        let mut name = arguments.output.file_name().unwrap_or_default().to_owned();
+        name.push(".checkpoint");
+        arguments.output.with_file_name(name)
+    });
+    if checkpoint.exists() {
+        eprintln!("carrying on from {}", checkpoint.display());
+    }
+    // Starts before the last have their trial epochs too.
+    let trials = if spec.starts > 1 { (spec.starts - 1) * spec.start_epochs.min(spec.epochs) as u64 } else { 0 };
+    let bar = output::progress(spec.epochs as u64 + trials, "training");
     let mut trouble = None;
-    let outcome = train(&dataset, &spec, &mut |report| {
+    let outcome = train_with_checkpoint(&dataset, &spec, Some(&checkpoint), &mut |report| {
+        bar.inc(1);
         let said = if arguments.json {
             output::json_line(&report)
         } else {
-            output::text_line(&format!(
+            let line = format!(
                 "start {} epoch {:2}/{}: loss {:.3}, balanced accuracy {:.3} training, {:.3} validation, {:.1} s",
                 report.start + 1,
                 report.epoch,
@@ -60,12 +85,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 report.training_balanced_accuracy,
                 report.validation_balanced_accuracy,
                 report.seconds
-            ))
+            );
+            bar.suspend(|| output::text_line(&line))
         };
         trouble = trouble.take().or(said.err());
     })?;
+    bar.finish_and_clear();
     if let Some(error) = trouble {
         return Err(error);
+    }
+    for warning in &outcome.warnings {
+        eprintln!("warning: {warning}");
     }
     outcome.model.save(&arguments.output)?;
     let file = arguments.output.display().to_string();
@@ -73,4 +103,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return output::json_line(&json!({ "model": file, "training": outcome.model.card.training }));
     }
     output::text_line(&format!("{file} written"))
+}
+
+/// Settings of a training from a TOML file, or the defaults.
+fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
+    let Some(path) = path else { return Ok(TrainSpec::default()) };
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))
 }

@@ -16,7 +16,7 @@ pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Res
 }
 
 /// First and end index of bin `index` of `bins` over `length` cells.
-pub(super) fn bin(index: usize, bins: usize, length: usize) -> (usize, usize) {
+pub(crate) fn bin(index: usize, bins: usize, length: usize) -> (usize, usize) {
     (index * length / bins, ((index + 1) * length).div_ceil(bins))
 }
 

@@ -20,7 +20,11 @@ pub(crate) fn graph() -> Graph {
     for (index, outputs) in CHANNELS.into_iter().enumerate() {
         let geometry = ConvGeometry { stride: 1, padding: 1, groups: 1 };
         let k = index + 1;
-        value = g.add(format!("conv{k}"), Layer::Convolution { inputs, outputs, kernel: 3, geometry, bias: true }, &[value]);
+        value = g.add(
+            format!("conv{k}"),
+            Layer::Convolution { inputs, outputs, kernel: 3, geometry, bias: true },
+            &[value],
+        );
         value = g.add(format!("bn{k}"), Layer::BatchNorm { channels: outputs, activation: Activation::Relu }, &[value]);
         value = g.add(format!("pool{k}"), Layer::MaxPool { kernel: 2, stride: 2, padding: 0 }, &[value]);
         inputs = outputs;
@@ -30,7 +34,8 @@ pub(crate) fn graph() -> Graph {
     for (index, outputs) in DENSE.into_iter().enumerate() {
         let k = index + 1;
         value = g.add(format!("fc{k}"), Layer::Linear { inputs, outputs }, &[value]);
-        value = g.add(format!("fc_bn{k}"), Layer::BatchNorm { channels: outputs, activation: Activation::Relu }, &[value]);
+        value =
+            g.add(format!("fc_bn{k}"), Layer::BatchNorm { channels: outputs, activation: Activation::Relu }, &[value]);
         value = g.add(format!("dropout{k}"), Layer::Dropout { probability: 0.5 }, &[value]);
         inputs = outputs;
     }

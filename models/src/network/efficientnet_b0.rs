@@ -79,7 +79,7 @@ fn inverted_residual(
     value = conv_norm(g, &next(), [wide, stage.outputs, 1], 1, 1, Activation::None, value);
     if stride == 1 && inputs == stage.outputs {
         value = g.add(format!("{name}.skip"), Layer::DropSamples { probability: skip }, &[value]);
-        value = g.add(format!("{name}.add"), Layer::Add { activation: Activation::None }, &[value, from]);
+        value = g.add(format!("{name}.add"), Layer::Add { rectified: false }, &[value, from]);
     }
     value
 }

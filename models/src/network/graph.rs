@@ -30,8 +30,8 @@ pub(crate) enum Layer {
     Linear { inputs: usize, outputs: usize },
     /// A feature map times a vector of a factor for each channel.
     ScaleChannels,
-    /// Sum of two values, then an activation.
-    Add { activation: Activation },
+    /// Sum of two values, then perhaps a ReLU.
+    Add { rectified: bool },
     /// Zeroes values at random while training, and scales the others up.
     Dropout { probability: f32 },
     /// Zeroes whole samples at random while training (stochastic depth, Huang et al., ECCV 2016), and scales the others up.
@@ -103,11 +103,6 @@ impl Graph {
     /// Result of the node of this name.
     pub fn value(&self, name: &str) -> Option<Value> {
         self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
-    }
-
-    /// The node that makes a value.
-    pub fn node(&self, value: Value) -> Option<&Node> {
-        self.nodes.get(value.checked_sub(1)?)
     }
 
     /// Which nodes have to run for `wanted` where the values `given` are there.
@@ -252,11 +247,8 @@ impl Node {
     /// Starts are He's (He et al., ICCV 2015): uniform over the inputs before a ReLU, and, as torchvision's networks have it,
     /// Gaussian over the outputs for convolutions before a batch normalisation.
     pub fn declarations(&self) -> Vec<Declaration> {
-        let declare = |what: &str, shape: Vec<usize>, start| Declaration {
-            name: format!("{}.{what}", self.name),
-            shape,
-            start,
-        };
+        let declare =
+            |what: &str, shape: Vec<usize>, start| Declaration { name: format!("{}.{what}", self.name), shape, start };
         match &self.layer {
             Layer::ConvReluPool { inputs, outputs } => vec![
                 declare("weight", vec![*outputs, *inputs, 3, 3], Start::Uniform((6.0 / (9 * inputs) as f32).sqrt())),

@@ -8,7 +8,7 @@ use rand_distr::{Distribution, Normal};
 use serde::{Deserialize, Serialize};
 
 use super::graph::{Declaration, Graph, Layer, Start};
-use crate::layer::RunningStatistics;
+use crate::layer::{BatchNormConstants, RunningStatistics};
 use crate::stream;
 
 /// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
@@ -87,8 +87,10 @@ impl Parameters {
             list.push(Parameter { name: declaration.name, variable });
         }
         let index = list.iter().enumerate().map(|(k, parameter)| (parameter.name.clone(), k)).collect();
-        let statistics =
-            graph.batch_norms().map(|(name, channels)| (name.to_owned(), RunningStatistics::new(channels))).collect();
+        let statistics = graph
+            .batch_norms()
+            .map(|(name, channels)| (name.to_owned(), RunningStatistics::new(channels, BatchNormConstants::default())))
+            .collect();
         Ok(Parameters { list, index, statistics, centrings: BTreeMap::new() })
     }
 
@@ -174,7 +176,7 @@ impl Parameters {
             let (Some(mean), Some(variance)) = (mean, variance) else {
                 candle_core::bail!("running statistics of {name} are missing");
             };
-            statistics.set(mean, variance)?;
+            statistics.set(mean.clone(), variance.clone())?;
         }
         Ok(())
     }

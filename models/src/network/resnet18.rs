@@ -34,18 +34,10 @@ fn basic_block(g: &mut Graph, name: &str, inputs: usize, outputs: usize, stride:
         shortcut = conv(g, &format!("{name}.downsample.0"), inputs, outputs, 1, stride, from);
         shortcut = norm(g, &format!("{name}.downsample.1"), outputs, Activation::None, shortcut);
     }
-    g.add(format!("{name}.add"), Layer::Add { activation: Activation::Relu }, &[second, shortcut])
+    g.add(format!("{name}.add"), Layer::Add { rectified: true }, &[second, shortcut])
 }
 
-fn conv(
-    g: &mut Graph,
-    name: &str,
-    inputs: usize,
-    outputs: usize,
-    kernel: usize,
-    stride: usize,
-    from: Value,
-) -> Value {
+fn conv(g: &mut Graph, name: &str, inputs: usize, outputs: usize, kernel: usize, stride: usize, from: Value) -> Value {
     let geometry = ConvGeometry { stride, padding: kernel / 2, groups: 1 };
     g.add(name, Layer::Convolution { inputs, outputs, kernel, geometry, bias: false }, &[from])
 }

@@ -6,8 +6,8 @@ use rand::Rng;
 use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, batch_norm, circuit_of_call, conv2d,
-    conv_relu_pool, dropout, linear, max_pool2d, scale_channels,
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add_relu, batch_norm, circuit_of_call,
+    conv_relu_pool, conv2d, dropout, linear, max_pool2d, scale_channels,
 };
 use crate::quantum::Circuit;
 use crate::stream;
@@ -73,19 +73,20 @@ impl Network {
     pub(crate) fn run_from(&self, given: Value, tensor: &Tensor, wanted: &[Value], mode: Mode) -> Result<Values<'_>> {
         let nodes = &self.graph().nodes;
         let needed = self.graph().needed(wanted, &[given]);
-        let running = || nodes.iter().zip(&needed).enumerate().filter(|(_, (_, needed))| **needed);
+        let running: Vec<(usize, &Node)> =
+            nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node).collect();
         // Where no gradient will ask for them, values are let go after their last reader.
         let mut last_reader = vec![usize::MAX; nodes.len() + 1];
         if mode == Mode::Evaluation {
-            for (index, (node, _)) in running() {
+            for &(index, node) in &running {
                 node.inputs.iter().for_each(|&input| last_reader[input] = index);
             }
             wanted.iter().for_each(|&value| last_reader[value] = usize::MAX);
         }
         let mut tensors: Vec<Option<Tensor>> = vec![None; nodes.len() + 1];
         tensors[given] = Some(tensor.clone());
-        for (index, (node, _)) in running() {
-            let result = self.layer(index, node, &tensors, mode).map_err(|error| error.context(&node.name))?;
+        for &(index, node) in &running {
+            let result = self.layer(index, node, &tensors, mode).map_err(|error| error.context(node.name.clone()))?;
             tensors[index + 1] = Some(result);
             for &input in node.inputs.iter().filter(|&&input| last_reader[input] == index) {
                 tensors[input] = None;
@@ -128,8 +129,9 @@ impl Network {
             Layer::MaxPool { kernel, stride, padding } => max_pool2d(first, *kernel, *stride, *padding),
             Layer::AveragePool { rows, columns } => adaptive_average_pool(first, *rows, *columns),
             Layer::Linear { .. } => linear(first, &parameter("weight")?, &parameter("bias")?, level),
-            Layer::ScaleChannels => scale_channels(first, input(1)?, level),
-            Layer::Add { activation } => add(first, input(1)?, *activation, level),
+            Layer::ScaleChannels => scale_channels(first, input(1)?),
+            Layer::Add { rectified: true } => add_relu(first, input(1)?, level),
+            Layer::Add { rectified: false } => first + input(1)?,
             Layer::Dropout { probability } => match mode {
                 Mode::Evaluation => Ok(first.clone()),
                 Mode::Training { seed, step } => dropout(first, *probability, seed, mask(index, step)),
@@ -169,8 +171,7 @@ fn drop_samples(input: &Tensor, probability: f32, seed: u64, index: u64) -> Resu
     let batch = input.dim(0)?;
     let mut rng = stream(seed, "drop samples", index);
     let kept = 1.0 / (1.0 - probability);
-    let factors: Vec<f32> =
-        (0..batch).map(|_| if rng.random::<f32>() < probability { 0.0 } else { kept }).collect();
+    let factors: Vec<f32> = (0..batch).map(|_| if rng.random::<f32>() < probability { 0.0 } else { kept }).collect();
     let shape: Vec<usize> = std::iter::once(batch).chain(std::iter::repeat_n(1, input.rank() - 1)).collect();
     input.broadcast_mul(&Tensor::from_vec(factors, shape, &Device::Cpu)?)
 }

@@ -53,9 +53,8 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
             sigma: (0..features).map(|_| rng.random_range(0.5..2.0)).collect(),
         },
     );
-    let latent = |n: &Network| {
-        n.latent(&input).and_then(|l| l.expect("latent").flatten_all()?.to_vec1::<f32>()).expect("run")
-    };
+    let latent =
+        |n: &Network| n.latent(&input).and_then(|l| l.expect("latent").flatten_all()?.to_vec1::<f32>()).expect("run");
     let before = latent(&network);
     network.fold_features().expect("fold");
     for (a, b) in before.iter().zip(latent(&network)) {
@@ -135,8 +134,13 @@ mod hard_cases {
         let spec = NetworkSpec::named("hqnn").expect("known");
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         for scale in [1e-30f32, 1e4, 1e30] {
-            let weight: Vec<f32> =
-                network.parameters().numbers("fc2.weight").expect("weight").iter().map(|w| w.signum() * scale).collect();
+            let weight: Vec<f32> = network
+                .parameters()
+                .numbers("fc2.weight")
+                .expect("weight")
+                .iter()
+                .map(|w| w.signum() * scale)
+                .collect();
             network.parameters().set_numbers("fc2.weight", &weight).expect("set");
             let logits: Vec<f32> =
                 network.logits(&maps(1, 16, 16)).and_then(|t| t.flatten_all()?.to_vec1()).expect("run");

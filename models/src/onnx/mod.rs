@@ -12,7 +12,7 @@ pub mod proto;
 use prost::Message;
 use thiserror::Error;
 
-use crate::layer::{Activation, BATCH_NORM_EPSILON, bin};
+use crate::layer::{Activation, bin};
 use crate::model_file::Model;
 use crate::network::{INPUT, Layer, Network, Node, Value};
 use crate::quantum::CircuitError;
@@ -31,7 +31,9 @@ const FLOAT: i32 = 1;
 #[derive(Debug, Error)]
 pub enum ExportError {
     /// The circuit has no closed form of a size that anyone would run.
-    #[error("layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits")]
+    #[error(
+        "layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits"
+    )]
     Circuit {
         /// Name of the layer.
         layer: String,
@@ -215,11 +217,12 @@ impl Writer<'_> {
             Layer::BatchNorm { channels, activation } => {
                 let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
                 let statistics = self.network.parameters().statistics(name)?;
-                let (mean, variance) = (statistics.mean(), statistics.variance());
+                let (mean, variance, epsilon) =
+                    (statistics.mean(), statistics.variance(), statistics.constants().epsilon);
                 let mean = self.constant(&named("running_mean"), &[*channels], &mean);
                 let variance = self.constant(&named("running_var"), &[*channels], &variance);
                 let read = [first, &weight, &bias, &mean, &variance];
-                let epsilon = vec![float("epsilon", BATCH_NORM_EPSILON)];
+                let epsilon = vec![float("epsilon", epsilon)];
                 self.activated("BatchNormalization", &read, &output, epsilon, *activation);
             }
             Layer::Activate(function) => drop(self.activate(*function, first, &output)),
@@ -248,8 +251,9 @@ impl Writer<'_> {
                 let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
                 self.op("Mul", &[first, &factors], &output, Vec::new());
             }
-            Layer::Add { activation } => {
-                self.activated("Add", &[first, second], &output, Vec::new(), *activation);
+            Layer::Add { rectified } => {
+                let function = if *rectified { Activation::Relu } else { Activation::None };
+                self.activated("Add", &[first, second], &output, Vec::new(), function);
             }
             Layer::Dropout { .. } | Layer::DropSamples { .. } => {
                 self.op("Identity", &[first], &output, Vec::new());

@@ -101,6 +101,26 @@ pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
     state
 }
 
+impl Circuit {
+    /// The trained part of the circuit at angles `theta`, a real orthogonal matrix `[from][to]` over the `2^qubits` basis
+    /// states: row `k` is what becomes of state `k`.
+    pub fn trained_matrix(&self, theta: &[f64]) -> Result<Vec<f64>, CircuitError> {
+        let nowhere = vec![0.0; self.qubits()];
+        self.check_counts(&nowhere, theta)?;
+        let angles = self.gate_angles(&nowhere, theta);
+        let entanglers = self.spec.depth * self.qubits() * (self.qubits() - 1) / 2;
+        let encoding = self.gates.len() - entanglers - self.angle_count();
+        let mut matrix = Vec::with_capacity(1 << (2 * self.qubits()));
+        for from in 0..1usize << self.qubits() {
+            let mut state = State(vec![Complex64::ZERO; 1 << self.qubits()]);
+            state.0[from] = Complex64::ONE;
+            self.gates.iter().skip(encoding).for_each(|&gate| state.apply(gate, &angles));
+            matrix.extend(state.0.iter().map(|amplitude| amplitude.re));
+        }
+        Ok(matrix)
+    }
+}
+
 /// The paper's circuit.
 #[cfg(test)]
 pub(crate) fn paper(x: [f64; 2], theta: [f64; 4]) -> State {

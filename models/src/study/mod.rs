@@ -318,11 +318,7 @@ impl<'a> Study<'a> {
     }
 
     /// Runs what is not done yet until `go_on` says no; gives all outcomes there are.
-    pub fn run(
-        &self,
-        go_on: &dyn Fn() -> bool,
-        tell: &mut dyn FnMut(Progress),
-    ) -> Result<Vec<Outcome>, StudyError> {
+    pub fn run(&self, go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<Vec<Outcome>, StudyError> {
         let held_out = self.held_out();
         let rates = self.spec.rates();
         // First the rates, which decide what the other jobs are.

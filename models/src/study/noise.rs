@@ -16,11 +16,7 @@ pub struct NoisyMaps<'a> {
 /// standardisation. One draw for each map and ratio, the same for every model.
 ///
 /// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
-pub fn with_noise<'a>(
-    dataset: &'a Dataset,
-    indices: &[usize],
-    snr_db: f64,
-) -> Result<NoisyMaps<'a>, ClassifyError> {
+pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> Result<NoisyMaps<'a>, ClassifyError> {
     let mut maps = Vec::with_capacity(indices.len());
     for &index in indices {
         let mut map = dataset.map(index)?;

@@ -82,16 +82,10 @@ pub struct Report {
 }
 
 /// Puts outcomes together.
-pub fn report(
-    spec: &StudySpec,
-    dataset: &Dataset,
-    chosen: &BTreeMap<String, f64>,
-    outcomes: &[Outcome],
-) -> Report {
+pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let mut cells = Vec::new();
     let held_out = if spec.leave_one_recording_out {
-        let names: std::collections::BTreeSet<&str> =
-            dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
+        let names: std::collections::BTreeSet<&str> = dataset.rows().iter().map(|row| row.sequence.as_str()).collect();
         names.len()
     } else {
         1
@@ -249,7 +243,10 @@ impl Report {
 
     fn write_clean(&self, out: &mut String) -> std::fmt::Result {
         writeln!(out, "## Clean\n")?;
-        writeln!(out, "| network | rate | seeds | failed | test | training | accuracy % | macro-F1 | paper % test/training |")?;
+        writeln!(
+            out,
+            "| network | rate | seeds | failed | test | training | accuracy % | macro-F1 | paper % test/training |"
+        )?;
         writeln!(out, "|---|---|---|---|---|---|---|---|---|")?;
         for cell in self.whole() {
             let paper = PAPER_CLEAN.iter().find(|(name, ..)| *name == cell.variant);

@@ -115,7 +115,17 @@ impl Data {
             }
         }
         let (range, doppler) = (shape.range, shape.doppler);
-        Ok(Data { train, validation, test, standardisation, class_weights, range, doppler, transposed: spec.transposed, warnings })
+        Ok(Data {
+            train,
+            validation,
+            test,
+            standardisation,
+            class_weights,
+            range,
+            doppler,
+            transposed: spec.transposed,
+            warnings,
+        })
     }
 
     /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.

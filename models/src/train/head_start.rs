@@ -109,8 +109,7 @@ fn fit(
             penalty => loss + (placed.sqr()?.mean_all()? * penalty)?,
         }
     };
-    let variables: Vec<Var> =
-        head.iter().map(|p| p.variable.clone()).chain([matrix.clone(), offset.clone()]).collect();
+    let variables: Vec<Var> = head.iter().map(|p| p.variable.clone()).chain([matrix.clone(), offset.clone()]).collect();
     let mut rates: Vec<f32> = head.iter().map(|p| if is_trained(network, p) { RATE } else { 0.0 }).collect();
     rates.extend([if points.move_latent { RATE } else { 0.0 }; 2]);
     let mut adam = Adam::new(variables.iter());
@@ -170,9 +169,7 @@ mod tests {
         let mut rng = stream(4, "clusters", 0);
         let normal = Normal::new(0.0f32, 0.25).expect("normal");
         let centres = [[-1.2, -0.7], [1.2, -0.7], [0.0, 1.4]];
-        (0..150)
-            .map(|k| (centres[k % 3].iter().map(|c| c + normal.sample(&mut rng)).collect(), k % 3))
-            .unzip()
+        (0..150).map(|k| (centres[k % 3].iter().map(|c| c + normal.sample(&mut rng)).collect(), k % 3)).unzip()
     }
 
     #[test]

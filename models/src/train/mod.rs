@@ -38,8 +38,11 @@ mod head_start;
 mod run;
 mod start;
 mod temperature;
+mod trainer;
 
 use std::path::Path;
+
+pub use trainer::Trainer;
 
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
@@ -457,10 +460,7 @@ struct Training<'a> {
 }
 
 impl<'a> Training<'a> {
-    fn run(
-        &self,
-        report: &mut dyn FnMut(EpochReport),
-    ) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
+    fn run(&self, report: &mut dyn FnMut(EpochReport)) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
         let Training { data, spec, level, .. } = *self;
         let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
         let resume = |state| run::Run::resume(data, spec, state, level);

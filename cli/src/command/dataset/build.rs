@@ -33,6 +33,11 @@ pub struct Arguments {
     json: bool,
 }
 
+/// Builds a whole dataset.
+pub fn whole(spec: &Path, output: &Path) -> anyhow::Result<()> {
+    run(&Arguments { spec: spec.to_owned(), output: output.to_owned(), shard: None, json: false })
+}
+
 /// Builds a dataset, or one shard of it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
@@ -190,7 +195,7 @@ pub fn merge(
         bail!("{}: no source gave a map", what.display());
     }
     let units: Vec<(&Path, &Dataset)> = folders.iter().map(PathBuf::as_path).zip(&units).collect();
-    let split: Option<SplitSpec> = card.spec.split;
+    let split: Option<SplitSpec> = card.spec.split.clone();
     Ok(dataset::merge(&units, target, split.as_ref())?)
 }
 

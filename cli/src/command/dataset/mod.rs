@@ -19,6 +19,8 @@ mod stats;
 mod unit;
 mod verify;
 
+pub use build::whole as build;
+
 /// `radome dataset`
 #[derive(clap::Args)]
 pub struct Arguments {

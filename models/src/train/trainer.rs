@@ -1,0 +1,58 @@
+//! Single training steps on given maps: what a benchmark times.
+
+use candle_core::{Device, Result, Tensor, Var};
+use rand::Rng;
+
+use super::adam::Adam;
+use crate::layer::{KernelLevel, cross_entropy};
+use crate::network::{Mode, Network, NetworkSpec};
+use crate::stream;
+
+/// A network and its optimiser.
+pub struct Trainer {
+    network: Network,
+    adam: Adam,
+    rates: Vec<f32>,
+    steps: u64,
+}
+
+impl Trainer {
+    /// A network with random parameters.
+    pub fn new(spec: &NetworkSpec, seed: u64, learning_rate: f32, level: KernelLevel) -> Result<Self> {
+        let network = Network::initialise(spec, seed, 0, level)?;
+        let adam = Adam::new(network.trained().iter().map(|p| &p.variable));
+        let rates = vec![learning_rate; network.trained().len()];
+        Ok(Trainer { network, adam, rates, steps: 0 })
+    }
+
+    /// The network as it is.
+    pub fn network(&self) -> &Network {
+        &self.network
+    }
+
+    /// Forward, backward and Adam's step on maps `[batch][range][doppler]`; gives the loss before it.
+    pub fn step(&mut self, maps: &Tensor, labels: &[usize]) -> Result<f32> {
+        self.steps += 1;
+        let output = self.network.graph().output;
+        let mut values = self.network.run(maps, output, Mode::Training { seed: 1, step: self.steps })?;
+        let logits = values.take(output)?;
+        let classes = logits.dim(1)?;
+        let loss = cross_entropy(&logits, labels, &vec![1.0; classes])?;
+        let gradients = loss.backward()?;
+        drop(values);
+        let variables: Vec<&Var> = self.network.trained().iter().map(|p| &p.variable).collect();
+        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &self.rates)? {
+            let name = self.network.trained().get(bad).map_or("a parameter", |p| &p.name);
+            candle_core::bail!("gradient of {name} is not finite in step {}", self.steps);
+        }
+        loss.to_scalar()
+    }
+
+    /// Maps of random numbers and labels in turn.
+    pub fn made_up_maps(batch: usize, range: usize, doppler: usize) -> Result<(Tensor, Vec<usize>)> {
+        let mut rng = stream(1, "made-up maps", 0);
+        let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect();
+        let maps = Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu)?;
+        Ok((maps, (0..batch).map(|index| index % 3).collect()))
+    }
+}
