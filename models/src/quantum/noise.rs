@@ -109,11 +109,15 @@ pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
 /// exact because channels are linear. What follows a shifted gate is not run again: the observable is carried back to it.
 pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
     let qubits = circuit.qubits();
-    let mut before = Vec::with_capacity(circuit.gates.len());
+    // What each turned gate was given: 64 KiB each with six qubits.
+    let mut before = Vec::with_capacity(angles.len());
     let mut rho = Density::diagonal(qubits, [1.0]);
     for &gate in circuit.gates.iter() {
-        before.push(rho.clone());
-        step(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
+        let turned = angle_of(gate, angles);
+        if turned.is_some() {
+            before.push(rho.clone());
+        }
+        step(circuit, &mut rho, gate, turned.map_or(0.0, |(_, angle)| angle));
     }
     let weight = |k: usize| {
         let signed = |(o, g): (usize, &f64)| if k >> (qubits - 1 - o) & 1 == 0 { *g } else { -g };
@@ -121,10 +125,12 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
     };
     let mut observable = Density::diagonal(qubits, (0..1 << qubits).map(weight));
     let mut gradient = vec![0.0; angles.len()];
-    for (&gate, before) in circuit.gates.iter().zip(&before).rev() {
+    for &gate in circuit.gates.iter().rev() {
         observable.depolarise(gate, &circuit.spec.noise);
         let turned = angle_of(gate, angles);
-        if let Some((index, angle)) = turned {
+        if let Some((index, angle)) = turned
+            && let Some(before) = before.pop()
+        {
             let shifted = |by: f64| {
                 let mut after = before.clone();
                 after.apply(gate, angle + by);
