@@ -7,10 +7,10 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use candle_core::{Device, Tensor, Var};
-use radome_models::layer;
 use radome_models::quantum::{
     Circuit, CircuitSpec, Draw, Execution, Noise, ShotGradient, Shots, Trained, expectations_of_rows, gradients_of_rows,
 };
+use radome_models::{layer, quantum};
 
 /// Seconds of one run of `f`: the least of 20 means over 10 ms each.
 fn seconds(mut f: impl FnMut()) -> f64 {
@@ -55,6 +55,11 @@ fn measure() -> Result<(), Box<dyn std::error::Error>> {
         a_sample * backward,
         a_sample * (forward + backward)
     );
+
+    let one = seconds(|| {
+        black_box(quantum::circuit(black_box([0.8, 2.1]), black_box(theta).map(f64::from)));
+    });
+    println!("the scalar closed form in f64, all gradients: {:.1} ns", 1e9 * one);
 
     let input = Var::from_tensor(&Tensor::from_slice(x.as_flattened(), (BATCH, 2), &Device::Cpu)?)?;
     let angles = Var::from_tensor(&Tensor::new(&theta, &Device::Cpu)?)?;

@@ -66,6 +66,21 @@ impl Trained {
         Trained { coefficients: coefficients(angles), by_angle }
     }
 
+    /// [`circuit`] at input `x`.
+    pub fn circuit(&self, x: [f64; 2]) -> CircuitPoint {
+        let waves = arguments(x).map(f64::sin_cos);
+        let (features, by_x) = (features(waves), feature_gradients(x, waves));
+        let [zi, iz] = self.coefficients;
+        CircuitPoint {
+            zi: dot(&zi, &features),
+            iz: dot(&iz, &features),
+            zi_grad_theta: self.by_angle.map(|[zi, _]| dot(&zi, &features)),
+            iz_grad_theta: self.by_angle.map(|[_, iz]| dot(&iz, &features)),
+            zi_grad_x: by_x.map(|f| dot(&zi, &f)),
+            iz_grad_x: by_x.map(|f| dot(&iz, &f)),
+        }
+    }
+
     /// Gradient by the angles, given for each observable the sum over samples of cotangent times features.
     fn gradient(&self, sums: &Coefficients) -> [f64; 4] {
         self.by_angle.map(|by| (0..2).map(|o| dot(&by[o], &sums[o])).sum())
@@ -108,18 +123,7 @@ pub fn expectations(x: [f64; 2], theta: [f64; 4]) -> [f64; 2] {
 
 /// Expectations and exact gradients at input `x` (radians, in `[0, pi]` in the HQNN) and angles `theta` (radians).
 pub fn circuit(x: [f64; 2], theta: [f64; 4]) -> CircuitPoint {
-    let trained = Trained::new(theta);
-    let waves = arguments(x).map(f64::sin_cos);
-    let (features, by_x) = (features(waves), feature_gradients(x, waves));
-    let [zi, iz] = trained.coefficients;
-    CircuitPoint {
-        zi: dot(&zi, &features),
-        iz: dot(&iz, &features),
-        zi_grad_theta: trained.by_angle.map(|[zi, _]| dot(&zi, &features)),
-        iz_grad_theta: trained.by_angle.map(|[_, iz]| dot(&iz, &features)),
-        zi_grad_x: by_x.map(|f| dot(&zi, &f)),
-        iz_grad_x: by_x.map(|f| dot(&iz, &f)),
-    }
+    Trained::new(theta).circuit(x)
 }
 
 /// Samples that a vector loop takes at once.

@@ -48,34 +48,32 @@ impl Density {
 
     /// What follows the gate: `rho -> (1 - p) rho + p I / d` on its qubits. It is its own adjoint.
     fn depolarise(&mut self, gate: Gate, noise: &Noise) {
-        let (p, bits) = match gate {
+        let (p, qubits) = match gate {
             Gate::Hadamard { qubit } | Gate::Phase { qubit, .. } | Gate::RotationY { qubit, .. } => {
-                (noise.depolarising_one_qubit, vec![1usize << qubit])
+                (noise.depolarising_one_qubit, [Some(qubit), None])
             }
-            Gate::ControlledNot { control, target } => (noise.depolarising_two_qubit, vec![1 << control, 1 << target]),
+            Gate::ControlledNot { control, target } => (noise.depolarising_two_qubit, [Some(control), Some(target)]),
         };
-        if p == 0.0 {
-            return;
-        }
-        let n = self.qubits;
-        // Places of the entries that meet, counted from the one where the gate's qubits are 0 in row and column.
-        let settings: Vec<usize> =
-            (0..1 << bits.len()).map(|k: usize| bits.iter().enumerate().map(|(i, b)| (k >> i & 1) * b).sum()).collect();
-        let places = settings.iter().flat_map(|row| settings.iter().map(move |column| (row, column)));
-        let (diagonal, others): (Vec<_>, Vec<_>) = places.partition(|(row, column)| row == column);
-        let offsets = |places: Vec<(&usize, &usize)>| places.iter().map(|(r, c)| *r << n | *c).collect::<Vec<_>>();
-        let (diagonal, others) = (offsets(diagonal), offsets(others));
-        let all: usize = bits.iter().sum();
-        let touched = all << n | all;
-        let entries = &mut self.entries.0;
-        for rest in (0..entries.len()).filter(|k| k & touched == 0) {
-            let sum: Complex64 = diagonal.iter().map(|offset| entries[rest | offset]).sum();
-            let mixed = sum * (p / diagonal.len() as f64);
-            for offset in &diagonal {
-                entries[rest | offset] = entries[rest | offset] * (1.0 - p) + mixed;
+        if p > 0.0 {
+            let mut mixed = self.clone();
+            qubits.into_iter().flatten().for_each(|qubit| mixed.mix(qubit));
+            for (entry, mixed) in self.entries.0.iter_mut().zip(mixed.entries.0) {
+                *entry = *entry * (1.0 - p) + mixed * p;
             }
-            for offset in &others {
-                entries[rest | offset] *= 1.0 - p;
+        }
+    }
+
+    /// Forgets a qubit: what is the same in its row and column becomes the mean of both, what differs zero.
+    fn mix(&mut self, qubit: usize) {
+        for rows in self.entries.0.chunks_exact_mut(2 << (qubit + self.qubits)) {
+            let (row0, row1) = rows.split_at_mut(1 << (qubit + self.qubits));
+            for (row0, row1) in row0.chunks_exact_mut(2 << qubit).zip(row1.chunks_exact_mut(2 << qubit)) {
+                let ((same0, other0), (other1, same1)) = (row0.split_at_mut(1 << qubit), row1.split_at_mut(1 << qubit));
+                for (a, b) in same0.iter_mut().zip(same1) {
+                    (*a, *b) = ((*a + *b) * 0.5, (*a + *b) * 0.5);
+                }
+                other0.fill(Complex64::ZERO);
+                other1.fill(Complex64::ZERO);
             }
         }
     }
@@ -111,11 +109,15 @@ pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
 /// exact because channels are linear. What follows a shifted gate is not run again: the observable is carried back to it.
 pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
     let qubits = circuit.qubits();
-    let mut before = Vec::with_capacity(circuit.gates.len());
+    // What each turned gate was given: 64 KiB each with six qubits.
+    let mut before = Vec::with_capacity(angles.len());
     let mut rho = Density::diagonal(qubits, [1.0]);
     for &gate in circuit.gates.iter() {
-        before.push(rho.clone());
-        step(circuit, &mut rho, gate, angle_of(gate, angles).map_or(0.0, |(_, angle)| angle));
+        let turned = angle_of(gate, angles);
+        if turned.is_some() {
+            before.push(rho.clone());
+        }
+        step(circuit, &mut rho, gate, turned.map_or(0.0, |(_, angle)| angle));
     }
     let weight = |k: usize| {
         let signed = |(o, g): (usize, &f64)| if k >> (qubits - 1 - o) & 1 == 0 { *g } else { -g };
@@ -123,10 +125,12 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
     };
     let mut observable = Density::diagonal(qubits, (0..1 << qubits).map(weight));
     let mut gradient = vec![0.0; angles.len()];
-    for (&gate, before) in circuit.gates.iter().zip(&before).rev() {
+    for &gate in circuit.gates.iter().rev() {
         observable.depolarise(gate, &circuit.spec.noise);
         let turned = angle_of(gate, angles);
-        if let Some((index, angle)) = turned {
+        if let Some((index, angle)) = turned
+            && let Some(before) = before.pop()
+        {
             let shifted = |by: f64| {
                 let mut after = before.clone();
                 after.apply(gate, angle + by);

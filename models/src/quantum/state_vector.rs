@@ -46,10 +46,13 @@ impl State {
         self.single(qubit, |a, b| (a * c - b * s, a * s + b * c));
     }
 
+    /// Exchanges what the target tells apart where the control, the lower qubit, is 1.
     pub(super) fn controlled_not(&mut self, control: usize, target: usize) {
-        let (control, target) = (1 << control, 1 << target);
-        for k in (0..self.0.len()).filter(|k| k & control != 0 && k & target == 0) {
-            self.0.swap(k, k | target);
+        for pair in self.0.chunks_exact_mut(2 << target) {
+            let (zeros, ones) = pair.split_at_mut(1 << target);
+            for (zeros, ones) in zeros.chunks_exact_mut(2 << control).zip(ones.chunks_exact_mut(2 << control)) {
+                zeros[1 << control..].swap_with_slice(&mut ones[1 << control..]);
+            }
         }
     }
 
