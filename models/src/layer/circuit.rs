@@ -3,10 +3,10 @@
 //! Expectations are those of f64 at the same inputs, rounded once: within 6e-8. So are gradients by inputs, within 6e-8
 //! of their magnitude, and gradients by angles, which are summed over rows in f64.
 
-use candle_core::{CpuStorage, CustomOp2, Error, Layout, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::{values, with_values};
+use super::operation::{Argument, Gradients, Operation, apply};
 use crate::quantum::{Circuit, CircuitError, CircuitSpec, Draw, Trained, expectations_of_rows, gradients_of_rows};
 
 const NAME: &str = "circuit";
@@ -29,7 +29,7 @@ pub fn circuit_of(input: &Tensor, theta: &Tensor, circuit: &Circuit) -> Result<T
 
 /// [`circuit_of`] with a call's number of the caller's choice: the same number, the same shots.
 pub fn circuit_of_call(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
-    input.apply_op2(theta, CircuitLayer { circuit: circuit.clone(), call })
+    apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }
 
 fn failed(error: CircuitError) -> Error {
@@ -70,7 +70,7 @@ impl CircuitLayer {
         Draw { call: self.call, row: row as u64 }
     }
 
-    fn forward(&self, input: &[f32], theta: &[f32]) -> Result<Vec<f32>> {
+    fn expectations(&self, input: &[f32], theta: &[f32]) -> Result<Vec<f32>> {
         let mut result = vec![0.0f32; input.len()];
         if let Some(trained) = self.trained(theta) {
             let pieces =
@@ -90,7 +90,7 @@ impl CircuitLayer {
     }
 
     /// Gradients by the input and by the angles.
-    fn backward(&self, input: &[f32], theta: &[f32], cotangents: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
+    fn gradients(&self, input: &[f32], theta: &[f32], cotangents: &[f32]) -> Result<(Vec<f32>, Vec<f32>)> {
         let mut by_input = vec![0.0f32; input.len()];
         // Summed in the order of rows, whichever thread was first.
         let parts: Vec<Vec<f64>> = if let Some(trained) = self.trained(theta) {
@@ -121,38 +121,21 @@ impl CircuitLayer {
     }
 }
 
-impl CustomOp2 for CircuitLayer {
+impl Operation for CircuitLayer {
     fn name(&self) -> &'static str {
         NAME
     }
 
-    fn cpu_fwd(
-        &self,
-        input: &CpuStorage,
-        input_layout: &Layout,
-        theta: &CpuStorage,
-        theta_layout: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        let batch = self.check(input_layout.dims(), theta_layout.dims())?;
-        let result = self.forward(values(NAME, input, input_layout)?, values(NAME, theta, theta_layout)?)?;
-        Ok((CpuStorage::F32(result), Shape::from((batch, self.circuit.qubits()))))
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let batch = self.check(input.dims, theta.dims)?;
+        Ok((self.expectations(input.values, theta.values)?, Shape::from((batch, self.circuit.qubits()))))
     }
 
-    fn bwd(
-        &self,
-        input: &Tensor,
-        theta: &Tensor,
-        _result: &Tensor,
-        gradient: &Tensor,
-    ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let (by_input, by_theta) = with_values(NAME, input, |input| {
-            with_values(NAME, theta, |theta| with_values(NAME, gradient, |g| self.backward(input, theta, g)))
-        })?;
-        let device = input.device();
-        Ok((
-            Some(Tensor::from_vec(by_input, input.shape(), device)?),
-            Some(Tensor::from_vec(by_theta, theta.shape(), device)?),
-        ))
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        let [input, theta] = inputs else { candle_core::bail!("{NAME}: expected inputs and angles") };
+        let (by_input, by_theta) = self.gradients(input.values, theta.values, &gradient)?;
+        Ok(vec![Some(by_input), Some(by_theta)])
     }
 }
 

@@ -19,6 +19,7 @@ mod conv2d;
 mod conv_relu_pool;
 mod cross_entropy;
 mod depthwise;
+mod drop_samples;
 mod dropout;
 mod inference;
 mod kernel;
@@ -29,10 +30,14 @@ mod operation;
 mod packed;
 pub mod reference;
 mod scale_channels;
+mod squash;
+mod standardise;
+mod sum;
 mod sweep;
 #[cfg(test)]
 mod tests;
 mod tile;
+mod trigonometric;
 mod vector;
 mod weight_gradient;
 
@@ -46,12 +51,17 @@ pub use conv_relu_pool::{InputGradient, conv_relu_pool};
 pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
+pub use drop_samples::drop_samples;
 pub use dropout::dropout;
 pub use inference::{Affine, Feature, PreparedConv};
 pub use level::KernelLevel;
 pub use linear::linear;
 pub use max_pool::max_pool2d;
 pub use scale_channels::scale_channels;
+pub use squash::squash;
+pub use standardise::standardise;
+pub use sum::{add, concatenate};
+pub use trigonometric::trigonometric;
 
 use candle_core::{CpuStorage, DType, Error, Layout, Result, Storage, Tensor};
 

@@ -1,19 +1,17 @@
 //! Running a network's layers one after the other, with gradients.
 
-use candle_core::{Device, Result, Tensor};
-use rand::Rng;
+use candle_core::{Result, Tensor};
 
 use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    BatchNormMode, InputGradient, activation, adaptive_average_pool, add_relu, batch_norm, circuit_of_call,
-    conv_relu_pool, conv2d, dropout, linear, max_pool2d, scale_channels,
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call, concatenate,
+    conv_relu_pool, conv2d, drop_samples, dropout, linear, max_pool2d, scale_channels, squash, standardise, trigonometric,
 };
 use crate::quantum::Circuit;
-use crate::stream;
 
 /// What a run is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mode {
     /// Gradients, statistics of the batch, and dropout that is a function of seed and step.
     Training {
@@ -21,6 +19,8 @@ pub enum Mode {
         seed: u64,
         /// Number of the step.
         step: u64,
+        /// Weight of the mean square of what is squashed, in the loss: its gradient only ([`crate::layer::squash`]).
+        penalty: f32,
     },
     /// Running statistics, nothing dropped, no gradients.
     Evaluation,
@@ -126,37 +126,32 @@ impl Network {
                 batch_norm(first, &parameter("weight")?, &parameter("bias")?, statistics, of, *activation, level)
             }
             Layer::Activate(function) => activation(first, *function, level),
-            Layer::MaxPool { kernel, stride, padding } => max_pool2d(first, *kernel, *stride, *padding),
+            Layer::MaxPool { kernel, stride, padding } => max_pool2d(first, *kernel, *stride, *padding, level),
             Layer::AveragePool { rows, columns } => adaptive_average_pool(first, *rows, *columns),
             Layer::Linear { .. } => linear(first, &parameter("weight")?, &parameter("bias")?, level),
             Layer::ScaleChannels => scale_channels(first, input(1)?),
             Layer::Add { rectified: true } => add_relu(first, input(1)?, level),
-            Layer::Add { rectified: false } => first + input(1)?,
+            Layer::Add { rectified: false } => add(first, input(1)?),
             Layer::Dropout { probability } => match mode {
                 Mode::Evaluation => Ok(first.clone()),
-                Mode::Training { seed, step } => dropout(first, *probability, seed, mask(index, step)),
+                Mode::Training { seed, step, .. } => dropout(first, *probability, seed, mask(index, step)),
             },
             Layer::DropSamples { probability } => match mode {
                 Mode::Evaluation => Ok(first.clone()),
-                Mode::Training { seed, step } => drop_samples(first, *probability, seed, mask(index, step)),
+                Mode::Training { seed, step, .. } => drop_samples(first, *probability, seed, mask(index, step)),
             },
             Layer::Standardise { .. } => match self.parameters().centring(&node.name) {
                 None => Ok(first.clone()),
-                Some(Centring { mean, sigma }) => {
-                    let mean = Tensor::from_slice(mean, mean.len(), &Device::Cpu)?;
-                    let factor = sigma.iter().map(|sigma| 1.0 / sigma).collect::<Vec<f32>>();
-                    let factor = Tensor::from_vec(factor, sigma.len(), &Device::Cpu)?;
-                    first.broadcast_sub(&mean)?.broadcast_mul(&factor)
-                }
+                Some(Centring { mean, sigma }) => standardise(first, mean, sigma),
             },
-            Layer::Squash => squash(first),
+            Layer::Squash => squash(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 }),
             Layer::Circuit { circuit, .. } => {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let call = if let Mode::Training { step, .. } = mode { step } else { 0 };
                 circuit_of_call(first, &parameter("theta")?, &circuit, call)
             }
             Layer::Trigonometric => trigonometric(first),
-            Layer::Concatenate => Tensor::cat(&[first, input(1)?], 1),
+            Layer::Concatenate => concatenate(first, input(1)?),
         }
     }
 }
@@ -164,32 +159,4 @@ impl Network {
 /// Which draw of a training's a layer's mask is, in a step.
 fn mask(node: usize, step: u64) -> u64 {
     step.wrapping_mul(1 << 16) + node as u64
-}
-
-/// Drops whole samples of a batch, and scales the others so that the mean stays.
-fn drop_samples(input: &Tensor, probability: f32, seed: u64, index: u64) -> Result<Tensor> {
-    let batch = input.dim(0)?;
-    let mut rng = stream(seed, "drop samples", index);
-    let kept = 1.0 / (1.0 - probability);
-    let factors: Vec<f32> = (0..batch).map(|_| if rng.random::<f32>() < probability { 0.0 } else { kept }).collect();
-    let shape: Vec<usize> = std::iter::once(batch).chain(std::iter::repeat_n(1, input.rank() - 1)).collect();
-    input.broadcast_mul(&Tensor::from_vec(factors, shape, &Device::Cpu)?)
-}
-
-/// `pi * sigmoid(u)`: the circuit's input, radians in (0, pi). The sigmoid is half a hyperbolic tangent of half its
-/// argument, which does not overflow.
-fn squash(standardised: &Tensor) -> Result<Tensor> {
-    let half_pi = 0.5 * std::f64::consts::PI;
-    standardised.affine(0.5, 0.0)?.tanh()?.affine(half_pi, half_pi)
-}
-
-/// `[batch][2]` radians to the features a, b, c, d, e of [`crate::quantum`], `[batch][5]`.
-fn trigonometric(input: &Tensor) -> Result<Tensor> {
-    let pi = std::f64::consts::PI;
-    let (x0, x1) = (input.narrow(1, 0, 1)?, input.narrow(1, 1, 1)?);
-    let w = (x0.affine(-1.0, pi)? * x1.affine(-1.0, pi)?)?.affine(2.0, 0.0)?;
-    let (x0, x1) = (x0.affine(2.0, 0.0)?, x1.affine(2.0, 0.0)?);
-    let (sw, cw) = (w.sin()?, w.cos()?);
-    let (s0, c0, s1, c1) = (x0.sin()?, x0.cos()?, x1.sin()?, x1.cos()?);
-    Tensor::cat(&[(s1 * &sw)?, (s0 * &sw)?, (&c0 * &c1)?, (c1 * &cw)?, (c0 * &cw)?], 1)
 }

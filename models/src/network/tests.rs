@@ -69,7 +69,7 @@ fn every_network_runs_and_learns() {
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect(name);
         let input = maps(3, 64, 64);
         let output = network.graph().output;
-        let mut values = network.run(&input, output, Mode::Training { seed: 1, step: 1 }).expect(name);
+        let mut values = network.run(&input, output, Mode::Training { seed: 1, step: 1, penalty: 0.0 }).expect(name);
         let logits = values.take(output).expect(name);
         assert_eq!(logits.dims(), [3, 3], "{name}");
         let gradients = logits.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect(name);
@@ -154,7 +154,7 @@ mod hard_cases {
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         network.parameters().set_numbers("fc1.bias", &[f32::NAN; 64]).expect("set");
         let values =
-            network.run(&maps(1, 16, 16), network.graph().output, Mode::Training { seed: 1, step: 1 }).expect("run");
+            network.run(&maps(1, 16, 16), network.graph().output, Mode::Training { seed: 1, step: 1, penalty: 0.0 }).expect("run");
         assert_eq!(values.first_non_finite().expect("look"), Some("fc1"));
     }
 }

@@ -11,7 +11,7 @@ use rand_distr::{Distribution, StandardNormal};
 
 use super::TrainError;
 use super::adam::Adam;
-use crate::layer::cross_entropy;
+use crate::layer::{backward, cross_entropy};
 use crate::network::{Layer, Mode, Network, Parameter, Value};
 use crate::stream;
 
@@ -100,14 +100,12 @@ fn fit(
     offset: &Var,
 ) -> Result<f64, TrainError> {
     let output = network.graph().output;
-    let loss = || {
-        let placed = latents.matmul(&matrix.t()?)?.broadcast_add(offset)?;
-        let logits = network.run_from(latent, &placed, &[output], Mode::Training { seed: 0, step: 0 })?.take(output)?;
-        let loss = cross_entropy(&logits, points.labels, points.class_weights)?;
-        match points.penalty {
-            0.0 => Ok(loss),
-            penalty => loss + (placed.sqr()?.mean_all()? * penalty)?,
-        }
+    let placed = || latents.matmul(&matrix.t()?)?.broadcast_add(offset);
+    let penalty = points.penalty as f32;
+    let mode = Mode::Training { seed: 0, step: 0, penalty };
+    let loss = |placed: &Tensor| {
+        let logits = network.run_from(latent, placed, &[output], mode)?.take(output)?;
+        cross_entropy(&logits, points.labels, points.class_weights)
     };
     let variables: Vec<Var> = head.iter().map(|p| p.variable.clone()).chain([matrix.clone(), offset.clone()]).collect();
     let mut rates: Vec<f32> = head.iter().map(|p| if is_trained(network, p) { RATE } else { 0.0 }).collect();
@@ -115,11 +113,13 @@ fn fit(
     let mut adam = Adam::new(variables.iter());
     for _ in 0..STEPS {
         // A fit that runs away is not the best one.
-        if adam.step(variables.iter(), &loss()?.backward()?, &rates)?.is_some() {
+        if adam.step(variables.iter(), &backward(&loss(&placed()?)?)?, &rates)?.is_some() {
             return Ok(f64::NAN);
         }
     }
-    Ok(f64::from(loss()?.to_scalar::<f32>()?))
+    let placed = placed()?;
+    let square = f64::from(placed.sqr()?.mean_all()?.to_scalar::<f32>()?);
+    Ok(f64::from(loss(&placed)?.to_scalar::<f32>()?) + points.penalty * square)
 }
 
 /// Parameters of the layers between the latent and the logits.

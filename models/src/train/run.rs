@@ -14,7 +14,7 @@ use super::head_start;
 use super::start::{self, collect, feature_centring, moments, place_hidden, place_latent};
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
-use crate::layer::{KernelLevel, cross_entropy};
+use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::network::{Centring, Mode, Network, NetworkKind, Value};
 use crate::stream;
 
@@ -297,7 +297,8 @@ impl<'a> Run<'a> {
         // Another start is another draw of what is dropped.
         let step = (self.start << 32) + self.step as u64;
         let output = self.output();
-        let mode = Mode::Training { seed: self.spec.seed, step };
+        let penalty = if self.warming_up { 0.0 } else { self.penalty() as f32 };
+        let mode = Mode::Training { seed: self.spec.seed, step, penalty };
         let values = self.network.run(&input, output, mode)?;
         let logits = values.get(output)?;
         let loss = cross_entropy(logits, &labels, &self.data.class_weights)?;
@@ -308,13 +309,7 @@ impl<'a> Run<'a> {
         }
         predictions(logits, &labels, pairs)?;
         let graph = self.network.graph();
-        let loss = match graph.value("latent") {
-            Some(latent) if !self.warming_up && self.penalty() > 0.0 => {
-                (loss + (values.get(latent)?.sqr()?.mean_all()? * self.penalty())?)?
-            }
-            _ => loss,
-        };
-        let gradients = loss.backward()?;
+        let gradients = backward(&loss)?;
         let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, graph.value("fc2")) {
             (LatentStandardisation::Running { .. }, Some(raw)) if self.spec.network == NetworkKind::Hqnn => {
                 Some(values.get(raw)?.to_vec2()?)

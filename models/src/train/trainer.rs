@@ -4,7 +4,7 @@ use candle_core::{Device, Result, Tensor, Var};
 use rand::Rng;
 
 use super::adam::Adam;
-use crate::layer::{KernelLevel, cross_entropy};
+use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::network::{Mode, Network, NetworkSpec};
 use crate::stream;
 
@@ -34,11 +34,11 @@ impl Trainer {
     pub fn step(&mut self, maps: &Tensor, labels: &[usize]) -> Result<f32> {
         self.steps += 1;
         let output = self.network.graph().output;
-        let mut values = self.network.run(maps, output, Mode::Training { seed: 1, step: self.steps })?;
+        let mut values = self.network.run(maps, output, Mode::Training { seed: 1, step: self.steps, penalty: 0.0 })?;
         let logits = values.take(output)?;
         let classes = logits.dim(1)?;
         let loss = cross_entropy(&logits, labels, &vec![1.0; classes])?;
-        let gradients = loss.backward()?;
+        let gradients = backward(&loss)?;
         drop(values);
         let variables: Vec<&Var> = self.network.trained().iter().map(|p| &p.variable).collect();
         if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &self.rates)? {

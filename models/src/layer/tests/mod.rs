@@ -6,6 +6,7 @@ use crate::stream;
 
 mod convolution;
 mod maps;
+mod vectors;
 
 fn random(count: usize, purpose: &str) -> Vec<f32> {
     let mut rng = stream(3, purpose, 0);

@@ -1,0 +1,47 @@
+//! From a latent to angles.
+
+use std::f32::consts::PI;
+
+use candle_core::{Result, Shape, Tensor};
+
+use super::operation::{Argument, Gradients, Operation, apply};
+
+const NAME: &str = "squash";
+
+/// `pi * sigmoid(u)` of each value: radians in (0, pi).
+///
+/// `penalty` times the mean of `u^2` counts as part of the loss: its gradient is added on the way back, which keeps `u` off the
+/// flat ends of the sigmoid. The output does not know of it.
+pub fn squash(input: &Tensor, penalty: f32) -> Result<Tensor> {
+    apply(&[input], Squash { penalty })
+}
+
+struct Squash {
+    penalty: f32,
+}
+
+/// Half a hyperbolic tangent of half the argument, which does not overflow.
+pub(crate) fn squashed(u: f32) -> f32 {
+    0.5 * PI * (1.0 + (0.5 * u).tanh())
+}
+
+impl Operation for Squash {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        Ok((input.values.iter().map(|&u| squashed(u)).collect(), Shape::from(input.dims)))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
+        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let pull = 2.0 * self.penalty / input.values.len().max(1) as f32;
+        for ((g, &u), &y) in gradient.iter_mut().zip(input.values).zip(output) {
+            // pi s (1 - s) with s = y / pi.
+            *g = *g * y * (1.0 - y / PI) + pull * u;
+        }
+        Ok(vec![Some(gradient)])
+    }
+}

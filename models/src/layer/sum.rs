@@ -1,0 +1,80 @@
+//! Two arrays as one: added, or one after the other.
+
+use candle_core::{Error, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::activation::CHUNK;
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+
+/// `a + b`, of one shape.
+pub fn add(a: &Tensor, b: &Tensor) -> Result<Tensor> {
+    apply(&[a, b], Add)
+}
+
+struct Add;
+
+impl Operation for Add {
+    fn name(&self) -> &'static str {
+        "add"
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [a, b] = inputs else { candle_core::bail!("add: expected two inputs") };
+        if a.dims != b.dims {
+            return Err(Error::Msg(format!("add: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
+        }
+        let mut output = unwritten(a.values.len());
+        output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK)).for_each(
+            |((output, a), b)| output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b),
+        );
+        Ok((output, Shape::from(a.dims)))
+    }
+
+    fn backward(&self, _inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        Ok(vec![Some(gradient.clone()), Some(gradient)])
+    }
+}
+
+/// `[batch][a]` and `[batch][b]` to `[batch][a + b]`.
+pub fn concatenate(a: &Tensor, b: &Tensor) -> Result<Tensor> {
+    apply(&[a, b], Concatenate)
+}
+
+struct Concatenate;
+
+/// Rows, and widths of both.
+fn widths(inputs: &[Argument<'_>]) -> Result<[usize; 3]> {
+    match inputs {
+        &[Argument { dims: &[batch, a], .. }, Argument { dims: &[rows, b], .. }] if batch == rows && a * b > 0 => {
+            Ok([batch, a, b])
+        }
+        _ => {
+            let dims: Vec<_> = inputs.iter().map(|input| input.dims).collect();
+            Err(Error::Msg(format!("concatenate: expected [batch, a] and [batch, b], got {dims:?}")).bt())
+        }
+    }
+}
+
+impl Operation for Concatenate {
+    fn name(&self) -> &'static str {
+        "concatenate"
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [batch, a, b] = widths(inputs)?;
+        let [first, second] = inputs else { candle_core::bail!("concatenate: expected two inputs") };
+        let mut output = Vec::with_capacity(batch * (a + b));
+        for (first, second) in first.values.chunks_exact(a).zip(second.values.chunks_exact(b)) {
+            output.extend_from_slice(first);
+            output.extend_from_slice(second);
+        }
+        Ok((output, Shape::from((batch, a + b))))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        let [_, a, b] = widths(inputs)?;
+        let rows = gradient.chunks_exact(a + b).map(|row| row.split_at(a));
+        let (first, second): (Vec<&[f32]>, Vec<&[f32]>) = rows.unzip();
+        Ok(vec![Some(first.concat()), Some(second.concat())])
+    }
+}

@@ -1,0 +1,111 @@
+//! Layers on vectors, against their formulas and finite differences.
+
+use candle_core::{Device, Tensor, Var};
+use rand::Rng;
+
+use crate::layer::{add, backward, concatenate, squash, standardise, trigonometric};
+use crate::stream;
+
+fn var(rows: usize, columns: usize, what: &str) -> Var {
+    let mut rng = stream(7, what, 0);
+    let values: Vec<f32> = (0..rows * columns).map(|_| rng.random_range(-2.0..2.0)).collect();
+    Var::from_tensor(&Tensor::from_vec(values, (rows, columns), &Device::Cpu).expect("tensor")).expect("variable")
+}
+
+fn flat(tensor: &Tensor) -> Vec<f32> {
+    tensor.flatten_all().and_then(|t| t.to_vec1()).expect("f32")
+}
+
+/// Gradient of a weighted sum of the outputs by one input, beside central differences of the formula in f64.
+fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: &dyn Fn(&[f64]) -> Vec<f64>) {
+    let x: Vec<f64> = flat(input).iter().map(|&v| f64::from(v)).collect();
+    let out = output(input.as_tensor());
+    for (a, b) in flat(&out).iter().zip(formula(&x)) {
+        assert!((f64::from(*a) - b).abs() < 1e-5 * b.abs().max(1.0), "{layer}: {a} {b}");
+    }
+    let mut rng = stream(8, layer, 0);
+    let weights: Vec<f32> = (0..out.elem_count()).map(|_| rng.random_range(-1.0..1.0)).collect();
+    let weighted = Tensor::from_vec(weights.clone(), out.shape(), &Device::Cpu).expect("tensor");
+    let loss = (out * weighted).and_then(|t| t.sum_all()).expect("loss");
+    let found = flat(backward(&loss).expect("backward").get(input).expect("gradient"));
+    for (k, found) in found.iter().enumerate() {
+        let at = |by: f64| {
+            let mut moved = x.clone();
+            moved[k] += by;
+            formula(&moved).iter().zip(&weights).map(|(y, &w)| y * f64::from(w)).sum::<f64>()
+        };
+        let expected = (at(1e-5) - at(-1e-5)) / 2e-5;
+        assert!((f64::from(*found) - expected).abs() < 2e-5 * expected.abs().max(1.0), "{layer} {k}: {found} {expected}");
+    }
+}
+
+#[test]
+fn outputs_and_gradients_are_those_of_the_formulas() {
+    let pi = std::f64::consts::PI;
+    let x = var(3, 2, "x");
+    check("squash", &x, &|x| squash(x, 0.0).expect("squash"), &|x| {
+        x.iter().map(|u| pi / (1.0 + (-u).exp())).collect()
+    });
+    let (mean, sigma) = ([0.3f32, -0.2], [0.5f32, 2.0]);
+    check("standardise", &x, &|x| standardise(x, &mean, &sigma).expect("standardise"), &|x| {
+        x.iter().enumerate().map(|(k, v)| (v - f64::from(mean[k % 2])) / f64::from(sigma[k % 2])).collect()
+    });
+    check("trigonometric", &x, &|x| trigonometric(x).expect("trigonometric"), &|x| {
+        let row = |x: &[f64]| {
+            let w = 2.0 * (pi - x[0]) * (pi - x[1]);
+            let (p, q) = (2.0 * x[0], 2.0 * x[1]);
+            [q.sin() * w.sin(), p.sin() * w.sin(), p.cos() * q.cos(), q.cos() * w.cos(), p.cos() * w.cos()]
+        };
+        x.chunks_exact(2).flat_map(row).collect()
+    });
+    let other = var(3, 2, "other");
+    let y: Vec<f64> = flat(&other).iter().map(|&v| f64::from(v)).collect();
+    check("add", &x, &|x| add(x, &other).expect("add"), &|x| x.iter().zip(&y).map(|(a, b)| a + b).collect());
+    check("concatenate", &x, &|x| concatenate(x, &other).expect("concatenate"), &|x| {
+        x.chunks_exact(2).zip(y.chunks_exact(2)).flat_map(|(a, b)| [a[0], a[1], b[0], b[1]]).collect()
+    });
+}
+
+/// The penalty of the squash is the gradient of its weight times the mean square, and no part of the output.
+#[test]
+fn the_penalty_is_a_gradient_alone() {
+    let x = var(4, 2, "x");
+    let gradient = |penalty: f32| {
+        let loss = squash(&x, penalty).and_then(|t| t.sum_all()).expect("loss");
+        (flat(&loss)[0], flat(backward(&loss).expect("backward").get(&x).expect("gradient")))
+    };
+    let ((with, a), (without, b)) = (gradient(0.7), gradient(0.0));
+    assert_eq!(with, without);
+    for ((a, b), x) in a.iter().zip(b).zip(flat(&x)) {
+        assert!((a - b - 0.7 * 2.0 * x / 8.0).abs() < 1e-6);
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_saturated_squash_is_finite_and_has_no_gradient() {
+        let x = Var::new(&[[1e4f32, -1e4], [f32::MAX, f32::MIN]], &Device::Cpu).expect("variable");
+        let loss = squash(&x, 0.0).and_then(|t| t.sum_all()).expect("loss");
+        let gradient = flat(backward(&loss).expect("backward").get(&x).expect("gradient"));
+        assert!(flat(&loss)[0].is_finite() && gradient.iter().all(|g| g.abs() < 1e-6), "{gradient:?}");
+    }
+
+    #[test]
+    fn a_nan_comes_out() {
+        let x = Tensor::new(&[[f32::NAN, 0.0]], &Device::Cpu).expect("tensor");
+        for output in [squash(&x, 0.0), trigonometric(&x), add(&x, &x), standardise(&x, &[0.0; 2], &[1.0; 2])] {
+            assert!(flat(&output.expect("output")).iter().any(|v| v.is_nan()));
+        }
+    }
+
+    #[test]
+    fn shapes_that_do_not_fit_are_named() {
+        let (a, b) = (var(2, 3, "a"), var(3, 2, "b"));
+        assert!(add(&a, &b).expect_err("shapes").to_string().contains("[2, 3] and [3, 2]"));
+        assert!(concatenate(&a, &b).expect_err("rows").to_string().contains("[2, 3], [3, 2]"));
+        assert!(trigonometric(&a).expect_err("width").to_string().contains("[2, 3]"));
+        assert!(standardise(&a, &[0.0; 2], &[1.0; 2]).expect_err("width").to_string().contains("[2, 3]"));
+    }
+}
