@@ -17,17 +17,17 @@ use super::sin_cos;
 /// Expectations of the circuit at one point and all their gradients.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct CircuitPoint {
-    /// <ZI>: Z on qubit 1.
+    /// `<ZI>`: Z on qubit 1.
     pub zi: f64,
-    /// <IZ>: Z on qubit 0.
+    /// `<IZ>`: Z on qubit 0.
     pub iz: f64,
-    /// d<ZI>/dtheta.
+    /// `d<ZI>/dtheta`.
     pub zi_grad_theta: [f64; 4],
-    /// d<IZ>/dtheta.
+    /// `d<IZ>/dtheta`.
     pub iz_grad_theta: [f64; 4],
-    /// d<ZI>/dx.
+    /// `d<ZI>/dx`.
     pub zi_grad_x: [f64; 2],
-    /// d<IZ>/dx.
+    /// `d<IZ>/dx`.
     pub iz_grad_x: [f64; 2],
 }
 
