@@ -16,6 +16,10 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+/// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
+#[global_allocator]
+static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
+
 #[derive(Parser)]
 #[command(name = "radome", version, about, propagate_version = true, max_term_width = 100)]
 struct Arguments {

@@ -24,9 +24,11 @@ impl Operation for Add {
             return Err(Error::Msg(format!("add: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
         }
         let mut output = unwritten(a.values.len());
-        output.par_chunks_mut(CHUNK).zip(a.values.par_chunks(CHUNK)).zip(b.values.par_chunks(CHUNK)).for_each(
-            |((output, a), b)| output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b),
-        );
+        output
+            .par_chunks_mut(CHUNK)
+            .zip(a.values.par_chunks(CHUNK))
+            .zip(b.values.par_chunks(CHUNK))
+            .for_each(|((output, a), b)| output.iter_mut().zip(a).zip(b).for_each(|((y, a), b)| *y = a + b));
         Ok((output, Shape::from(a.dims)))
     }
 

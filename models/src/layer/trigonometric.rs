@@ -31,9 +31,7 @@ pub(crate) fn features([x0, x1]: [f64; 2]) -> [[f64; 3]; 5] {
 
 fn rows<'a>(inputs: &[Argument<'a>]) -> Result<impl Iterator<Item = [f64; 2]> + 'a> {
     match inputs {
-        &[Argument { values, dims: &[_, 2] }] => {
-            Ok(values.as_chunks::<2>().0.iter().map(|row| row.map(f64::from)))
-        }
+        &[Argument { values, dims: &[_, 2] }] => Ok(values.as_chunks::<2>().0.iter().map(|row| row.map(f64::from))),
         _ => {
             let dims: Vec<_> = inputs.iter().map(|input| input.dims).collect();
             Err(Error::Msg(format!("{NAME}: expected input [batch, 2], got {dims:?}")).bt())

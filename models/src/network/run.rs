@@ -5,8 +5,9 @@ use candle_core::{Result, Tensor};
 use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call, concatenate,
-    conv_relu_pool, conv2d, drop_samples, dropout, linear, max_pool2d, scale_channels, squash, standardise, trigonometric,
+    BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
+    concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, max_pool2d, scale_channels, squash,
+    standardise, trigonometric,
 };
 use crate::quantum::Circuit;
 

@@ -153,8 +153,9 @@ mod hard_cases {
         let spec = NetworkSpec::named("hqnn").expect("known");
         let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
         network.parameters().set_numbers("fc1.bias", &[f32::NAN; 64]).expect("set");
-        let values =
-            network.run(&maps(1, 16, 16), network.graph().output, Mode::Training { seed: 1, step: 1, penalty: 0.0 }).expect("run");
+        let values = network
+            .run(&maps(1, 16, 16), network.graph().output, Mode::Training { seed: 1, step: 1, penalty: 0.0 })
+            .expect("run");
         assert_eq!(values.first_non_finite().expect("look"), Some("fc1"));
     }
 }

@@ -7,6 +7,7 @@ use radome_dsp::Occupancy;
 use rand::Rng;
 use rand::seq::SliceRandom;
 use rand_distr::{Distribution, Normal};
+use rayon::prelude::*;
 
 use super::{Augmentation, TrainError, TrainSpec};
 use crate::dataset::{Dataset, Split};
@@ -53,8 +54,10 @@ impl Data {
             let wanted =
                 |i: &usize| split != Split::Train || spec.transitions || rows.get(*i).is_none_or(|r| !r.transition);
             let mut indices: Vec<usize> = of_split.filter(wanted).collect();
-            if split == Split::Train && spec.label_fraction < 1.0 {
-                indices = fraction_by_class(&indices, |i| rows.get(i).map(|r| r.label.index()), spec);
+            let most = spec.most_training_maps.map_or(1.0, |most| most as f64 / indices.len().max(1) as f64);
+            let fraction = spec.label_fraction * most.min(1.0);
+            if split == Split::Train && fraction < 1.0 {
+                indices = fraction_by_class(&indices, |i| rows.get(i).map(|r| r.label.index()), fraction, spec.seed);
             }
             let mut maps: Vec<Vec<f32>> = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
             maps.iter_mut().for_each(|map| spec.reference.apply(map, shape.doppler));
@@ -130,8 +133,12 @@ impl Data {
 
     /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.
     pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
-        let cells: Vec<f32> = positions.iter().filter_map(|&p| part.maps.get(p)).flatten().copied().collect();
-        self.tensor(cells, positions.len())
+        self.tensor(self.cells(part, positions), positions.len())
+    }
+
+    fn cells(&self, part: &Part, positions: &[usize]) -> Vec<f32> {
+        let maps: Vec<&[f32]> = positions.iter().filter_map(|&p| part.maps.get(p)).map(Vec::as_slice).collect();
+        maps.concat()
     }
 
     fn tensor(&self, cells: Vec<f32>, batch: usize) -> CandleResult<Tensor> {
@@ -151,32 +158,35 @@ impl Data {
             return self.batch(&self.train, positions);
         }
         let sigma = augmentation.noise_db / self.standardisation.sigma_db as f32;
-        let mut cells = Vec::with_capacity(positions.len() * self.range * self.doppler);
-        for &position in positions {
-            let Some(map) = self.train.maps.get(position) else { continue };
+        let mut cells = self.cells(&self.train, positions);
+        let maps = cells.par_chunks_exact_mut((self.range * self.doppler).max(1)).zip(positions);
+        maps.for_each(|(map, &position)| {
             let mut rng = stream(seed, "augmentation", (epoch * self.train.maps.len() + position) as u64);
-            let mut map = map.clone();
             if augmentation.doppler_flip && rng.random::<bool>() {
-                flip_doppler(&mut map, self.doppler);
+                flip_doppler(map, self.doppler);
             }
             if sigma > 0.0
                 && let Ok(normal) = Normal::new(0.0f32, sigma)
             {
                 map.iter_mut().for_each(|v| *v += normal.sample(&mut rng));
             }
-            cells.extend(map);
-        }
+        });
         self.tensor(cells, positions.len())
     }
 }
 
-/// The share of maps that a spec asks for, drawn class by class (at least one of each), in their order.
-fn fraction_by_class(indices: &[usize], class: impl Fn(usize) -> Option<usize>, spec: &TrainSpec) -> Vec<usize> {
+/// A share of the maps, drawn class by class (at least one of each), in their order.
+fn fraction_by_class(
+    indices: &[usize],
+    class: impl Fn(usize) -> Option<usize>,
+    fraction: f64,
+    seed: u64,
+) -> Vec<usize> {
     let mut kept = Vec::new();
     for label in Occupancy::ALL {
         let mut of_class: Vec<usize> = indices.iter().copied().filter(|&i| class(i) == Some(label.index())).collect();
-        of_class.shuffle(&mut stream(spec.seed, "label fraction", label.index() as u64));
-        of_class.truncate(((spec.label_fraction * of_class.len() as f64).round() as usize).max(1));
+        of_class.shuffle(&mut stream(seed, "label fraction", label.index() as u64));
+        of_class.truncate(((fraction * of_class.len() as f64).round() as usize).max(1));
         kept.extend(of_class);
     }
     kept.sort_unstable();

@@ -102,6 +102,8 @@ pub struct TrainSpec {
     pub head: Head,
     /// Share of the training split's maps that is trained on, drawn by class; 1 for all.
     pub label_fraction: f64,
+    /// Maps that are trained on at most, a share of each class; all if absent.
+    pub most_training_maps: Option<usize>,
     /// How sequences are divided.
     pub split: SplitSpec,
     /// Passes over the training split.
@@ -159,6 +161,7 @@ impl Default for TrainSpec {
             network: NetworkKind::Hqnn,
             head: Head::default(),
             label_fraction: 1.0,
+            most_training_maps: None,
             split: SplitSpec::default(),
             epochs: 15,
             batch_size: 32,
@@ -354,6 +357,9 @@ impl TrainSpec {
         }
         if !(self.label_fraction > 0.0 && self.label_fraction <= 1.0) {
             return fail("label_fraction", self.label_fraction.to_string(), "above 0 and up to 1");
+        }
+        if self.most_training_maps == Some(0) {
+            return fail("most_training_maps", "0".to_owned(), "at least 1");
         }
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()

@@ -35,7 +35,10 @@ fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: 
             formula(&moved).iter().zip(&weights).map(|(y, &w)| y * f64::from(w)).sum::<f64>()
         };
         let expected = (at(1e-5) - at(-1e-5)) / 2e-5;
-        assert!((f64::from(*found) - expected).abs() < 2e-5 * expected.abs().max(1.0), "{layer} {k}: {found} {expected}");
+        assert!(
+            (f64::from(*found) - expected).abs() < 2e-5 * expected.abs().max(1.0),
+            "{layer} {k}: {found} {expected}"
+        );
     }
 }
 
@@ -43,9 +46,7 @@ fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: 
 fn outputs_and_gradients_are_those_of_the_formulas() {
     let pi = std::f64::consts::PI;
     let x = var(3, 2, "x");
-    check("squash", &x, &|x| squash(x, 0.0).expect("squash"), &|x| {
-        x.iter().map(|u| pi / (1.0 + (-u).exp())).collect()
-    });
+    check("squash", &x, &|x| squash(x, 0.0).expect("squash"), &|x| x.iter().map(|u| pi / (1.0 + (-u).exp())).collect());
     let (mean, sigma) = ([0.3f32, -0.2], [0.5f32, 2.0]);
     check("standardise", &x, &|x| standardise(x, &mean, &sigma).expect("standardise"), &|x| {
         x.iter().enumerate().map(|(k, v)| (v - f64::from(mean[k % 2])) / f64::from(sigma[k % 2])).collect()
