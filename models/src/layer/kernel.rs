@@ -1,69 +1,11 @@
-//! Inner loops, in a portable and an AVX2 version chosen at run time.
-//!
-//! Both do the same sums in the same order, but AVX2 fuses multiply and add: unlike machines agree bit for bit only at
-//! the same level, so the level is recorded with every trained model and can be chosen.
+//! Inner loops of [`super::conv_relu_pool`] and of short sums.
 
-use serde::{Deserialize, Serialize};
-
-/// Which instructions the inner loops use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum KernelLevel {
-    /// Plain Rust: separate multiply and add.
-    Portable,
-    /// AVX2 with fused multiply-add; falls back to `Portable` where the processor lacks it.
-    Avx2,
-}
-
-impl KernelLevel {
-    /// The fastest that this machine has.
-    pub fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            return KernelLevel::Avx2;
-        }
-        KernelLevel::Portable
-    }
-
-    /// This level, or the portable one where the processor lacks it.
-    pub fn available(self) -> Self {
-        if self == KernelLevel::Avx2 { Self::detect() } else { self }
-    }
-}
+use super::level::{dispatch, multiply_add};
 
 /// Output channels that the convolution kernel handles at once.
 pub(super) const LANES: usize = 16;
 /// Index of a pooling window whose maximum is not above zero: ReLU passes no gradient.
 pub(super) const DEAD: u8 = 4;
-
-#[inline(always)]
-fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
-    if FUSED { a.mul_add(b, c) } else { a * b + c }
-}
-
-/// Calls the generic function with `FUSED` true inside a function compiled for AVX2, or false in plain code.
-macro_rules! dispatch {
-    ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),*) $(-> $ret:ty)? = $generic:ident) => {
-        $(#[$doc])*
-        #[allow(clippy::too_many_arguments)]
-        $vis fn $name(level: KernelLevel, $($arg: $type),*) $(-> $ret)? {
-            #[cfg(target_arch = "x86_64")]
-            {
-                #[target_feature(enable = "avx2,fma")]
-                #[allow(clippy::too_many_arguments)]
-                fn avx2($($arg: $type),*) $(-> $ret)? {
-                    $generic::<true>($($arg),*)
-                }
-                if level.available() == KernelLevel::Avx2 {
-                    // SAFETY: `available` returned this level, so the processor has AVX2 and FMA.
-                    return unsafe { avx2($($arg),*) };
-                }
-            }
-            let _ = level;
-            $generic::<false>($($arg),*)
-        }
-    };
-}
 
 /// Geometry of a 3x3 convolution with padding 1 followed by 2x2 pooling.
 #[derive(Debug, Clone, Copy)]
@@ -351,25 +293,4 @@ fn add_scaled<const FUSED: bool>(target: &mut [f32], factor: f32, source: &[f32]
 dispatch! {
     /// `target += factor * source`.
     pub(super) fn axpy(target: &mut [f32], factor: f32, source: &[f32]) = add_scaled
-}
-
-dispatch! {
-    /// Scalar product, summed in 16 interleaved parts and then in order of the parts.
-    pub(super) fn dot(a: &[f32], b: &[f32]) -> f32 = dot_generic
-}
-
-#[inline(always)]
-fn dot_generic<const FUSED: bool>(a: &[f32], b: &[f32]) -> f32 {
-    let mut parts = [0.0f32; LANES];
-    let ((a, a_rest), (b, b_rest)) = (a.as_chunks::<LANES>(), b.as_chunks::<LANES>());
-    for (a, b) in a.iter().zip(b) {
-        for lane in 0..LANES {
-            parts[lane] = multiply_add::<FUSED>(a[lane], b[lane], parts[lane]);
-        }
-    }
-    let mut sum = parts.iter().sum();
-    for (&a, &b) in a_rest.iter().zip(b_rest) {
-        sum = multiply_add::<FUSED>(a, b, sum);
-    }
-    sum
 }

@@ -10,23 +10,45 @@
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
 //! threads. [`mod@reference`] holds the slow obvious versions.
 
+mod activation;
 mod average_pool;
+mod batch_norm;
 mod circuit;
+mod conv2d;
 mod conv_relu_pool;
 mod cross_entropy;
+mod depthwise;
+mod dropout;
+mod inference;
 mod kernel;
+mod level;
 mod linear;
+mod max_pool;
+mod operation;
+mod packed;
 pub mod reference;
+mod scale_channels;
+mod sweep;
 #[cfg(test)]
 mod tests;
+mod tile;
+mod vector;
+mod weight_gradient;
 
+pub use activation::{Activation, activation, add_relu};
 pub use average_pool::adaptive_average_pool;
+pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch_norm};
 pub use circuit::{circuit, circuit_of, circuit_of_call};
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};
+pub use conv2d::{ConvGeometry, conv2d};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
-pub use kernel::KernelLevel;
+pub use dropout::dropout;
+pub use inference::{Affine, Feature, PreparedConv};
+pub use level::KernelLevel;
 pub use linear::linear;
+pub use max_pool::max_pool2d;
+pub use scale_channels::scale_channels;
 
 use candle_core::{CpuStorage, DType, Error, Layout, Result, Storage, Tensor};
 

@@ -4,6 +4,9 @@ use rand::Rng;
 use super::*;
 use crate::stream;
 
+mod convolution;
+mod maps;
+
 fn random(count: usize, purpose: &str) -> Vec<f32> {
     let mut rng = stream(3, purpose, 0);
     (0..count).map(|_| rng.random_range(-1.0..1.0)).collect()
@@ -67,8 +70,8 @@ fn channel_last(values: &[f32], channels: usize, cells: usize) -> Vec<f32> {
         .collect()
 }
 
-fn levels() -> [KernelLevel; 2] {
-    [KernelLevel::Portable, KernelLevel::Avx2]
+fn levels() -> [KernelLevel; 3] {
+    KernelLevel::ALL
 }
 
 /// (batch, rows, columns, inputs, outputs): first layer, second layer, odd sizes, channels that fill no vector.

@@ -1,0 +1,232 @@
+//! Activations, by themselves and behind a sum of two maps.
+
+use candle_core::{Error, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::KernelLevel;
+use super::level::{dispatch, multiply_add};
+use super::operation::{Argument, Gradients, Operation, apply};
+
+/// Values that one task passes over.
+pub(super) const CHUNK: usize = 1 << 14;
+
+/// A function of each value.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Activation {
+    /// The value itself.
+    None,
+    /// `max(x, 0)`; a NaN stays.
+    Relu,
+    /// `x / (1 + exp(-x))`, also called swish.
+    Silu,
+    /// `1 / (1 + exp(-x))`.
+    Sigmoid,
+}
+
+/// Codes of [`Activation`] for constant parameters of kernels.
+pub(super) const NONE: u8 = 0;
+pub(super) const RELU: u8 = 1;
+pub(super) const SILU: u8 = 2;
+pub(super) const SIGMOID: u8 = 3;
+
+/// Calls a kernel with the activation as a constant parameter.
+macro_rules! by_activation {
+    ($activation:expr, $function:ident :: <$fused:ident>($($argument:expr),* $(,)?)) => {
+        match $activation {
+            Activation::None => $function::<$fused, { $crate::layer::activation::NONE }>($($argument),*),
+            Activation::Relu => $function::<$fused, { $crate::layer::activation::RELU }>($($argument),*),
+            Activation::Silu => $function::<$fused, { $crate::layer::activation::SILU }>($($argument),*),
+            Activation::Sigmoid => $function::<$fused, { $crate::layer::activation::SIGMOID }>($($argument),*),
+        }
+    };
+}
+pub(super) use by_activation;
+
+/// `exp(x)` to about two units in the last place, from e^-87 to e^88, in operations that run in vectors. A NaN stays.
+#[inline(always)]
+fn exponential<const FUSED: bool>(x: f32) -> f32 {
+    let x = if x < -87.0 {
+        -87.0
+    } else if x > 88.0 {
+        88.0
+    } else {
+        x
+    };
+    // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits.
+    const ROUND: f32 = 12_582_912.0;
+    let rounded = multiply_add::<FUSED>(x, std::f32::consts::LOG2_E, ROUND);
+    let whole = rounded - ROUND;
+    // ln 2 in two parts, the first of which is exact in products with small whole numbers (Cody and Waite, 1980).
+    let rest = multiply_add::<FUSED>(whole, -0.693_359_4, x);
+    let rest = multiply_add::<FUSED>(whole, 2.121_944_4e-4, rest);
+    let mut sum = 1.0 / 5040.0;
+    for coefficient in [1.0 / 720.0, 1.0 / 120.0, 1.0 / 24.0, 1.0 / 6.0, 0.5, 1.0, 1.0] {
+        sum = multiply_add::<FUSED>(sum, rest, coefficient);
+    }
+    let power = f32::from_bits((rounded.to_bits() << 23).wrapping_add(127 << 23));
+    sum * power
+}
+
+#[inline(always)]
+fn sigmoid<const FUSED: bool>(x: f32) -> f32 {
+    1.0 / (1.0 + exponential::<FUSED>(-x))
+}
+
+/// The activation of `x`.
+#[inline(always)]
+pub(super) fn activate<const FUSED: bool, const A: u8>(x: f32) -> f32 {
+    match A {
+        RELU => {
+            if x < 0.0 {
+                0.0
+            } else {
+                x
+            }
+        }
+        SILU => x * sigmoid::<FUSED>(x),
+        SIGMOID => sigmoid::<FUSED>(x),
+        _ => x,
+    }
+}
+
+/// `gradient` times the derivative of the activation at `x`. ReLU's is zero at zero, as PyTorch's.
+#[inline(always)]
+pub(super) fn descend<const FUSED: bool, const A: u8>(x: f32, gradient: f32) -> f32 {
+    match A {
+        RELU => {
+            if x <= 0.0 {
+                0.0
+            } else {
+                gradient
+            }
+        }
+        SILU => {
+            let s = sigmoid::<FUSED>(x);
+            gradient * s * multiply_add::<FUSED>(x, 1.0 - s, 1.0)
+        }
+        SIGMOID => {
+            let s = sigmoid::<FUSED>(x);
+            gradient * s * (1.0 - s)
+        }
+        _ => gradient,
+    }
+}
+
+#[inline(always)]
+fn activate_all<const FUSED: bool, const A: u8>(input: &[f32], output: &mut [f32]) {
+    output.iter_mut().zip(input).for_each(|(y, &x)| *y = activate::<FUSED, A>(x));
+}
+
+#[inline(always)]
+fn activate_in_place<const FUSED: bool, const A: u8>(values: &mut [f32]) {
+    values.iter_mut().for_each(|v| *v = activate::<FUSED, A>(*v));
+}
+
+#[inline(always)]
+fn descend_all<const FUSED: bool, const A: u8>(input: &[f32], gradient: &mut [f32]) {
+    gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g));
+}
+
+#[inline(always)]
+fn forward_generic<const FUSED: bool>(activation: Activation, input: &[f32], output: &mut [f32]) {
+    by_activation!(activation, activate_all::<FUSED>(input, output))
+}
+
+#[inline(always)]
+fn in_place_generic<const FUSED: bool>(activation: Activation, values: &mut [f32]) {
+    by_activation!(activation, activate_in_place::<FUSED>(values))
+}
+
+#[inline(always)]
+fn backward_generic<const FUSED: bool>(activation: Activation, input: &[f32], gradient: &mut [f32]) {
+    by_activation!(activation, descend_all::<FUSED>(input, gradient))
+}
+
+dispatch! { fn forward(activation: Activation, input: &[f32], output: &mut [f32]) = forward_generic }
+dispatch! { fn backward(activation: Activation, input: &[f32], gradient: &mut [f32]) = backward_generic }
+dispatch! {
+    /// Replaces values by their activation.
+    pub(super) fn in_place(activation: Activation, values: &mut [f32]) = in_place_generic
+}
+
+/// The activation of every value of a tensor of any shape.
+pub fn activation(input: &Tensor, activation: Activation, level: KernelLevel) -> Result<Tensor> {
+    apply(&[input], Activate { activation, level: level.available() })
+}
+
+struct Activate {
+    activation: Activation,
+    level: KernelLevel,
+}
+
+impl Operation for Activate {
+    fn name(&self) -> &'static str {
+        "activation"
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        let mut output = vec![0.0f32; input.values.len()];
+        output
+            .par_chunks_mut(CHUNK)
+            .zip(input.values.par_chunks(CHUNK))
+            .for_each(|(output, input)| forward(self.level, self.activation, input, output));
+        Ok((output, Shape::from(input.dims)))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
+        let [input] = inputs else { candle_core::bail!("activation: expected one input") };
+        gradient
+            .par_chunks_mut(CHUNK)
+            .zip(input.values.par_chunks(CHUNK))
+            .for_each(|(gradient, input)| backward(self.level, self.activation, input, gradient));
+        Ok(vec![Some(gradient)])
+    }
+}
+
+#[inline(always)]
+fn sum_relu_generic<const FUSED: bool>(a: &[f32], b: &[f32], output: &mut [f32]) {
+    for ((y, &a), &b) in output.iter_mut().zip(a).zip(b) {
+        *y = activate::<FUSED, RELU>(a + b);
+    }
+}
+
+dispatch! { fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) = sum_relu_generic }
+
+/// `max(a + b, 0)`: the end of a residual block.
+pub fn add_relu(a: &Tensor, b: &Tensor, level: KernelLevel) -> Result<Tensor> {
+    apply(&[a, b], AddRelu { level: level.available() })
+}
+
+struct AddRelu {
+    level: KernelLevel,
+}
+
+impl Operation for AddRelu {
+    fn name(&self) -> &'static str {
+        "add_relu"
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [a, b] = inputs else { candle_core::bail!("add_relu: expected two inputs") };
+        if a.dims != b.dims {
+            return Err(Error::Msg(format!("add_relu: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
+        }
+        let mut output = vec![0.0f32; a.values.len()];
+        output
+            .par_chunks_mut(CHUNK)
+            .zip(a.values.par_chunks(CHUNK))
+            .zip(b.values.par_chunks(CHUNK))
+            .for_each(|((output, a), b)| sum_relu(self.level, a, b, output));
+        Ok((output, Shape::from(a.dims)))
+    }
+
+    fn backward(&self, _inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
+        // ReLU's output is positive where its input is.
+        gradient
+            .par_chunks_mut(CHUNK)
+            .zip(output.par_chunks(CHUNK))
+            .for_each(|(gradient, output)| backward(self.level, Activation::Relu, output, gradient));
+        Ok(vec![Some(gradient.clone()), Some(gradient)])
+    }
+}

@@ -1,0 +1,414 @@
+//! Batch normalisation with the activation behind it.
+
+use std::sync::{Arc, OnceLock, RwLock};
+
+use candle_core::{Error, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::KernelLevel;
+use super::activation::{Activation, activate, by_activation, descend};
+use super::level::{dispatch, multiply_add};
+use super::operation::{Argument, Gradients, Operation, apply};
+
+const NAME: &str = "batch_norm";
+
+/// Values of a block that is summed at once: it stays in the first caches while it is passed over twice.
+const BLOCK: usize = 1 << 13;
+
+/// What batch normalisation is set to.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct BatchNormConstants {
+    /// Added to the variance.
+    pub epsilon: f32,
+    /// Share of a new batch in the running statistics.
+    pub momentum: f32,
+}
+
+impl Default for BatchNormConstants {
+    /// PyTorch's.
+    fn default() -> Self {
+        BatchNormConstants { epsilon: 1e-5, momentum: 0.1 }
+    }
+}
+
+/// Whose mean and variance are used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BatchNormMode {
+    /// The batch's own; the running statistics move towards them.
+    Training,
+    /// The running statistics.
+    Evaluation,
+}
+
+/// Running mean and variance of each channel. Clones share them.
+#[derive(Debug, Clone)]
+pub struct RunningStatistics {
+    constants: BatchNormConstants,
+    channels: usize,
+    shared: Arc<RwLock<Moments>>,
+}
+
+#[derive(Debug, Clone)]
+struct Moments {
+    mean: Vec<f32>,
+    variance: Vec<f32>,
+}
+
+impl RunningStatistics {
+    /// Mean 0 and variance 1, as before training.
+    pub fn new(channels: usize, constants: BatchNormConstants) -> Self {
+        let moments = Moments { mean: vec![0.0; channels], variance: vec![1.0; channels] };
+        RunningStatistics { constants, channels, shared: Arc::new(RwLock::new(moments)) }
+    }
+
+    /// What the layer is set to.
+    pub fn constants(&self) -> BatchNormConstants {
+        self.constants
+    }
+
+    /// Number of channels.
+    pub fn channels(&self) -> usize {
+        self.channels
+    }
+
+    fn moments(&self) -> Moments {
+        self.shared.read().unwrap_or_else(|poisoned| poisoned.into_inner()).clone()
+    }
+
+    /// Running mean of each channel.
+    pub fn mean(&self) -> Vec<f32> {
+        self.moments().mean
+    }
+
+    /// Running variance of each channel, unbiased.
+    pub fn variance(&self) -> Vec<f32> {
+        self.moments().variance
+    }
+
+    /// Sets both, as from a file. Both need a value for each channel.
+    pub fn set(&self, mean: Vec<f32>, variance: Vec<f32>) -> Result<()> {
+        if mean.len() != self.channels || variance.len() != self.channels {
+            candle_core::bail!(
+                "{NAME}: expected running statistics of {} channels, got {} means and {} variances",
+                self.channels,
+                mean.len(),
+                variance.len()
+            );
+        }
+        *self.shared.write().unwrap_or_else(|poisoned| poisoned.into_inner()) = Moments { mean, variance };
+        Ok(())
+    }
+
+    /// Moves towards a batch of `count` values a channel, whose variance is biased.
+    fn update(&self, mean: &[f32], variance: &[f32], count: usize) {
+        let momentum = self.constants.momentum;
+        let unbiased = count as f32 / (count as f32 - 1.0);
+        let mut moments = self.shared.write().unwrap_or_else(|poisoned| poisoned.into_inner());
+        moments.mean.iter_mut().zip(mean).for_each(|(r, &m)| *r = (1.0 - momentum) * *r + momentum * m);
+        let variances = moments.variance.iter_mut().zip(variance);
+        variances.for_each(|(r, &v)| *r = (1.0 - momentum) * *r + momentum * v * unbiased);
+    }
+}
+
+/// PyTorch's batch normalisation over all axes but the last, and an activation of the result:
+/// `activation((x - mean) / sqrt(variance + epsilon) * weight + bias)` for each channel.
+///
+/// `input` is `[batch][..][channel]`, `weight` and `bias` `[channel]`. A batch with a single value for each channel has no
+/// variance: an error in training.
+pub fn batch_norm(
+    input: &Tensor,
+    weight: &Tensor,
+    bias: &Tensor,
+    statistics: &RunningStatistics,
+    mode: BatchNormMode,
+    activation: Activation,
+    level: KernelLevel,
+) -> Result<Tensor> {
+    let operation =
+        BatchNorm { statistics: statistics.clone(), mode, activation, level: level.available(), used: OnceLock::new() };
+    apply(&[input, weight, bias], operation)
+}
+
+struct BatchNorm {
+    statistics: RunningStatistics,
+    mode: BatchNormMode,
+    activation: Activation,
+    level: KernelLevel,
+    used: OnceLock<Used>,
+}
+
+/// What the forward pass normalised with.
+struct Used {
+    mean: Vec<f32>,
+    /// One over the standard deviation.
+    inverse: Vec<f32>,
+}
+
+/// `values`, as often one after the other as makes loops over channels long enough for vectors.
+fn repeated(values: &[f32]) -> Vec<f32> {
+    values.repeat((256 / values.len().max(1)).max(1))
+}
+
+/// Sums the repetitions of [`repeated`].
+fn folded(sums: &[f32], channels: usize) -> impl Iterator<Item = (usize, f64)> + '_ {
+    sums.iter().enumerate().map(move |(k, &s)| (k % channels, f64::from(s)))
+}
+
+#[inline(always)]
+fn moments_generic<const FUSED: bool>(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) {
+    mean.fill(0.0);
+    square.fill(0.0);
+    let rows = (block.len() / channels) as f32;
+    let length = mean.len();
+    for chunk in block.chunks(length) {
+        mean.iter_mut().zip(chunk).for_each(|(m, &x)| *m += x);
+    }
+    for k in channels..length {
+        mean[k % channels] += mean[k];
+    }
+    for k in 0..length {
+        mean[k] = if k < channels { mean[k] / rows } else { mean[k - channels] };
+    }
+    for chunk in block.chunks(length) {
+        for ((s, &m), &x) in square.iter_mut().zip(&*mean).zip(chunk) {
+            *s = multiply_add::<FUSED>(x - m, x - m, *s);
+        }
+    }
+}
+
+dispatch! {
+    /// Mean of each channel of `[row][channel]`, repeated, and sums of squares of what is left.
+    fn block_moments(block: &[f32], channels: usize, mean: &mut [f32], square: &mut [f32]) = moments_generic
+}
+
+#[inline(always)]
+fn normalise_with<const FUSED: bool, const A: u8>(input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32]) {
+    for (input, output) in input.chunks(scale.len()).zip(output.chunks_mut(scale.len())) {
+        for (((y, &x), &a), &b) in output.iter_mut().zip(input).zip(scale).zip(shift) {
+            *y = activate::<FUSED, A>(multiply_add::<FUSED>(x, a, b));
+        }
+    }
+}
+
+#[inline(always)]
+fn normalise_generic<const FUSED: bool>(
+    activation: Activation,
+    input: &[f32],
+    scale: &[f32],
+    shift: &[f32],
+    output: &mut [f32],
+) {
+    by_activation!(activation, normalise_with::<FUSED>(input, scale, shift, output))
+}
+
+dispatch! {
+    fn normalise(activation: Activation, input: &[f32], scale: &[f32], shift: &[f32], output: &mut [f32])
+        = normalise_generic
+}
+
+#[inline(always)]
+fn sums_with<const FUSED: bool, const A: u8>(
+    input: &[f32],
+    [mean, scale, shift]: [&[f32]; 3],
+    gradient: &mut [f32],
+    sum: &mut [f32],
+    product: &mut [f32],
+) {
+    let length = mean.len();
+    let (scale, shift, sum, product) = (&scale[..length], &shift[..length], &mut sum[..length], &mut product[..length]);
+    for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
+        for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
+            *g = descend::<FUSED, A>(multiply_add::<FUSED>(x, scale[k], shift[k]), *g);
+            sum[k] += *g;
+            product[k] = multiply_add::<FUSED>(*g, x - mean[k], product[k]);
+        }
+    }
+}
+
+#[inline(always)]
+fn sums_generic<const FUSED: bool>(
+    activation: Activation,
+    input: &[f32],
+    constants: [&[f32]; 3],
+    gradient: &mut [f32],
+    sum: &mut [f32],
+    product: &mut [f32],
+) {
+    by_activation!(activation, sums_with::<FUSED>(input, constants, gradient, sum, product))
+}
+
+dispatch! {
+    /// Replaces the gradient of the output by the one before the activation and adds it, and its product with the
+    /// centred input, to the sums of each channel.
+    fn gradient_sums(
+        activation: Activation, input: &[f32], constants: [&[f32]; 3], gradient: &mut [f32],
+        sum: &mut [f32], product: &mut [f32],
+    ) = sums_generic
+}
+
+#[inline(always)]
+fn input_gradient_generic<const FUSED: bool>(
+    input: &[f32],
+    mean: &[f32],
+    scale: &[f32],
+    slope: &[f32],
+    offset: &[f32],
+    gradient: &mut [f32],
+) {
+    let length = mean.len();
+    let (scale, slope, offset) = (&scale[..length], &slope[..length], &offset[..length]);
+    for (input, gradient) in input.chunks(length).zip(gradient.chunks_mut(length)) {
+        for (k, (&x, g)) in input.iter().zip(gradient).enumerate() {
+            let centred = multiply_add::<FUSED>(x - mean[k], slope[k], offset[k]);
+            *g = multiply_add::<FUSED>(*g, scale[k], centred);
+        }
+    }
+}
+
+dispatch! {
+    /// `gradient = gradient scale + (input - mean) slope + offset`.
+    fn input_gradient(
+        input: &[f32], mean: &[f32], scale: &[f32], slope: &[f32], offset: &[f32], gradient: &mut [f32],
+    ) = input_gradient_generic
+}
+
+impl BatchNorm {
+    fn channels(&self, inputs: &[Argument<'_>]) -> Result<usize> {
+        if let [input, weight, bias] = inputs
+            && let Some(&channels) = input.dims.last()
+            && input.dims.len() >= 2
+            && channels > 0
+            && weight.dims == [channels]
+            && bias.dims == [channels]
+            && self.statistics.channels == channels
+        {
+            return Ok(channels);
+        }
+        let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
+        Err(Error::Msg(format!(
+            "{NAME}: expected input [batch, .., c], weight [c], bias [c] and running statistics of c channels; got {dims:?} \
+             and {} channels",
+            self.statistics.channels
+        ))
+        .bt())
+    }
+
+    /// Mean and biased variance of each channel, in f64 over blocks (Chan, Golub and LeVeque, 1979).
+    fn moments(&self, input: &[f32], channels: usize) -> (Vec<f32>, Vec<f32>) {
+        let block = (BLOCK / channels).max(1) * channels;
+        let pattern = repeated(&vec![0.0; channels]).len();
+        let partials: Vec<(usize, Vec<f32>, Vec<f32>)> = input
+            .par_chunks(block)
+            .map(|block| {
+                let (mut mean, mut square) = (vec![0.0; pattern], vec![0.0; pattern]);
+                block_moments(self.level, block, channels, &mut mean, &mut square);
+                (block.len() / channels, mean, square)
+            })
+            .collect();
+        let (mut mean, mut square, mut count) = (vec![0.0f64; channels], vec![0.0f64; channels], 0.0f64);
+        for (rows, block_mean, block_square) in &partials {
+            let rows = *rows as f64;
+            let total = count + rows;
+            for (k, (mean, square)) in mean.iter_mut().zip(&mut square).enumerate() {
+                let difference = f64::from(block_mean[k]) - *mean;
+                *mean += difference * rows / total;
+                *square += difference * difference * count * rows / total;
+            }
+            folded(block_square, channels).for_each(|(k, s)| square[k] += s);
+            count = total;
+        }
+        let variance = square.iter().map(|s| (s / count) as f32).collect();
+        (mean.iter().map(|&m| m as f32).collect(), variance)
+    }
+}
+
+impl Operation for BatchNorm {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let channels = self.channels(inputs)?;
+        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let count = input.values.len() / channels;
+        let (mean, variance) = match self.mode {
+            BatchNormMode::Evaluation => {
+                let Moments { mean, variance } = self.statistics.moments();
+                (mean, variance)
+            }
+            BatchNormMode::Training if count < 2 => {
+                return Err(Error::Msg(format!(
+                    "{NAME}: expected more than one value for each channel in training, got input {:?}: a single value \
+                     has no variance; use larger batches",
+                    input.dims
+                ))
+                .bt());
+            }
+            BatchNormMode::Training => {
+                let (mean, variance) = self.moments(input.values, channels);
+                self.statistics.update(&mean, &variance, count);
+                (mean, variance)
+            }
+        };
+        let epsilon = f64::from(self.statistics.constants.epsilon);
+        let inverse: Vec<f32> = variance.iter().map(|&v| (1.0 / (f64::from(v) + epsilon).sqrt()) as f32).collect();
+        let (scale, shift) = scale_and_shift(weight.values, bias.values, &mean, &inverse);
+        let mut output = vec![0.0f32; input.values.len()];
+        let chunk = scale.len() * (BLOCK / scale.len()).max(1);
+        output
+            .par_chunks_mut(chunk)
+            .zip(input.values.par_chunks(chunk))
+            .for_each(|(output, input)| normalise(self.level, self.activation, input, &scale, &shift, output));
+        let _ = self.used.set(Used { mean, inverse });
+        Ok((output, Shape::from(input.dims)))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
+        let channels = self.channels(inputs)?;
+        let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
+        let Some(Used { mean, inverse }) = self.used.get() else {
+            candle_core::bail!("{NAME}: backward pass without a forward pass");
+        };
+        let (scale, shift) = scale_and_shift(weight.values, bias.values, mean, inverse);
+        let means = repeated(mean);
+        let chunk = scale.len() * (BLOCK / scale.len()).max(1);
+        let partials: Vec<(Vec<f32>, Vec<f32>)> = gradient
+            .par_chunks_mut(chunk)
+            .zip(input.values.par_chunks(chunk))
+            .map(|(gradient, input)| {
+                let (mut sum, mut product) = (vec![0.0; scale.len()], vec![0.0; scale.len()]);
+                let constants = [&means[..], &scale, &shift];
+                gradient_sums(self.level, self.activation, input, constants, gradient, &mut sum, &mut product);
+                (sum, product)
+            })
+            .collect();
+        let (mut sum, mut product) = (vec![0.0f64; channels], vec![0.0f64; channels]);
+        for (partial_sum, partial_product) in &partials {
+            folded(partial_sum, channels).for_each(|(k, s)| sum[k] += s);
+            folded(partial_product, channels).for_each(|(k, s)| product[k] += s);
+        }
+        // The sums so far are of centred, not of normalised inputs.
+        product.iter_mut().zip(inverse).for_each(|(p, &i)| *p *= f64::from(i));
+        let count = (input.values.len() / channels) as f64;
+        // In training the batch's mean and variance move with every input.
+        let moving = if self.mode == BatchNormMode::Training { 1.0 / count } else { 0.0 };
+        let offset: Vec<f32> = (0..channels).map(|k| (-f64::from(scale[k]) * sum[k] * moving) as f32).collect();
+        let slope: Vec<f32> = (0..channels)
+            .map(|k| (-f64::from(scale[k]) * f64::from(inverse[k]) * product[k] * moving) as f32)
+            .collect();
+        let (offset, slope) = (repeated(&offset), repeated(&slope));
+        gradient
+            .par_chunks_mut(chunk)
+            .zip(input.values.par_chunks(chunk))
+            .for_each(|(gradient, input)| input_gradient(self.level, input, &means, &scale, &slope, &offset, gradient));
+        let to_f32 = |values: Vec<f64>| values.into_iter().map(|v| v as f32).collect::<Vec<f32>>();
+        Ok(vec![Some(gradient), Some(to_f32(product)), Some(to_f32(sum))])
+    }
+}
+
+/// `x scale + shift` is the normalised `x`, for each channel, repeated.
+fn scale_and_shift(weight: &[f32], bias: &[f32], mean: &[f32], inverse: &[f32]) -> (Vec<f32>, Vec<f32>) {
+    let scale: Vec<f32> = weight.iter().zip(inverse).map(|(w, i)| w * i).collect();
+    let shift: Vec<f32> = bias.iter().zip(mean).zip(&scale).map(|((b, m), s)| b - m * s).collect();
+    (repeated(&scale), repeated(&shift))
+}

@@ -1,0 +1,277 @@
+//! Two-dimensional convolution, dense or depthwise.
+
+use candle_core::{Error, Result, Shape, Tensor};
+
+use super::depthwise;
+use super::operation::{Argument, Gradients, Operation, apply};
+use super::packed::{Packed, Side};
+use super::sweep::{Sweep, Tap};
+use super::tile::Tiles;
+use super::weight_gradient::{column_sums, weight_gradient};
+use super::{InputGradient, KernelLevel};
+
+const NAME: &str = "conv2d";
+
+/// How a kernel moves over a map; the same along rows and columns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct ConvGeometry {
+    /// Cells from one output to the next, at least 1.
+    pub stride: usize,
+    /// Rows and columns of zeros on each side.
+    pub padding: usize,
+    /// 1, or the number of channels: every channel by itself (depthwise).
+    pub groups: usize,
+}
+
+impl ConvGeometry {
+    /// All channels with all channels.
+    pub const fn dense(stride: usize, padding: usize) -> Self {
+        ConvGeometry { stride, padding, groups: 1 }
+    }
+
+    /// Every channel by itself.
+    pub const fn depthwise(stride: usize, padding: usize, channels: usize) -> Self {
+        ConvGeometry { stride, padding, groups: channels }
+    }
+
+    /// Cells along an axis of the output, or nothing where the kernel does not fit into the padded input.
+    pub fn output_length(&self, input: usize, kernel: usize) -> Option<usize> {
+        let room = (input + 2 * self.padding).checked_sub(kernel)?;
+        Some(room.checked_div(self.stride)? + 1)
+    }
+}
+
+/// PyTorch's `conv2d` on channel-last maps.
+///
+/// `input` is `[batch][row][column][i]`, `weight` `[o][i / groups][kernel row][kernel column]`, `bias` `[o]`; the result
+/// is `[batch][row][column][o]`.
+pub fn conv2d(
+    input: &Tensor,
+    weight: &Tensor,
+    bias: Option<&Tensor>,
+    geometry: ConvGeometry,
+    input_gradient: InputGradient,
+    level: KernelLevel,
+) -> Result<Tensor> {
+    let operation = Conv2d { geometry, input_gradient, tiles: Tiles::new(level) };
+    match bias {
+        Some(bias) => apply(&[input, weight, bias], operation),
+        None => apply(&[input, weight], operation),
+    }
+}
+
+struct Conv2d {
+    geometry: ConvGeometry,
+    input_gradient: InputGradient,
+    tiles: Tiles,
+}
+
+/// All sizes of one convolution.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ConvSizes {
+    pub batch: usize,
+    /// Rows and columns.
+    pub input: [usize; 2],
+    pub output: [usize; 2],
+    pub kernel: [usize; 2],
+    pub inputs: usize,
+    pub outputs: usize,
+    pub geometry: ConvGeometry,
+}
+
+impl ConvSizes {
+    /// Sizes of a convolution, or an error that names `layer`.
+    pub fn new(
+        layer: &str,
+        input: &[usize],
+        weight: &[usize],
+        bias: Option<&[usize]>,
+        geometry: ConvGeometry,
+    ) -> Result<Self> {
+        let wrong = |why: &str| {
+            Error::Msg(format!(
+                "{layer}: {why}: expected input [batch, rows, columns, i], weight [o, i / groups, kernel rows, kernel \
+                 columns], bias [o], kernel within the padded input; got input {input:?}, weight {weight:?}, bias \
+                 {bias:?} with {geometry:?}"
+            ))
+            .bt()
+        };
+        let (&[batch, rows, columns, inputs], &[outputs, weight_inputs, kernel_rows, kernel_columns]) = (input, weight)
+        else {
+            return Err(wrong("wrong number of axes"));
+        };
+        if [rows, columns, inputs, outputs, weight_inputs, kernel_rows, kernel_columns, geometry.stride].contains(&0) {
+            return Err(wrong("an empty axis or a stride of 0"));
+        }
+        let depthwise = geometry.groups == inputs && geometry.groups == outputs;
+        if geometry.groups != 1 && !depthwise {
+            return Err(wrong("groups must be 1 or the number of input and of output channels"));
+        }
+        if weight_inputs * geometry.groups != inputs {
+            return Err(wrong("channels of input and weight differ"));
+        }
+        if bias.is_some_and(|b| b != [outputs]) {
+            return Err(wrong("the bias has another number of outputs"));
+        }
+        let length =
+            |input, kernel| geometry.output_length(input, kernel).ok_or_else(|| wrong("the kernel does not fit"));
+        Ok(ConvSizes {
+            batch,
+            input: [rows, columns],
+            output: [length(rows, kernel_rows)?, length(columns, kernel_columns)?],
+            kernel: [kernel_rows, kernel_columns],
+            inputs,
+            outputs,
+            geometry,
+        })
+    }
+
+    /// Whether every channel goes by itself. A single channel is dense.
+    pub fn is_depthwise(&self) -> bool {
+        self.geometry.groups > 1
+    }
+
+    /// Cells of the kernel.
+    pub fn taps(&self) -> usize {
+        self.kernel[0] * self.kernel[1]
+    }
+
+    /// `[batch][row][column][o]`.
+    pub fn output_shape(&self) -> [usize; 4] {
+        [self.batch, self.output[0], self.output[1], self.outputs]
+    }
+
+    /// Values of the output.
+    pub fn output_count(&self) -> usize {
+        self.output_shape().iter().product()
+    }
+
+    /// From input to output.
+    pub fn forward_sweep(&self) -> Sweep {
+        let padding = -(self.geometry.padding as isize);
+        let taps = (0..self.taps())
+            .map(|t| Tap { offset: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize], index: t as u32 })
+            .collect();
+        Sweep {
+            batch: self.batch,
+            grid: self.output,
+            source: self.input,
+            channels: self.inputs,
+            source_step: self.geometry.stride as isize,
+            source_start: [padding; 2],
+            taps,
+            target: self.output,
+            target_step: 1,
+            target_start: [0; 2],
+        }
+    }
+
+    /// From the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by which taps of the
+    /// kernel ever touch them; each kind is a sweep of its own. Cells that no tap touches are in none.
+    pub fn backward_sweeps(&self) -> Vec<Sweep> {
+        let ConvGeometry { stride, padding, .. } = self.geometry;
+        let mut sweeps = Vec::new();
+        for kind in 0..stride * stride {
+            let start = [kind / stride, kind % stride];
+            let mut grid = [0; 2];
+            let mut taps_along: [Vec<(isize, usize)>; 2] = Default::default();
+            for axis in 0..2 {
+                grid[axis] = self.input[axis].saturating_sub(start[axis]).div_ceil(stride);
+                // Input cell y is touched by tap k of output cell (y + padding - k) / stride where that is whole.
+                taps_along[axis] = (0..self.kernel[axis])
+                    .filter(|k| (start[axis] + padding + stride * self.kernel[axis] - k).is_multiple_of(stride))
+                    .map(|k| (((start[axis] + padding) as isize - k as isize).div_euclid(stride as isize), k))
+                    .collect();
+            }
+            let taps: Vec<Tap> = taps_along[0]
+                .iter()
+                .flat_map(|&(y, ky)| {
+                    taps_along[1]
+                        .iter()
+                        .map(move |&(x, kx)| Tap { offset: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
+                })
+                .collect();
+            if taps.is_empty() || grid.contains(&0) {
+                continue;
+            }
+            sweeps.push(Sweep {
+                batch: self.batch,
+                grid,
+                source: self.output,
+                channels: self.outputs,
+                source_step: 1,
+                source_start: [0; 2],
+                taps,
+                target: self.input,
+                target_step: stride,
+                target_start: start,
+            });
+        }
+        sweeps
+    }
+}
+
+impl Conv2d {
+    fn sizes(&self, inputs: &[Argument<'_>]) -> Result<ConvSizes> {
+        match inputs {
+            [input, weight] => ConvSizes::new(NAME, input.dims, weight.dims, None, self.geometry),
+            [input, weight, bias] => ConvSizes::new(NAME, input.dims, weight.dims, Some(bias.dims), self.geometry),
+            _ => candle_core::bail!("{NAME}: expected input, weight and perhaps bias"),
+        }
+    }
+}
+
+impl Operation for Conv2d {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let sizes = self.sizes(inputs)?;
+        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let bias = inputs.get(2).map(|b| b.values);
+        let mut output = vec![0.0f32; sizes.output_count()];
+        let sweep = sizes.forward_sweep();
+        if sizes.is_depthwise() {
+            let weight = depthwise::tap_first(weight.values, sizes.taps());
+            depthwise::run(&sweep, input.values, &weight, bias, &mut output, self.tiles);
+        } else {
+            let weight =
+                Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.taps()], Side::Forward, self.tiles);
+            sweep.run(input.values, &weight, bias, &mut output);
+        }
+        Ok((output, Shape::from(sizes.output_shape().to_vec())))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        let sizes = self.sizes(inputs)?;
+        let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
+        let sweep = sizes.forward_sweep();
+        let weight_gradient = if sizes.is_depthwise() {
+            depthwise::weight_gradient(&sweep, input.values, &gradient, self.tiles)
+        } else {
+            weight_gradient(&sweep, input.values, &gradient, sizes.outputs, self.tiles)
+        };
+        let input_gradient = (self.input_gradient == InputGradient::Needed).then(|| {
+            let mut target = vec![0.0f32; input.values.len()];
+            if sizes.is_depthwise() {
+                let weight = depthwise::tap_first(weight.values, sizes.taps());
+                for sweep in sizes.backward_sweeps() {
+                    depthwise::run(&sweep, &gradient, &weight, None, &mut target, self.tiles);
+                }
+            } else {
+                let weight =
+                    Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.taps()], Side::Backward, self.tiles);
+                for sweep in sizes.backward_sweeps() {
+                    sweep.run(&gradient, &weight, None, &mut target);
+                }
+            }
+            target
+        });
+        let mut gradients = vec![input_gradient, Some(weight_gradient)];
+        if inputs.len() == 3 {
+            gradients.push(Some(column_sums(&gradient, sizes.outputs)));
+        }
+        Ok(gradients)
+    }
+}

@@ -1,0 +1,129 @@
+//! Convolution of every channel by itself. Channels are contiguous, so they are the lanes.
+
+use rayon::prelude::*;
+
+use super::sweep::Sweep;
+use super::tile::{ChannelTile, Shared, TapTile, Tiles, part};
+
+/// Cells that a task takes.
+const CELLS_PER_TASK: usize = 256;
+
+/// Weights `[channel][tap]` to `[tap][channel]`.
+pub(super) fn tap_first(weight: &[f32], taps: usize) -> Vec<f32> {
+    let channels = weight.len() / taps;
+    let mut ordered = vec![0.0; weight.len()];
+    for (channel, values) in weight.chunks_exact(taps).enumerate() {
+        for (tap, &value) in values.iter().enumerate() {
+            ordered[tap * channels + channel] = value;
+        }
+    }
+    ordered
+}
+
+/// `target = start + sum over taps of source * weight`, for all cells of a sweep; `weight` is `[tap][channel]`, `start`
+/// has a value for each channel.
+pub(super) fn run(
+    sweep: &Sweep,
+    source: &[f32],
+    weight: &[f32],
+    start: Option<&[f32]>,
+    target: &mut [f32],
+    tiles: Tiles,
+) {
+    let (cells, channels, taps) = (sweep.cells(), sweep.channels, sweep.taps.len());
+    assert_eq!(source.len(), sweep.batch * sweep.source[0] * sweep.source[1] * channels);
+    assert_eq!(target.len(), sweep.batch * sweep.target[0] * sweep.target[1] * channels);
+    assert!(sweep.taps.iter().all(|t| (t.index as usize + 1) * channels <= weight.len()));
+    let indices: Vec<u32> = sweep.taps.iter().map(|t| t.index).collect();
+    let zeros = vec![0.0f32; channels];
+    let tasks = cells.div_ceil(CELLS_PER_TASK);
+    let shared = Shared::new(target);
+    let task = |scratch: &mut Scratch, index: usize| {
+        let cells = part(cells, tasks, index);
+        let row_tiles = cells.len().div_ceil(ChannelTile::ROWS);
+        for tile in 0..row_tiles {
+            let rows = part(cells.len(), row_tiles, tile);
+            let rows = cells.start + rows.start..cells.start + rows.end;
+            scratch.addresses.resize(taps * rows.len(), std::ptr::null());
+            sweep.cell_addresses(rows.clone(), source, &zeros, &mut scratch.addresses);
+            scratch.targets.clear();
+            scratch.targets.extend(rows.clone().map(|cell| {
+                // SAFETY: the target's length is checked above; cells are inside the grid.
+                unsafe { shared.get().add(sweep.target_index(cell, channels)) }
+            }));
+            let tile = ChannelTile {
+                cells: scratch.addresses.as_ptr(),
+                taps: indices.as_ptr(),
+                tap_count: taps,
+                weights: weight.as_ptr(),
+                start: start.map_or(std::ptr::null(), <[f32]>::as_ptr),
+                targets: scratch.targets.as_ptr(),
+                channels,
+            };
+            // SAFETY: all addresses are of `channels` values; no other task has these cells.
+            unsafe { tiles.channel_tile(rows.len(), &tile) };
+        }
+    };
+    if tasks == 1 {
+        task(&mut Scratch::default(), 0);
+    } else {
+        (0..tasks).into_par_iter().for_each_init(Scratch::default, task);
+    }
+}
+
+/// Gradient `[channel][tap]` of the weights, where `gradient` belongs to what `sweep` computes from `source`: summed by
+/// parts of a fixed size, which are added up in their order.
+pub(super) fn weight_gradient(sweep: &Sweep, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
+    const BLOCK: usize = 64;
+    const BLOCKS_PER_TASK: usize = 16;
+    let (cells, channels, taps) = (sweep.cells(), sweep.channels, sweep.taps.len());
+    assert_eq!(source.len(), sweep.batch * sweep.source[0] * sweep.source[1] * channels);
+    assert_eq!(gradient.len(), cells * channels);
+    let zeros = vec![0.0f32; channels];
+    let tap_tiles = taps.div_ceil(tiles.rows);
+    let tasks = cells.div_ceil(BLOCK * BLOCKS_PER_TASK);
+    let partials: Vec<Vec<f32>> = (0..tasks)
+        .into_par_iter()
+        .map_init(Scratch::default, |scratch, index| {
+            let mut sums = vec![0.0f32; taps * channels];
+            let cells = part(cells, tasks, index);
+            let blocks = cells.len().div_ceil(BLOCK);
+            for block in 0..blocks {
+                let block = part(cells.len(), blocks, block);
+                let block = cells.start + block.start..cells.start + block.end;
+                scratch.addresses.resize(taps * block.len(), std::ptr::null());
+                sweep.cell_addresses(block.clone(), source, &zeros, &mut scratch.addresses);
+                for tap_tile in 0..tap_tiles {
+                    let rows = part(taps, tap_tiles, tap_tile);
+                    let tile = TapTile {
+                        cells: scratch.addresses[rows.start * block.len()..].as_ptr(),
+                        cell_count: block.len(),
+                        gradient: gradient[block.start * channels..].as_ptr(),
+                        target: sums[rows.start * channels..].as_mut_ptr(),
+                        channels,
+                    };
+                    // SAFETY: all addresses are of `channels` values.
+                    unsafe { tiles.tap_tile(rows.len(), &tile) };
+                }
+            }
+            sums
+        })
+        .collect();
+    let mut total = vec![0.0f32; taps * channels];
+    for partial in &partials {
+        total.iter_mut().zip(partial).for_each(|(t, &p)| *t += p);
+    }
+    let mut ordered = vec![0.0f32; taps * channels];
+    for (tap, values) in total.chunks_exact(channels).enumerate() {
+        for (channel, &value) in values.iter().enumerate() {
+            ordered[channel * taps + tap] = value;
+        }
+    }
+    ordered
+}
+
+#[derive(Default)]
+struct Scratch {
+    addresses: Vec<*const f32>,
+    targets: Vec<*mut f32>,
+}

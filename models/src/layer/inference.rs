@@ -1,0 +1,153 @@
+//! Convolutions prepared once and run often, without a graph of gradients: what inference is made of.
+
+use candle_core::{Error, Result};
+
+use super::activation::{Activation, CHUNK, in_place};
+use super::conv2d::{ConvGeometry, ConvSizes};
+use super::packed::{Packed, Side};
+use super::tile::Tiles;
+use super::{KernelLevel, depthwise};
+
+/// Maps `[batch][row][column][channel]` in a buffer that keeps its memory from one use to the next.
+#[derive(Debug, Clone, Default)]
+pub struct Feature {
+    dims: [usize; 4],
+    values: Vec<f32>,
+}
+
+impl Feature {
+    /// Maps of these values.
+    pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
+        if dims.iter().product::<usize>() != values.len() {
+            return Err(Error::Msg(format!(
+                "feature: {dims:?} needs {} values, got {}",
+                dims.iter().product::<usize>(),
+                values.len()
+            ))
+            .bt());
+        }
+        Ok(Feature { dims, values })
+    }
+
+    /// Batch, rows, columns, channels.
+    pub fn dims(&self) -> [usize; 4] {
+        self.dims
+    }
+
+    /// The values, in row-major order.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// The values, to be overwritten.
+    pub fn values_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+
+    /// Takes another shape. Values are what they were, or zero where there were none: to be overwritten.
+    pub fn reshape(&mut self, dims: [usize; 4]) {
+        self.dims = dims;
+        self.values.resize(dims.iter().product(), 0.0);
+    }
+}
+
+/// A convolution with batch normalisation folded into its weights, its bias and the activation behind it.
+pub struct PreparedConv {
+    weight_dims: [usize; 4],
+    geometry: ConvGeometry,
+    activation: Activation,
+    bias: Vec<f32>,
+    weight: Weight,
+    tiles: Tiles,
+    level: KernelLevel,
+}
+
+enum Weight {
+    Dense(Packed),
+    Depthwise(Vec<f32>),
+}
+
+/// `x scale + shift` for each channel behind a convolution: batch normalisation at evaluation.
+#[derive(Debug, Clone, Copy)]
+pub struct Affine<'a> {
+    /// A factor for each output.
+    pub scale: &'a [f32],
+    /// Added to each output.
+    pub shift: &'a [f32],
+}
+
+impl PreparedConv {
+    /// Prepares `activation((conv(x, weight) + bias) * scale + shift)`, `weight` `[o][i / groups][kernel row][kernel
+    /// column]`.
+    pub fn new(
+        weight: &[f32],
+        weight_dims: [usize; 4],
+        bias: Option<&[f32]>,
+        affine: Option<Affine<'_>>,
+        geometry: ConvGeometry,
+        activation: Activation,
+        level: KernelLevel,
+    ) -> Result<Self> {
+        let [outputs, inputs, rows, columns] = weight_dims;
+        let lengths = [bias.map(<[f32]>::len), affine.map(|a| a.scale.len()), affine.map(|a| a.shift.len())];
+        let groups = [1, outputs].contains(&geometry.groups) && (geometry.groups == 1 || inputs == 1);
+        if weight.len() != weight_dims.iter().product::<usize>()
+            || weight.is_empty()
+            || geometry.stride == 0
+            || !groups
+            || lengths.iter().flatten().any(|&l| l != outputs)
+        {
+            return Err(Error::Msg(format!(
+                "prepared convolution: expected weight [o, i / groups, kernel rows, kernel columns], groups 1 or o, and o \
+                 values of bias, scale and shift; got {} values for {weight_dims:?}, {lengths:?} with {geometry:?}",
+                weight.len()
+            ))
+            .bt());
+        }
+        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
+        let mut folded = weight.to_vec();
+        for (o, kernel) in folded.chunks_exact_mut(inputs * rows * columns).enumerate() {
+            kernel.iter_mut().for_each(|w| *w *= scale(o));
+        }
+        let bias =
+            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let tiles = Tiles::new(level);
+        let weight = if geometry.groups > 1 {
+            Weight::Depthwise(depthwise::tap_first(&folded, rows * columns))
+        } else {
+            Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
+        };
+        Ok(PreparedConv { weight_dims, geometry, activation, bias, weight, tiles, level: level.available() })
+    }
+
+    /// `output = activation(conv(input) + residual)`. `output` takes the shape it needs and keeps its memory.
+    pub fn run(&self, input: &Feature, residual: Option<&Feature>, output: &mut Feature) -> Result<()> {
+        let sizes = ConvSizes::new("prepared convolution", &input.dims, &self.weight_dims, None, self.geometry)?;
+        if let Some(residual) = residual
+            && residual.dims != sizes.output_shape()
+        {
+            return Err(Error::Msg(format!(
+                "prepared convolution: expected a residual {:?}, got {:?}",
+                sizes.output_shape(),
+                residual.dims
+            ))
+            .bt());
+        }
+        output.reshape(sizes.output_shape());
+        let sweep = sizes.forward_sweep();
+        match &self.weight {
+            Weight::Dense(weight) => sweep.run(&input.values, weight, Some(&self.bias), &mut output.values),
+            Weight::Depthwise(weight) => {
+                depthwise::run(&sweep, &input.values, weight, Some(&self.bias), &mut output.values, self.tiles);
+            }
+        }
+        if let Some(residual) = residual {
+            output.values.iter_mut().zip(&residual.values).for_each(|(y, &r)| *y += r);
+        }
+        if self.activation != Activation::None {
+            use rayon::prelude::*;
+            output.values.par_chunks_mut(CHUNK).for_each(|values| in_place(self.level, self.activation, values));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,72 @@
+//! One factor for each channel of each map: the end of squeeze-and-excitation.
+
+use candle_core::{Error, Result, Shape, Tensor};
+use rayon::prelude::*;
+
+use super::operation::{Argument, Gradients, Operation, apply};
+
+const NAME: &str = "scale_channels";
+
+/// `input` `[batch][row][column][channel]` times `scale` `[batch][channel]`.
+pub fn scale_channels(input: &Tensor, scale: &Tensor) -> Result<Tensor> {
+    apply(&[input, scale], ScaleChannels)
+}
+
+struct ScaleChannels;
+
+/// Values of a map, and channels.
+fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
+    match inputs {
+        &[Argument { dims: &[batch, rows, columns, channels], .. }, Argument { dims: &[b, c], .. }]
+            if batch == b && channels == c && rows * columns * channels > 0 =>
+        {
+            Ok((rows * columns * channels, channels))
+        }
+        _ => {
+            let dims: Vec<_> = inputs.iter().map(|a| a.dims).collect();
+            Err(Error::Msg(format!("{NAME}: expected input [batch, rows, columns, c], scale [batch, c]; got {dims:?}"))
+                .bt())
+        }
+    }
+}
+
+impl Operation for ScaleChannels {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let (map, channels) = sizes(inputs)?;
+        let [input, scale] = inputs else { candle_core::bail!("{NAME}: expected two inputs") };
+        let mut output = vec![0.0f32; input.values.len()];
+        output
+            .par_chunks_exact_mut(map)
+            .zip(input.values.par_chunks_exact(map))
+            .zip(scale.values.par_chunks_exact(channels))
+            .for_each(|((output, input), scale)| {
+                for (output, input) in output.chunks_exact_mut(channels).zip(input.chunks_exact(channels)) {
+                    output.iter_mut().zip(input).zip(scale).for_each(|((y, &x), &s)| *y = x * s);
+                }
+            });
+        Ok((output, Shape::from(input.dims)))
+    }
+
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {
+        let (map, channels) = sizes(inputs)?;
+        let [input, scale] = inputs else { candle_core::bail!("{NAME}: expected two inputs") };
+        let mut scale_gradient = vec![0.0f32; scale.values.len()];
+        gradient
+            .par_chunks_exact_mut(map)
+            .zip(input.values.par_chunks_exact(map))
+            .zip(scale.values.par_chunks_exact(channels).zip(scale_gradient.par_chunks_exact_mut(channels)))
+            .for_each(|((gradient, input), (scale, sums))| {
+                for (gradient, input) in gradient.chunks_exact_mut(channels).zip(input.chunks_exact(channels)) {
+                    for (((g, &x), &s), sum) in gradient.iter_mut().zip(input).zip(scale).zip(sums.iter_mut()) {
+                        *sum += *g * x;
+                        *g *= s;
+                    }
+                }
+            });
+        Ok(vec![Some(gradient), Some(scale_gradient)])
+    }
+}

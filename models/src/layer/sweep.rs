@@ -1,0 +1,272 @@
+//! A dense product over all cells of a grid: convolution forwards, its input's gradient, and the linear layer.
+
+use rayon::prelude::*;
+
+use super::packed::Packed;
+use super::tile::{RowTile, Shared, part};
+
+/// One tap of a kernel: where it looks, and where its weights are.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Tap {
+    /// Rows and columns from the cell's corner in the source.
+    pub offset: [isize; 2],
+    /// Index in the packed weights.
+    pub index: u32,
+}
+
+/// Which cells of a source each cell of a grid looks at, and where its result goes.
+#[derive(Debug, Clone)]
+pub(super) struct Sweep {
+    pub batch: usize,
+    /// Rows and columns of cells.
+    pub grid: [usize; 2],
+    /// Rows and columns of the source.
+    pub source: [usize; 2],
+    /// Channels of the source.
+    pub channels: usize,
+    /// Source row of cell row `r` is `source_step r + source_start`, plus the tap's offset.
+    pub source_step: isize,
+    pub source_start: [isize; 2],
+    pub taps: Vec<Tap>,
+    /// Rows and columns of the target.
+    pub target: [usize; 2],
+    /// Target row of cell row `r` is `target_step r + target_start`.
+    pub target_step: usize,
+    pub target_start: [usize; 2],
+}
+
+/// Cells that a task takes: enough to use weights again, few enough to stay in the second-level cache.
+const TILES_PER_TASK: usize = 16;
+/// Tasks that a product is cut into at least, where it can be.
+const TASKS: usize = 16;
+/// Sources with fewer channels are copied into patches: loops over so few channels cost more than the copy.
+const FEW_CHANNELS: usize = 8;
+/// Packed weights up to this many values stay in the second-level cache while tiles go by.
+const SMALL_WEIGHTS: usize = 1 << 16;
+
+impl Sweep {
+    /// Over the rows of a matrix `[row][channel]`.
+    pub fn rows(rows: usize, channels: usize) -> Self {
+        Sweep {
+            batch: rows,
+            grid: [1; 2],
+            source: [1; 2],
+            channels,
+            source_step: 1,
+            source_start: [0; 2],
+            taps: vec![Tap { offset: [0; 2], index: 0 }],
+            target: [1; 2],
+            target_step: 1,
+            target_start: [0; 2],
+        }
+    }
+
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        self.batch * self.grid[0] * self.grid[1]
+    }
+
+    /// Image, row and column of a cell.
+    fn place(&self, cell: usize) -> [usize; 3] {
+        let [rows, columns] = self.grid;
+        [cell / (rows * columns), cell / columns % rows, cell % columns]
+    }
+
+    /// Index of the first value that a cell's result goes to.
+    pub fn target_index(&self, cell: usize, outputs: usize) -> usize {
+        let [image, row, column] = self.place(cell);
+        let row = self.target_step * row + self.target_start[0];
+        let column = self.target_step * column + self.target_start[1];
+        ((image * self.target[0] + row) * self.target[1] + column) * outputs
+    }
+
+    /// Whether taps are gathered before the product.
+    pub fn is_gathered(&self) -> bool {
+        let all_in_order = || self.taps.iter().enumerate().all(|(k, tap)| tap.index as usize == k);
+        self.channels < FEW_CHANNELS && self.taps.len() > 1 && all_in_order()
+    }
+
+    /// Addresses of what the taps of `cells` look at, `[tap][cell]`, written to `addresses`; `zeros` stands for padding.
+    /// Where the sweep is gathered there is one address a cell, into `patches`.
+    pub fn addresses(
+        &self,
+        cells: std::ops::Range<usize>,
+        source: &[f32],
+        zeros: &[f32],
+        patches: &mut [f32],
+        addresses: &mut [*const f32],
+    ) {
+        self.look_up(cells, source, zeros, self.is_gathered().then_some(patches), addresses);
+    }
+
+    /// [`Sweep::addresses`] that never gathers.
+    pub fn cell_addresses(
+        &self,
+        cells: std::ops::Range<usize>,
+        source: &[f32],
+        zeros: &[f32],
+        addresses: &mut [*const f32],
+    ) {
+        self.look_up(cells, source, zeros, None, addresses);
+    }
+
+    fn look_up(
+        &self,
+        cells: std::ops::Range<usize>,
+        source: &[f32],
+        zeros: &[f32],
+        mut patches: Option<&mut [f32]>,
+        addresses: &mut [*const f32],
+    ) {
+        let (count, taps) = (cells.len(), self.taps.len());
+        let line = self.source[1] * self.channels;
+        let mut first = 0;
+        while first < count {
+            // Cells of one row of the grid.
+            let [image, row, column] = self.place(cells.start + first);
+            let run = (self.grid[1] - column).min(count - first);
+            for (t, tap) in self.taps.iter().enumerate() {
+                let source_row = self.source_step * row as isize + self.source_start[0] + tap.offset[0];
+                let mut source_column = self.source_step * column as isize + self.source_start[1] + tap.offset[1];
+                let inside = (0..self.source[0] as isize).contains(&source_row);
+                let columns = if inside { self.source[1] as isize } else { 0 };
+                let line = if inside {
+                    &source[(image * self.source[0] + source_row as usize) * line..][..line]
+                } else {
+                    zeros
+                };
+                for k in first..first + run {
+                    let values = if (0..columns).contains(&source_column) {
+                        &line[source_column as usize * self.channels..][..self.channels]
+                    } else {
+                        zeros
+                    };
+                    if let Some(patches) = &mut patches {
+                        let at = (k * taps + t) * self.channels;
+                        match (values, &mut patches[at..at + self.channels]) {
+                            (&[value], [to]) => *to = value,
+                            (values, to) => to.copy_from_slice(values),
+                        }
+                    } else {
+                        addresses[t * count + k] = values.as_ptr();
+                    }
+                    source_column += self.source_step;
+                }
+            }
+            first += run;
+        }
+        if let Some(patches) = patches {
+            for (address, patch) in addresses.iter_mut().zip(patches.chunks_exact(taps * self.channels)) {
+                *address = patch.as_ptr();
+            }
+        }
+    }
+
+    /// `target = start + source * weights` for all cells. `start` has a value for each of the weights' columns.
+    ///
+    /// Cells of the target that the grid does not reach are left alone. Every cell is summed in the same order whoever
+    /// does it.
+    pub fn run(&self, source: &[f32], weights: &Packed, start: Option<&[f32]>, target: &mut [f32]) {
+        let cells = self.cells();
+        if cells == 0 {
+            return;
+        }
+        let tiles = weights.tiles;
+        assert_eq!(source.len(), self.batch * self.source[0] * self.source[1] * self.channels);
+        assert_eq!(target.len(), self.batch * self.target[0] * self.target[1] * weights.columns);
+        assert!(self.taps.iter().all(|t| (t.index as usize + 1) * self.channels <= weights.depth));
+        let start = start.map(|values| weights.pad(values));
+        let zeros = vec![0.0f32; self.channels];
+        let row_tasks = cells.div_ceil(TILES_PER_TASK * tiles.rows);
+        let panels = weights.panels();
+        let panel_tasks = TASKS.div_ceil(row_tasks).min(panels);
+        let shared = Shared::new(target);
+        let task = |scratch: &mut Scratch, index: usize| {
+            let cells = part(cells, row_tasks, index / panel_tasks);
+            let panels = part(panels, panel_tasks, index % panel_tasks);
+            self.task(scratch, cells, panels, source, weights, start.as_deref(), &zeros, shared);
+        };
+        let tasks = row_tasks * panel_tasks;
+        if tasks == 1 {
+            task(&mut Scratch::default(), 0);
+        } else {
+            (0..tasks).into_par_iter().for_each_init(Scratch::default, task);
+        }
+    }
+
+    #[allow(clippy::too_many_arguments)]
+    fn task(
+        &self,
+        scratch: &mut Scratch,
+        cells: std::ops::Range<usize>,
+        panels: std::ops::Range<usize>,
+        source: &[f32],
+        weights: &Packed,
+        start: Option<&[f32]>,
+        zeros: &[f32],
+        target: Shared,
+    ) {
+        let tiles = weights.tiles;
+        let gathered = self.is_gathered();
+        let (taps, channels) =
+            if gathered { (1, self.taps.len() * self.channels) } else { (self.taps.len(), self.channels) };
+        scratch.taps.clear();
+        scratch.taps.extend(self.taps.iter().map(|t| t.index));
+        if gathered {
+            // Patches hold the taps in order: a gathered sweep uses all of them.
+            scratch.taps[0] = 0;
+        }
+        scratch.addresses.resize(taps * cells.len(), std::ptr::null());
+        scratch.patches.resize(if gathered { channels * cells.len() } else { 0 }, 0.0);
+        scratch.targets.clear();
+        scratch.targets.extend(cells.clone().map(|cell| {
+            // SAFETY: `run` has checked the target's length; cells are inside the grid.
+            unsafe { target.get().add(self.target_index(cell, weights.columns)) }
+        }));
+        let row_tiles = cells.len().div_ceil(tiles.rows);
+        for tile in 0..row_tiles {
+            let rows = part(cells.len(), row_tiles, tile);
+            let patches = if gathered { rows.start * channels..rows.end * channels } else { 0..0 };
+            self.addresses(
+                cells.start + rows.start..cells.start + rows.end,
+                source,
+                zeros,
+                &mut scratch.patches[patches],
+                &mut scratch.addresses[rows.start * taps..rows.end * taps],
+            );
+        }
+        let compute = |tile: usize, panel: usize| {
+            let rows = part(cells.len(), row_tiles, tile);
+            let first = panel * tiles.width();
+            let row_tile = RowTile {
+                cells: scratch.addresses[rows.start * taps..].as_ptr(),
+                taps: scratch.taps.as_ptr(),
+                tap_count: taps,
+                channels,
+                panel: weights.values[first * weights.depth..].as_ptr(),
+                start: start.map_or(std::ptr::null(), |s| s[first..].as_ptr()),
+                // Each row's place in the target, moved to the panel's first column below.
+                targets: scratch.targets[rows.start..].as_ptr(),
+                first,
+                columns: tiles.width().min(weights.columns - first),
+            };
+            // SAFETY: addresses are of whole cells of the source, of zeros or of patches, each `channels` long; panel
+            // and start are padded to the tile's width; no other task writes to these rows and columns.
+            unsafe { tiles.row_tile(rows.len(), &row_tile) };
+        };
+        if weights.values.len() <= SMALL_WEIGHTS {
+            (0..row_tiles).for_each(|tile| panels.clone().for_each(|panel| compute(tile, panel)));
+        } else {
+            panels.for_each(|panel| (0..row_tiles).for_each(|tile| compute(tile, panel)));
+        }
+    }
+}
+
+/// What a task needs and the next one uses again.
+#[derive(Default)]
+struct Scratch {
+    taps: Vec<u32>,
+    addresses: Vec<*const f32>,
+    targets: Vec<*mut f32>,
+    patches: Vec<f32>,
+}

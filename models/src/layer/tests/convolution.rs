@@ -1,0 +1,199 @@
+use super::*;
+
+/// Batch, rows, columns, inputs, outputs, kernel, geometry.
+type Case = (usize, [usize; 2], usize, usize, [usize; 2], ConvGeometry);
+
+/// Kernels 1, 3, 5, 7 and oblong; strides 1 to 3; odd sizes; channels that fill no vector, one, and more than a tile;
+/// depthwise; a batch of one; more rows than a task takes.
+fn cases() -> Vec<Case> {
+    let (dense, depthwise) = (ConvGeometry::dense, ConvGeometry::depthwise);
+    vec![
+        (2, [5, 7], 3, 5, [3, 3], dense(1, 1)),
+        (1, [9, 8], 16, 20, [3, 3], dense(2, 1)),
+        (2, [11, 10], 1, 33, [7, 7], dense(2, 3)),
+        (3, [4, 4], 40, 70, [3, 3], dense(1, 1)),
+        (2, [6, 5], 17, 49, [1, 1], dense(1, 0)),
+        (2, [7, 6], 24, 10, [1, 1], dense(2, 0)),
+        (1, [8, 9], 12, 9, [5, 5], dense(3, 2)),
+        (2, [6, 9], 9, 7, [3, 5], dense(1, 1)),
+        (1, [40, 31], 8, 16, [3, 3], dense(1, 1)),
+        (2, [3, 3], 2, 3, [3, 3], dense(2, 0)),
+        (2, [7, 9], 24, 24, [3, 3], depthwise(1, 1, 24)),
+        (1, [8, 7], 37, 37, [5, 5], depthwise(2, 2, 37)),
+        (2, [9, 9], 5, 5, [3, 3], depthwise(2, 1, 5)),
+        (1, [30, 20], 16, 16, [7, 7], depthwise(1, 3, 16)),
+    ]
+}
+
+fn tensors((batch, [rows, columns], inputs, outputs, kernel, geometry): &Case) -> (Vec<f32>, Vec<f32>, Vec<f32>) {
+    let weights = outputs * inputs / geometry.groups * kernel[0] * kernel[1];
+    (random(batch * inputs * rows * columns, "x"), random(weights, "w"), random(*outputs, "b"))
+}
+
+#[test]
+fn conv2d_agrees_with_the_reference_and_with_finite_differences() {
+    for case in cases() {
+        let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
+        let (x, w, b) = tensors(&case);
+        let (xd, wd, bd) = (to_f64(&x), to_f64(&w), to_f64(&b));
+        let forward = |x: &[f64], w: &[f64], b: &[f64]| -> Vec<f64> {
+            let ConvGeometry { stride, padding, groups } = geometry;
+            x.chunks_exact(inputs * rows * columns)
+                .flat_map(|s| reference::conv2d(s, [rows, columns], w, kernel, b, stride, padding, groups))
+                .collect()
+        };
+        let want = forward(&xd, &wd, &bd);
+        let upstream = random(want.len(), "g");
+        let gd = to_f64(&upstream);
+        let cells = want.len() / (batch * outputs);
+        let loss = |x: &[f64], w: &[f64], b: &[f64]| weighted_sum(&forward(x, w, b), &gd);
+        let [dx, dw, db] = [
+            differences(&xd, |x| loss(x, &wd, &bd)),
+            differences(&wd, |w| loss(&xd, w, &bd)),
+            differences(&bd, |b| loss(&xd, &wd, b)),
+        ];
+        let dx: Vec<f32> = dx.iter().map(|&v| v as f32).collect();
+        let want: Vec<f32> = want.iter().map(|&v| v as f32).collect();
+        for level in levels() {
+            let name = |what: &str| format!("{what} of {case:?} at {level:?}");
+            let input = var(&channel_last(&x, inputs, rows * columns), &[batch, rows, columns, inputs]);
+            let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
+            let bias = var(&b, &[outputs]);
+            let out = conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
+            close(&name("output"), &flat(&out), &to_f64(&channel_last(&want, outputs, cells)), 1e-5);
+            let g = var(&channel_last(&upstream, outputs, cells), out.dims());
+            let scalar = (&out * g.as_tensor()).and_then(|t| t.sum_all()).expect("loss");
+            let grads = scalar.backward().expect("backward");
+            let got = |v: &Var| flat(grads.get(v).expect("gradient"));
+            close(&name("dx"), &got(&input), &to_f64(&channel_last(&dx, inputs, rows * columns)), 1e-5);
+            close(&name("dw"), &got(&weight), &dw, 1e-5);
+            close(&name("db"), &got(&bias), &db, 1e-5);
+        }
+    }
+}
+
+/// One fast level against the portable one at every coordinate: finite differences look at a hundred.
+#[test]
+fn levels_agree_at_every_coordinate() {
+    for case in cases() {
+        let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
+        let (x, w, _) = tensors(&case);
+        let run = |level| {
+            let input = var(&x, &[batch, rows, columns, inputs]);
+            let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
+            let out = conv2d(&input, &weight, None, geometry, InputGradient::Needed, level).expect("forward");
+            let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
+            [flat(&out), flat(grads.get(&input).expect("dx")), flat(grads.get(&weight).expect("dw"))]
+        };
+        let plain = run(KernelLevel::Portable);
+        for level in levels() {
+            for (got, want) in run(level).iter().zip(&plain) {
+                close(&format!("{case:?} at {level:?}"), got, &to_f64(want), 1e-5);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_prepared_convolution_is_the_layers_in_a_row() {
+    for case in cases() {
+        let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
+        let (x, w, b) = tensors(&case);
+        let level = KernelLevel::detect();
+        let (scale, shift) = (random(outputs, "scale"), random(outputs, "shift"));
+        let weight_dims = [outputs, inputs / geometry.groups, kernel[0], kernel[1]];
+        let input = var(&x, &[batch, rows, columns, inputs]);
+        let out =
+            conv2d(&input, &var(&w, &weight_dims), Some(&var(&b, &[outputs])), geometry, InputGradient::Unused, level)
+                .and_then(|t| t.broadcast_mul(&var(&scale, &[outputs])))
+                .and_then(|t| t.broadcast_add(&var(&shift, &[outputs])))
+                .expect("layers");
+        let residual = random(out.elem_count(), "r");
+        let dims = [out.dims()[0], out.dims()[1], out.dims()[2], out.dims()[3]];
+        let sum = (&out + var(&residual, out.dims()).as_tensor()).expect("sum");
+        let affine = Some(Affine { scale: &scale, shift: &shift });
+        let feature = Feature::new([batch, rows, columns, inputs], x).expect("feature");
+        let residual = Feature::new(dims, residual).expect("feature");
+        for (act, residual, want) in [
+            (Activation::None, None, out.clone()),
+            (Activation::Relu, Some(&residual), sum.relu().expect("relu")),
+            (Activation::Silu, Some(&residual), sum.silu().expect("silu")),
+        ] {
+            let prepared = PreparedConv::new(&w, weight_dims, Some(&b), affine, geometry, act, level).expect("prepare");
+            // A buffer that has been used before, by something larger.
+            let mut output = Feature::new([1, 1, 1, 9000], vec![f32::NAN; 9000]).expect("feature");
+            prepared.run(&feature, residual, &mut output).expect("run");
+            assert_eq!(output.dims(), dims);
+            close(&format!("{act:?} of {case:?}"), output.values(), &to_f64(&flat(&want)), 1e-5);
+        }
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits() {
+        for case in cases() {
+            let (batch, [rows, columns], inputs, outputs, kernel, geometry) = case;
+            let (x, w, b) = tensors(&case);
+            let run = |threads: usize| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+                pool.install(|| {
+                    let input = var(&x, &[batch, rows, columns, inputs]);
+                    let weight = var(&w, &[outputs, inputs / geometry.groups, kernel[0], kernel[1]]);
+                    let bias = var(&b, &[outputs]);
+                    let level = KernelLevel::detect();
+                    let out =
+                        conv2d(&input, &weight, Some(&bias), geometry, InputGradient::Needed, level).expect("forward");
+                    let grads = out.sqr().and_then(|t| t.sum_all()).and_then(|s| s.backward()).expect("backward");
+                    [&input, &weight, &bias].map(|v| flat(grads.get(v).expect("gradient")))
+                })
+            };
+            let one = run(1);
+            for threads in [2, 3, 5] {
+                for (a, b) in one.iter().flatten().zip(run(threads).iter().flatten()) {
+                    assert_eq!(a.to_bits(), b.to_bits(), "{case:?}, {threads} threads");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_nan_comes_out_wherever_it_is_looked_at() {
+        for level in levels() {
+            for (inputs, geometry) in [(3, ConvGeometry::dense(1, 1)), (20, ConvGeometry::depthwise(1, 1, 20))] {
+                let mut x = random(5 * 5 * inputs, "x");
+                x[(2 * 5 + 2) * inputs + 1] = f32::NAN;
+                let input = var(&x, &[1, 5, 5, inputs]);
+                let weight =
+                    var(&random(inputs * inputs / geometry.groups * 9, "w"), &[inputs, inputs / geometry.groups, 3, 3]);
+                let out = conv2d(&input, &weight, None, geometry, InputGradient::Needed, level).expect("forward");
+                for (cell, values) in flat(&out).chunks_exact(inputs).enumerate() {
+                    let near = (1..4).contains(&(cell / 5)) && (1..4).contains(&(cell % 5));
+                    assert_eq!(values[1].is_nan(), near, "cell {cell}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn wrong_shapes_name_the_layer_and_what_was_expected() {
+        let level = KernelLevel::detect();
+        let x = var(&random(2 * 4 * 4 * 6, "x"), &[2, 4, 4, 6]);
+        let conv = |dims: &[usize], geometry| {
+            let w = var(&random(dims.iter().product(), "w"), dims);
+            conv2d(&x, &w, None, geometry, InputGradient::Needed, level).expect_err("wrong").to_string()
+        };
+        for (dims, geometry, why) in [
+            (vec![6, 2, 3, 3], ConvGeometry { stride: 1, padding: 1, groups: 3 }, "groups must be 1 or the number"),
+            (vec![5, 4, 3, 3], ConvGeometry::dense(1, 1), "channels of input and weight differ"),
+            (vec![5, 6, 7, 7], ConvGeometry::dense(1, 1), "the kernel does not fit"),
+            (vec![5, 6, 3, 3], ConvGeometry::dense(0, 1), "a stride of 0"),
+            (vec![5, 6, 9], ConvGeometry::dense(1, 1), "wrong number of axes"),
+        ] {
+            let error = conv(&dims, geometry);
+            assert!(error.contains("conv2d") && error.contains(why) && error.contains("[2, 4, 4, 6]"), "{error}");
+        }
+    }
+}
