@@ -14,6 +14,7 @@
 mod classifier;
 pub mod dataset;
 pub mod evaluate;
+mod large_blocks;
 pub mod layer;
 mod model_file;
 pub mod network;
@@ -26,6 +27,7 @@ pub mod train;
 pub use classifier::{Classifier, ClassifyError};
 pub use dataset::Dataset;
 pub use evaluate::Metrics;
+pub use large_blocks::LargeBlocks;
 pub use model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary};
 pub use network::{NetworkInfo, networks};
 pub use random::stream;

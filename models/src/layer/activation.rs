@@ -5,7 +5,7 @@ use rayon::prelude::*;
 
 use super::KernelLevel;
 use super::level::{dispatch, multiply_add};
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 /// Values that one task passes over.
 pub(super) const CHUNK: usize = 1 << 14;
@@ -166,7 +166,7 @@ impl Operation for Activate {
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { candle_core::bail!("activation: expected one input") };
-        let mut output = vec![0.0f32; input.values.len()];
+        let mut output = unwritten(input.values.len());
         output
             .par_chunks_mut(CHUNK)
             .zip(input.values.par_chunks(CHUNK))
@@ -212,7 +212,7 @@ impl Operation for AddRelu {
         if a.dims != b.dims {
             return Err(Error::Msg(format!("add_relu: expected equal shapes, got {:?} and {:?}", a.dims, b.dims)).bt());
         }
-        let mut output = vec![0.0f32; a.values.len()];
+        let mut output = unwritten(a.values.len());
         output
             .par_chunks_mut(CHUNK)
             .zip(a.values.par_chunks(CHUNK))

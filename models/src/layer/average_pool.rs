@@ -1,9 +1,9 @@
 //! Adaptive average pooling: any map size to a fixed one.
 
-use candle_core::{CpuStorage, CustomOp1, Error, Layout, Result, Shape, Tensor};
+use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::{values, with_values};
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "adaptive_average_pool";
 
@@ -12,7 +12,7 @@ const NAME: &str = "adaptive_average_pool";
 ///
 /// Bin `i` of `n` over a length `l` runs from `floor(i l / n)` to `ceil((i + 1) l / n)`.
 pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Result<Tensor> {
-    input.apply_op1(AveragePool { rows, columns })
+    apply(&[input], AveragePool { rows, columns })
 }
 
 /// First and end index of bin `index` of `bins` over `length` cells.
@@ -54,16 +54,17 @@ impl AveragePool {
     }
 }
 
-impl CustomOp1 for AveragePool {
+impl Operation for AveragePool {
     fn name(&self) -> &'static str {
         NAME
     }
 
-    fn cpu_fwd(&self, input: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let [batch, rows, columns, channels] = self.sizes(layout.dims())?;
-        let input = values(NAME, input, layout)?;
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [batch, rows, columns, channels] = self.sizes(input.dims)?;
+        let input = input.values;
         let bins = self.rows * self.columns;
-        let mut result = vec![0.0f32; batch * channels * bins];
+        let mut result = unwritten(batch * channels * bins);
         result.par_chunks_exact_mut(channels * bins).zip(input.par_chunks_exact(rows * columns * channels)).for_each(
             |(out, map)| {
                 let mut sums = vec![0.0f32; channels];
@@ -81,33 +82,31 @@ impl CustomOp1 for AveragePool {
                 });
             },
         );
-        Ok((CpuStorage::F32(result), Shape::from((batch, channels * bins))))
+        Ok((result, Shape::from((batch, channels * bins))))
     }
 
-    fn bwd(&self, input: &Tensor, _result: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let [_, rows, columns, channels] = self.sizes(input.dims())?;
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let [_, rows, columns, channels] = self.sizes(input.dims)?;
         let bins = self.rows * self.columns;
-        let mut input_gradient = vec![0.0f32; input.elem_count()];
-        with_values(NAME, gradient, |gradient| {
-            input_gradient
-                .par_chunks_exact_mut(rows * columns * channels)
-                .zip(gradient.par_chunks_exact(channels * bins))
-                .for_each(|(map, g)| {
-                    let mut share = vec![0.0f32; channels];
-                    self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
-                        for (channel, share) in share.iter_mut().enumerate() {
-                            *share = g[channel * bins + index] * weight;
+        let mut input_gradient = vec![0.0f32; input.values.len()];
+        input_gradient
+            .par_chunks_exact_mut(rows * columns * channels)
+            .zip(gradient.par_chunks_exact(channels * bins))
+            .for_each(|(map, g)| {
+                let mut share = vec![0.0f32; channels];
+                self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
+                    for (channel, share) in share.iter_mut().enumerate() {
+                        *share = g[channel * bins + index] * weight;
+                    }
+                    for row in top..bottom {
+                        let cells = &mut map[(row * columns + left) * channels..(row * columns + right) * channels];
+                        for cell in cells.chunks_exact_mut(channels) {
+                            cell.iter_mut().zip(&share).for_each(|(v, &s)| *v += s);
                         }
-                        for row in top..bottom {
-                            let cells = &mut map[(row * columns + left) * channels..(row * columns + right) * channels];
-                            for cell in cells.chunks_exact_mut(channels) {
-                                cell.iter_mut().zip(&share).for_each(|(v, &s)| *v += s);
-                            }
-                        }
-                    });
+                    }
                 });
-            Ok(())
-        })?;
-        Ok(Some(Tensor::from_vec(input_gradient, input.shape(), input.device())?))
+            });
+        Ok(vec![Some(input_gradient)])
     }
 }

@@ -3,7 +3,7 @@
 use candle_core::{Error, Result, Shape, Tensor};
 
 use super::depthwise;
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 use super::packed::{Packed, Side};
 use super::sweep::{Sweep, Tap};
 use super::tile::Tiles;
@@ -230,7 +230,7 @@ impl Operation for Conv2d {
         let sizes = self.sizes(inputs)?;
         let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
-        let mut output = vec![0.0f32; sizes.output_count()];
+        let mut output = unwritten(sizes.output_count());
         let sweep = sizes.forward_sweep();
         if sizes.is_depthwise() {
             let weight = depthwise::tap_first(weight.values, sizes.taps());
@@ -253,16 +253,19 @@ impl Operation for Conv2d {
             weight_gradient(&sweep, input.values, &gradient, sizes.outputs, self.tiles)
         };
         let input_gradient = (self.input_gradient == InputGradient::Needed).then(|| {
-            let mut target = vec![0.0f32; input.values.len()];
+            let sweeps = sizes.backward_sweeps();
+            // With strides longer than the kernel there are cells that no tap touches, and no sweep writes.
+            let all = sweeps.iter().map(Sweep::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
+            let mut target = if all { unwritten(input.values.len()) } else { vec![0.0; input.values.len()] };
             if sizes.is_depthwise() {
                 let weight = depthwise::tap_first(weight.values, sizes.taps());
-                for sweep in sizes.backward_sweeps() {
+                for sweep in &sweeps {
                     depthwise::run(&sweep, &gradient, &weight, None, &mut target, self.tiles);
                 }
             } else {
                 let weight =
                     Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.taps()], Side::Backward, self.tiles);
-                for sweep in sizes.backward_sweeps() {
+                for sweep in &sweeps {
                     sweep.run(&gradient, &weight, None, &mut target);
                 }
             }

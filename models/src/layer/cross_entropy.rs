@@ -1,8 +1,8 @@
 //! Class-weighted cross-entropy of logits.
 
-use candle_core::{CpuStorage, CustomOp1, Layout, Result, Shape, Tensor};
+use candle_core::{Result, Shape, Tensor};
 
-use super::{values, with_values};
+use super::operation::{Argument, Gradients, Operation, apply};
 
 const NAME: &str = "cross_entropy";
 
@@ -21,7 +21,7 @@ pub fn cross_entropy(logits: &Tensor, labels: &[usize], class_weights: &[f32]) -
             class_weights.len()
         );
     }
-    logits.apply_op1(CrossEntropy { labels: labels.to_vec(), class_weights: class_weights.to_vec() })
+    apply(&[logits], CrossEntropy { labels: labels.to_vec(), class_weights: class_weights.to_vec() })
 }
 
 /// Probabilities of one row of logits, by the softmax; f64, shifted by the maximum so that nothing overflows.
@@ -48,34 +48,32 @@ impl CrossEntropy {
     }
 }
 
-impl CustomOp1 for CrossEntropy {
+impl Operation for CrossEntropy {
     fn name(&self) -> &'static str {
         NAME
     }
 
-    fn cpu_fwd(&self, logits: &CpuStorage, layout: &Layout) -> Result<(CpuStorage, Shape)> {
-        let logits = values(NAME, logits, layout)?;
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [Argument { values: logits, .. }] = inputs else { candle_core::bail!("{NAME}: expected one input") };
         let mut loss = 0.0f64;
         for (row, &label) in logits.chunks_exact(self.class_weights.len()).zip(&self.labels) {
             let largest = row.iter().copied().fold(f32::NEG_INFINITY, f32::max);
             let log_sum = row.iter().map(|&z| f64::from(z - largest).exp()).sum::<f64>().ln() + f64::from(largest);
             loss += self.weight(label) * (log_sum - f64::from(row[label]));
         }
-        Ok((CpuStorage::F32(vec![(loss / self.total_weight()) as f32]), Shape::from(())))
+        Ok((vec![(loss / self.total_weight()) as f32], Shape::from(())))
     }
 
-    fn bwd(&self, logits: &Tensor, _result: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        let scale = f64::from(gradient.to_scalar::<f32>()?) / self.total_weight();
-        let mut out = Vec::with_capacity(logits.elem_count());
-        with_values(NAME, logits, |logits| {
-            for (row, &label) in logits.chunks_exact(self.class_weights.len()).zip(&self.labels) {
-                for (class, p) in softmax(row, 1.0).into_iter().enumerate() {
-                    let target = if class == label { 1.0 } else { 0.0 };
-                    out.push((scale * self.weight(label) * (p - target)) as f32);
-                }
+    fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
+        let [Argument { values: logits, .. }] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let scale = gradient.iter().copied().map(f64::from).sum::<f64>() / self.total_weight();
+        let mut out = Vec::with_capacity(logits.len());
+        for (row, &label) in logits.chunks_exact(self.class_weights.len()).zip(&self.labels) {
+            for (class, p) in softmax(row, 1.0).into_iter().enumerate() {
+                let target = if class == label { 1.0 } else { 0.0 };
+                out.push((scale * self.weight(label) * (p - target)) as f32);
             }
-            Ok(())
-        })?;
-        Ok(Some(Tensor::from_vec(out, logits.shape(), logits.device())?))
+        }
+        Ok(vec![Some(out)])
     }
 }

@@ -3,7 +3,7 @@
 use candle_core::{Error, Result, Shape, Tensor};
 
 use super::KernelLevel;
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 use super::packed::{Packed, Side};
 use super::sweep::Sweep;
 use super::tile::Tiles;
@@ -37,7 +37,7 @@ impl Operation for Linear {
         let [batch, i, o] = sizes(inputs)?;
         let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Forward, self.tiles);
-        let mut output = vec![0.0f32; batch * o];
+        let mut output = unwritten(batch * o);
         Sweep::rows(batch, i).run(input.values, &weight, Some(bias.values), &mut output);
         Ok((output, Shape::from((batch, o))))
     }
@@ -46,7 +46,7 @@ impl Operation for Linear {
         let [batch, i, o] = sizes(inputs)?;
         let [input, weight, _] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Backward, self.tiles);
-        let mut input_gradient = vec![0.0f32; batch * i];
+        let mut input_gradient = unwritten(batch * i);
         Sweep::rows(batch, o).run(&gradient, &weight, None, &mut input_gradient);
         let weight_gradient = weight_gradient(&Sweep::rows(batch, i), input.values, &gradient, o, self.tiles);
         Ok(vec![Some(input_gradient), Some(weight_gradient), Some(column_sums(&gradient, o))])

@@ -5,20 +5,23 @@ use std::sync::OnceLock;
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::KernelLevel;
+use super::level::dispatch;
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "max_pool2d";
 
 /// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window; padding never wins, a NaN always does,
 /// and of equals the first in row-major order.
-pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize) -> Result<Tensor> {
-    apply(&[input], MaxPool { kernel, stride, padding, winners: OnceLock::new() })
+pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize, level: KernelLevel) -> Result<Tensor> {
+    apply(&[input], MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() })
 }
 
 struct MaxPool {
     kernel: usize,
     stride: usize,
     padding: usize,
+    level: KernelLevel,
     /// Which cell of its window each output is.
     winners: OnceLock<Vec<u8>>,
 }
@@ -63,6 +66,69 @@ impl MaxPool {
     }
 }
 
+/// Channels that are compared at once.
+const LANES: usize = 16;
+
+#[inline(always)]
+fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usize) -> ([f32; LANES], [u32; LANES]) {
+    let (mut best, mut winner) = ([f32::NEG_INFINITY; LANES], [u32::MAX; LANES]);
+    for &(k, cell) in window {
+        let Some(values) = input[cell * channels + first..].first_chunk::<LANES>() else { break };
+        for lane in 0..LANES {
+            let value = values[lane];
+            // The first cell wins over nothing. A NaN wins, and stays: comparisons with it are false.
+            let better = (winner[lane] == u32::MAX) | (value > best[lane]) | value.is_nan();
+            best[lane] = if better { value } else { best[lane] };
+            winner[lane] = if better { u32::from(k) } else { winner[lane] };
+        }
+    }
+    (best, winner)
+}
+
+#[inline(always)]
+fn pick_generic<const FUSED: bool>(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) {
+    let channels = best.len();
+    for first in (0..channels).step_by(LANES) {
+        let lanes = LANES.min(channels - first);
+        let (values, winners) = if lanes == LANES {
+            pick_lanes(input, window, channels, first)
+        } else {
+            let mut rest = [0.0; 225 * LANES];
+            let mut cells = [(0, 0); 225];
+            for (index, &(k, cell)) in window.iter().enumerate() {
+                rest[index * LANES..][..lanes].copy_from_slice(&input[cell * channels + first..][..lanes]);
+                cells[index] = (k, index);
+            }
+            pick_lanes(&rest, &cells[..window.len()], LANES, 0)
+        };
+        best[first..first + lanes].copy_from_slice(&values[..lanes]);
+        for (to, &k) in winner[first..first + lanes].iter_mut().zip(&winners) {
+            *to = k as u8;
+        }
+    }
+}
+
+dispatch! {
+    /// The largest value of each channel over the cells of a window, and its index in the window.
+    fn pick(input: &[f32], window: &[(u8, usize)], best: &mut [f32], winner: &mut [u8]) = pick_generic
+}
+
+#[inline(always)]
+fn spread_generic<const FUSED: bool>(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) {
+    let channels = gradient.len();
+    for &(k, cell) in window {
+        let sums = &mut map[cell * channels..(cell + 1) * channels];
+        for ((sum, &g), &winner) in sums.iter_mut().zip(gradient).zip(winners) {
+            *sum += if winner == k { g } else { 0.0 };
+        }
+    }
+}
+
+dispatch! {
+    /// Adds each channel's gradient to the cell of the window that won.
+    fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) = spread_generic
+}
+
 impl Operation for MaxPool {
     fn name(&self) -> &'static str {
         NAME
@@ -74,30 +140,18 @@ impl Operation for MaxPool {
         let channels = sizes.channels;
         let line = sizes.output[1] * channels;
         let map = sizes.input[0] * sizes.input[1] * channels;
-        let mut output = vec![0.0f32; batch * sizes.output[0] * line];
+        let mut output = unwritten(batch * sizes.output[0] * line);
         let mut winners = vec![0u8; output.len()];
         output.par_chunks_exact_mut(line).zip(winners.par_chunks_exact_mut(line)).enumerate().for_each(
             |(index, (output, winners))| {
                 let (image, row) = (index / sizes.output[0], index % sizes.output[0]);
                 let input = &input.values[image * map..(image + 1) * map];
                 let cells = output.chunks_exact_mut(channels).zip(winners.chunks_exact_mut(channels));
+                let mut window = Vec::new();
                 for (column, (best, winner)) in cells.enumerate() {
-                    let mut first = true;
-                    for (k, cell) in self.window(&sizes, row, column) {
-                        let values = &input[cell * channels..(cell + 1) * channels];
-                        if first {
-                            best.copy_from_slice(values);
-                            winner.fill(k);
-                            first = false;
-                            continue;
-                        }
-                        for ((best, winner), &value) in best.iter_mut().zip(winner.iter_mut()).zip(values) {
-                            // A NaN wins, and stays: comparisons with it are false.
-                            let better = value > *best || value.is_nan();
-                            *best = if better { value } else { *best };
-                            *winner = if better { k } else { *winner };
-                        }
-                    }
+                    window.clear();
+                    window.extend(self.window(&sizes, row, column));
+                    pick(self.level, input, &window, best, winner);
                 }
             },
         );
@@ -119,13 +173,11 @@ impl Operation for MaxPool {
             .zip(gradient.par_chunks_exact(pooled).zip(winners.par_chunks_exact(pooled)))
             .for_each(|(map, (gradient, winners))| {
                 let cells = gradient.chunks_exact(channels).zip(winners.chunks_exact(channels));
+                let mut window = Vec::new();
                 for (index, (gradient, winners)) in cells.enumerate() {
-                    for (k, cell) in self.window(&sizes, index / sizes.output[1], index % sizes.output[1]) {
-                        let sums = &mut map[cell * channels..(cell + 1) * channels];
-                        for ((sum, &g), &winner) in sums.iter_mut().zip(gradient).zip(winners) {
-                            *sum += if winner == k { g } else { 0.0 };
-                        }
-                    }
+                    window.clear();
+                    window.extend(self.window(&sizes, index / sizes.output[1], index % sizes.output[1]));
+                    spread(self.level, gradient, winners, &window, map);
                 }
             });
         Ok(vec![Some(input_gradient)])

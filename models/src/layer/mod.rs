@@ -12,6 +12,7 @@
 
 mod activation;
 mod average_pool;
+mod backward;
 mod batch_norm;
 mod circuit;
 mod conv2d;
@@ -37,6 +38,7 @@ mod weight_gradient;
 
 pub use activation::{Activation, activation, add_relu};
 pub use average_pool::adaptive_average_pool;
+pub use backward::backward;
 pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch_norm};
 pub use circuit::{circuit, circuit_of, circuit_of_call};
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};

@@ -1,6 +1,9 @@
 //! What a layer is to the graph of gradients: a function of one to three arrays with a hand-written gradient.
 
-use candle_core::{CpuStorage, CustomOp1, CustomOp2, CustomOp3, Layout, Result, Shape, Storage, Tensor};
+use std::collections::HashMap;
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, OnceLock, Weak};
+
+use candle_core::{CpuStorage, CustomOp1, CustomOp2, CustomOp3, Layout, Result, Shape, Storage, Tensor, TensorId};
 
 use super::{values, with_values};
 
@@ -26,34 +29,70 @@ pub(super) trait Operation: Send + Sync + 'static {
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
+/// An array for a layer's result, whose every value the layer writes before anybody reads it: tens of megabytes are not
+/// filled with zeros for nothing.
+#[allow(clippy::uninit_vec)]
+pub(super) fn unwritten(length: usize) -> Vec<f32> {
+    let mut values = Vec::with_capacity(length);
+    // SAFETY: the capacity is `length`, any bits are an f32, and all are written before they are read.
+    unsafe { values.set_len(length) };
+    values
+}
+
 /// Applies `operation` to tensors as one node of candle's graph.
 pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Tensor> {
-    match *inputs {
-        [a] => a.apply_op1(Node(operation)),
-        [a, b] => a.apply_op2(b, Node(operation)),
-        [a, b, c] => a.apply_op3(b, c, Node(operation)),
-        _ => candle_core::bail!("{}: {} inputs", operation.name(), inputs.len()),
+    let node = Arc::new(Node {
+        operation: Box::new(operation),
+        inputs: inputs.iter().map(|&t| t.clone()).collect(),
+        output: OnceLock::new(),
+    });
+    let handle = Handle(node.clone());
+    let output = match *inputs {
+        [a] => a.apply_op1(handle),
+        [a, b] => a.apply_op2(b, handle),
+        [a, b, c] => a.apply_op3(b, c, handle),
+        _ => candle_core::bail!("{}: {} inputs", node.operation.name(), inputs.len()),
+    }?;
+    // Where no input is a variable or comes of one, candle has let go of the operation, and nobody will ask for it.
+    if Arc::strong_count(&node) > 1 {
+        let _ = node.output.set(output.id());
+        nodes().insert(output.id(), Arc::downgrade(&node));
+    }
+    Ok(output)
+}
+
+/// The node that computed a tensor, if it is one of this crate's layers.
+pub(super) fn node_of(tensor: &Tensor) -> Option<Arc<Node>> {
+    nodes().get(&tensor.id())?.upgrade()
+}
+
+/// Which layer computed which tensor: candle keeps its operations to itself. A node leaves with its tensor.
+static NODES: LazyLock<Mutex<HashMap<TensorId, Weak<Node>>>> = LazyLock::new(Mutex::default);
+
+fn nodes() -> MutexGuard<'static, HashMap<TensorId, Weak<Node>>> {
+    NODES.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+}
+
+/// A layer that has been applied.
+pub(super) struct Node {
+    operation: Box<dyn Operation>,
+    pub inputs: Vec<Tensor>,
+    output: OnceLock<TensorId>,
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        if let Some(id) = self.output.get() {
+            nodes().remove(id);
+        }
     }
 }
 
-struct Node<O>(O);
-
-impl<O: Operation> Node<O> {
-    fn run(&self, inputs: &[(&CpuStorage, &Layout)]) -> Result<(CpuStorage, Shape)> {
-        let arguments = inputs
-            .iter()
-            .map(|(storage, layout)| {
-                Ok(Argument { values: values(self.0.name(), storage, layout)?, dims: layout.dims() })
-            })
-            .collect::<Result<Vec<_>>>()?;
-        let (output, shape) = self.0.forward(&arguments)?;
-        Ok((CpuStorage::F32(output), shape))
-    }
-
-    fn gradients(&self, inputs: &[&Tensor], output: &Tensor, gradient: &Tensor) -> Result<Vec<Option<Tensor>>> {
-        let name = self.0.name();
-        let gradient = with_values(name, gradient, |g| Ok(g.to_vec()))?;
-        let contiguous = inputs.iter().map(|t| t.contiguous()).collect::<Result<Vec<_>>>()?;
+impl Node {
+    /// Gradients of the inputs from the gradient of the output.
+    pub fn backward(&self, output: &Tensor, gradient: Vec<f32>) -> Result<Gradients> {
+        let name = self.operation.name();
+        let contiguous = self.inputs.iter().map(|t| t.contiguous()).collect::<Result<Vec<_>>>()?;
         let locked: Vec<_> = contiguous.iter().map(|t| t.storage_and_layout()).collect();
         let arguments = locked
             .iter()
@@ -62,8 +101,30 @@ impl<O: Operation> Node<O> {
                 _ => candle_core::bail!("{name}: a tensor is not on the CPU"),
             })
             .collect::<Result<Vec<_>>>()?;
-        let gradients = with_values(name, output, |output| self.0.backward(&arguments, output, gradient))?;
-        inputs
+        with_values(name, output, |output| self.operation.backward(&arguments, output, gradient))
+    }
+}
+
+struct Handle(Arc<Node>);
+
+impl Handle {
+    fn run(&self, inputs: &[(&CpuStorage, &Layout)]) -> Result<(CpuStorage, Shape)> {
+        let operation = &self.0.operation;
+        let arguments = inputs
+            .iter()
+            .map(|(storage, layout)| {
+                Ok(Argument { values: values(operation.name(), storage, layout)?, dims: layout.dims() })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let (output, shape) = operation.forward(&arguments)?;
+        Ok((CpuStorage::F32(output), shape))
+    }
+
+    fn gradients(&self, output: &Tensor, gradient: &Tensor) -> Result<Vec<Option<Tensor>>> {
+        let gradient = with_values(self.0.operation.name(), gradient, |g| Ok(g.to_vec()))?;
+        let gradients = self.0.backward(output, gradient)?;
+        self.0
+            .inputs
             .iter()
             .zip(gradients)
             .map(|(input, g)| g.map(|g| Tensor::from_vec(g, input.shape(), input.device())).transpose())
@@ -71,23 +132,23 @@ impl<O: Operation> Node<O> {
     }
 }
 
-impl<O: Operation> CustomOp1 for Node<O> {
+impl CustomOp1 for Handle {
     fn name(&self) -> &'static str {
-        self.0.name()
+        self.0.operation.name()
     }
 
     fn cpu_fwd(&self, a: &CpuStorage, la: &Layout) -> Result<(CpuStorage, Shape)> {
         self.run(&[(a, la)])
     }
 
-    fn bwd(&self, a: &Tensor, output: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
-        Ok(self.gradients(&[a], output, gradient)?.pop().flatten())
+    fn bwd(&self, _a: &Tensor, output: &Tensor, gradient: &Tensor) -> Result<Option<Tensor>> {
+        Ok(self.gradients(output, gradient)?.pop().flatten())
     }
 }
 
-impl<O: Operation> CustomOp2 for Node<O> {
+impl CustomOp2 for Handle {
     fn name(&self) -> &'static str {
-        self.0.name()
+        self.0.operation.name()
     }
 
     fn cpu_fwd(&self, a: &CpuStorage, la: &Layout, b: &CpuStorage, lb: &Layout) -> Result<(CpuStorage, Shape)> {
@@ -96,19 +157,19 @@ impl<O: Operation> CustomOp2 for Node<O> {
 
     fn bwd(
         &self,
-        a: &Tensor,
-        b: &Tensor,
+        _a: &Tensor,
+        _b: &Tensor,
         output: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>)> {
-        let mut gradients = self.gradients(&[a, b], output, gradient)?.into_iter();
+        let mut gradients = self.gradients(output, gradient)?.into_iter();
         Ok((gradients.next().flatten(), gradients.next().flatten()))
     }
 }
 
-impl<O: Operation> CustomOp3 for Node<O> {
+impl CustomOp3 for Handle {
     fn name(&self) -> &'static str {
-        self.0.name()
+        self.0.operation.name()
     }
 
     fn cpu_fwd(
@@ -125,13 +186,13 @@ impl<O: Operation> CustomOp3 for Node<O> {
 
     fn bwd(
         &self,
-        a: &Tensor,
-        b: &Tensor,
-        c: &Tensor,
+        _a: &Tensor,
+        _b: &Tensor,
+        _c: &Tensor,
         output: &Tensor,
         gradient: &Tensor,
     ) -> Result<(Option<Tensor>, Option<Tensor>, Option<Tensor>)> {
-        let mut gradients = self.gradients(&[a, b, c], output, gradient)?.into_iter();
+        let mut gradients = self.gradients(output, gradient)?.into_iter();
         Ok((gradients.next().flatten(), gradients.next().flatten(), gradients.next().flatten()))
     }
 }

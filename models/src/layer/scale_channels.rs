@@ -3,7 +3,7 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "scale_channels";
 
@@ -38,7 +38,7 @@ impl Operation for ScaleChannels {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (map, channels) = sizes(inputs)?;
         let [input, scale] = inputs else { candle_core::bail!("{NAME}: expected two inputs") };
-        let mut output = vec![0.0f32; input.values.len()];
+        let mut output = unwritten(input.values.len());
         output
             .par_chunks_exact_mut(map)
             .zip(input.values.par_chunks_exact(map))

@@ -2,6 +2,7 @@
 
 use rayon::prelude::*;
 
+use super::operation::unwritten;
 use super::sweep::Sweep;
 use super::tile::{OuterTile, Shared, Tiles, part};
 
@@ -83,7 +84,7 @@ pub(super) fn weight_gradient(
     if all_taps == 1 {
         return sums;
     }
-    let mut ordered = vec![0.0f32; size];
+    let mut ordered = unwritten(size);
     let row = all_taps * sweep.channels;
     ordered.par_chunks_exact_mut(row).enumerate().for_each(|(output, to)| {
         for tap in 0..all_taps {

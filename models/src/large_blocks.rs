@@ -1,0 +1,201 @@
+//! An allocator that keeps large blocks.
+//!
+//! A training step asks for and gives back hundreds of blocks of tens of megabytes. The system's allocator takes each of
+//! them from the kernel anew, which fills it with zeros page by page: that took longer than the arithmetic.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::ptr::null_mut;
+use std::sync::{Mutex, MutexGuard};
+
+/// Blocks from this size on are kept, bytes.
+const SMALLEST: usize = 1 << 18;
+/// Free blocks are kept up to this many bytes in all.
+const MOST_KEPT: usize = 4 << 30;
+/// Steps of size in an octave.
+const STEPS: usize = 8;
+/// Sizes up to 2^40 bytes.
+const CLASSES: usize = (40 - SMALLEST.ilog2() as usize) * STEPS;
+/// Size of the processor's large pages, bytes.
+const LARGE_PAGE: usize = 1 << 21;
+
+/// Keeps freed blocks of 256 KiB and more for the next request of about their size; leaves the rest to the system.
+/// A program that trains declares it:
+///
+/// ```
+/// #[global_allocator]
+/// static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
+/// ```
+pub struct LargeBlocks {
+    free: Mutex<Free>,
+}
+
+struct Free {
+    /// First free block of each class; each block begins with the address of the next.
+    first: [*mut u8; CLASSES],
+    bytes: usize,
+}
+
+// SAFETY: the blocks belong to whoever holds the lock.
+unsafe impl Send for Free {}
+
+/// Index of the smallest class that holds `size`, and its size.
+fn class(size: usize) -> Option<(usize, usize)> {
+    let octave = size.max(SMALLEST).ilog2() as usize;
+    let step = (1usize << octave) / STEPS;
+    let steps = size.max(SMALLEST).div_ceil(step);
+    let index = (octave - SMALLEST.ilog2() as usize) * STEPS + steps - STEPS;
+    (index < CLASSES).then_some((index, steps * step))
+}
+
+impl LargeBlocks {
+    /// One that holds nothing yet.
+    #[allow(clippy::new_without_default)]
+    pub const fn new() -> Self {
+        LargeBlocks { free: Mutex::new(Free { first: [null_mut(); CLASSES], bytes: 0 }) }
+    }
+
+    fn free(&self) -> MutexGuard<'_, Free> {
+        self.free.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
+    }
+
+    /// What is asked of the system for a block of this layout, and its class; nothing where the system serves it.
+    fn block(layout: Layout) -> Option<(usize, Layout)> {
+        if layout.size() < SMALLEST || layout.align() > 4096 {
+            return None;
+        }
+        let (index, size) = class(layout.size())?;
+        let align = if size >= LARGE_PAGE { LARGE_PAGE } else { 4096 };
+        Some((index, Layout::from_size_align(size, align).ok()?))
+    }
+
+    /// A free block of the class, if there is one.
+    fn take(&self, index: usize, block: Layout) -> *mut u8 {
+        let mut free = self.free();
+        let first = free.first[index];
+        if !first.is_null() {
+            // SAFETY: a free block begins with the address of the next; `dealloc` wrote it.
+            free.first[index] = unsafe { first.cast::<*mut u8>().read() };
+            free.bytes -= block.size();
+        }
+        first
+    }
+}
+
+// SAFETY: blocks come from the system with the size and alignment of their class, which cover the layout asked for, and
+// go back with the same.
+unsafe impl GlobalAlloc for LargeBlocks {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        let Some((index, block)) = Self::block(layout) else {
+            // SAFETY: passed on.
+            return unsafe { System.alloc(layout) };
+        };
+        let kept = self.take(index, block);
+        if !kept.is_null() {
+            return kept;
+        }
+        // SAFETY: the size is not zero.
+        let fresh = unsafe { System.alloc(block) };
+        #[cfg(target_os = "linux")]
+        if !fresh.is_null() && block.align() == LARGE_PAGE {
+            // SAFETY: advice on pages that are this block's own; refused advice does no harm.
+            let _ = unsafe {
+                rustix::mm::madvise(fresh.cast(), block.size() & !(LARGE_PAGE - 1), rustix::mm::Advice::LinuxHugepage)
+            };
+        }
+        fresh
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        let Some((index, block)) = Self::block(layout) else {
+            // SAFETY: passed on; `alloc` passed it on too.
+            return unsafe { System.dealloc(pointer, layout) };
+        };
+        let mut free = self.free();
+        if free.bytes + block.size() > MOST_KEPT {
+            drop(free);
+            // SAFETY: `alloc` got it with this layout.
+            return unsafe { System.dealloc(pointer, block) };
+        }
+        // SAFETY: the block is nobody's now, and longer and better aligned than an address.
+        unsafe { pointer.cast::<*mut u8>().write(free.first[index]) };
+        free.first[index] = pointer;
+        free.bytes += block.size();
+    }
+
+    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
+        if Self::block(layout).is_none() {
+            // SAFETY: passed on.
+            return unsafe { System.alloc_zeroed(layout) };
+        }
+        // SAFETY: the caller's layout.
+        let pointer = unsafe { self.alloc(layout) };
+        if !pointer.is_null() {
+            // SAFETY: the block is at least this long.
+            unsafe { pointer.write_bytes(0, layout.size()) };
+        }
+        pointer
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        let Ok(new) = Layout::from_size_align(size, layout.align()) else { return null_mut() };
+        match (Self::block(layout), Self::block(new)) {
+            // SAFETY: passed on.
+            (None, None) => unsafe { System.realloc(pointer, layout, size) },
+            (Some((old, _)), Some((new, _))) if old == new => pointer,
+            _ => {
+                // SAFETY: a valid layout, whose size is not zero by the caller's word.
+                let moved = unsafe { self.alloc(new) };
+                if !moved.is_null() {
+                    // SAFETY: two blocks, both as long as the shorter layout; the old one is given back once.
+                    unsafe {
+                        std::ptr::copy_nonoverlapping(pointer, moved, layout.size().min(size));
+                        self.dealloc(pointer, layout);
+                    }
+                }
+                moved
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_hold_what_is_asked_and_waste_an_eighth_at_most() {
+        let mut last = 0;
+        for size in (SMALLEST..SMALLEST * 40).step_by(999) {
+            let (index, held) = class(size).expect("class");
+            assert!(held >= size && held <= size + size / STEPS + 1, "{size} in {held}");
+            assert!(index >= last);
+            assert_eq!(class(held), Some((index, held)));
+            last = index;
+        }
+        assert_eq!(class(usize::MAX), None);
+    }
+
+    #[test]
+    fn a_freed_block_comes_back_and_zeros_are_zeros() {
+        let blocks = LargeBlocks::new();
+        let layout = Layout::from_size_align(3 << 20, 16).expect("layout");
+        // SAFETY: every block is freed once, with its layout, and written inside its size.
+        unsafe {
+            let first = blocks.alloc(layout);
+            first.write_bytes(7, layout.size());
+            blocks.dealloc(first, layout);
+            let again = blocks.alloc_zeroed(layout);
+            assert_eq!(again, first);
+            assert!((0..layout.size()).all(|k| again.add(k).read() == 0));
+            again.write(9);
+            let grown = blocks.realloc(again, layout, 9 << 20);
+            assert_eq!(grown.read(), 9);
+            assert_eq!(blocks.alloc(layout), first);
+            blocks.dealloc(first, layout);
+            let layout = Layout::from_size_align(9 << 20, 16).expect("layout");
+            let small = blocks.realloc(grown, layout, 100);
+            assert_eq!(small.read(), 9);
+            blocks.dealloc(small, Layout::from_size_align(100, 16).expect("layout"));
+        }
+    }
+}
