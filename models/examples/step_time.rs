@@ -7,8 +7,11 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use candle_core::{Device, Tensor};
-use radome_models::layer::{KernelLevel, cross_entropy};
+use radome_models::layer::{KernelLevel, backward, cross_entropy};
 use radome_models::network::Hqnn;
+
+#[global_allocator]
+static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
 
 /// CPU time of all threads so far, ms, as Linux counts it; wall time elsewhere.
 fn cpu_ms(began: Instant) -> f64 {
@@ -44,14 +47,14 @@ fn calibration() -> candle_core::Result<f64> {
 
 fn main() -> candle_core::Result<()> {
     println!("calibration kernel: {:.1} ms", calibration()?);
-    for level in [KernelLevel::Portable, KernelLevel::Avx2] {
+    for level in KernelLevel::ALL {
         let network = Hqnn::initialise(1, 0, radome_models::network::PAPER_POOLED, level)?;
         let input = Tensor::randn(0f32, 1.0, (32, 128, 128), &Device::Cpu)?;
         let labels: Vec<usize> = (0..32).map(|i| i % 3).collect();
         let forward = best_of(9, || network.stages(&input).map(|_| ()))?;
         let step = best_of(9, || {
             let loss = cross_entropy(&network.stages(&input)?.logits, &labels, &[1.0; 3])?;
-            loss.backward().map(|_| ())
+            backward(&loss).map(|_| ())
         })?;
         let one = input.narrow(0, 0, 1)?.contiguous()?;
         // The kernel's clock of CPU time is too coarse for a single one.

@@ -123,6 +123,16 @@ fn activate_in_place<const FUSED: bool, const A: u8>(values: &mut [f32]) {
 }
 
 #[inline(always)]
+fn activate_sum<const FUSED: bool, const A: u8>(values: &mut [f32], others: &[f32]) {
+    values.iter_mut().zip(others).for_each(|(v, &o)| *v = activate::<FUSED, A>(*v + o));
+}
+
+#[inline(always)]
+fn add_generic<const FUSED: bool>(activation: Activation, values: &mut [f32], others: &[f32]) {
+    by_activation!(activation, activate_sum::<FUSED>(values, others))
+}
+
+#[inline(always)]
 fn descend_all<const FUSED: bool, const A: u8>(input: &[f32], gradient: &mut [f32]) {
     gradient.iter_mut().zip(input).for_each(|(g, &x)| *g = descend::<FUSED, A>(x, *g));
 }
@@ -147,6 +157,11 @@ dispatch! { fn backward(activation: Activation, input: &[f32], gradient: &mut [f
 dispatch! {
     /// Replaces values by their activation.
     pub(super) fn in_place(activation: Activation, values: &mut [f32]) = in_place_generic
+}
+
+dispatch! {
+    /// Replaces values by the activation of their sums with others.
+    pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) = add_generic
 }
 
 /// The activation of every value of a tensor of any shape.

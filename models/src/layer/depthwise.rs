@@ -40,24 +40,20 @@ pub(super) fn run(
     let shared = Shared::new(target);
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);
+        scratch.addresses.resize(taps * cells.len(), std::ptr::null());
+        sweep.cell_addresses(cells.clone(), source, &zeros, &mut scratch.addresses);
+        sweep.targets(cells.clone(), channels, shared, &mut scratch.targets);
         let row_tiles = cells.len().div_ceil(ChannelTile::ROWS);
         for tile in 0..row_tiles {
             let rows = part(cells.len(), row_tiles, tile);
-            let rows = cells.start + rows.start..cells.start + rows.end;
-            scratch.addresses.resize(taps * rows.len(), std::ptr::null());
-            sweep.cell_addresses(rows.clone(), source, &zeros, &mut scratch.addresses);
-            scratch.targets.clear();
-            scratch.targets.extend(rows.clone().map(|cell| {
-                // SAFETY: the target's length is checked above; cells are inside the grid.
-                unsafe { shared.get().add(sweep.target_index(cell, channels)) }
-            }));
             let tile = ChannelTile {
-                cells: scratch.addresses.as_ptr(),
+                cells: scratch.addresses[rows.start..].as_ptr(),
+                cell_stride: cells.len(),
                 taps: indices.as_ptr(),
                 tap_count: taps,
                 weights: weight.as_ptr(),
                 start: start.map_or(std::ptr::null(), <[f32]>::as_ptr),
-                targets: scratch.targets.as_ptr(),
+                targets: scratch.targets[rows.start..].as_ptr(),
                 channels,
             };
             // SAFETY: all addresses are of `channels` values; no other task has these cells.

@@ -1,8 +1,9 @@
 //! Convolutions prepared once and run often, without a graph of gradients: what inference is made of.
 
 use candle_core::{Error, Result};
+use rayon::prelude::*;
 
-use super::activation::{Activation, CHUNK, in_place};
+use super::activation::{Activation, CHUNK, add_in_place, in_place};
 use super::conv2d::{ConvGeometry, ConvSizes};
 use super::packed::{Packed, Side};
 use super::tile::Tiles;
@@ -142,10 +143,9 @@ impl PreparedConv {
             }
         }
         if let Some(residual) = residual {
-            output.values.iter_mut().zip(&residual.values).for_each(|(y, &r)| *y += r);
-        }
-        if self.activation != Activation::None {
-            use rayon::prelude::*;
+            let parts = output.values.par_chunks_mut(CHUNK).zip(residual.values.par_chunks(CHUNK));
+            parts.for_each(|(values, residual)| add_in_place(self.level, self.activation, values, residual));
+        } else if self.activation != Activation::None {
             output.values.par_chunks_mut(CHUNK).for_each(|values| in_place(self.level, self.activation, values));
         }
         Ok(())

@@ -14,7 +14,7 @@ pub(super) struct Packed {
     pub tiles: Tiles,
 }
 
-/// Taps at once: their values of one channel are contiguous in PyTorch's layout.
+/// Which way a product goes.
 pub(super) enum Side {
     /// Columns are outputs, channels inputs.
     Forward,
@@ -38,11 +38,13 @@ impl Packed {
             let columns = first..columns.min(first + width);
             match side {
                 Side::Forward => {
-                    for (column, o) in columns.enumerate() {
-                        let source = &weight[o * depth..(o + 1) * depth];
-                        for (channel, values) in source.chunks_exact(taps).enumerate() {
-                            for (tap, &value) in values.iter().enumerate() {
-                                target[(tap * channels + channel) * width + column] = value;
+                    // One stream a column, so that both sides go through memory in order.
+                    let streams: Vec<&[f32]> = columns.map(|o| &weight[o * depth..(o + 1) * depth]).collect();
+                    for channel in 0..channels {
+                        for tap in 0..taps {
+                            let target = &mut target[(tap * channels + channel) * width..][..streams.len()];
+                            for (value, stream) in target.iter_mut().zip(&streams) {
+                                *value = stream[channel * taps + tap];
                             }
                         }
                     }

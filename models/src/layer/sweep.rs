@@ -72,14 +72,6 @@ impl Sweep {
         [cell / (rows * columns), cell / columns % rows, cell % columns]
     }
 
-    /// Index of the first value that a cell's result goes to.
-    pub fn target_index(&self, cell: usize, outputs: usize) -> usize {
-        let [image, row, column] = self.place(cell);
-        let row = self.target_step * row + self.target_start[0];
-        let column = self.target_step * column + self.target_start[1];
-        ((image * self.target[0] + row) * self.target[1] + column) * outputs
-    }
-
     /// Whether taps are gathered before the product.
     pub fn is_gathered(&self) -> bool {
         let all_in_order = || self.taps.iter().enumerate().all(|(k, tap)| tap.index as usize == k);
@@ -119,38 +111,42 @@ impl Sweep {
         addresses: &mut [*const f32],
     ) {
         let (count, taps) = (cells.len(), self.taps.len());
-        let line = self.source[1] * self.channels;
+        let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
+        let step = self.source_step;
         let mut first = 0;
         while first < count {
             // Cells of one row of the grid.
             let [image, row, column] = self.place(cells.start + first);
             let run = (self.grid[1] - column).min(count - first);
+            if let Some(patches) = &mut patches {
+                let length = taps * self.channels;
+                let patches = &mut patches[first * length..(first + run) * length];
+                for (k, patch) in patches.chunks_exact_mut(length).enumerate() {
+                    self.gather([image, row, column + k], source, patch);
+                }
+                first += run;
+                continue;
+            }
             for (t, tap) in self.taps.iter().enumerate() {
-                let source_row = self.source_step * row as isize + self.source_start[0] + tap.offset[0];
-                let mut source_column = self.source_step * column as isize + self.source_start[1] + tap.offset[1];
-                let inside = (0..self.source[0] as isize).contains(&source_row);
-                let columns = if inside { self.source[1] as isize } else { 0 };
-                let line = if inside {
-                    &source[(image * self.source[0] + source_row as usize) * line..][..line]
-                } else {
-                    zeros
-                };
-                for k in first..first + run {
-                    let values = if (0..columns).contains(&source_column) {
-                        &line[source_column as usize * self.channels..][..self.channels]
-                    } else {
-                        zeros
-                    };
-                    if let Some(patches) = &mut patches {
-                        let at = (k * taps + t) * self.channels;
-                        match (values, &mut patches[at..at + self.channels]) {
-                            (&[value], [to]) => *to = value,
-                            (values, to) => to.copy_from_slice(values),
-                        }
-                    } else {
-                        addresses[t * count + k] = values.as_ptr();
+                let source_row = step * row as isize + self.source_start[0] + tap.offset[0];
+                let corner = step * column as isize + self.source_start[1] + tap.offset[1];
+                // Cells from `left` to `right` look inside the source, the others at padding.
+                let inside = (0..rows).contains(&source_row);
+                let reach = |column: isize| if column <= 0 { 0 } else { ((column + step - 1) / step) as usize };
+                let right = if inside { reach(columns - corner).min(run) } else { 0 };
+                let left = reach(-corner).min(right);
+                let line = (image as isize * rows + source_row) * columns + corner;
+                let index = |k: usize| (line + step * k as isize) as usize * self.channels;
+                let addresses = &mut addresses[t * count + first..][..run];
+                addresses[..left].fill(zeros.as_ptr());
+                addresses[right..].fill(zeros.as_ptr());
+                if left < right {
+                    // Both ends are checked, what is between them is between them.
+                    let start = source[index(left)..=index(right - 1) + self.channels - 1].as_ptr();
+                    let stride = step as usize * self.channels;
+                    for (k, address) in addresses[left..right].iter_mut().enumerate() {
+                        *address = start.wrapping_add(k * stride);
                     }
-                    source_column += self.source_step;
                 }
             }
             first += run;
@@ -159,6 +155,53 @@ impl Sweep {
             for (address, patch) in addresses.iter_mut().zip(patches.chunks_exact(taps * self.channels)) {
                 *address = patch.as_ptr();
             }
+        }
+    }
+
+    /// Copies what all taps of a cell look at. Neighbouring taps of one row are contiguous in the source, too.
+    fn gather(&self, [image, row, column]: [usize; 3], source: &[f32], patch: &mut [f32]) {
+        let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
+        let row = self.source_step * row as isize + self.source_start[0];
+        let column = self.source_step * column as isize + self.source_start[1];
+        let neighbours = self.taps.chunk_by(|a, b| a.offset[0] == b.offset[0] && a.offset[1] + 1 == b.offset[1]);
+        let mut patch = patch;
+        for taps in neighbours {
+            let (values, rest) = patch.split_at_mut(taps.len() * self.channels);
+            patch = rest;
+            let [y, x] = taps[0].offset;
+            let (row, column) = (row + y, column + x);
+            let end = column + taps.len() as isize;
+            let line = (image as isize * rows + row) * columns;
+            if !(0..rows).contains(&row) || end <= 0 || column >= columns {
+                values.fill(0.0);
+            } else if column >= 0 && end <= columns {
+                let from = &source[(line + column) as usize * self.channels..][..values.len()];
+                values.iter_mut().zip(from).for_each(|(v, &s)| *v = s);
+            } else {
+                for (value, column) in values.chunks_exact_mut(self.channels).zip(column..) {
+                    if (0..columns).contains(&column) {
+                        value.copy_from_slice(&source[(line + column) as usize * self.channels..][..self.channels]);
+                    } else {
+                        value.fill(0.0);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Addresses of the results of `cells`, written to `targets`.
+    pub fn targets(&self, cells: std::ops::Range<usize>, outputs: usize, target: Shared, targets: &mut Vec<*mut f32>) {
+        targets.clear();
+        let mut cell = cells.start;
+        while cell < cells.end {
+            let [image, row, column] = self.place(cell);
+            let run = (self.grid[1] - column).min(cells.end - cell);
+            let row = self.target_step * row + self.target_start[0];
+            let column = self.target_step * column + self.target_start[1];
+            let first = ((image * self.target[0] + row) * self.target[1] + column) * outputs;
+            let start = target.get().wrapping_add(first);
+            targets.extend((0..run).map(|k| start.wrapping_add(k * self.target_step * outputs)));
+            cell += run;
         }
     }
 
@@ -218,28 +261,15 @@ impl Sweep {
         }
         scratch.addresses.resize(taps * cells.len(), std::ptr::null());
         scratch.patches.resize(if gathered { channels * cells.len() } else { 0 }, 0.0);
-        scratch.targets.clear();
-        scratch.targets.extend(cells.clone().map(|cell| {
-            // SAFETY: `run` has checked the target's length; cells are inside the grid.
-            unsafe { target.get().add(self.target_index(cell, weights.columns)) }
-        }));
+        self.targets(cells.clone(), weights.columns, target, &mut scratch.targets);
+        self.addresses(cells.clone(), source, zeros, &mut scratch.patches, &mut scratch.addresses);
         let row_tiles = cells.len().div_ceil(tiles.rows);
-        for tile in 0..row_tiles {
-            let rows = part(cells.len(), row_tiles, tile);
-            let patches = if gathered { rows.start * channels..rows.end * channels } else { 0..0 };
-            self.addresses(
-                cells.start + rows.start..cells.start + rows.end,
-                source,
-                zeros,
-                &mut scratch.patches[patches],
-                &mut scratch.addresses[rows.start * taps..rows.end * taps],
-            );
-        }
         let compute = |tile: usize, panel: usize| {
             let rows = part(cells.len(), row_tiles, tile);
             let first = panel * tiles.width();
             let row_tile = RowTile {
-                cells: scratch.addresses[rows.start * taps..].as_ptr(),
+                cells: scratch.addresses[rows.start..].as_ptr(),
+                cell_stride: cells.len(),
                 taps: scratch.taps.as_ptr(),
                 tap_count: taps,
                 channels,

@@ -13,6 +13,8 @@ use super::vector::{Plain, Vector};
 pub(super) struct RowTile {
     /// Addresses of the rows' operands, `[tap][row]`.
     pub cells: *const *const f32,
+    /// From tap to tap of `cells`.
+    pub cell_stride: usize,
     /// Which of the panel's taps each tap is.
     pub taps: *const u32,
     pub tap_count: usize,
@@ -50,6 +52,8 @@ pub(super) struct OuterTile {
 pub(super) struct ChannelTile {
     /// Addresses of the rows' operands, `[tap][row]`.
     pub cells: *const *const f32,
+    /// From tap to tap of `cells`.
+    pub cell_stride: usize,
     /// Which of the weights' taps each tap is.
     pub taps: *const u32,
     pub tap_count: usize,
@@ -93,7 +97,7 @@ unsafe fn row_tile<V: Vector, const R: usize, const N: usize>(tile: &RowTile) {
         for tap in 0..tile.tap_count {
             let mut cells = [std::ptr::null::<f32>(); R];
             for (r, cell) in cells.iter_mut().enumerate() {
-                *cell = *tile.cells.add(tap * R + r);
+                *cell = *tile.cells.add(tap * tile.cell_stride + r);
             }
             let mut weights = tile.panel.add(*tile.taps.add(tap) as usize * tile.channels * N * V::LANES);
             for channel in 0..tile.channels {
@@ -173,7 +177,7 @@ unsafe fn channel_tile<V: Vector, const R: usize>(tile: &ChannelTile) {
             for tap in 0..tile.tap_count {
                 let weight = load(tile.weights.add(*tile.taps.add(tap) as usize * tile.channels + channel));
                 for (r, sum) in sums.iter_mut().enumerate() {
-                    *sum = load((*tile.cells.add(tap * R + r)).add(channel)).multiply_add(weight, *sum);
+                    *sum = load((*tile.cells.add(tap * tile.cell_stride + r)).add(channel)).multiply_add(weight, *sum);
                 }
             }
             for (r, sum) in sums.into_iter().enumerate() {
