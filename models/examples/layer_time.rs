@@ -8,8 +8,9 @@ use std::time::Instant;
 
 use candle_core::{Device, Result, Tensor, Var};
 use radome_models::layer::{
-    Activation, BatchNormConstants, BatchNormMode, ConvGeometry, InputGradient, KernelLevel, RunningStatistics,
-    adaptive_average_pool, add_relu, backward, batch_norm, conv2d, cross_entropy, linear, max_pool2d,
+    Activation, BatchNormConstants, BatchNormMode, ConvGeometry, Feature, InputGradient, KernelLevel, PreparedConv,
+    RunningStatistics, adaptive_average_pool, add_relu, backward, batch_norm, conv2d, cross_entropy, linear,
+    max_pool2d,
 };
 
 #[global_allocator]
@@ -129,6 +130,47 @@ fn resnet(level: KernelLevel) -> Result<impl FnMut() -> Result<Tensor>> {
     })
 }
 
+/// Classifies `batch` maps by a ResNet-18 of random weights, as inference does it.
+fn resnet_inference(batch: usize, level: KernelLevel) -> Result<impl FnMut() -> Result<()>> {
+    let conv = |inputs: usize, outputs: usize, kernel: usize, stride: usize, act: Activation| -> Result<PreparedConv> {
+        let weight = random(&[outputs, inputs, kernel, kernel])?.flatten_all()?.to_vec1::<f32>()?;
+        let geometry = ConvGeometry::dense(stride, kernel / 2);
+        PreparedConv::new(&weight, [outputs, inputs, kernel, kernel], None, None, geometry, act, level)
+    };
+    let stem = conv(1, 64, 7, 2, Activation::Relu)?;
+    let mut blocks = Vec::new();
+    let mut inputs = 64;
+    for outputs in [64, 128, 256, 512] {
+        for k in 0..2 {
+            let stride = if k == 0 && outputs > 64 { 2 } else { 1 };
+            let shortcut = if stride == 2 { Some(conv(inputs, outputs, 1, 2, Activation::None)?) } else { None };
+            let first = conv(inputs, outputs, 3, stride, Activation::Relu)?;
+            blocks.push((first, conv(outputs, outputs, 3, 1, Activation::Relu)?, shortcut));
+            inputs = outputs;
+        }
+    }
+    let head = conv(512, 3, 1, 1, Activation::None)?;
+    let input = Feature::new([batch, 128, 128, 1], vec![0.5; batch * 128 * 128])?;
+    let [mut x, mut y, mut z, mut short] = std::array::from_fn(|_| Feature::default());
+    Ok(move || {
+        stem.run(&input, None, &mut y)?;
+        y.max_pool2d(3, 2, 1, level, &mut x)?;
+        for (first, second, shortcut) in &blocks {
+            first.run(&x, None, &mut y)?;
+            match shortcut {
+                Some(conv) => {
+                    conv.run(&x, None, &mut short)?;
+                    second.run(&y, Some(&short), &mut z)?;
+                }
+                None => second.run(&y, Some(&x), &mut z)?,
+            }
+            std::mem::swap(&mut x, &mut z);
+        }
+        x.adaptive_average_pool(1, 1, &mut y)?;
+        head.run(&y, None, &mut z)
+    })
+}
+
 fn main() -> Result<()> {
     let level = match std::env::args().nth(1).as_deref() {
         Some("portable") => KernelLevel::Portable,
@@ -138,6 +180,16 @@ fn main() -> Result<()> {
     if std::env::args().any(|a| a == "resnet") {
         let [forward, both] = time(8, resnet(level)?)?;
         println!("ResNet-18 {forward:.1} {both:.1}");
+        for batch in [1, 32] {
+            let mut run = resnet_inference(batch, level)?;
+            let (began, mut best) = (Instant::now(), f64::INFINITY);
+            for _ in 0..if batch == 1 { 100 } else { 6 } {
+                let start = now(began);
+                run()?;
+                best = best.min(now(began) - start);
+            }
+            println!("ResNet-18 inference, batch {batch}: {best:.2}");
+        }
         return Ok(());
     }
     println!("{level:?}, batch {BATCH}; forward ms, forward and backward ms, billion multiply-adds a second forwards");

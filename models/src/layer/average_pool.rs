@@ -3,6 +3,7 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Feature;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "adaptive_average_pool";
@@ -52,19 +53,10 @@ impl AveragePool {
             }
         }
     }
-}
 
-impl Operation for AveragePool {
-    fn name(&self) -> &'static str {
-        NAME
-    }
-
-    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
-        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
-        let [batch, rows, columns, channels] = self.sizes(input.dims)?;
-        let input = input.values;
+    /// Fills in the means.
+    fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
         let bins = self.rows * self.columns;
-        let mut result = unwritten(batch * channels * bins);
         result.par_chunks_exact_mut(channels * bins).zip(input.par_chunks_exact(rows * columns * channels)).for_each(
             |(out, map)| {
                 let mut sums = vec![0.0f32; channels];
@@ -82,7 +74,32 @@ impl Operation for AveragePool {
                 });
             },
         );
-        Ok((result, Shape::from((batch, channels * bins))))
+    }
+}
+
+impl Feature {
+    /// [`adaptive_average_pool`] without a graph of gradients: `[batch][1][1][channel * rows * columns]`.
+    pub fn adaptive_average_pool(&self, rows: usize, columns: usize, output: &mut Feature) -> Result<()> {
+        let pool = AveragePool { rows, columns };
+        let sizes @ [batch, _, _, channels] = pool.sizes(&self.dims())?;
+        output.reshape([batch, 1, 1, channels * rows * columns]);
+        pool.run(sizes, self.values(), output.values_mut());
+        Ok(())
+    }
+}
+
+impl Operation for AveragePool {
+    fn name(&self) -> &'static str {
+        NAME
+    }
+
+    fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
+        let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
+        let sizes @ [batch, _, _, channels] = self.sizes(input.dims)?;
+        let length = channels * self.rows * self.columns;
+        let mut result = unwritten(batch * length);
+        self.run(sizes, input.values, &mut result);
+        Ok((result, Shape::from((batch, length))))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {

@@ -10,6 +10,10 @@ use super::kernel::{self, Block};
 use super::operation::{Argument, Gradients, Operation, apply};
 
 const NAME: &str = "conv_relu_pool";
+/// Batches below this are cut into bands of rows, so that all threads have something to do.
+const FEW_SAMPLES: usize = 8;
+/// Rows of the pooled output in a band.
+const BAND: usize = 8;
 
 /// Whether the backward pass computes the gradient of a layer's input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -76,7 +80,21 @@ impl Operation for ConvReluPool {
                 || vec![0.0; block.padded_length()],
                 |padded, ((pooled, winner), input)| {
                     block.pad(input, padded);
-                    kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
+                    if batch >= FEW_SAMPLES {
+                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
+                        return;
+                    }
+                    // Bands of rows are blocks of their own: every cell is the same sum.
+                    let pooled_line = block.columns / 2 * block.outputs;
+                    let line = (block.columns + 2) * block.inputs;
+                    let bands =
+                        pooled.par_chunks_mut(BAND * pooled_line).zip(winner.par_chunks_mut(BAND * pooled_line));
+                    bands.enumerate().for_each(|(band, (pooled, winner))| {
+                        let rows = 2 * (pooled.len() / pooled_line);
+                        let padded = &padded[2 * BAND * band * line..][..(rows + 2) * line];
+                        let block = Block { rows, ..block };
+                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
+                    });
                 },
             );
         // Set once per op: candle makes one op for each application.

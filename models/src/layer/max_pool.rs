@@ -5,9 +5,9 @@ use std::sync::OnceLock;
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
 use super::level::dispatch;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::{Feature, KernelLevel};
 
 const NAME: &str = "max_pool2d";
 
@@ -63,6 +63,45 @@ impl MaxPool {
             let x = (column * stride + k % kernel).checked_sub(padding)?;
             (y < rows && x < columns).then_some((k as u8, y * columns + x))
         })
+    }
+
+    /// Fills in the largest values and which cells of their windows they are.
+    fn run(&self, sizes: &Sizes, input: &[f32], output: &mut [f32], winners: &mut [u8]) {
+        let channels = sizes.channels;
+        let line = sizes.output[1] * channels;
+        let map = sizes.input[0] * sizes.input[1] * channels;
+        output.par_chunks_exact_mut(line).zip(winners.par_chunks_exact_mut(line)).enumerate().for_each(
+            |(index, (output, winners))| {
+                let (image, row) = (index / sizes.output[0], index % sizes.output[0]);
+                let input = &input[image * map..(image + 1) * map];
+                let cells = output.chunks_exact_mut(channels).zip(winners.chunks_exact_mut(channels));
+                let mut window = Vec::new();
+                for (column, (best, winner)) in cells.enumerate() {
+                    window.clear();
+                    window.extend(self.window(sizes, row, column));
+                    pick(self.level, input, &window, best, winner);
+                }
+            },
+        );
+    }
+}
+
+impl Feature {
+    /// [`max_pool2d`] without a graph of gradients.
+    pub fn max_pool2d(
+        &self,
+        kernel: usize,
+        stride: usize,
+        padding: usize,
+        level: KernelLevel,
+        output: &mut Feature,
+    ) -> Result<()> {
+        let pool = MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() };
+        let (batch, sizes) = pool.sizes(&self.dims())?;
+        output.reshape([batch, sizes.output[0], sizes.output[1], sizes.channels]);
+        let mut winners = vec![0; output.values().len()];
+        pool.run(&sizes, self.values(), output.values_mut(), &mut winners);
+        Ok(())
     }
 }
 
@@ -137,26 +176,11 @@ impl Operation for MaxPool {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
         let (batch, sizes) = self.sizes(input.dims)?;
-        let channels = sizes.channels;
-        let line = sizes.output[1] * channels;
-        let map = sizes.input[0] * sizes.input[1] * channels;
-        let mut output = unwritten(batch * sizes.output[0] * line);
+        let mut output = unwritten(batch * sizes.output[0] * sizes.output[1] * sizes.channels);
         let mut winners = vec![0u8; output.len()];
-        output.par_chunks_exact_mut(line).zip(winners.par_chunks_exact_mut(line)).enumerate().for_each(
-            |(index, (output, winners))| {
-                let (image, row) = (index / sizes.output[0], index % sizes.output[0]);
-                let input = &input.values[image * map..(image + 1) * map];
-                let cells = output.chunks_exact_mut(channels).zip(winners.chunks_exact_mut(channels));
-                let mut window = Vec::new();
-                for (column, (best, winner)) in cells.enumerate() {
-                    window.clear();
-                    window.extend(self.window(&sizes, row, column));
-                    pick(self.level, input, &window, best, winner);
-                }
-            },
-        );
+        self.run(&sizes, input.values, &mut output, &mut winners);
         let _ = self.winners.set(winners);
-        Ok((output, Shape::from((batch, sizes.output[0], sizes.output[1], channels))))
+        Ok((output, Shape::from((batch, sizes.output[0], sizes.output[1], sizes.channels))))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {

@@ -7,6 +7,12 @@
 //!   touches memory.
 //! - [`adaptive_average_pool`], [`linear`], [`circuit_of`], [`cross_entropy`].
 //!
+//! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
+//!   [`scale_channels`], [`dropout`], [`activation`]: what the larger networks are made of. Dense products read maps where
+//!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
+//! - [`PreparedConv`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used again.
+//! - [`backward`]: candle's backward pass without its copies.
+//!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
 //! threads. [`mod@reference`] holds the slow obvious versions.
 

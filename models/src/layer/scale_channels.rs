@@ -3,6 +3,7 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::Feature;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "scale_channels";
@@ -27,6 +28,25 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
             Err(Error::Msg(format!("{NAME}: expected input [batch, rows, columns, c], scale [batch, c]; got {dims:?}"))
                 .bt())
         }
+    }
+}
+
+impl Feature {
+    /// [`scale_channels`] in place; `scale` is `[batch][1][1][channel]`.
+    pub fn scale_channels(&mut self, scale: &Feature) -> Result<()> {
+        let ([batch, rows, columns, channels], [b, 1, 1, c]) = (self.dims(), scale.dims()) else {
+            candle_core::bail!("{NAME}: expected a scale [batch, 1, 1, c], got {:?}", scale.dims());
+        };
+        if batch != b || channels != c || rows * columns * channels == 0 {
+            candle_core::bail!("{NAME}: expected a scale [{batch}, 1, 1, {channels}], got {:?}", scale.dims());
+        }
+        let maps = self.values_mut().par_chunks_exact_mut(rows * columns * channels);
+        maps.zip(scale.values().par_chunks_exact(channels)).for_each(|(map, scale)| {
+            for cell in map.chunks_exact_mut(channels) {
+                cell.iter_mut().zip(scale).for_each(|(v, &s)| *v *= s);
+            }
+        });
+        Ok(())
     }
 }
 
