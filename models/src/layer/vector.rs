@@ -29,7 +29,8 @@ pub(super) struct Plain([f32; 8]);
 
 impl Vector for Plain {
     const LANES: usize = 8;
-    const ROWS: usize = 6;
+    // Registers of half this length are all that one can count on.
+    const ROWS: usize = 3;
 
     #[inline(always)]
     unsafe fn splat(value: f32) -> Self {

@@ -270,6 +270,21 @@ mod hard_cases {
         }
     }
 
+    /// In whichever cell of a window it is.
+    #[test]
+    fn a_nan_comes_out_of_the_fused_pooling() {
+        let (w, b) = (var(&random(9, "w"), &[1, 1, 3, 3]), var(&[0.0], &[1]));
+        for cell in 0..64 {
+            let mut x = random(64, "x");
+            x[cell] = f32::NAN;
+            let x = var(&x, &[1, 8, 8, 1]);
+            for level in levels() {
+                let out = conv_relu_pool(&x, &w, &b, InputGradient::Needed, level).expect("forward");
+                assert!(flat(&out)[cell / 16 * 4 + cell % 8 / 2].is_nan(), "{cell}");
+            }
+        }
+    }
+
     #[test]
     fn wrong_shapes_name_the_layer_and_what_was_expected() {
         let x = var(&random(16, "x"), &[1, 4, 4, 1]);
