@@ -45,13 +45,7 @@ pub(super) use by_activation;
 /// `exp(x)` to about two units in the last place, from e^-87 to e^88, in operations that run in vectors. A NaN stays.
 #[inline(always)]
 fn exponential<const FUSED: bool>(x: f32) -> f32 {
-    let x = if x < -87.0 {
-        -87.0
-    } else if x > 88.0 {
-        88.0
-    } else {
-        x
-    };
+    let x = x.clamp(-87.0, 88.0);
     // Adding 1.5 * 2^23 rounds to a whole number and leaves it in the low bits.
     const ROUND: f32 = 12_582_912.0;
     let rounded = multiply_add::<FUSED>(x, std::f32::consts::LOG2_E, ROUND);

@@ -260,7 +260,7 @@ impl Operation for Conv2d {
             if sizes.is_depthwise() {
                 let weight = depthwise::tap_first(weight.values, sizes.taps());
                 for sweep in &sweeps {
-                    depthwise::run(&sweep, &gradient, &weight, None, &mut target, self.tiles);
+                    depthwise::run(sweep, &gradient, &weight, None, &mut target, self.tiles);
                 }
             } else {
                 let weight =

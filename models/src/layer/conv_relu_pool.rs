@@ -6,10 +6,8 @@ use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::KernelLevel;
-use super::kernel::{self, Block, Lines};
+use super::kernel::{self, Block};
 use super::operation::{Argument, Gradients, Operation, apply};
-use super::packed::{Packed, Side};
-use super::tile::Tiles;
 
 const NAME: &str = "conv_relu_pool";
 /// Batches below this are cut into bands of rows, so that all threads have something to do.
@@ -70,9 +68,7 @@ impl Operation for ConvReluPool {
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let (batch, block) = geometry(inputs)?;
         let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
-        let packed =
-            Packed::new(weight.values, [block.outputs, block.inputs, 9], Side::Forward, Tiles::new(self.level));
-        let (input, bias) = (input.values, packed.pad(bias.values));
+        let (input, packed, bias) = (input.values, block.pack(weight.values), bias.values);
         let mut pooled = vec![0.0f32; batch * block.pooled_length()];
         let mut winner = vec![0u8; pooled.len()];
         let sample = block.rows * block.columns * block.inputs;
@@ -81,11 +77,11 @@ impl Operation for ConvReluPool {
             .zip(winner.par_chunks_exact_mut(block.pooled_length()))
             .zip(input.par_chunks_exact(sample))
             .for_each_init(
-                || (vec![0.0; block.padded_length()], Lines::default()),
-                |(padded, lines), ((pooled, winner), input)| {
+                || vec![0.0; block.padded_length()],
+                |padded, ((pooled, winner), input)| {
                     block.pad(input, padded);
                     if batch >= FEW_SAMPLES {
-                        kernel::forward(self.level, block, padded, &packed, &bias, pooled, winner, lines);
+                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
                         return;
                     }
                     // Bands of rows are blocks of their own: every cell is the same sum.
@@ -93,11 +89,11 @@ impl Operation for ConvReluPool {
                     let line = (block.columns + 2) * block.inputs;
                     let bands =
                         pooled.par_chunks_mut(BAND * pooled_line).zip(winner.par_chunks_mut(BAND * pooled_line));
-                    bands.enumerate().for_each_init(Lines::default, |lines, (band, (pooled, winner))| {
+                    bands.enumerate().for_each(|(band, (pooled, winner))| {
                         let rows = 2 * (pooled.len() / pooled_line);
                         let padded = &padded[2 * BAND * band * line..][..(rows + 2) * line];
                         let block = Block { rows, ..block };
-                        kernel::forward(self.level, block, padded, &packed, &bias, pooled, winner, lines);
+                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
                     });
                 },
             );

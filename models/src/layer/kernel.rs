@@ -1,11 +1,8 @@
 //! Inner loops of [`super::conv_relu_pool`] and of short sums.
 
-use super::KernelLevel;
 use super::level::{dispatch, multiply_add};
-use super::packed::Packed;
-use super::tile::{RowTile, part};
 
-/// Values that loops handle at once.
+/// Output channels that the convolution kernel handles at once.
 pub(super) const LANES: usize = 16;
 /// Index of a pooling window whose maximum is not above zero: ReLU passes no gradient.
 pub(super) const DEAD: u8 = 4;
@@ -39,6 +36,11 @@ impl Block {
         9 * self.inputs
     }
 
+    /// Length of weights packed by [`Block::pack`].
+    pub fn packed_length(&self) -> usize {
+        self.outputs.div_ceil(LANES) * self.taps() * LANES
+    }
+
     /// Copies an input `[row][column][channel]` into the middle of a padded one whose border is zero.
     pub fn pad(&self, input: &[f32], padded: &mut [f32]) {
         let (line, padded_line) = (self.columns * self.inputs, (self.columns + 2) * self.inputs);
@@ -53,6 +55,20 @@ impl Block {
         for (target, source) in input.chunks_exact_mut(line).zip(padded.chunks_exact(padded_line).skip(1)) {
             target.copy_from_slice(&source[self.inputs..self.inputs + line]);
         }
+    }
+
+    /// Weights `[output][input][row][column]` to `[output / 16][row][column][input][output % 16]`, zero-filled, for the
+    /// forward pass.
+    pub fn pack(&self, weight: &[f32]) -> Vec<f32> {
+        let mut packed = vec![0.0; self.packed_length()];
+        for (o, kernel) in weight.chunks_exact(self.taps()).enumerate() {
+            for (i, plane) in kernel.chunks_exact(9).enumerate() {
+                for (t, &w) in plane.iter().enumerate() {
+                    packed[((o / LANES) * self.taps() + t * self.inputs + i) * LANES + o % LANES] = w;
+                }
+            }
+        }
+        packed
     }
 
     /// Weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward pass.
@@ -78,104 +94,80 @@ impl Block {
     }
 }
 
-/// Buffers of [`forward`].
-#[derive(Default)]
-pub(super) struct Lines {
-    cells: Vec<*const f32>,
-    targets: Vec<*mut f32>,
-    sums: Vec<f32>,
-}
-
-/// Convolution, bias, ReLU and pooling of one sample: two rows of sums at a time, pooled while they are in the first
-/// cache. `winner` gets the index 0..4 of the largest cell of each window (row-major, the first of equals; a NaN is
-/// larger than anything) or [`DEAD`]. `bias` is padded as the weights are.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn forward(
-    level: KernelLevel,
-    block: Block,
-    padded: &[f32],
-    packed: &Packed,
-    bias: &[f32],
-    pooled: &mut [f32],
-    winner: &mut [u8],
-    lines: &mut Lines,
-) {
-    let Block { rows, columns, inputs, outputs } = block;
-    let (line, tiles) = ((columns + 2) * inputs, packed.tiles);
-    assert!(padded.len() >= (rows + 2) * line && packed.depth == block.taps() && packed.columns == outputs);
-    assert!(pooled.len() >= block.pooled_length() && winner.len() >= block.pooled_length());
-    // Three taps of one row are contiguous in channel-last order; so are their weights.
-    let (taps, channels) = ([0, 1, 2], 3 * inputs);
-    let cells = 2 * columns;
-    lines.sums.resize(cells * outputs, 0.0);
-    let sums = lines.sums.as_mut_ptr();
-    lines.targets.clear();
-    lines.targets.extend((0..cells).map(|cell| sums.wrapping_add(cell * outputs)));
-    let row_tiles = cells.div_ceil(tiles.rows);
-    for y in 0..rows / 2 {
-        lines.cells.clear();
-        for ky in 0..3 {
-            for row in 0..2 {
-                let start = padded[(2 * y + row + ky) * line..][..line].as_ptr();
-                lines.cells.extend((0..columns).map(|x| start.wrapping_add(x * inputs)));
-            }
-        }
-        for tile in 0..row_tiles {
-            let part = part(cells, row_tiles, tile);
-            for panel in 0..packed.panels() {
-                let first = panel * tiles.width();
-                let row_tile = RowTile {
-                    cells: lines.cells[part.start..].as_ptr(),
-                    cell_stride: cells,
-                    taps: taps.as_ptr(),
-                    tap_count: 3,
-                    channels,
-                    panel: packed.values[first * packed.depth..].as_ptr(),
-                    start: bias[first..].as_ptr(),
-                    targets: lines.targets[part.start..].as_ptr(),
-                    first,
-                    columns: tiles.width().min(outputs - first),
-                };
-                // SAFETY: each cell's three taps end before its padded line does; targets are rows of `sums`; weights
-                // and bias are padded to the tile's width.
-                unsafe { tiles.row_tile(part.len(), &row_tile) };
-            }
-        }
-        let at = y * (columns / 2) * outputs..(y + 1) * (columns / 2) * outputs;
-        pool(level, outputs, columns, &lines.sums, &mut pooled[at.clone()], &mut winner[at]);
-    }
+dispatch! {
+    /// Convolution, bias, ReLU and pooling of one sample. `winner` gets the index 0..4 of the largest cell of each
+    /// window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
+    pub(super) fn forward(
+        block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
+    ) = forward_generic
 }
 
 #[inline(always)]
-fn pool_generic<const FUSED: bool>(
-    outputs: usize,
-    columns: usize,
-    sums: &[f32],
+fn forward_generic<const FUSED: bool>(
+    block: Block,
+    padded: &[f32],
+    packed: &[f32],
+    bias: &[f32],
     pooled: &mut [f32],
     winner: &mut [u8],
 ) {
-    let (top, bottom) = sums.split_at(columns * outputs);
-    for (x, (pooled, winner)) in pooled.chunks_exact_mut(outputs).zip(winner.chunks_exact_mut(outputs)).enumerate() {
-        let at = 2 * x * outputs;
-        let (top, bottom) = (&top[at..at + 2 * outputs], &bottom[at..at + 2 * outputs]);
-        for (k, (pooled, winner)) in pooled.iter_mut().zip(winner).enumerate() {
-            let (mut best, mut index) = (top[k], 0u32);
-            for (candidate, value) in [(1, top[outputs + k]), (2, bottom[k]), (3, bottom[outputs + k])] {
-                let better = (value > best) | value.is_nan();
-                best = if better { value } else { best };
-                index = if better { candidate } else { index };
+    let Block { rows, columns, inputs, outputs } = block;
+    let line = (columns + 2) * inputs;
+    let tile = block.taps() * LANES;
+    for (group, weights) in packed.chunks_exact(tile).enumerate() {
+        let first = group * LANES;
+        let lanes = LANES.min(outputs - first);
+        let mut start = [0.0f32; LANES];
+        start[..lanes].copy_from_slice(&bias[first..first + lanes]);
+        for y in 0..rows / 2 {
+            for x in 0..columns / 2 {
+                let corner = 2 * y * line + 2 * x * inputs;
+                let mut sums = [start; 4];
+                for ky in 0..3 {
+                    // Three taps of one row are contiguous in channel-last order; so are their weights.
+                    let at = |row: usize, column: usize| {
+                        let from = corner + (ky + row) * line + column * inputs;
+                        &padded[from..from + 3 * inputs]
+                    };
+                    let cells = [at(0, 0), at(0, 1), at(1, 0), at(1, 1)];
+                    let weights = &weights[ky * 3 * inputs * LANES..(ky + 1) * 3 * inputs * LANES];
+                    accumulate::<FUSED>(&mut sums, cells, weights);
+                }
+                let at = (y * (columns / 2) + x) * outputs + first;
+                let (pooled, winner) = (&mut pooled[at..at + lanes], &mut winner[at..at + lanes]);
+                for lane in 0..lanes {
+                    let (mut best, mut index) = (sums[0][lane], 0u8);
+                    for (candidate, sum) in sums.iter().enumerate().skip(1) {
+                        // A NaN wins, and stays: comparisons with it fail.
+                        if (sum[lane] > best) | sum[lane].is_nan() {
+                            (best, index) = (sum[lane], candidate as u8);
+                        }
+                    }
+                    let dead = best <= 0.0;
+                    pooled[lane] = if dead { 0.0 } else { best };
+                    winner[lane] = if dead { DEAD } else { index };
+                }
             }
-            // A NaN is not dead: comparisons with it fail.
-            let dead = best <= 0.0;
-            *pooled = if dead { 0.0 } else { best };
-            *winner = if dead { DEAD } else { index as u8 };
         }
     }
 }
 
-dispatch! {
-    /// ReLU and pooling of two rows of sums.
-    fn pool(outputs: usize, columns: usize, sums: &[f32], pooled: &mut [f32], winner: &mut [u8]) = pool_generic
+/// `sums[p][lane] += cells[p][k] * weights[k][lane]` over all k, in order.
+#[inline(always)]
+fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4], weights: &[f32]) {
+    let mut acc = *sums;
+    let taps = weights.len() / LANES;
+    let [c0, c1, c2, c3] = cells.map(|c| &c[..taps]);
+    let (weights, _) = weights.as_chunks::<LANES>();
+    for k in 0..taps {
+        let w = &weights[k];
+        for (sum, cell) in acc.iter_mut().zip([c0[k], c1[k], c2[k], c3[k]]) {
+            for lane in 0..LANES {
+                sum[lane] = multiply_add::<FUSED>(cell, w[lane], sum[lane]);
+            }
+        }
+    }
+    *sums = acc;
 }
 
 dispatch! {

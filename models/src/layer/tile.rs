@@ -82,6 +82,7 @@ pub(super) struct TapTile {
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop)]
 unsafe fn row_tile<V: Vector, const R: usize, const N: usize>(tile: &RowTile) {
     // SAFETY: whoever fills a tile in gives addresses that are valid for its sizes, and has the instructions of V.
     unsafe {
@@ -130,6 +131,7 @@ unsafe fn row_tile<V: Vector, const R: usize, const N: usize>(tile: &RowTile) {
 }
 
 #[inline(always)]
+#[allow(clippy::needless_range_loop)]
 unsafe fn outer_tile<V: Vector, const R: usize, const N: usize, const WHOLE: bool>(tile: &OuterTile) {
     // SAFETY: as in `row_tile`.
     unsafe {
