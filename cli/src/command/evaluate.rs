@@ -1,3 +1,5 @@
+mod thermal;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -9,6 +11,7 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
 use serde_json::json;
 
+use self::thermal::ThermalNoise;
 use crate::output;
 
 /// `radome evaluate`
@@ -27,6 +30,9 @@ pub struct Arguments {
     /// Which split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
+    /// Of recordings, also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's, dB
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
+    thermal_snr_db: Vec<f64>,
     /// One object
     #[arg(long)]
     json: bool,
@@ -89,7 +95,7 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arg
     let (mut confusion, mut confusion_alone) = ([Counts::default(); 3], [Counts::default(); 3]);
     let mut recordings = Vec::new();
     for (path, label) in all {
-        let [filtered, alone] = judge(classifier, path)?;
+        let [filtered, alone] = judge(classifier, path, None)?;
         let counts = if arguments.no_smoothing { alone } else { filtered };
         for (sum, count) in confusion_alone[label.index()].iter_mut().zip(alone) {
             *sum += count;
@@ -112,11 +118,16 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arg
         recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
     }
     let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+    let thermal = under_thermal_noise(classifier, inputs, arguments)?;
     if arguments.json {
         return output::json_line(&json!({
             "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
             "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
+            "thermal": thermal,
         }));
+    }
+    for of in &thermal {
+        eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
     }
     for of in &recordings {
         let mark = if of.majority == of.label { ' ' } else { '!' };
@@ -135,8 +146,40 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arg
     print(&metrics)
 }
 
+/// Scores with thermal noise on the raw samples.
+#[derive(Serialize)]
+struct Thermal {
+    snr_db: f64,
+    balanced_accuracy: f64,
+    confusion: [Counts; Occupancy::ALL.len()],
+}
+
+fn under_thermal_noise(
+    classifier: &mut Classifier,
+    inputs: &[String],
+    arguments: &Arguments,
+) -> anyhow::Result<Vec<Thermal>> {
+    let mut all = Vec::new();
+    for &snr_db in &arguments.thermal_snr_db {
+        if !snr_db.is_finite() {
+            bail!("--thermal-snr-db is {snr_db}, expected a finite number");
+        }
+        let mut confusion = [Counts::default(); Occupancy::ALL.len()];
+        for input in inputs {
+            let (path, label) = labelled(input)?;
+            let noise = ThermalNoise::of(path, snr_db)?;
+            let [filtered, alone] = judge(classifier, path, Some(&noise))?;
+            let counts = if arguments.no_smoothing { alone } else { filtered };
+            confusion[label.index()].iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+        }
+        let balanced_accuracy = Metrics::from_confusion(confusion).balanced_accuracy;
+        all.push(Thermal { snr_db, balanced_accuracy, confusion });
+    }
+    Ok(all)
+}
+
 /// How often frames of a recording were called each class, through the filter and by themselves.
-fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[Counts; 2]> {
+fn judge(classifier: &mut Classifier, path: &Path, noise: Option<&ThermalNoise>) -> anyhow::Result<[Counts; 2]> {
     let mut source = radome_driver::recording::open(path)?;
     source.waveform().check_compatible(classifier.waveform()).with_context(|| path.display().to_string())?;
     let mut processor = RdmProcessor::new(classifier.rdm_spec(), source.waveform())?;
@@ -147,6 +190,9 @@ fn judge(classifier: &mut Classifier, path: &Path) -> anyhow::Result<[Counts; 2]
             SourceEvent::End => return Ok(counts),
             SourceEvent::Gap(_) => processor.reset(),
             SourceEvent::Frame => {
+                if let Some(noise) = noise {
+                    noise.add(&mut frame);
+                }
                 if processor.process(&frame, &mut map)? == MapStatus::Ready {
                     let alone = classifier.classify(&map)?;
                     let filtered = filter.update(frame.time_s(), alone);

@@ -216,7 +216,12 @@ impl StudySpec {
             if name.is_empty() || !name.chars().all(|c| c.is_ascii_alphanumeric() || "_-.".contains(c)) {
                 return fail("a variant's name", format!("'{name}'"), "letters, digits, '_', '-' and '.'");
             }
-            self.network(variant)?;
+            let network = self.network(variant)?;
+            if let Head::Circuit { circuit, .. } = &network.head
+                && let Err(error) = circuit.check()
+            {
+                return fail(&format!("circuit of variant {name}"), error.to_string(), "a circuit that can be run");
+            }
         }
         if let Some(bad) = self.label_fractions.iter().find(|f| !(**f > 0.0 && **f <= 1.0)) {
             return fail("label_fractions", bad.to_string(), "above 0 and up to 1");

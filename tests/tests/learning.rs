@@ -1,0 +1,201 @@
+//! From a dataset to models and reports: training that is killed, studies that are stopped, models under other names.
+
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::Duration;
+
+use radome_tests::{failure, json_lines, radome};
+
+/// A small dataset of halls, made once for all tests.
+fn maps() -> &'static Path {
+    static MAPS: std::sync::OnceLock<(tempfile::TempDir, PathBuf)> = std::sync::OnceLock::new();
+    let (_, path) = MAPS.get_or_init(|| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let spec = folder.path().join("maps.toml");
+        let quick = std::fs::read_to_string(radome_tests::fixture("datasets/quick.toml")).expect("quick.toml");
+        let halls = radome_tests::fixture("scenes/hall.toml").canonicalize().expect("hall.toml");
+        let few = quick
+            .replace("seeds = [1, 24]", "seeds = [1, 8]")
+            .replace("../scenes/hall.toml", halls.to_str().expect("a path"));
+        std::fs::write(&spec, few).expect("writable");
+        let path = folder.path().join("maps");
+        json_lines(radome().args(["dataset", "build", "--json"]).arg(&spec).arg("-o").arg(&path));
+        (folder, path)
+    });
+    path
+}
+
+fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, text).expect("writable");
+    path
+}
+
+const TRAINING: &str = "epochs = 6\nstarts = 2\nstart_epochs = 2\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
+
+#[test]
+fn a_training_that_is_killed_ends_with_the_same_weights() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = write(folder.path(), "training.toml", TRAINING);
+    let train = |name: &str| {
+        let mut command = radome();
+        command.arg("train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(folder.path().join(name)).arg("--json");
+        command
+    };
+    let told = json_lines(&mut train("whole.safetensors"));
+    // Two starts of two epochs, then four more, and the last line.
+    assert_eq!(told.len(), 2 + 6 + 1);
+    let mut runs = 0;
+    loop {
+        let mut child =
+            train("killed.safetensors").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
+        runs += 1;
+        // Killed as soon as it has said something, three times; then left alone.
+        if runs <= 3 {
+            let mut line = String::new();
+            let mut out = std::io::BufReader::new(child.stdout.take().expect("stdout"));
+            std::io::BufRead::read_line(&mut out, &mut line).expect("a line");
+            std::thread::sleep(Duration::from_millis(100));
+            let _ = child.kill();
+            child.wait().expect("ended");
+        } else {
+            let output = child.wait_with_output().expect("ended");
+            assert!(output.status.success());
+            break;
+        }
+    }
+    let bytes = |name: &str| std::fs::read(folder.path().join(name)).expect("a model");
+    assert_eq!(bytes("whole.safetensors"), bytes("killed.safetensors"));
+    assert!(!folder.path().join("killed.safetensors.checkpoint").exists());
+}
+
+#[test]
+fn every_network_can_be_trained_by_name_and_says_what_it_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let spec = write(
+        folder.path(),
+        "training.toml",
+        "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n",
+    );
+    let networks = json_lines(radome().args(["models", "--json"])).remove(0);
+    for network in networks.as_array().expect("a list") {
+        let name = network["name"].as_str().expect("a name");
+        let model = folder.path().join(format!("{name}.safetensors"));
+        json_lines(
+            radome()
+                .arg("train")
+                .arg(maps())
+                .arg("--spec")
+                .arg(&spec)
+                .args(["--network", name, "--json", "-o"])
+                .arg(&model),
+        );
+        let metrics = json_lines(radome().arg("evaluate").arg(&model).arg(maps()).arg("--json")).remove(0);
+        let score = metrics["balanced_accuracy"].as_f64().expect("a score");
+        assert!((0.0..=1.0).contains(&score), "{name}: {metrics}");
+    }
+    let said = failure(radome().arg("train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
+    assert!(said.contains("no network 'hqmm'") && said.contains("doppler_net"), "{said}");
+}
+
+/// With a dozen recordings each in turn is the test split.
+#[test]
+fn one_recording_can_be_held_out() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let manifest = std::fs::read_to_string(maps().join("manifest.jsonl")).expect("a manifest");
+    let row: serde_json::Value = serde_json::from_str(manifest.lines().next().expect("a row")).expect("JSON");
+    let sequence = row["sequence"].as_str().expect("a sequence");
+    let maps_of = manifest.lines().filter(|line| line.contains(&format!("\"{sequence}\""))).count() as u64;
+    let spec = write(folder.path(), "training.toml", "epochs = 1\nstarts = 1\n");
+    let model = folder.path().join("model.safetensors");
+    let train = |sequence: &str| {
+        let mut command = radome();
+        command
+            .arg("train")
+            .arg(maps())
+            .arg("--spec")
+            .arg(&spec)
+            .args(["--hold-out", sequence, "--json", "-o"])
+            .arg(&model);
+        command
+    };
+    let told = json_lines(&mut train(sequence));
+    let test = &told.last().expect("an answer")["training"]["test"];
+    assert_eq!(test["samples"].as_u64(), Some(maps_of), "{test}");
+    assert!(failure(&mut train("nobody")).contains("no sequence 'nobody'"));
+}
+
+#[test]
+fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = "title = \"Small\"\ndataset = \"none.toml\"\nseeds = [1, 2]\nlearning_rates = [1e-3, 1e-2]\n\
+                label_fractions = [1.0, 0.5]\nsnr_db = [20.0]\n\
+                variants = [{ name = \"hqnn\" }, { name = \"linear\", head = { kind = \"linear\" } }]\n\
+                [train]\nepochs = 2\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n";
+    let spec = write(folder.path(), "study.toml", text);
+    let output = folder.path().join("study");
+    let study = || {
+        let mut command = radome();
+        command.arg("study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output).arg("--json");
+        command
+    };
+    let mut child = study().stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
+    let mut line = String::new();
+    let mut out = std::io::BufReader::new(child.stdout.take().expect("stdout"));
+    std::io::BufRead::read_line(&mut out, &mut line).expect("a training");
+    let _ = child.kill();
+    child.wait().expect("ended");
+    let partial = json_lines(study().arg("--report-only")).remove(0);
+    assert!(partial["done"].as_u64() < Some(8), "{partial}");
+
+    let report = json_lines(&mut study()).pop().expect("a report");
+    assert_eq!((report["done"].as_u64(), report["planned"].as_u64()), (Some(8), Some(8)));
+    let cells = report["cells"].as_array().expect("cells");
+    assert_eq!(cells.len(), 4);
+    for cell in cells {
+        let test = cell["test"]["mean"].as_f64().expect("a score");
+        assert!((0.0..=1.0).contains(&test) && cell["done"].as_u64() == Some(2), "{cell}");
+        assert!([1e-3, 1e-2].contains(&cell["learning_rate"].as_f64().expect("a rate")));
+        assert_eq!(cell["noisy"].as_array().map(Vec::len), Some(if cell["label_fraction"] == 1.0 { 1 } else { 0 }));
+    }
+    for name in ["report.md", "report.json", "noise.png", "labels.png", "cost.png"] {
+        assert!(output.join(name).exists(), "{name}");
+    }
+    // Nothing is trained twice, and another study is kept out of the folder.
+    assert_eq!(json_lines(&mut study()).len(), 1);
+    std::fs::write(&spec, text.replace("seeds = [1, 2]", "seeds = [1, 3]")).expect("writable");
+    assert!(failure(&mut study()).contains("another study"));
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn studies_that_cannot_be_run_are_refused_by_name() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let output = folder.path().join("study");
+        let say = |text: &str| {
+            let spec = write(folder.path(), "study.toml", text);
+            failure(radome().arg("study").arg(&spec).arg("--dataset").arg(maps()).arg("-o").arg(&output))
+        };
+        let good = "title = \"T\"\ndataset = \"x.toml\"\nseeds = [1]\nvariants = [{ name = \"hqnn\" }]\n";
+        for (from, to, expected) in [
+            ("\"hqnn\"", "\"hqmm\"", "hqmm"),
+            ("seeds = [1]", "seeds = []", "at least one"),
+            ("seeds = [1]", "seeds = [1]\nsnr_db = [inf]", "snr_db"),
+            ("seeds = [1]", "seeds = [1]\nlabel_fractions = [0.0]", "label_fractions"),
+            ("seeds = [1]", "seeds = [1]\nlearning_rates = [-1.0]", "learning_rates"),
+            ("seeds = [1]", "sedes = [1]", "no study"),
+            ("{ name = \"hqnn\" }", "{ name = \"hqnn\" }, { name = \"hqnn\" }", "twice"),
+            ("{ name = \"hqnn\" }", "{ name = \"../x\", network = \"hqnn\" }", "letters"),
+            (
+                "{ name = \"hqnn\" }",
+                "{ name = \"q\", head = { kind = \"circuit\", circuit = { qubits = 13 } } }",
+                "qubits is 13",
+            ),
+        ] {
+            let said = say(&good.replace(from, to));
+            assert!(said.contains(expected), "{to}: {said}");
+        }
+    }
+}
