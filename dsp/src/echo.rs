@@ -31,8 +31,9 @@ const TRUNK_M_PER_S: f64 = 0.15;
 /// Of what is alive at least so much of the energy changes between frames: the echo of walls and furniture only drifts and
 /// jitters.
 const LEAST_CHANGING: f64 = 0.05;
-/// Range bins that hold leakage (unpadded).
-const LEAKAGE_BINS: usize = 3;
+/// Range bins, from the first, that hold what leaks from transmitter to receiver and how a chirp begins: no map tells anything
+/// there.
+pub const LEAKAGE_BINS: usize = 3;
 
 /// Two receivers whose phases are compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
