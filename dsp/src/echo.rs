@@ -31,8 +31,9 @@ const TRUNK_M_PER_S: f64 = 0.15;
 /// Of what is alive at least so much of the energy changes between frames: the echo of walls and furniture only drifts and
 /// jitters.
 const LEAST_CHANGING: f64 = 0.05;
-/// Range bins that hold leakage (unpadded).
-const LEAKAGE_BINS: usize = 3;
+/// Range bins, from the first, that hold what leaks from transmitter to receiver and how a chirp begins: no map tells anything
+/// there.
+pub const LEAKAGE_BINS: usize = 3;
 
 /// Two receivers whose phases are compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -106,7 +107,8 @@ impl EchoFinder {
     pub fn moving(&mut self, frame: &Frame) -> Result<(Vec<Echo>, RangeProfile), MapError> {
         let profile = self.transform(frame)?;
         let (doppler, bins) = (self.doppler_window.len(), self.bins);
-        let noise: Vec<f64> = self.power.chunks_exact(doppler.max(1)).map(|row| median(row.iter().copied())).collect();
+        let noise: Vec<f64> =
+            self.power.chunks_exact(doppler.max(1)).map(|row| noise_power(row.iter().copied())).collect();
         let at = |range: usize, d: usize| self.power.get(range * doppler + d).copied().unwrap_or(0.0);
         let zero = doppler / 2;
         let least = 10f64.powf(0.1 * LEAST_SNR_DB);
@@ -167,7 +169,7 @@ impl EchoFinder {
         let power_of = |cell: usize| changes.get(cell).map_or(0.0, |c| c.iter().map(Complex64::norm_sqr).sum::<f64>());
         let power: Vec<f64> =
             (0..self.bins).map(|range| (0..rx).map(|rx| power_of(rx * self.bins + range)).sum()).collect();
-        let noise = median(power.iter().skip(RANGE_PADDING * LEAKAGE_BINS).copied());
+        let noise = noise_power(power.iter().skip(RANGE_PADDING * LEAKAGE_BINS).copied());
         let mean_power = |cell: usize| profiles.iter().map(|p| row(p, cell)).sum::<Complex64>().norm_sqr() / count;
         let mut echoes = Vec::new();
         for range in (RANGE_PADDING * LEAKAGE_BINS)..self.bins.saturating_sub(1) {
@@ -310,8 +312,8 @@ fn ratio_db(power: f64, noise: f64) -> f64 {
     if power > 0.0 { (10.0 * (power / noise).log10()).min(MOST_DB) } else { 0.0 }
 }
 
-/// Median of powers over `ln 2`: the mean of exponentially distributed noise, which targets hardly move.
-fn median(values: impl Iterator<Item = f64>) -> f64 {
+/// Mean of exponentially distributed noise from its median, which targets hardly move.
+fn noise_power(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or(0.0) / std::f64::consts::LN_2

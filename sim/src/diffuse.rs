@@ -25,8 +25,6 @@ use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::slow_time::{Bend, Key, Stretch};
 use crate::stage::Stage;
 
-/// Points that walls are made of: at one every few range bins and as many directions, their echoes are as noise is.
-const POINTS: usize = 32;
 /// No leg counts as shorter than this, m.
 const LEAST_LEG_M: f64 = 0.3;
 /// Paths weaker than this over the threshold of a path alone are not heard even together.
@@ -46,8 +44,14 @@ pub struct WallPoint {
     phase: Complex64,
 }
 
-/// The points of a room that throw back `share` of what falls on its walls.
-pub fn wall_points(room: &BoxRoom, share: f64, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+/// So many points of a room, which throw back `share` of what falls on its walls.
+pub fn wall_points(
+    room: &BoxRoom,
+    (share, count): (f64, usize),
+    tx: &Element,
+    rx: &[Element],
+    seed: u64,
+) -> Vec<WallPoint> {
     let size = room.size_m.to_array();
     let area = |wall: usize| match room.walls.get(wall) {
         Some(Wall::Open) | None => 0.0,
@@ -58,10 +62,10 @@ pub fn wall_points(room: &BoxRoom, share: f64, tx: &Element, rx: &[Element], see
         return Vec::new();
     }
     let mut rng = generator(seed, Purpose::WallPoints, [0, 0]);
-    let mut points = Vec::with_capacity(POINTS);
-    for index in 0..POINTS {
+    let mut points = Vec::with_capacity(count);
+    for index in 0..count {
         // One in each of as many equal parts of the walls.
-        let mut at = (index as f64 + rng.random::<f64>()) / POINTS as f64 * whole;
+        let mut at = (index as f64 + rng.random::<f64>()) / count as f64 * whole;
         let wall = (0..5).find(|wall| {
             let is_here = at < area(*wall);
             at -= if is_here { 0.0 } else { area(*wall) };
@@ -79,7 +83,7 @@ pub fn wall_points(room: &BoxRoom, share: f64, tx: &Element, rx: &[Element], see
             let direction = offset / length_m;
             let cosine = (-direction.dot(normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
-            (length_m, gain * (share * whole / POINTS as f64 * cosine / PI).sqrt() / length_m)
+            (length_m, gain * (share * whole / count as f64 * cosine / PI).sqrt() / length_m)
         };
         let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
         points.push(WallPoint { position, normal, there: leg(tx), back: rx.iter().map(leg).collect(), phase });
@@ -200,7 +204,7 @@ mod tests {
         }
         const SEEDS: u64 = 3000;
         let drawn: f64 = (0..SEEDS)
-            .flat_map(|seed| wall_points(&room, share, &antenna, &[], seed))
+            .flat_map(|seed| wall_points(&room, (share, 32), &antenna, &[], seed))
             .map(|point| {
                 let on = place - point.position;
                 point.there.1.powi(2) * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
@@ -208,7 +212,7 @@ mod tests {
             .sum();
         let ratio = drawn / SEEDS as f64 / exact;
         assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
-        assert!(wall_points(&room, 0.0, &antenna, &[antenna], 1).is_empty());
+        assert!(wall_points(&room, (0.0, 32), &antenna, &[antenna], 1).is_empty());
     }
 
     /// A sphere is its own average; of a needle nothing is left but its side.

@@ -101,8 +101,8 @@ impl Stage {
             static_paths: Vec::new(),
             threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
         };
-        let share = scene.file().room.diffuse_share;
-        stage.wall_points = wall_points(&stage.room, share, &stage.tx, &stage.rx, seed);
+        let diffuse = (scene.file().room.diffuse_share, scene.file().room.diffuse_points as usize);
+        stage.wall_points = wall_points(&stage.room, diffuse, &stage.tx, &stage.rx, seed);
         stage.add_walls(scene.file().room.max_reflections);
         stage.add_furniture(scene, seed);
         for (i, path) in stage.static_paths.iter_mut().enumerate() {

@@ -81,6 +81,10 @@ pub struct RoomFile {
     /// Default 0.
     #[serde(default)]
     pub diffuse_share: f64,
+    /// Points that stand for the surfaces there: one every few range bins and as many directions will do for echoes that are as
+    /// noise is; in long rooms that takes more. Default 32, at most 1024.
+    #[serde(default = "thirty_two")]
+    pub diffuse_points: u32,
     /// Surface at x = 0.
     #[serde(default)]
     pub x_low: SurfaceFile,
@@ -521,6 +525,10 @@ impl Default for DeskFile {
 fn two() -> u32 {
     2
 }
+fn thirty_two() -> u32 {
+    32
+}
+
 fn three() -> u32 {
     3
 }

@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use radome_dsp::Waveform;
 use radome_dsp::distance::{MapSample, Regions};
+use radome_dsp::echo::LEAKAGE_BINS;
 use radome_sim::receiver::calibration::ChannelFit;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -15,7 +16,7 @@ use serde::Serialize;
 
 use super::copies::Simulated;
 use super::recordings::Recordings;
-use super::sample::{LEAKAGE_BINS, Sample, Sampler, cell_noise_db, regions};
+use super::sample::{Sample, Sampler, cell_noise_db, regions};
 
 /// Blocks that a single recording's part is cut into.
 const BLOCKS: usize = 8;

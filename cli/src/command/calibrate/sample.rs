@@ -1,11 +1,10 @@
 //! What is compared of frames: their maps, receiver by receiver.
 
 use radome_dsp::distance::{MapSample, Regions};
+use radome_dsp::echo::LEAKAGE_BINS;
 use radome_dsp::rdm::StaticRemoval;
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, Window};
 
-/// Range bins that hold leakage: no map says anything there.
-pub const LEAKAGE_BINS: usize = 3;
 /// Range bins to either side of who is there that are looked at by themselves.
 const TARGET_BINS: usize = 2;
 

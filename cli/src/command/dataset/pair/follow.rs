@@ -63,8 +63,12 @@ const BODY_M: f64 = 0.55;
 /// Echoes so near to where a wall would repeat somebody are that repeat, m and m/s.
 const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
-/// So much weaker than somebody would be there who is as large, dB, is what walls throw in all directions of who is nearer.
-const THROWN_DB: f64 = 15.0;
+/// What a piece of wall throws of somebody lies so near, m, to the way by its middle.
+const THROWN_M: f64 = 0.25;
+/// It is stronger for a while than on average, dB: one part in fifty of what fades by Rayleigh's law lies above this.
+const FADING_DB: f64 = 6.0;
+/// From one point of the walls that is tried to the next, m.
+const WALL_STEP_M: f64 = 0.25;
 
 /// Follows up to `people` through the looks.
 pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
@@ -79,15 +83,13 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
                 continue;
             }
             let track = smooth(looks, &places, sensor);
+            if is_thrown(&track, &all, sensor) {
+                continue;
+            }
             for state in &track {
                 let Some((look, free)) = looks.get(state.frame).zip(free.get_mut(state.frame)) else { continue };
-                let range_m = sensor.expected(state).range_m;
-                let own = look.echoes.iter().filter(|echo| (echo.range_m - range_m).abs() < BODY_M);
-                let loudest_db = own.map(|echo| echo.snr_db).fold(f64::NEG_INFINITY, f64::max);
                 for (echo, free) in look.echoes.iter().zip(free) {
-                    let as_large_db = loudest_db - 40.0 * (echo.range_m / range_m.max(0.1)).log10();
-                    let is_thrown = echo.range_m > range_m + BODY_M && echo.snr_db < as_large_db - THROWN_DB;
-                    *free &= !explains(state, echo, sensor) && !is_thrown;
+                    *free &= !explains(state, echo, sensor);
                 }
             }
             all.push(Sighting { places, track });
@@ -95,6 +97,33 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
     }
     all.sort_by_key(|sighting| sighting.frames());
     all
+}
+
+/// Whether a track is no person but what a wall throws of somebody: for most of it one and the same piece of wall explains its
+/// ranges by where that body was, and its levels too. Who walks behind another, in their shadow, is as weak, but not where
+/// a wall is that could throw as much; who stands keeps to the range of a piece of wall, but is louder.
+fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
+    // Of each frame somebody, and by how much what is followed is farther (m) and louder (dB) than they are.
+    let mut beside: Vec<(&Smoothed, f64, f64)> = Vec::new();
+    for state in track {
+        let of_frame = others.iter().flat_map(|other| &other.track).filter(|other| other.frame == state.frame);
+        for other in of_frame {
+            let farther_m = sensor.expected(state).range_m - sensor.expected(other).range_m;
+            if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > BODY_M) {
+                beside.push((other, farther_m, own_db - other_db));
+            }
+        }
+    }
+    let seen = track.iter().filter(|state| state.snr_db.is_some()).count();
+    let is_most = |count: usize| 2 * count > seen;
+    is_most(beside.len())
+        && sensor.wall_pieces(WALL_STEP_M).any(|piece| {
+            let is_explained = |&&(other, farther_m, louder_db): &&(&Smoothed, f64, f64)| {
+                let thrown = sensor.thrown(other, &piece);
+                (thrown.farther_m - farther_m).abs() < THROWN_M && louder_db < thrown.louder_db + FADING_DB
+            };
+            is_most(beside.iter().filter(is_explained).count())
+        })
 }
 
 /// Whether an echo is a part of somebody, or a repeat of them off a wall.
@@ -216,4 +245,76 @@ fn step_cost(a: &Echo, b: &Echo, gap_s: f64, sensor: &Sensor) -> f64 {
         _ => 0.0,
     };
     0.5 * (range * range + speed * speed + cosine * cosine)
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::{Waveform, WaveformRequest};
+    use radome_sim::Scene;
+
+    use super::*;
+
+    /// The room of the paper, its radar looking into it level.
+    fn sensor() -> Sensor {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room.toml");
+        let text =
+            std::fs::read_to_string(&file).expect("a scene").replace("tilt_down_deg = 30.0", "tilt_down_deg = 5.0");
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        Sensor::new(&Scene::parse(&text, &file).expect("a scene"), &waveform, 1.75).0
+    }
+
+    /// Fifty frames of somebody by place at a time, 60 dB over noise 1 m away on the boresight and so much less.
+    fn track(sensor: &Sensor, less_db: impl Fn(usize) -> f64, at: impl Fn(f64) -> [f64; 2]) -> Vec<Smoothed> {
+        let state = |frame: usize| {
+            let time_s = 0.1 * frame as f64;
+            let ([x, y], [later_x, later_y]) = (at(time_s), at(time_s + 0.01));
+            let (vx, vy) = ((later_x - x) / 0.01, (later_y - y) / 0.01);
+            let mut state = Smoothed { frame, time_s, x, y, vx, vy, sigma_m: 0.0, snr_db: None, is_visible: true };
+            state.snr_db = Some(60.0 - 40.0 * sensor.expected(&state).range_m.log10() - less_db(frame));
+            state
+        };
+        (0..50).map(state).collect()
+    }
+
+    fn walker(sensor: &Sensor, at: impl Fn(f64) -> [f64; 2]) -> [Sighting; 1] {
+        [Sighting { places: Vec::new(), track: track(sensor, |_| 0.0, at) }]
+    }
+
+    /// What a piece of wall throws of a walker, as it is followed: on the boresight, fading by 5 dB to and fro.
+    #[test]
+    fn what_a_wall_throws_of_a_walker_is_nobody() {
+        let sensor = sensor();
+        for walker in [walker(&sensor, |t| [6.0 - 0.9 * t, 3.2]), walker(&sensor, |t| [1.5 + 0.9 * t, 2.6])] {
+            let pieces = [
+                (DVec3::new(6.1, 3.1, 0.0), DVec3::Z),
+                (DVec3::new(5.2, 2.2, 2.7), -DVec3::Z),
+                (DVec3::new(8.0, 2.6, 0.7), -DVec3::X),
+            ];
+            for piece in pieces {
+                let of = |frame: usize| sensor.thrown(&walker[0].track[frame], &piece);
+                let range = |frame: usize| sensor.expected(&walker[0].track[frame]).range_m + of(frame).farther_m;
+                let at = |t: f64| [sensor.position.x + range(((10.0 * t) as usize).min(49)) + 0.115, sensor.position.y];
+                let mut ghost = track(&sensor, |_| 0.0, at);
+                for (frame, state) in ghost.iter_mut().enumerate() {
+                    let fading_db = 5.0 * (0.7 * frame as f64).sin();
+                    state.snr_db = walker[0].track[frame].snr_db.map(|db| db + of(frame).louder_db + fading_db);
+                }
+                assert!(is_thrown(&ghost, &walker, &sensor), "{piece:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn whoever_is_as_loud_as_a_person_or_goes_their_own_way_is_somebody() {
+        let sensor = sensor();
+        let others = walker(&sensor, |t| [6.0 - 0.9 * t, 3.2]);
+        // A child, 8 dB weaker, who stands; someone in the walker's shadow who follows; someone else there who goes.
+        for (name, less_db, speed, at) in
+            [("child", 8.0, 0.0, [6.5, 3.1]), ("follows", 16.0, -0.9, [7.5, 3.2]), ("goes", 16.0, 0.8, [4.0, 2.0])]
+        {
+            let somebody = track(&sensor, |_| less_db, |t| [at[0] + speed * t, at[1]]);
+            assert!(!is_thrown(&somebody, &others, &sensor), "{name}");
+        }
+        assert!(!is_thrown(&others[0].track, &[], &sensor));
+    }
 }

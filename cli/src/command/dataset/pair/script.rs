@@ -268,7 +268,9 @@ fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Optio
     let timed = ways.into_iter().filter_map(|(door, out)| {
         let way_m = (door + out * DOORSTEP_M).distance(from);
         let speed = way_m / time_s.max(way_m / FASTEST_M_PER_S);
-        let is_likely = way_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
+        // Where somebody is first or last seen is known as well as the smoother says.
+        let sure_m = (way_m - 3.0 * state.sigma_m).max(0.0);
+        let is_likely = sure_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
         is_likely.then_some(((speed / usual).ln().abs(), speed.max(0.3), door, out))
     });
     let (_, speed, door, out) = timed.min_by(|a, b| a.0.total_cmp(&b.0))?;

@@ -5,6 +5,8 @@
 //! speed, and a cosine; the body's axis lies behind that surface ([`REACH_M`]). Limbs and repeats off walls pull single echoes
 //! away by far more than noise does: what an echo is worth falls with how far it lies off, as with Student's distribution.
 
+use std::f64::consts::PI;
+
 use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
 use radome_dsp::echo::Baseline;
@@ -36,6 +38,12 @@ const TURN_S: f64 = 0.5;
 const MOST_TURN: f64 = 300.0;
 /// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
 const CLEAR: f64 = 0.5;
+/// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse.rs), and how
+/// much of a wall a range cell holds, m^2.
+const THROWN_SHARE: f64 = 0.16;
+const PIECE_M2: f64 = 3.0;
+/// No way by a wall counts as shorter, m.
+const LEAST_LEG_M: f64 = 0.3;
 /// Degrees of freedom of the errors' distribution.
 const FREEDOM: f64 = 4.0;
 const ROUNDS: usize = 8;
@@ -82,6 +90,15 @@ pub struct Expected {
     pub cosine: f64,
 }
 
+/// What a piece of wall throws of somebody, on average, beside their own echo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Thrown {
+    /// How much farther it seems to be, m.
+    pub farther_m: f64,
+    /// Level over theirs, dB.
+    pub louder_db: f64,
+}
+
 impl Sensor {
     /// The radar of a scene, and the receivers to compare: RX1 with RX3 side by side, else RX1 with RX2, which are beside and
     /// above each other.
@@ -121,6 +138,39 @@ impl Sensor {
     /// A difference of speeds, folded into the span without ambiguity.
     pub fn wrapped(&self, speed: f64) -> f64 {
         speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
+    }
+
+    /// What a piece of wall, its middle and the normal into the room, throws of somebody on the way there, to them and home,
+    /// and the other way round.
+    pub fn thrown(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Thrown {
+        let place = DVec3::new(state.x, state.y, self.trunk_height_m);
+        let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
+        let [there_m, on_m, back_m] = [there, on, back].map(|way| way.length().max(LEAST_LEG_M));
+        let field = |way: DVec3| self.pattern.field(self.world_from_radar.transpose() * way.normalize_or_zero());
+        let cosines = (-there.dot(*normal)).max(0.0) / there_m * on.dot(*normal).max(0.0) / on_m;
+        let by_pattern = (field(there) / field(-back).max(1e-3)).powi(2);
+        // Two ways, in phase, of which a receiver takes one polarisation; the body throws as much to all sides.
+        let power =
+            4.0 * 0.5 * THROWN_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
+        Thrown { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
+    }
+
+    /// Middles of pieces of floor, ceiling and walls, that far apart, each with the normal into the room.
+    pub fn wall_pieces(&self, step_m: f64) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
+        let size = self.room.size_m;
+        let counts = (size / step_m).ceil().max(DVec3::ONE);
+        let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
+        walls.flat_map(move |(i, _)| {
+            let (axis, u, v) = (i / 2, (i / 2 + 1) % 3, (i / 2 + 2) % 3);
+            let normal = DVec3::AXES[axis] * if i % 2 == 0 { 1.0 } else { -1.0 };
+            let middle = move |a: f64, b: f64| {
+                let mut middle = DVec3::ZERO;
+                middle[axis] = if i % 2 == 0 { 0.0 } else { size[axis] };
+                (middle[u], middle[v]) = ((a + 0.5) / counts[u] * size[u], (b + 0.5) / counts[v] * size[v]);
+                (middle, normal)
+            };
+            (0..counts[u] as usize).flat_map(move |a| (0..counts[v] as usize).map(move |b| middle(a as f64, b as f64)))
+        })
     }
 
     /// Repeats off upright walls that fall into the range cell of somebody's own echo: their field over its, all together, and
