@@ -8,11 +8,40 @@ use thiserror::Error;
 
 use crate::dataset::{DatasetError, ManifestRow, network_input};
 use crate::layer::softmax;
-use crate::model_file::{Model, ModelCard, ModelError};
+use crate::model_file::{self, Model, ModelCard, ModelError, is_onnx};
+use crate::network::{Inference, Network};
+use crate::onnx::read_card;
+use crate::onnx_runtime::{OnnxError, OnnxSession};
 
-/// A model ready to classify maps one by one.
+/// A model ready to classify maps one by one: our own network, or an ONNX file in onnxruntime.
 pub struct Classifier {
-    model: Model,
+    card: ModelCard,
+    engine: Engine,
+}
+
+enum Engine {
+    Native {
+        network: Network,
+        /// The network prepared, once there is something to run.
+        inference: Option<Inference>,
+    },
+    Onnx(OnnxSession),
+}
+
+impl Engine {
+    /// Logits of one standardised map `[row][column]`.
+    fn logits(&mut self, map: &[f32], rows: usize, columns: usize) -> Result<Vec<f32>, ClassifyError> {
+        match self {
+            Engine::Native { network, inference } => {
+                let inference = match inference {
+                    Some(inference) => inference,
+                    None => inference.insert(Inference::new(network)?),
+                };
+                Ok(inference.logits(map, [1, rows, columns])?.to_vec())
+            }
+            Engine::Onnx(session) => Ok(session.logits(map)?),
+        }
+    }
 }
 
 /// A map that cannot be classified.
@@ -54,45 +83,54 @@ pub enum ClassifyError {
     /// A map could not be read.
     #[error(transparent)]
     Dataset(#[from] DatasetError),
+    /// An ONNX network failed.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
     /// A tensor operation failed.
     #[error("network: {0}")]
     Network(#[from] candle_core::Error),
 }
 
 impl Classifier {
-    /// Loads a model file.
+    /// Loads a model file: safetensors, or ONNX if it is called so (`.onnx`), which onnxruntime is then needed for.
     pub fn load(path: &Path) -> Result<Self, ModelError> {
-        Ok(Self::new(Model::load(path)?))
+        if !is_onnx(path) {
+            return Ok(Self::new(Model::load(path)?));
+        }
+        let data = model_file::read(path)?;
+        let card = read_card(path, &data)?;
+        let [_, rows, columns] = card.input_shape;
+        let session = OnnxSession::new(path, &data, rows, columns)?;
+        Ok(Classifier { card, engine: Engine::Onnx(session) })
     }
 
     /// Puts a model to work.
     pub fn new(model: Model) -> Self {
-        Classifier { model }
+        let Model { card, network } = model;
+        Classifier { card, engine: Engine::Native { network, inference: None } }
     }
 
     /// Waveform that maps must come from.
     pub fn waveform(&self) -> &Waveform {
-        &self.model.card.waveform
+        &self.card.waveform
     }
 
     /// How maps must be made.
     pub fn rdm_spec(&self) -> &RdmSpec {
-        &self.model.card.rdm_spec
+        &self.card.rdm_spec
     }
 
     /// Everything about the model but its numbers.
     pub fn card(&self) -> &ModelCard {
-        &self.model.card
+        &self.card
     }
 
-    /// The model itself.
-    pub fn model(&self) -> &Model {
-        &self.model
-    }
-
-    /// Gives the model back.
-    pub fn into_model(self) -> Model {
-        self.model
+    /// Gives the model back, if it is one of our own.
+    pub fn into_model(self) -> Option<Model> {
+        match self.engine {
+            Engine::Native { network, .. } => Some(Model { card: self.card, network }),
+            Engine::Onnx(_) => None,
+        }
     }
 
     /// Probabilities of empty, one, two; they sum to one.
@@ -102,12 +140,15 @@ impl Classifier {
         self.run(&map.db, map.shape, None)
     }
 
-    /// The numbers that the HQNN reduces the map to before the circuit, before their standardisation; none for other networks.
+    /// The numbers that the HQNN reduces the map to before the circuit, before their standardisation; none for other networks and
+    /// for ONNX files.
     pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
-        let input = self.input(&map.db, map.shape, None)?;
-        Ok(match self.model.network.latent(&input)? {
+        let Engine::Native { network, .. } = &self.engine else { return Ok(Vec::new()) };
+        let [_, rows, columns] = self.card.input_shape;
+        let input = Tensor::from_vec(self.input(&map.db, map.shape, None)?, (1, rows, columns), &Device::Cpu)?;
+        Ok(match network.latent(&input)? {
             Some(latent) => latent.flatten_all()?.to_vec1()?,
             None => Vec::new(),
         })
@@ -127,11 +168,11 @@ impl Classifier {
     }
 
     fn check_unlabelled(&self) -> Result<(), ClassifyError> {
-        if self.model.card.standardisation.needs_labels() { Err(ClassifyError::NeedsLabels) } else { Ok(()) }
+        if self.card.standardisation.needs_labels() { Err(ClassifyError::NeedsLabels) } else { Ok(()) }
     }
 
     fn expected_shape(&self) -> RdmShape {
-        let card = &self.model.card;
+        let card = &self.card;
         let [_, rows, columns] = card.input_shape;
         let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
         RdmShape { rx: 1, doppler, range }
@@ -152,22 +193,31 @@ impl Classifier {
     }
 
     /// Probabilities of a map that has been checked.
-    fn run(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
+    fn run(&mut self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
         let input = self.input(db, shape, of)?;
-        let logits: Vec<f32> = self.model.network.logits(&input)?.flatten_all()?.to_vec1()?;
-        let probabilities = softmax(&logits, self.model.card.temperature);
+        let [_, rows, columns] = self.card.input_shape;
+        let logits = self.engine.logits(&input, rows, columns)?;
+        let probabilities = softmax(&logits, self.card.temperature);
         match probabilities.as_slice() {
             &[p, q, r] if [p, q, r].iter().all(|v| v.is_finite()) => Ok([p as f32, q as f32, r as f32]),
             _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
         }
     }
 
-    /// What the network sees of a map: standardised, `[1][range][doppler]`.
-    fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Tensor, ClassifyError> {
+    /// What the network sees of a map: standardised, `[range][doppler]` or transposed, as the card says.
+    fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Vec<f32>, ClassifyError> {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
-        self.model.card.standardisation.apply(&mut input, shape.doppler, of);
-        let input = Tensor::from_vec(input, (1, shape.range, shape.doppler), &Device::Cpu)?;
-        Ok(if self.model.card.is_transposed() { input.transpose(1, 2)?.contiguous()? } else { input })
+        self.card.standardisation.apply(&mut input, shape.doppler, of);
+        if !self.card.is_transposed() {
+            return Ok(input);
+        }
+        let mut transposed = vec![0.0; input.len()];
+        for (row, line) in input.chunks_exact(shape.doppler).enumerate() {
+            for (column, &value) in line.iter().enumerate() {
+                transposed[column * shape.range + row] = value;
+            }
+        }
+        Ok(transposed)
     }
 }

@@ -20,6 +20,7 @@ mod model_file;
 pub mod network;
 pub mod occupancy_filter;
 pub mod onnx;
+pub mod onnx_runtime;
 pub mod quantum;
 mod random;
 pub mod standardise;

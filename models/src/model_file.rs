@@ -13,12 +13,14 @@ use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::network::{Centring, Head, MOST_POOLED, Network, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
+use crate::onnx;
+use crate::onnx_runtime::OnnxError;
 use crate::standardise::Standardisation;
 
 /// Version of the format that is written; older ones are read.
 pub const MODEL_FORMAT_VERSION: u32 = 1;
-/// Key of the card in the file's metadata.
-const CARD_KEY: &str = "radome";
+/// Key of the card in a file's metadata, safetensors or ONNX.
+pub(crate) const CARD_KEY: &str = "radome";
 
 /// How a network came about.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -112,9 +114,20 @@ pub enum ModelError {
         /// Length of the file.
         length: usize,
     },
-    /// Safetensors, but not one of ours.
+    /// No whole ONNX file.
+    #[error("{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind")]
+    NotOnnx {
+        /// File.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+        /// Length of the file.
+        length: usize,
+    },
+    /// Safetensors or ONNX, but not one of ours.
     #[error(
-        "{path}: the safetensors metadata has no '{CARD_KEY}' entry\n\nhint: only models trained by this program can be loaded"
+        "{path}: the metadata has no '{CARD_KEY}' entry, which tells what maps the network wants and how they are \
+         standardised\n\nhint: only models that `radome train` and `radome export` wrote can be loaded"
     )]
     NoCard {
         /// File.
@@ -150,9 +163,21 @@ pub enum ModelError {
         /// What it is.
         found: String,
     },
+    /// An ONNX network cannot be run.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
     /// A tensor operation failed.
     #[error("network: {0}")]
     Network(#[from] candle_core::Error),
+}
+
+/// Whether a file is ONNX by its name.
+pub(crate) fn is_onnx(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
+}
+
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
+    std::fs::read(path).map_err(|source| ModelError::Io { path: path.to_owned(), action: "reading", source })
 }
 
 impl Model {
@@ -191,34 +216,13 @@ impl Model {
 
     /// Reads a model and checks that it is whole and makes sense.
     pub fn load(path: &Path) -> Result<Self, ModelError> {
-        let data = std::fs::read(path).map_err(|source| ModelError::Io {
-            path: path.to_owned(),
-            action: "reading",
-            source,
-        })?;
-        Self::from_bytes(path, &data)
+        Self::from_bytes(path, &read(path)?)
     }
 
     /// Reads a model from the bytes of the file `path` (used in errors only).
     pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
-        let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        let card = ModelCard::of_safetensors(path, data)?;
         let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;
-        let Some(card) = header.metadata().as_ref().and_then(|m| m.get(CARD_KEY)) else {
-            return Err(ModelError::NoCard { path: path.to_owned() });
-        };
-        let json = |source| ModelError::Card { path: path.to_owned(), source };
-        // The version alone first: a newer card may have other fields.
-        #[derive(Deserialize)]
-        struct Version {
-            format_version: u32,
-        }
-        let found = serde_json::from_str::<Version>(card).map_err(json)?.format_version;
-        if found > MODEL_FORMAT_VERSION {
-            return Err(ModelError::Newer { path: path.to_owned(), found, supported: MODEL_FORMAT_VERSION });
-        }
-        let card: ModelCard = serde_json::from_str(card).map_err(json)?;
-        card.check(path)?;
-
         let spec = card.network_spec();
         let mut values = BTreeMap::new();
         for (name, shape) in spec.layout() {
@@ -246,6 +250,37 @@ impl Model {
 }
 
 impl ModelCard {
+    /// The card of a model file, safetensors or ONNX, without its numbers.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        let data = read(path)?;
+        if is_onnx(path) { onnx::read_card(path, &data) } else { Self::of_safetensors(path, &data) }
+    }
+
+    fn of_safetensors(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
+        let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        match header.metadata().as_ref().and_then(|metadata| metadata.get(CARD_KEY)) {
+            Some(text) => Self::parse(path, text),
+            None => Err(ModelError::NoCard { path: path.to_owned() }),
+        }
+    }
+
+    /// Reads a card and checks that it makes sense; `path` is used in errors only.
+    pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, ModelError> {
+        let json = |source| ModelError::Card { path: path.to_owned(), source };
+        // The version alone first: a newer card may have other fields.
+        #[derive(Deserialize)]
+        struct Version {
+            format_version: u32,
+        }
+        let found = serde_json::from_str::<Version>(text).map_err(json)?.format_version;
+        if found > MODEL_FORMAT_VERSION {
+            return Err(ModelError::Newer { path: path.to_owned(), found, supported: MODEL_FORMAT_VERSION });
+        }
+        let card: ModelCard = serde_json::from_str(text).map_err(json)?;
+        card.check(path)?;
+        Ok(card)
+    }
+
     /// The network that the numbers are of.
     pub fn network_spec(&self) -> NetworkSpec {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }

@@ -7,6 +7,7 @@ mod doppler_net;
 mod efficientnet_b0;
 mod graph;
 mod hqnn;
+mod inference;
 mod parameters;
 mod resnet18;
 mod run;
@@ -17,11 +18,12 @@ use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use graph::{Graph, INPUT, Layer, Node, Size, Value};
+pub use inference::Inference;
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
 pub use parameters::{Centring, Parameter};
 pub use run::{Mode, Values};
 
-use crate::layer::KernelLevel;
+use crate::layer::{KernelLevel, with_values};
 use parameters::Parameters;
 
 /// Which network.
@@ -186,8 +188,14 @@ impl Network {
     }
 
     /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
+    ///
+    /// Prepares an [`Inference`] for this one call; whoever calls often prepares one and keeps it.
     pub fn logits(&self, input: &Tensor) -> Result<Tensor> {
-        self.run(input, self.graph.output, Mode::Evaluation)?.take(self.graph.output)
+        let (batch, range, doppler) = input.dims3()?;
+        let mut inference = Inference::new(self)?;
+        let logits = with_values("network", input, |maps| Ok(inference.logits(maps, [batch, range, doppler])?.to_vec()))?;
+        let classes = logits.len() / batch.max(1);
+        Tensor::from_vec(logits, (batch, classes), input.device())
     }
 
     /// The latent of the HQNN before its standardisation, `[batch][width]`; nothing for other networks.

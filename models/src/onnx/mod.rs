@@ -8,12 +8,15 @@
 
 mod circuit;
 pub mod proto;
+mod read;
 
 use prost::Message;
 use thiserror::Error;
 
+pub(crate) use read::read_card;
+
 use crate::layer::{Activation, bin};
-use crate::model_file::Model;
+use crate::model_file::{CARD_KEY, Model};
 use crate::network::{INPUT, Layer, Network, Node, Value};
 use crate::quantum::CircuitError;
 
@@ -21,8 +24,6 @@ use crate::quantum::CircuitError;
 pub const INPUT_NAME: &str = "map";
 /// Name of the output.
 pub const OUTPUT_NAME: &str = "logits";
-/// Key of the model's card in the metadata.
-pub const CARD_KEY: &str = "radome";
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;
 const FLOAT: i32 = 1;

@@ -448,7 +448,10 @@ pub fn train_with_checkpoint(
     };
     card.training.validation = validation.clone();
     card.training.test = test.clone();
-    let model = Model { card, network: classifier.into_model().network };
+    let Some(Model { network, .. }) = classifier.into_model() else {
+        return Err(candle_core::Error::Msg("a trained network is no ONNX file".to_owned()).into());
+    };
+    let model = Model { card, network };
     if let Some(path) = checkpoint {
         // What it was for is done; it being left behind would only cost a repeated last step.
         let _ = std::fs::remove_file(path);

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use anyhow::{Context, bail};
 use radome_models::layer::KernelLevel;
-use radome_models::network::Network;
+use radome_models::network::{Inference, Network};
 use radome_models::train::Trainer;
 use radome_models::{NetworkSpec, onnx};
 use serde::{Deserialize, Serialize};
@@ -66,8 +66,9 @@ pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
         let network = Network::initialise(spec, 1, 0, KernelLevel::detect())?;
         let name = named(spec)?;
         std::fs::write(folder.join(format!("{name}.onnx")), onnx::export_network(&network, SIZE, SIZE)?)?;
-        let (maps, _) = Trainer::made_up_maps(batch, SIZE, SIZE)?;
-        least(repeats, || Ok(network.logits(&maps).map(|_| ())?))
+        let maps: Vec<f32> = Trainer::made_up_maps(batch, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+        let mut inference = Inference::new(&network)?;
+        least(repeats, || Ok(inference.logits(&maps, [batch, SIZE, SIZE]).map(|_| ())?))
     })
 }
 

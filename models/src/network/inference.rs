@@ -1,0 +1,481 @@
+//! A network prepared once and run often, without candle and without a graph of gradients: batch normalisations are folded into
+//! the convolutions and dense layers before them, activations and residual sums are fused with them, weights are packed, and
+//! buffers keep their memory from one run to the next.
+//!
+//! The same bits for any number of threads and any batch that a map is in; within rounding what `run.rs` gives.
+
+use candle_core::{Result, bail};
+use rayon::prelude::*;
+
+use super::graph::{INPUT, Layer, Node, Value};
+use super::{Centring, Network};
+use crate::layer::{
+    Activation, Affine, ConvGeometry, Feature, PreparedBlock, PreparedConv, bin, squashed,
+    trigonometric_features,
+};
+use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
+
+/// Values that one task of a step without sums passes over.
+const CHUNK: usize = 1 << 14;
+
+/// A network ready to run.
+pub struct Inference {
+    steps: Vec<Step>,
+    /// Results of the steps. A buffer is used again once everybody has read it.
+    buffers: Vec<Feature>,
+    output: usize,
+}
+
+/// A layer, or several that are one: the buffers that it reads, and the one that it writes.
+struct Step {
+    name: String,
+    kernel: Kernel,
+    inputs: Vec<usize>,
+    output: usize,
+}
+
+enum Kernel {
+    Repeat { channels: usize },
+    Block(PreparedBlock),
+    /// Convolution or dense layer; a second input is added before the activation.
+    Convolution(PreparedConv),
+    Activate(Activation),
+    MaxPool { kernel: usize, stride: usize, padding: usize },
+    AveragePool { rows: usize, columns: usize },
+    ScaleChannels,
+    Add { rectified: bool },
+    Affine { scale: Vec<f32>, shift: Vec<f32>, activation: Activation },
+    Standardise { mean: Vec<f32>, factor: Vec<f32> },
+    Squash,
+    ClosedForm(Trained),
+    Circuit { circuit: Circuit, theta: Vec<f64> },
+    Trigonometric,
+    Concatenate,
+}
+
+impl Inference {
+    /// Prepares a network as it is now.
+    pub fn new(network: &Network) -> Result<Self> {
+        let graph = network.graph();
+        let needed = graph.needed(&[graph.output], &[]);
+        let running = || graph.nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node);
+        let mut readers: Vec<Vec<usize>> = vec![Vec::new(); graph.nodes.len() + 1];
+        for (index, node) in running() {
+            node.inputs.iter().for_each(|&value| readers[value].push(index));
+        }
+        let mut plan = Plan { network, readers, results: vec![None; graph.nodes.len() + 1], steps: Vec::new() };
+        plan.results[INPUT] = Some(0);
+        for (index, node) in running() {
+            if plan.results[index + 1].is_none() {
+                plan.add(index + 1, node).map_err(|error| error.context(node.name.clone()))?;
+            }
+        }
+        let Some(output) = plan.results[graph.output] else { bail!("the network has no output") };
+        Ok(share_buffers(plan.steps, output))
+    }
+
+    /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`.
+    pub fn logits(&mut self, maps: &[f32], [batch, range, doppler]: [usize; 3]) -> Result<&[f32]> {
+        if batch * range * doppler != maps.len() || maps.is_empty() {
+            bail!("expected {batch} maps of {range} x {doppler} bins, got {} values", maps.len());
+        }
+        if let Some(input) = self.buffers.first_mut() {
+            input.reshape([batch, range, doppler, 1]);
+            input.values_mut().copy_from_slice(maps);
+        }
+        for step in &self.steps {
+            let mut output = std::mem::take(&mut self.buffers[step.output]);
+            let done = step.run(&self.buffers, &mut output);
+            self.buffers[step.output] = output;
+            done.map_err(|error| error.context(step.name.clone()))?;
+        }
+        Ok(self.buffers[self.output].values())
+    }
+}
+
+/// Results of steps are numbered from 1, in order; 0 is the input. Gives each a buffer.
+fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
+    let mut last_reader = vec![0; steps.len() + 1];
+    for (index, step) in steps.iter().enumerate() {
+        step.inputs.iter().for_each(|&input| last_reader[input] = index);
+    }
+    last_reader[output] = usize::MAX;
+    // The input's own buffer is written before every run.
+    let (mut buffer_of, mut free, mut count) = (vec![0usize; steps.len() + 1], Vec::new(), 1);
+    for (index, step) in steps.iter_mut().enumerate() {
+        let mut done: Vec<usize> =
+            step.inputs.iter().filter(|&&input| last_reader[input] == index).map(|&input| buffer_of[input]).collect();
+        done.sort_unstable();
+        done.dedup();
+        for input in &mut step.inputs {
+            *input = buffer_of[*input];
+        }
+        // A map that is scaled for its last reader is scaled where it is.
+        let in_place = step.inputs.first().copied().filter(|first| step.kernel.is_in_place() && done.contains(first));
+        step.output = in_place.or_else(|| free.pop()).unwrap_or_else(|| {
+            count += 1;
+            count - 1
+        });
+        buffer_of[index + 1] = step.output;
+        free.extend(done.into_iter().filter(|&buffer| buffer != step.output));
+    }
+    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output] }
+}
+
+/// Steps as they are found.
+struct Plan<'a> {
+    network: &'a Network,
+    /// Nodes that read each value.
+    readers: Vec<Vec<usize>>,
+    /// Step whose result each value is, from 1; values that never leave a step are their step's too.
+    results: Vec<Option<usize>>,
+    steps: Vec<Step>,
+}
+
+impl Plan<'_> {
+    /// The node that alone reads `value`.
+    fn only_reader(&self, value: Value) -> Option<(Value, &Node)> {
+        match self.readers.get(value).map(Vec::as_slice) {
+            Some(&[index]) if value != self.network.graph().output => {
+                self.network.graph().nodes.get(index).map(|node| (index + 1, node))
+            }
+            _ => None,
+        }
+    }
+
+    fn result(&self, value: Value) -> Result<usize> {
+        match self.results.get(value) {
+            Some(Some(result)) => Ok(*result),
+            _ => bail!("value {value} is read before it is computed"),
+        }
+    }
+
+    /// Adds a step that computes `values`, of which the last is read by others.
+    fn push(&mut self, node: &Node, kernel: Kernel, inputs: Vec<usize>, values: &[Value]) {
+        self.steps.push(Step { name: node.name.clone(), kernel, inputs, output: 0 });
+        for &value in values {
+            self.results[value] = Some(self.steps.len());
+        }
+    }
+
+    fn numbers(&self, node: &Node, what: &str) -> Result<Vec<f32>> {
+        self.network.parameters().numbers(&format!("{}.{what}", node.name))
+    }
+
+    /// A batch normalisation as a factor and a summand for each channel.
+    fn affine(&self, node: &Node) -> Result<(Vec<f32>, Vec<f32>)> {
+        let (weight, bias) = (self.numbers(node, "weight")?, self.numbers(node, "bias")?);
+        let statistics = self.network.parameters().statistics(&node.name)?;
+        let epsilon = f64::from(statistics.constants().epsilon);
+        let of = |((&weight, &bias), (mean, variance)): ((&f32, &f32), (f32, f32))| {
+            let scale = f64::from(weight) / (f64::from(variance) + epsilon).sqrt();
+            (scale as f32, (f64::from(bias) - f64::from(mean) * scale) as f32)
+        };
+        let moments = statistics.mean().into_iter().zip(statistics.variance());
+        Ok(weight.iter().zip(&bias).zip(moments).map(of).unzip())
+    }
+
+    fn add(&mut self, value: Value, node: &Node) -> Result<()> {
+        let inputs = node.inputs.iter().map(|&input| self.result(input)).collect::<Result<Vec<_>>>()?;
+        let level = self.network.level();
+        let kernel = match &node.layer {
+            Layer::Convolution { .. } | Layer::Linear { .. } => return self.add_convolution(value, node, inputs),
+            Layer::ConvReluPool { inputs: i, outputs } => {
+                let (weight, bias) = (self.numbers(node, "weight")?, self.numbers(node, "bias")?);
+                Kernel::Block(PreparedBlock::new(&weight, [*outputs, *i], Some(&bias), None, level)?)
+            }
+            Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass(value, &inputs),
+            Layer::Standardise { .. } => match self.network.parameters().centring(&node.name) {
+                None => return self.pass(value, &inputs),
+                Some(Centring { mean, sigma }) => {
+                    Kernel::Standardise { mean: mean.clone(), factor: sigma.iter().map(|sigma| 1.0 / sigma).collect() }
+                }
+            },
+            Layer::BatchNorm { activation, .. } => {
+                let (scale, shift) = self.affine(node)?;
+                Kernel::Affine { scale, shift, activation: *activation }
+            }
+            Layer::Repeat { channels } => Kernel::Repeat { channels: *channels },
+            Layer::Activate(activation) => Kernel::Activate(*activation),
+            &Layer::MaxPool { kernel, stride, padding } => Kernel::MaxPool { kernel, stride, padding },
+            &Layer::AveragePool { rows, columns } => Kernel::AveragePool { rows, columns },
+            Layer::ScaleChannels => Kernel::ScaleChannels,
+            Layer::Add { rectified } => Kernel::Add { rectified: *rectified },
+            Layer::Squash => Kernel::Squash,
+            Layer::Circuit { circuit, .. } => {
+                let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
+                let theta: Vec<f64> = self.numbers(node, "theta")?.into_iter().map(f64::from).collect();
+                match *theta.as_slice() {
+                    [a, b, c, d] if circuit.is_closed_form() => Kernel::ClosedForm(Trained::new([a, b, c, d])),
+                    _ => Kernel::Circuit { circuit, theta },
+                }
+            }
+            Layer::Trigonometric => Kernel::Trigonometric,
+            Layer::Concatenate => Kernel::Concatenate,
+        };
+        self.push(node, kernel, inputs, &[value]);
+        Ok(())
+    }
+
+    /// A node that changes nothing here.
+    fn pass(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
+        self.results[value] = inputs.first().copied();
+        Ok(())
+    }
+
+    /// A convolution or dense layer with what follows it: batch normalisation, a sum with something that is there already, an
+    /// activation, or the pooling of a fused block.
+    fn add_convolution(&mut self, value: Value, node: &Node, mut inputs: Vec<usize>) -> Result<()> {
+        let level = self.network.level();
+        let weight = self.numbers(node, "weight")?;
+        let (dims, geometry, bias) = match node.layer {
+            Layer::Convolution { inputs, outputs, kernel, geometry, bias } => {
+                ([outputs, inputs / geometry.groups.max(1), kernel, kernel], geometry, bias)
+            }
+            Layer::Linear { inputs, outputs } => ([outputs, inputs, 1, 1], ConvGeometry::dense(1, 0), true),
+            _ => bail!("no convolution"),
+        };
+        let bias = if bias { Some(self.numbers(node, "bias")?) } else { None };
+        let (mut values, mut last) = (vec![value], value);
+        let (mut affine, mut activation) = (None, Activation::None);
+        if let Some((next, node)) = self.only_reader(last)
+            && let Layer::BatchNorm { activation: function, .. } = node.layer
+        {
+            (affine, activation, last) = (Some(self.affine(node)?), function, next);
+            values.push(last);
+        }
+        let affine = affine.as_ref().map(|(scale, shift)| Affine { scale, shift });
+        if activation == Activation::None {
+            if let Some((next, node)) = self.only_reader(last)
+                && let Layer::Activate(function) = node.layer
+            {
+                (activation, last) = (function, next);
+                values.push(last);
+            } else {
+                self.follow_sum(&mut inputs, &mut activation, &mut values);
+            }
+        } else if activation == Activation::Relu
+            && dims[2..] == [3, 3]
+            && geometry == ConvGeometry::dense(1, 1)
+            && let Some((next, Node { layer: Layer::MaxPool { kernel: 2, stride: 2, padding: 0 }, .. })) =
+                self.only_reader(last)
+        {
+            values.push(next);
+            let block = PreparedBlock::new(&weight, [dims[0], dims[1]], bias.as_deref(), affine, level)?;
+            self.push(node, Kernel::Block(block), inputs, &values);
+            return Ok(());
+        }
+        let convolution = PreparedConv::new(&weight, dims, bias.as_deref(), affine, geometry, activation, level)?;
+        self.push(node, Kernel::Convolution(convolution), inputs, &values);
+        Ok(())
+    }
+
+    /// Takes in the sum behind the last of `values`, if the other summand is there already.
+    fn follow_sum(&self, inputs: &mut Vec<usize>, activation: &mut Activation, values: &mut Vec<Value>) {
+        let (mut last, mut passed) = (values.last().copied().unwrap_or_default(), Vec::new());
+        while let Some((next, Node { layer: Layer::DropSamples { .. } | Layer::Dropout { .. }, .. })) =
+            self.only_reader(last)
+        {
+            passed.push(next);
+            last = next;
+        }
+        if let Some((next, Node { layer: Layer::Add { rectified }, inputs: summands, .. })) = self.only_reader(last)
+            && let Some(&other) = summands.iter().find(|&&summand| summand != last)
+            && let Some(Some(other)) = self.results.get(other)
+        {
+            inputs.push(*other);
+            *activation = if *rectified { Activation::Relu } else { Activation::None };
+            values.extend(passed);
+            values.push(next);
+        }
+    }
+}
+
+impl Kernel {
+    /// Whether the first input may be overwritten by the output.
+    fn is_in_place(&self) -> bool {
+        use Kernel::*;
+        matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | Squash)
+    }
+}
+
+fn activate(activation: Activation, x: f32) -> f32 {
+    match activation {
+        Activation::None => x,
+        Activation::Relu if x < 0.0 => 0.0,
+        Activation::Relu => x,
+        Activation::Silu => x / (1.0 + (-x).exp()),
+        Activation::Sigmoid => 1.0 / (1.0 + (-x).exp()),
+    }
+}
+
+impl Step {
+    fn run(&self, buffers: &[Feature], output: &mut Feature) -> Result<()> {
+        let in_place = self.inputs.first() == Some(&self.output);
+        let input = |k: usize| match self.inputs.get(k).and_then(|&index| buffers.get(index)) {
+            Some(input) => Ok(input),
+            None => bail!("input {k} is missing"),
+        };
+        if self.kernel.is_in_place() && !in_place {
+            let first = input(0)?;
+            output.reshape(first.dims());
+            output.values_mut().copy_from_slice(first.values());
+        }
+        let [batch, rows, columns, channels] = if in_place { output.dims() } else { input(0)?.dims() };
+        let width = rows * columns * channels;
+        match &self.kernel {
+            Kernel::Block(block) => block.run(input(0)?, output)?,
+            Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
+            &Kernel::Repeat { channels } => {
+                output.reshape([batch, rows, columns, channels]);
+                let cells = output.values_mut().chunks_exact_mut(channels);
+                cells.zip(input(0)?.values()).for_each(|(cell, &value)| cell.fill(value));
+            }
+            &Kernel::MaxPool { kernel, stride, padding } => max_pool(input(0)?, [kernel, stride, padding], output)?,
+            &Kernel::AveragePool { rows, columns } => average_pool(input(0)?, [rows, columns], output),
+            Kernel::ScaleChannels => {
+                let factors = input(1)?.values();
+                if factors.len() != batch * channels {
+                    bail!("expected {batch} x {channels} factors, got {}", factors.len());
+                }
+                let maps = output.values_mut().par_chunks_exact_mut(width).zip(factors.par_chunks_exact(channels));
+                maps.for_each(|(map, factors)| {
+                    map.par_chunks_mut((CHUNK / channels).max(1) * channels).for_each(|cells| {
+                        for cell in cells.chunks_exact_mut(channels) {
+                            cell.iter_mut().zip(factors).for_each(|(x, factor)| *x *= factor);
+                        }
+                    });
+                });
+            }
+            Kernel::Add { rectified } => {
+                let other = input(1)?;
+                if other.dims() != output.dims() {
+                    bail!("expected equal shapes, got {:?} and {:?}", output.dims(), other.dims());
+                }
+                let function = if *rectified { Activation::Relu } else { Activation::None };
+                let chunks = output.values_mut().par_chunks_mut(CHUNK).zip(other.values().par_chunks(CHUNK));
+                chunks.for_each(|(to, from)| to.iter_mut().zip(from).for_each(|(x, y)| *x = activate(function, *x + y)));
+            }
+            Kernel::Activate(function) => {
+                output.values_mut().iter_mut().for_each(|x| *x = activate(*function, *x));
+            }
+            Kernel::Affine { scale, shift, activation } => {
+                for cell in output.values_mut().chunks_exact_mut(channels) {
+                    let constants = scale.iter().zip(shift);
+                    cell.iter_mut().zip(constants).for_each(|(x, (a, b))| *x = activate(*activation, *x * a + b));
+                }
+            }
+            Kernel::Standardise { mean, factor } => {
+                if mean.len() != width {
+                    bail!("expected {} values, got {width}", mean.len());
+                }
+                for row in output.values_mut().chunks_exact_mut(width) {
+                    row.iter_mut().zip(mean.iter().zip(factor)).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
+                }
+            }
+            Kernel::Squash => output.values_mut().iter_mut().for_each(|x| *x = squashed(*x)),
+            Kernel::ClosedForm(trained) => {
+                let input = input(0)?;
+                output.reshape(input.dims());
+                expectations_of_rows(trained, input.values().as_chunks().0, output.values_mut().as_chunks_mut().0);
+            }
+            Kernel::Circuit { circuit, theta } => {
+                let input = input(0)?;
+                output.reshape(input.dims());
+                let rows = input.values().par_chunks_exact(width).zip(output.values_mut().par_chunks_exact_mut(width));
+                rows.enumerate()
+                    .try_for_each(|(row, (x, result))| {
+                        let x: Vec<f64> = x.iter().map(|&x| f64::from(x)).collect();
+                        let expectations = circuit.expectations(&x, theta, Draw { call: 0, row: row as u64 })?;
+                        result.iter_mut().zip(expectations).for_each(|(result, v)| *result = v as f32);
+                        Ok(())
+                    })
+                    .map_err(|error: crate::quantum::CircuitError| candle_core::Error::wrap(error))?;
+            }
+            Kernel::Trigonometric => {
+                output.reshape([batch, 1, 1, 5]);
+                let rows = input(0)?.values().as_chunks::<2>().0.iter().zip(output.values_mut().as_chunks_mut::<5>().0);
+                for (&x, result) in rows {
+                    *result = trigonometric_features(x.map(f64::from)).map(|[value, ..]| value as f32);
+                }
+            }
+            Kernel::Concatenate => {
+                let (first, second) = (input(0)?, input(1)?);
+                let other = second.dims()[1..].iter().product::<usize>();
+                output.reshape([batch, 1, 1, width + other]);
+                let parts = first.values().chunks_exact(width).zip(second.values().chunks_exact(other));
+                for (row, (a, b)) in output.values_mut().chunks_exact_mut(width + other).zip(parts) {
+                    row[..width].copy_from_slice(a);
+                    row[width..].copy_from_slice(b);
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Largest value of each channel in windows; padding never wins.
+fn max_pool(input: &Feature, [kernel, stride, padding]: [usize; 3], output: &mut Feature) -> Result<()> {
+    let [batch, rows, columns, channels] = input.dims();
+    let length = |length: usize| (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1);
+    let (Some(out_rows), Some(out_columns)) = (length(rows), length(columns)) else {
+        bail!("windows of {kernel} cells do not fit into {rows} x {columns}");
+    };
+    output.reshape([batch, out_rows, out_columns, channels]);
+    let window = |index: usize, length: usize| {
+        let from = index * stride;
+        from.saturating_sub(padding)..(from + kernel).saturating_sub(padding).min(length)
+    };
+    let of_row = out_columns * channels;
+    output.values_mut().par_chunks_exact_mut(of_row).with_min_len((CHUNK / of_row).max(1)).enumerate().for_each(
+        |(index, line)| {
+            let map = &input.values()[index / out_rows * rows * columns * channels..];
+            for (column, best) in line.chunks_exact_mut(channels).enumerate() {
+                best.fill(f32::NEG_INFINITY);
+                for y in window(index % out_rows, rows) {
+                    for x in window(column, columns) {
+                        let cell = &map[(y * columns + x) * channels..][..channels];
+                        best.iter_mut().zip(cell).for_each(|(best, &v)| *best = if v > *best { v } else { *best });
+                    }
+                }
+            }
+        },
+    );
+    Ok(())
+}
+
+/// Means over bins, flattened channel-first.
+fn average_pool(input: &Feature, [bin_rows, bin_columns]: [usize; 2], output: &mut Feature) {
+    let [batch, rows, columns, channels] = input.dims();
+    let bins = bin_rows * bin_columns;
+    output.reshape([batch, 1, 1, channels * bins]);
+    let maps = output.values_mut().par_chunks_exact_mut(channels * bins);
+    maps.zip(input.values().par_chunks_exact(rows * columns * channels)).for_each(|(out, map)| {
+        // A few channels at a time, whose sums stay in registers.
+        const GROUP: usize = 16;
+        for index in 0..bins {
+            let (top, bottom) = bin(index / bin_columns, bin_rows, rows);
+            let (left, right) = bin(index % bin_columns, bin_columns, columns);
+            let factor = 1.0 / ((bottom - top) * (right - left)) as f32;
+            for first in (0..channels).step_by(GROUP) {
+                let mut sums = [0.0f32; GROUP];
+                let width = GROUP.min(channels - first);
+                for row in top..bottom {
+                    let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
+                    for cell in cells.chunks_exact(channels) {
+                        match cell[first..].first_chunk::<GROUP>() {
+                            Some(cell) => sums.iter_mut().zip(cell).for_each(|(sum, v)| *sum += v),
+                            None => sums.iter_mut().zip(&cell[first..]).for_each(|(sum, v)| *sum += v),
+                        }
+                    }
+                }
+                for (k, sum) in sums[..width].iter().enumerate() {
+                    out[(first + k) * bins + index] = sum * factor;
+                }
+            }
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests;

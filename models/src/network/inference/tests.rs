@@ -1,0 +1,112 @@
+use super::*;
+use crate::layer::KernelLevel;
+use crate::network::{Head, Mode, NetworkSpec, networks};
+use crate::quantum::{CircuitSpec, Encoding};
+use candle_core::{Device, Tensor};
+use rand::Rng;
+
+fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
+    let mut rng = crate::stream(5, "maps", 0);
+    (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect()
+}
+
+/// A network whose normalisations do something and whose standardisations are there.
+fn lively(spec: &NetworkSpec, level: KernelLevel) -> Network {
+    let start = Network::initialise(spec, 3, 0, level).expect("network");
+    let mut values = start.values().expect("values");
+    for (name, numbers) in &mut values {
+        let mut rng = crate::stream(7, name, 0);
+        for value in numbers {
+            *value = match name.rsplit('.').next() {
+                Some("running_mean") => rng.random_range(-0.3..0.3),
+                Some("running_var") => rng.random_range(0.6..1.8),
+                Some("bias") => rng.random_range(-0.2..0.2),
+                _ => *value,
+            };
+        }
+    }
+    let mut network = Network::from_values(spec, &values, level).expect("network");
+    if spec.kind == crate::network::NetworkKind::Hqnn {
+        let width = spec.head.width();
+        let mean = (0..width).map(|k| 0.1 * k as f32).collect();
+        network.set_latent_constants(Centring { mean, sigma: vec![0.7; width] });
+    }
+    network
+}
+
+fn reference(network: &Network, maps: &[f32], shape: [usize; 3]) -> Vec<f32> {
+    let input = Tensor::from_slice(maps, &shape[..], &Device::Cpu).expect("tensor");
+    let output = network.graph().output;
+    let mut values = network.run(&input, output, Mode::Evaluation).expect("run");
+    values.take(output).and_then(|t| t.flatten_all()?.to_vec1()).expect("logits")
+}
+
+fn assert_near(what: &str, ours: &[f32], expected: &[f32]) {
+    assert_eq!(ours.len(), expected.len(), "{what}");
+    for (a, b) in ours.iter().zip(expected) {
+        assert!((a - b).abs() < 1e-4 * b.abs().max(1.0), "{what}: {ours:?}, expected {expected:?}");
+    }
+}
+
+fn specs() -> Vec<(String, NetworkSpec)> {
+    let named = |name: String| (name.clone(), NetworkSpec::named(&name).expect("known"));
+    let mut specs: Vec<_> = networks().into_iter().map(|network| named(network.name)).collect();
+    let circuit = |circuit, placement| NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement });
+    use crate::network::Placement::{Beside, Front};
+    let angle = CircuitSpec { qubits: 3, encoding: Encoding::Angle, depth: 2, ..Default::default() };
+    specs.push(("beside".to_owned(), circuit(angle, Beside)));
+    specs.push(("front".to_owned(), circuit(CircuitSpec { qubits: 4, repetitions: 2, ..Default::default() }, Front)));
+    specs
+}
+
+/// What is folded and fused is what runs layer by layer.
+#[test]
+fn prepared_networks_are_the_networks() {
+    for level in KernelLevel::ALL.into_iter().filter(|level| level.available() == *level) {
+        for (name, spec) in specs() {
+            let network = lively(&spec, level);
+            let mut inference = Inference::new(&network).expect("prepared");
+            // One after the other, so that buffers that were larger are used again.
+            for shape in [[1, 128, 128], [5, 64, 61], [2, 33, 40], [1, 32, 32], [2, 64, 61]] {
+                let maps = maps(shape);
+                let logits = inference.logits(&maps, shape).expect("run");
+                assert_near(&format!("{name} {level:?} {shape:?}"), logits, &reference(&network, &maps, shape));
+            }
+        }
+    }
+}
+
+/// One thread or three, alone or in a batch: the same bits.
+#[test]
+fn threads_and_batches_change_no_bit() {
+    for (name, spec) in specs() {
+        let mut inference = Inference::new(&lively(&spec, KernelLevel::detect())).expect("prepared");
+        let shape = [3, 64, 61];
+        let maps = maps(shape);
+        let mut run = |threads: usize, maps: &[f32], shape| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let logits = pool.install(|| inference.logits(maps, shape).expect("run").to_vec());
+            logits.iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        let of_batch = run(1, &maps, shape);
+        assert_eq!(of_batch, run(3, &maps, shape), "{name}");
+        let alone: Vec<u32> = maps.chunks_exact(64 * 61).flat_map(|map| run(2, map, [1, 64, 61])).collect();
+        assert_eq!(of_batch, alone, "{name}");
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn wrong_sizes_are_refused() {
+        let spec = NetworkSpec::named("doppler_net").expect("known");
+        let mut inference = Inference::new(&lively(&spec, KernelLevel::detect())).expect("prepared");
+        assert!(inference.logits(&[0.0; 7], [1, 2, 4]).is_err());
+        assert!(inference.logits(&[], [0, 32, 32]).is_err());
+        let error = inference.logits(&[0.0; 256], [1, 16, 16]).expect_err("too small").to_string();
+        assert!(error.contains("conv5"), "{error}");
+        // And it still works.
+        assert_eq!(inference.logits(&maps([1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
+    }
+}
