@@ -174,8 +174,8 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
     }
     let path = Path::new(spec);
-    if path.extension().is_some_and(|e| e == "safetensors") {
-        return Ok(radome_models::Classifier::load(path)?.waveform().clone());
+    if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
+        return Ok(radome_models::ModelCard::load(path)?.waveform);
     }
     let text = std::fs::read_to_string(path).with_context(|| {
         format!("cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, or a model file")

@@ -31,6 +31,9 @@ pub struct TrainingSummary {
     pub best_epoch: usize,
     /// Maps trained on.
     pub training_maps: usize,
+    /// SHA-256 of the file of weights that was started from; nothing if from random ones.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights_hash: Option<String>,
     /// Which of the initialisations was carried on with.
     pub chosen_start: u64,
     /// Instructions of the inner loops while training.

@@ -17,7 +17,7 @@ use crate::onnx::{INPUT_NAME, OUTPUT_NAME};
 /// Names the library, or a folder that holds it or an installation of it.
 const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
 const INSTALL_HINT: &str =
-    "hint: pip install --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=.ort";
+    "hint: pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort";
 /// Logits of a network, one a class.
 const CLASSES: i64 = 3;
 

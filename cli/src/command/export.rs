@@ -6,10 +6,19 @@ use serde_json::json;
 
 use crate::{files, output};
 
+/// What stands under the options in the help.
+const NOTES: &str = "\
+The input `map` is float32 [batch, 1, range, doppler], standardised; the output `logits` is [batch, 3]: empty, one, two. What \
+maps the model wants and how they are standardised stands in the metadata, as JSON under the key `radome`, so that the file \
+is put to work as the model itself: --model FILE.onnx. That needs onnxruntime:\n\n  \
+pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
+A library of its own is named by ORT_DYLIB_PATH, or that of python3's onnxruntime is taken.";
+
 /// `radome export`
 #[derive(clap::Args)]
+#[command(after_help = NOTES)]
 pub struct Arguments {
-    /// Model file
+    /// Model file (.safetensors)
     model: PathBuf,
     /// ONNX file to write
     #[arg(short, long)]
@@ -19,7 +28,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// Writes a model as ONNX, which `live`, `evaluate` and every runtime of ONNX can read.
+/// Writes a model as ONNX (opset 17), which every runtime of ONNX can read, and `live`, `evaluate` and all that takes a model too.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     files::check_parent(&arguments.output)?;
     let model = Model::load(&arguments.model)?;

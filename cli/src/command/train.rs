@@ -21,6 +21,9 @@ pub struct Arguments {
     /// Network, as `radome models` names it
     #[arg(long)]
     network: Option<String>,
+    /// torchvision's weights to start from, for resnet18, efficientnet_b0 and efficientnet_b0_rgb: its .pth as safetensors
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
     /// Passes over the training split
     #[arg(long)]
     epochs: Option<usize>,
@@ -49,6 +52,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
         };
         (spec.network, spec.head) = (network.kind, network.head);
+    }
+    if let Some(weights) = &arguments.weights {
+        spec.weights = Some(weights.clone());
     }
     if let Some(epochs) = arguments.epochs {
         spec.epochs = epochs;

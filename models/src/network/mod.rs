@@ -11,6 +11,7 @@ mod inference;
 mod parameters;
 mod resnet18;
 mod run;
+mod torchvision;
 
 use std::collections::BTreeMap;
 
@@ -22,6 +23,7 @@ pub use inference::Inference;
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
 pub use parameters::{Centring, Parameter};
 pub use run::{Mode, Values};
+pub use torchvision::{TorchvisionWeights, WeightsError};
 
 use crate::layer::{KernelLevel, with_values};
 use parameters::Parameters;

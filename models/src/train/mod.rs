@@ -40,7 +40,7 @@ mod start;
 mod temperature;
 mod trainer;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use trainer::Trainer;
 
@@ -54,7 +54,9 @@ use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes, input_shape};
-use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
+use crate::network::{
+    Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, WeightsError,
+};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
@@ -152,6 +154,10 @@ pub struct TrainSpec {
     pub augmentation: Augmentation,
     /// Instructions of the inner loops; the fastest there are if absent.
     pub kernel_level: Option<KernelLevel>,
+    /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors ([`TorchvisionWeights`]). What they
+    /// hold decides the outcome, not where they lie.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub weights: Option<PathBuf>,
 }
 
 impl Default for TrainSpec {
@@ -185,6 +191,7 @@ impl Default for TrainSpec {
             transitions: true,
             augmentation: Augmentation::default(),
             kernel_level: None,
+            weights: None,
         }
     }
 }
@@ -294,6 +301,9 @@ pub enum TrainError {
         /// Learning rate of the spec.
         learning_rate: f64,
     },
+    /// Weights to start from do not fit.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
     /// A stopped training cannot be carried on with.
     #[error("checkpoint: {what}\n\nhint: remove the file to begin anew")]
     Checkpoint {
@@ -404,9 +414,10 @@ pub fn train_with_checkpoint(
     report: &mut dyn FnMut(EpochReport),
 ) -> Result<TrainOutcome, TrainError> {
     spec.check()?;
+    let weights = spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
     let data = data::Data::load(dataset, spec)?;
     let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
-    let (run, history) = Training { data: &data, spec, level, checkpoint, dataset_hash: dataset.hash() }.run(report)?;
+    let (run, history) = Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }.run(report)?;
 
     let chosen_start = run.start_index();
     let (network, best_epoch) = run.finish()?;
@@ -432,13 +443,15 @@ pub fn train_with_checkpoint(
             epochs: spec.epochs,
             best_epoch,
             training_maps: data.train.labels.len(),
+            weights_hash: weights.as_ref().map(|weights| weights.hash().to_owned()),
             chosen_start,
             kernel_level: level,
             validation: Metrics::from_predictions([]),
             test: None,
         },
     };
-    let warnings = data.warnings.clone();
+    let mut warnings = data.warnings.clone();
+    warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
     // Scores come from the very path that a live classifier takes.
     let mut classifier = Classifier::new(Model { card: card.clone(), network });
     let validation = crate::evaluate::evaluate(&mut classifier, dataset, &data.validation.indices)?;
@@ -463,6 +476,7 @@ pub fn train_with_checkpoint(
 struct Training<'a> {
     data: &'a data::Data,
     spec: &'a TrainSpec,
+    weights: Option<&'a TorchvisionWeights>,
     level: KernelLevel,
     checkpoint: Option<&'a Path>,
     dataset_hash: String,
@@ -470,7 +484,7 @@ struct Training<'a> {
 
 impl<'a> Training<'a> {
     fn run(&self, report: &mut dyn FnMut(EpochReport)) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
-        let Training { data, spec, level, .. } = *self;
+        let Training { data, spec, weights, level, .. } = *self;
         let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
         let resume = |state| run::Run::resume(data, spec, state, level);
         let (mut leader, mut trial, mut history, mut next_start) = match self.load()? {
@@ -487,7 +501,7 @@ impl<'a> Training<'a> {
                 Some(run) => run,
                 None => {
                     next_start += 1;
-                    run::Run::start(data, spec, next_start - 1, level)?
+                    run::Run::start(data, spec, weights, next_start - 1, level)?
                 }
             };
             while run.epochs_done() < trials {
@@ -514,8 +528,10 @@ impl<'a> Training<'a> {
 
     /// What decides the outcome.
     fn fingerprint(&self) -> Result<String, TrainError> {
-        let spec = serde_json::to_string(self.spec).map_err(|e| TrainError::Checkpoint { what: e.to_string() })?;
-        Ok(format!("{spec} {:?} {}", self.level, self.dataset_hash))
+        let spec = TrainSpec { weights: None, ..self.spec.clone() };
+        let spec = serde_json::to_string(&spec).map_err(|e| TrainError::Checkpoint { what: e.to_string() })?;
+        let weights = self.weights.map(|weights| format!(" {}", weights.hash())).unwrap_or_default();
+        Ok(format!("{spec} {:?} {}{weights}", self.level, self.dataset_hash))
     }
 
     fn load(&self) -> Result<Option<checkpoint::Checkpoint>, TrainError> {

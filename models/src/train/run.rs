@@ -15,7 +15,7 @@ use super::start::{self, collect, feature_centring, moments, place_hidden, place
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, backward, cross_entropy};
-use crate::network::{Centring, Mode, Network, NetworkKind, Value};
+use crate::network::{Centring, Mode, Network, NetworkKind, TorchvisionWeights, Value};
 use crate::stream;
 
 pub(super) struct Run<'a> {
@@ -49,10 +49,14 @@ impl<'a> Run<'a> {
     pub(super) fn start(
         data: &'a Data,
         spec: &'a TrainSpec,
+        weights: Option<&TorchvisionWeights>,
         start: u64,
         level: KernelLevel,
     ) -> Result<Self, TrainError> {
         let network = Network::initialise(&spec.network_spec(), spec.seed, start, level)?;
+        if let Some(weights) = weights {
+            weights.apply(&network)?;
+        }
         let mut run = Self::around(data, spec, start, network);
         if spec.network != NetworkKind::Hqnn {
             return Ok(run);

@@ -2,6 +2,7 @@ use super::*;
 use crate::layer::KernelLevel;
 use crate::network::{Head, Mode, NetworkSpec, networks};
 use crate::quantum::{CircuitSpec, Encoding};
+use crate::train::Trainer;
 use candle_core::{Device, Tensor};
 use rand::Rng;
 
@@ -10,22 +11,23 @@ fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect()
 }
 
-/// A network whose normalisations do something and whose standardisations are there.
-fn lively(spec: &NetworkSpec, level: KernelLevel) -> Network {
-    let start = Network::initialise(spec, 3, 0, level).expect("network");
-    let mut values = start.values().expect("values");
-    for (name, numbers) in &mut values {
-        let mut rng = crate::stream(7, name, 0);
-        for value in numbers {
-            *value = match name.rsplit('.').next() {
-                Some("running_mean") => rng.random_range(-0.3..0.3),
-                Some("running_var") => rng.random_range(0.6..1.8),
-                Some("bias") => rng.random_range(-0.2..0.2),
-                _ => *value,
-            };
-        }
+/// Numbers of a network after a few steps of training, so that its normalisations do something and its answers differ.
+fn lively(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
+    let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
+    let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    for _ in 0..15 {
+        trainer.step(&maps, &labels).expect("step");
     }
-    let mut network = Network::from_values(spec, &values, level).expect("network");
+    let mut values = trainer.network().values().expect("values");
+    // Two hidden units are soon dead.
+    if let Some(bias) = values.get_mut("head_hidden.bias") {
+        bias.fill(1.0);
+    }
+    values
+}
+
+fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f32>>, level: KernelLevel) -> Network {
+    let mut network = Network::from_values(spec, values, level).expect("network");
     if spec.kind == crate::network::NetworkKind::Hqnn {
         let width = spec.head.width();
         let mean = (0..width).map(|k| 0.1 * k as f32).collect();
@@ -62,15 +64,17 @@ fn specs() -> Vec<(String, NetworkSpec)> {
 /// What is folded and fused is what runs layer by layer.
 #[test]
 fn prepared_networks_are_the_networks() {
-    for level in KernelLevel::ALL.into_iter().filter(|level| level.available() == *level) {
-        for (name, spec) in specs() {
-            let network = lively(&spec, level);
+    for (name, spec) in specs() {
+        let values = lively(&spec);
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.available() == *level) {
+            let network = network(&spec, &values, level);
             let mut inference = Inference::new(&network).expect("prepared");
             // One after the other, so that buffers that were larger are used again.
             for shape in [[1, 128, 128], [5, 64, 61], [2, 33, 40], [1, 32, 32], [2, 64, 61]] {
                 let maps = maps(shape);
                 let logits = inference.logits(&maps, shape).expect("run");
                 assert_near(&format!("{name} {level:?} {shape:?}"), logits, &reference(&network, &maps, shape));
+                assert!(shape[0] == 1 || logits[..3] != logits[3..6], "{name}: {logits:?}");
             }
         }
     }
@@ -80,7 +84,7 @@ fn prepared_networks_are_the_networks() {
 #[test]
 fn threads_and_batches_change_no_bit() {
     for (name, spec) in specs() {
-        let mut inference = Inference::new(&lively(&spec, KernelLevel::detect())).expect("prepared");
+        let mut inference = Inference::new(&network(&spec, &lively(&spec), KernelLevel::detect())).expect("prepared");
         let shape = [3, 64, 61];
         let maps = maps(shape);
         let mut run = |threads: usize, maps: &[f32], shape| {
@@ -101,7 +105,7 @@ mod hard_cases {
     #[test]
     fn wrong_sizes_are_refused() {
         let spec = NetworkSpec::named("doppler_net").expect("known");
-        let mut inference = Inference::new(&lively(&spec, KernelLevel::detect())).expect("prepared");
+        let mut inference = Inference::new(&network(&spec, &lively(&spec), KernelLevel::detect())).expect("prepared");
         assert!(inference.logits(&[0.0; 7], [1, 2, 4]).is_err());
         assert!(inference.logits(&[], [0, 32, 32]).is_err());
         let error = inference.logits(&[0.0; 256], [1, 16, 16]).expect_err("too small").to_string();

@@ -1,0 +1,197 @@
+//! Exported networks by onnxruntime beside our own, where onnxruntime is installed (`tests/run` installs it).
+
+#![allow(clippy::print_stderr)]
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use candle_core::{Device, Tensor};
+use radome_models::layer::KernelLevel;
+use radome_models::network::{Centring, Head, Network, NetworkKind, Placement};
+use radome_models::onnx::{self, ExportError};
+use radome_models::onnx_runtime::{OnnxError, OnnxSession};
+use radome_models::quantum::{CircuitSpec, Encoding, Execution, Noise, Shots};
+use radome_models::train::Trainer;
+use radome_models::{NetworkSpec, networks, stream};
+use rand::Rng;
+
+/// Logits at which a number counts as itself rather than as one.
+const TOLERANCE: f32 = 1e-4;
+
+fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
+    let mut rng = stream(5, "maps", 0);
+    (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect()
+}
+
+fn logits(network: &Network, maps: &[f32], shape: [usize; 3]) -> Vec<f32> {
+    let input = Tensor::from_slice(maps, &shape[..], &Device::Cpu).expect("tensor");
+    network.logits(&input).and_then(|t| t.flatten_all()?.to_vec1()).expect("logits")
+}
+
+/// Numbers of a network after a few steps of training, so that its normalisations do something and its answers differ.
+fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
+    let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
+    let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    for _ in 0..15 {
+        trainer.step(&maps, &labels).expect("step");
+    }
+    let mut values = trainer.network().values().expect("values");
+    // Two hidden units are soon dead.
+    if let Some(bias) = values.get_mut("head_hidden.bias") {
+        bias.fill(1.0);
+    }
+    values
+}
+
+/// A network whose logits are of order one at this size.
+fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
+    let build = |values: &_| {
+        let mut network = Network::from_values(spec, values, KernelLevel::detect()).expect("network");
+        if spec.kind == NetworkKind::Hqnn {
+            let width = spec.head.width();
+            let mean = (0..width).map(|k| 0.1 * k as f32).collect();
+            network.set_latent_constants(Centring { mean, sigma: vec![0.7; width] });
+        }
+        network
+    };
+    let shape = [2, range, doppler];
+    let found = logits(&build(&values), &maps(shape), shape);
+    let largest = found.iter().fold(0.0f32, |m, v| m.max(v.abs()));
+    let (last, _) = spec.layout().into_iter().rfind(|(_, shape)| shape.first() == Some(&3) && shape.len() == 2).expect("a last layer");
+    for value in values.get_mut(&last).expect("its weights") {
+        *value *= 2.0 / largest.max(0.1);
+    }
+    build(&values)
+}
+
+/// A session, or nothing with a word where there is no onnxruntime.
+fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
+    match OnnxSession::new(Path::new("exported.onnx"), bytes, rows, columns) {
+        Ok(session) => Some(session),
+        Err(error @ OnnxError::NoLibrary { .. }) => {
+            eprintln!("skipped: {error}");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    }
+}
+
+/// Largest difference relative to logits above one; `None` where there is no onnxruntime.
+fn difference(name: &str, spec: &NetworkSpec, values: &BTreeMap<String, Vec<f32>>, size: [usize; 2]) -> Option<f32> {
+    let network = lively(spec, values.clone(), size);
+    let bytes = onnx::export_network(&network, size[0], size[1]).unwrap_or_else(|error| panic!("{name}: {error}"));
+    if let Some(folder) = std::env::var_os("RADOME_KEEP_ONNX") {
+        let file = format!("{name}-{}x{}.onnx", size[0], size[1]).replace(' ', "-");
+        std::fs::write(Path::new(&folder).join(file), &bytes).expect("writable");
+    }
+    let mut session = session(&bytes, size)?;
+    let shape = [2, size[0], size[1]];
+    let maps = maps(shape);
+    let (ours, theirs) = (logits(&network, &maps, shape), session.logits(&maps).expect("run"));
+    assert_eq!(ours.len(), theirs.len(), "{name}");
+    assert!(ours.iter().any(|v| v.abs() > 0.1) && ours[..3] != ours[3..], "{name}: {ours:?}");
+    let worst = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs() / a.abs().max(1.0)).fold(0.0, f32::max);
+    assert!(worst < TOLERANCE, "{name} {size:?}: {worst}: {ours:?}, onnxruntime {theirs:?}");
+    Some(worst)
+}
+
+const SIZES: [[usize; 2]; 3] = [[128, 128], [64, 61], [32, 32]];
+
+#[test]
+fn every_network_answers_alike_in_onnxruntime() {
+    for network in networks() {
+        let spec = NetworkSpec::named(&network.name).expect("known");
+        let values = trained(&spec);
+        for size in SIZES {
+            let Some(worst) = difference(&network.name, &spec, &values, size) else { return };
+            eprintln!("{} {size:?}: {worst:.1e}", network.name);
+        }
+    }
+}
+
+#[test]
+fn every_circuit_answers_alike_in_onnxruntime() {
+    let encodings = [(Encoding::ZzFeatureMap, 1), (Encoding::ZzFeatureMap, 2), (Encoding::Angle, 1)];
+    let mut largest = 0.0f32;
+    for (encoding, repetitions) in encodings {
+        for qubits in 1..=6 {
+            for depth in 0..=3 {
+                for readout_flip in [0.0, 0.03] {
+                    let noise = Noise { readout_flip, ..Default::default() };
+                    let circuit = CircuitSpec { qubits, encoding, repetitions, depth, noise, ..Default::default() };
+                    let placement = [Placement::Latent, Placement::Beside, Placement::Front][depth % 3];
+                    let name = format!("{encoding:?} {repetitions} {qubits} {depth} {readout_flip} {placement:?}");
+                    let spec = NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement });
+                    let Some(worst) = difference(&name, &spec, &trained(&spec), [32, 32]) else { return };
+                    largest = largest.max(worst);
+                }
+            }
+        }
+    }
+    eprintln!("circuits: {largest:.1e}");
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn refusal(circuit: CircuitSpec) -> String {
+        let spec = NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement: Placement::Latent });
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        let error = onnx::export_network(&network, 32, 32).expect_err("refused");
+        assert!(matches!(error, ExportError::Circuit { .. }), "{error}");
+        error.to_string()
+    }
+
+    #[test]
+    fn circuits_that_are_no_closed_form_are_refused() {
+        let large = refusal(CircuitSpec { qubits: 9, ..Default::default() });
+        assert!(large.contains("9 qubits"), "{large}");
+        let shots = Execution::Shots(Shots { count: 100, seed: 1, gradient: Default::default() });
+        let measured = refusal(CircuitSpec { execution: shots, ..Default::default() });
+        assert!(measured.contains("shots"), "{measured}");
+        let noise = Noise { depolarising_one_qubit: 0.01, ..Default::default() };
+        let erring = refusal(CircuitSpec { noise, ..Default::default() });
+        assert!(erring.contains("gates err"), "{erring}");
+    }
+
+    #[test]
+    fn maps_that_are_too_small_are_refused_with_the_layer() {
+        let spec = NetworkSpec::named("doppler_net").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        let error = onnx::export_network(&network, 16, 16).expect_err("refused").to_string();
+        assert!(error.contains("pool5"), "{error}");
+    }
+
+    /// Another size of maps than the file is for is found when it is opened, not at the first map.
+    #[test]
+    fn a_file_for_other_maps_is_refused() {
+        let spec = NetworkSpec::named("hqnn").expect("known");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        let bytes = onnx::export_network(&network, 32, 32).expect("exported");
+        match OnnxSession::new(Path::new("small.onnx"), &bytes, 64, 61) {
+            Err(OnnxError::NoLibrary { .. }) => {}
+            Err(error @ OnnxError::Signature { .. }) => assert!(error.to_string().contains("[batch, 1, 64, 61]"), "{error}"),
+            Err(error) => panic!("{error}"),
+            Ok(_) => panic!("accepted"),
+        }
+    }
+}
+
+#[test]
+fn by_hand_torchvision() {
+    let Some(folder) = std::env::var_os("TVW") else { return };
+    let folder = Path::new(&folder);
+    for (name, of) in [("resnet18", "resnet18"), ("efficientnet_b0", "efficientnet_b0"), ("efficientnet_b0_rgb", "efficientnet_b0")] {
+        let spec = NetworkSpec::named(name).expect("known");
+        let weights = radome_models::network::TorchvisionWeights::load(&folder.join(format!("{of}.safetensors")), &spec).expect("read");
+        let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+        weights.apply(&network).expect("applied");
+        let read = |what: &str| -> Vec<f32> {
+            let data = std::fs::read(folder.join(format!("{of}.{what}"))).expect("read");
+            data.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
+        };
+        let (ours, theirs) = (logits(&network, &read("maps"), [2, 128, 128]), read("logits"));
+        let worst = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        eprintln!("TORCHVISION {name}: {} arrays, {worst:.2e} {ours:?} {theirs:?} {:?}", weights.count(), weights.warnings());
+    }
+}

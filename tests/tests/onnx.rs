@@ -1,0 +1,172 @@
+//! Models as ONNX files at work in onnxruntime, where it is installed: `tests/run` puts it under `target/`.
+
+#![allow(clippy::print_stderr)]
+
+use std::path::{Path, PathBuf};
+
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// The shipped models, each with a scene of its waveform and with frames enough for its maps.
+const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("hall-hqnn", "hall")];
+
+fn export(model: &Path, folder: &Path) -> PathBuf {
+    let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));
+    let lines = json_lines(radome().arg("export").arg(model).arg("-o").arg(&file).arg("--json"));
+    assert_eq!(lines[0]["bytes"].as_u64(), std::fs::metadata(&file).map(|of| of.len()).ok(), "{lines:?}");
+    file
+}
+
+/// Whether there is an onnxruntime, by what the program says of a file that it would need it for.
+fn is_installed(onnx: &Path) -> bool {
+    let output = radome().args(["evaluate", "--model"]).arg(onnx).arg("nowhere=one").output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    let installed = !said.contains("onnxruntime");
+    if !installed {
+        assert!(said.contains("pip install") && said.contains("ORT_DYLIB_PATH"), "{said}");
+        eprintln!("skipped: {said}");
+    }
+    installed
+}
+
+fn without_files(answer: &Value) -> Value {
+    let mut answer = answer.clone();
+    answer["latency_ms"] = Value::Null;
+    answer
+}
+
+/// Equal but for the last digits of numbers.
+fn assert_alike(a: &Value, b: &Value) {
+    match (a, b) {
+        (Value::Object(a), Value::Object(b)) => {
+            assert!(a.keys().eq(b.keys()), "{a:?} {b:?}");
+            a.values().zip(b.values()).for_each(|(a, b)| assert_alike(a, b));
+        }
+        (Value::Array(a), Value::Array(b)) => {
+            assert_eq!(a.len(), b.len());
+            a.iter().zip(b).for_each(|(a, b)| assert_alike(a, b));
+        }
+        (Value::Number(x), Value::Number(y)) => {
+            let (x, y) = (x.as_f64().expect("f64"), y.as_f64().expect("f64"));
+            assert!((x - y).abs() <= 1e-5, "{x} {y}");
+        }
+        (a, b) => assert_eq!(a, b),
+    }
+}
+
+#[test]
+fn exported_models_answer_as_the_models() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (model, scene) in MODELS {
+        let native = fixture(&format!("models/{model}.safetensors"));
+        let onnx = export(&native, folder.path());
+        if !is_installed(&onnx) {
+            return;
+        }
+        let recording = folder.path().join(format!("{scene}.mcap"));
+        let scene = fixture(&format!("scenes/{scene}.toml"));
+        let made = radome().arg("simulate").arg(scene).args(["--frames", "16", "--people", "1", "-o"]).arg(&recording).output();
+        assert!(made.expect("runs").status.success());
+        // Every frame's probabilities, as `live` says them.
+        let live = |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
+        let (ours, theirs) = (live(&native), live(&onnx));
+        assert_eq!((ours.len(), theirs.len()), (17, 17), "{model}");
+        assert!(ours.iter().any(|answer| answer["probabilities"]["one"].is_number()), "{model}");
+        for (a, b) in ours.iter().zip(&theirs).take(16) {
+            assert_alike(&without_files(a), &without_files(b));
+        }
+        let labelled = format!("{}=one", recording.display());
+        let evaluate = |model: &Path| json_lines(radome().args(["evaluate", "--model"]).arg(model).args([&labelled, "--json"]));
+        assert_alike(&evaluate(&native)[0], &evaluate(&onnx)[0]);
+    }
+    assert_eq!(std::fs::read_dir(fixture("models")).expect("readable").filter_map(Result::ok).filter(|file| file.path().extension().is_some_and(|e| e == "safetensors")).count(), MODELS.len());
+}
+
+/// A board can be programmed by an ONNX file: the waveform stands in its card.
+#[test]
+fn the_waveform_travels_along() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let native = fixture("models/paper-hqnn.safetensors");
+    let onnx = export(&native, folder.path());
+    let config = |path: &Path| json_lines(radome().arg("config").arg(path).arg("--json"));
+    assert_eq!(config(&native), config(&onnx));
+}
+
+mod hard_cases {
+    use super::*;
+
+    fn refusal(bytes: &[u8]) -> String {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("some.onnx");
+        std::fs::write(&path, bytes).expect("writable");
+        failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path))
+    }
+
+    fn exported() -> Vec<u8> {
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::read(export(&fixture("models/paper-hqnn.safetensors"), folder.path())).expect("readable")
+    }
+
+    /// Found before any runtime is looked for.
+    #[test]
+    fn cut_files_are_refused_wherever_they_are_cut() {
+        let whole = exported();
+        for part in [0, 1, 7, 100, 5000, 130_000, whole.len() / 2, whole.len() - 4000, whole.len() - 1] {
+            let said = refusal(&whole[..part]);
+            assert!(said.contains("some.onnx") && !said.contains("onnxruntime"), "{part}: {said}");
+            assert!(said.contains("truncated") || said.contains("'radome' entry"), "{part}: {said}");
+        }
+    }
+
+    #[test]
+    fn files_of_another_kind_are_refused() {
+        let safetensors = std::fs::read(fixture("models/paper-hqnn.safetensors")).expect("readable");
+        for bytes in [&safetensors[..], b"{\"this\": \"is json\"}", &[0xff; 999]] {
+            let said = refusal(bytes);
+            assert!(said.contains("some.onnx") && said.contains("ONNX"), "{said}");
+        }
+        // And an ONNX file under a safetensors name.
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("renamed.safetensors");
+        std::fs::write(&path, exported()).expect("writable");
+        let said = failure(radome().args(["live", "nowhere.mcap", "--model"]).arg(&path));
+        assert!(said.contains("safetensors"), "{said}");
+    }
+
+    #[test]
+    fn a_file_without_a_card_says_what_is_missing() {
+        let mut whole = exported();
+        let at = whole.windows(8).rposition(|window| window == b"\x0a\x06radome").expect("the card's key");
+        whole[at + 2..at + 8].copy_from_slice(b"foreig");
+        let said = refusal(&whole);
+        assert!(said.contains("'radome' entry") && said.contains("hint:"), "{said}");
+    }
+
+    /// A damaged card or a number that is none is told as for a native file.
+    #[test]
+    fn damage_is_found_before_it_is_put_to_work() {
+        let whole = exported();
+        let mut card = whole.clone();
+        let at = card.windows(16).rposition(|window| window == b"\"format_version\"").expect("the card");
+        card[at] = b'!';
+        let said = refusal(&card);
+        assert!(said.contains("model card"), "{said}");
+        let mut numbers = whole;
+        let name = numbers.windows(10).position(|window| window == b"fc1.weight").expect("an array");
+        // Its numbers follow its name in the file: a tag, their length, themselves.
+        numbers[name + 400..name + 404].copy_from_slice(&[0xff; 4]);
+        numbers[name + 404..name + 408].copy_from_slice(&[0xff; 4]);
+        let said = refusal(&numbers);
+        assert!(said.contains("NaN or infinite") || said.contains("onnx"), "{said}");
+    }
+
+    #[test]
+    fn a_library_that_is_not_there_is_named_with_the_remedy() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let onnx = export(&fixture("models/paper-hqnn.safetensors"), folder.path());
+        for (library, expected) in [("/nowhere", "/nowhere"), ("Cargo.toml", "cannot be loaded")] {
+            let said = failure(radome().args(["evaluate", "--model"]).arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library));
+            assert!(said.contains(expected) && said.contains("pip install"), "{said}");
+        }
+    }
+}
