@@ -118,7 +118,9 @@ pub enum ModelError {
         length: usize,
     },
     /// No whole ONNX file.
-    #[error("{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind")]
+    #[error(
+        "{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
+    )]
     NotOnnx {
         /// File.
         path: PathBuf,

@@ -119,7 +119,8 @@ impl OnnxSession {
 /// Whether a value is float32 of a batch of this shape; sizes that are open fit.
 fn fits(of: &ValueType, shape: &[i64]) -> bool {
     let ValueType::Tensor { ty: TensorElementType::Float32, shape: found, .. } = of else { return false };
-    found.len() == shape.len() + 1 && found.iter().skip(1).zip(shape).all(|(&found, &size)| found == -1 || found == size)
+    found.len() == shape.len() + 1
+        && found.iter().skip(1).zip(shape).all(|(&found, &size)| found == -1 || found == size)
 }
 
 /// The one environment of the process; it stays, since there can be no second one.
@@ -150,7 +151,8 @@ fn environment() -> Result<Environment, OnnxError> {
 fn find_library() -> Result<PathBuf, OnnxError> {
     if let Some(named) = std::env::var_os(LIBRARY_VARIABLE).filter(|named| !named.is_empty()) {
         let path = PathBuf::from(&named);
-        let no_library = || OnnxError::NoLibrary { looked: format!("{LIBRARY_VARIABLE} is {}, which holds none", path.display()) };
+        let no_library =
+            || OnnxError::NoLibrary { looked: format!("{LIBRARY_VARIABLE} is {}, which holds none", path.display()) };
         return if path.is_file() { Ok(path) } else { installed_in(&path).ok_or_else(no_library) };
     }
     let python = if cfg!(windows) { "python" } else { "python3" };

@@ -65,10 +65,16 @@ fn exported_models_answer_as_the_models() {
         }
         let recording = folder.path().join(format!("{scene}.mcap"));
         let scene = fixture(&format!("scenes/{scene}.toml"));
-        let made = radome().arg("simulate").arg(scene).args(["--frames", "16", "--people", "1", "-o"]).arg(&recording).output();
+        let made = radome()
+            .arg("simulate")
+            .arg(scene)
+            .args(["--frames", "16", "--people", "1", "-o"])
+            .arg(&recording)
+            .output();
         assert!(made.expect("runs").status.success());
         // Every frame's probabilities, as `live` says them.
-        let live = |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
+        let live =
+            |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
         let (ours, theirs) = (live(&native), live(&onnx));
         assert_eq!((ours.len(), theirs.len()), (17, 17), "{model}");
         assert!(ours.iter().any(|answer| answer["probabilities"]["one"].is_number()), "{model}");
@@ -76,10 +82,18 @@ fn exported_models_answer_as_the_models() {
             assert_alike(&without_files(a), &without_files(b));
         }
         let labelled = format!("{}=one", recording.display());
-        let evaluate = |model: &Path| json_lines(radome().args(["evaluate", "--model"]).arg(model).args([&labelled, "--json"]));
+        let evaluate =
+            |model: &Path| json_lines(radome().args(["evaluate", "--model"]).arg(model).args([&labelled, "--json"]));
         assert_alike(&evaluate(&native)[0], &evaluate(&onnx)[0]);
     }
-    assert_eq!(std::fs::read_dir(fixture("models")).expect("readable").filter_map(Result::ok).filter(|file| file.path().extension().is_some_and(|e| e == "safetensors")).count(), MODELS.len());
+    assert_eq!(
+        std::fs::read_dir(fixture("models"))
+            .expect("readable")
+            .filter_map(Result::ok)
+            .filter(|file| file.path().extension().is_some_and(|e| e == "safetensors"))
+            .count(),
+        MODELS.len()
+    );
 }
 
 /// A board can be programmed by an ONNX file: the waveform stands in its card.
@@ -165,7 +179,8 @@ mod hard_cases {
         let folder = tempfile::tempdir().expect("a folder");
         let onnx = export(&fixture("models/paper-hqnn.safetensors"), folder.path());
         for (library, expected) in [("/nowhere", "/nowhere"), ("Cargo.toml", "cannot be loaded")] {
-            let said = failure(radome().args(["evaluate", "--model"]).arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library));
+            let said =
+                failure(radome().args(["evaluate", "--model"]).arg(&onnx).arg("x=one").env("ORT_DYLIB_PATH", library));
             assert!(said.contains(expected) && said.contains("pip install"), "{said}");
         }
     }

@@ -9,13 +9,14 @@ use std::cell::RefCell;
 use candle_core::{Error, Result};
 use rayon::prelude::*;
 
-use super::level::dispatch;
+use super::kernel::{Block, LANES};
+use super::level::{dispatch, multiply_add};
 use super::packed::{Packed, Side};
 use super::tile::{RowTile, Tiles};
 use super::{Affine, Feature, KernelLevel};
 
-/// Values that a strip's input is cut to: it stays in the first-level cache.
-const STRIP: usize = 1 << 13;
+/// Values that a strip's input is cut to: it stays near the processor, and little of it is copied twice.
+const STRIP: usize = 1 << 14;
 /// Pooled rows of a strip at most.
 const MOST_ROWS: usize = 8;
 /// Rows of a tile of sums and values in each at most, at any kernel level.
@@ -27,8 +28,10 @@ pub struct PreparedBlock {
     inputs: usize,
     outputs: usize,
     weight: Packed,
-    /// What sums start from, padded to the tiles.
+    /// What sums start from, padded to the tiles and to lanes.
     start: Vec<f32>,
+    /// Weights of a single input channel `[output / 16][row][column][output % 16]`; empty where there are more.
+    single: Vec<f32>,
     level: KernelLevel,
 }
 
@@ -54,7 +57,8 @@ impl PreparedBlock {
     ) -> Result<Self> {
         let [outputs, inputs] = shape;
         let lengths = [bias.map(<[f32]>::len), affine.map(|a| a.scale.len()), affine.map(|a| a.shift.len())];
-        if weight.is_empty() || weight.len() != outputs * inputs * 9 || lengths.iter().flatten().any(|&l| l != outputs) {
+        if weight.is_empty() || weight.len() != outputs * inputs * 9 || lengths.iter().flatten().any(|&l| l != outputs)
+        {
             return Err(Error::Msg(format!(
                 "prepared block: expected weight [o, i, 3, 3] and o values of bias, scale and shift; got {} values for \
                  {shape:?}, {lengths:?}",
@@ -68,8 +72,11 @@ impl PreparedBlock {
             (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
         let tiles = Tiles::new(level);
         let weight = Packed::new(&folded, [outputs, inputs, 9], Side::Forward, tiles);
-        let start = weight.pad(&start);
-        Ok(PreparedBlock { inputs, outputs, weight, start, level: level.available() })
+        let mut start = weight.pad(&start);
+        start.resize(start.len().next_multiple_of(LANES), 0.0);
+        let block = Block { rows: 0, columns: 0, inputs, outputs };
+        let single = if inputs == 1 { block.pack(&folded) } else { Vec::new() };
+        Ok(PreparedBlock { inputs, outputs, weight, start, single, level: level.available() })
     }
 
     /// `input` `[batch][row][column][i]`; `output` becomes `[batch][row / 2][column / 2][o]` and keeps its memory.
@@ -96,7 +103,12 @@ impl PreparedBlock {
                 output.par_chunks_mut(strip_rows * row).enumerate().for_each(|(strip, output)| {
                     SCRATCH.with_borrow_mut(|scratch| {
                         pad(input, columns * inputs, inputs, 2 * strip * strip_rows, 2 * output.len() / row, scratch);
-                        self.strip(scratch, line, pooled_columns, output);
+                        if self.inputs == 1 {
+                            let (padded, start) = (&scratch.padded, &self.start);
+                            single(self.level, padded, pooled_columns, &self.single, start, self.outputs, line, output);
+                        } else {
+                            self.strip(scratch, line, pooled_columns, output);
+                        }
                     });
                 });
             });
@@ -109,14 +121,19 @@ impl PreparedBlock {
         let tiles = self.weight.tiles;
         let windows = output.len() / self.outputs;
         let per_tile = (tiles.rows / 4).max(1);
+        // The last cell of the last window's last tap ends where the strip does, or before.
+        assert!(
+            padded.len() >= (2 * windows / pooled_columns + 2) * line && 2 * pooled_columns + 2 <= line / self.inputs
+        );
         cells.clear();
         for first in (0..windows).step_by(per_tile) {
             let of_tile = first..windows.min(first + per_tile);
             for kernel_row in 0..3 {
                 for window in of_tile.clone() {
-                    let corner = (2 * (window / pooled_columns) + kernel_row) * line
-                        + 2 * (window % pooled_columns) * self.inputs;
-                    let at = |from: usize| padded[from..from + 3 * self.inputs].as_ptr();
+                    let row = 2 * (window / pooled_columns) + kernel_row;
+                    let corner = row * line + 2 * (window % pooled_columns) * self.inputs;
+                    // SAFETY: checked above.
+                    let at = |from: usize| unsafe { padded.as_ptr().add(from) };
                     let below = corner + line;
                     cells.extend([at(corner), at(corner + self.inputs), at(below), at(below + self.inputs)]);
                 }
@@ -144,7 +161,7 @@ impl PreparedBlock {
                     first: 0,
                     columns,
                 };
-                // SAFETY: every address is of three cells of the strip, its length checked above; panel and start are padded
+                // SAFETY: every address is of three cells of the strip, as checked above; panel and start are padded
                 // to the tile's width; targets are rows of `sums`, each as wide as the widest tile.
                 unsafe { tiles.row_tile(4 * count, &tile) };
                 let output = &mut output[first * self.outputs..(first + count) * self.outputs];
@@ -198,5 +215,56 @@ fn pool_generic<const FUSED: bool>(
             all[lane] = if best <= 0.0 { 0.0 } else { best };
         }
         output.copy_from_slice(&all[..columns]);
+    }
+}
+
+dispatch! {
+    /// The pooled rows of a padded strip of a single channel, whose every cell is read once for a window.
+    fn single(
+        padded: &[f32], pooled_columns: usize, weight: &[f32], start: &[f32], outputs: usize, line: usize, output: &mut [f32]
+    ) = single_generic
+}
+
+#[inline(always)]
+fn single_generic<const FUSED: bool>(
+    padded: &[f32],
+    pooled_columns: usize,
+    weight: &[f32],
+    start: &[f32],
+    outputs: usize,
+    line: usize,
+    output: &mut [f32],
+) {
+    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(start.as_chunks::<LANES>().0);
+    for (group, (weight, start)) in groups.enumerate() {
+        let lanes = LANES.min(outputs - group * LANES);
+        for (row, output) in output.chunks_exact_mut(pooled_columns * outputs).enumerate() {
+            let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[(2 * row + k) * line..][..2 * pooled_columns + 2]);
+            for (column, output) in output.chunks_exact_mut(outputs).enumerate() {
+                let patch: [&[f32; 4]; 4] = lines.map(|line| line[2 * column..].first_chunk().unwrap_or(&[0.0; 4]));
+                let mut sums = [*start; 4];
+                for (tap, weight) in weight.iter().enumerate() {
+                    for (cell, sum) in sums.iter_mut().enumerate() {
+                        let value = patch[cell / 2 + tap / 3][cell % 2 + tap % 3];
+                        for lane in 0..LANES {
+                            sum[lane] = multiply_add::<FUSED>(value, weight[lane], sum[lane]);
+                        }
+                    }
+                }
+                let mut best = [0.0f32; LANES];
+                for lane in 0..LANES {
+                    let mut largest = sums[0][lane];
+                    for sum in &sums[1..] {
+                        largest = if sum[lane] > largest { sum[lane] } else { largest };
+                    }
+                    best[lane] = if largest <= 0.0 { 0.0 } else { largest };
+                }
+                let output = &mut output[group * LANES..];
+                match output.first_chunk_mut::<LANES>() {
+                    Some(output) => *output = best,
+                    None => output[..lanes].copy_from_slice(&best[..lanes]),
+                }
+            }
+        }
     }
 }

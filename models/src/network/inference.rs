@@ -10,13 +10,15 @@ use rayon::prelude::*;
 use super::graph::{INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Feature, PreparedBlock, PreparedConv, bin, squashed,
-    trigonometric_features,
+    Activation, Affine, ConvGeometry, Feature, PreparedBlock, PreparedConv, bin, squashed, trigonometric_features,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
 /// Values that one task of a step without sums passes over.
 const CHUNK: usize = 1 << 14;
+
+/// Weights of a dense layer up to which plain loops beat cutting it into tiles.
+const SMALL: usize = 1 << 13;
 
 /// A network ready to run.
 pub struct Inference {
@@ -35,20 +37,47 @@ struct Step {
 }
 
 enum Kernel {
-    Repeat { channels: usize },
+    Repeat {
+        channels: usize,
+    },
     Block(PreparedBlock),
     /// Convolution or dense layer; a second input is added before the activation.
     Convolution(PreparedConv),
+    /// A small dense layer, weights `[input][output]`.
+    Dense {
+        weight: Vec<f32>,
+        bias: Vec<f32>,
+        activation: Activation,
+    },
     Activate(Activation),
-    MaxPool { kernel: usize, stride: usize, padding: usize },
-    AveragePool { rows: usize, columns: usize },
+    MaxPool {
+        kernel: usize,
+        stride: usize,
+        padding: usize,
+    },
+    AveragePool {
+        rows: usize,
+        columns: usize,
+    },
     ScaleChannels,
-    Add { rectified: bool },
-    Affine { scale: Vec<f32>, shift: Vec<f32>, activation: Activation },
-    Standardise { mean: Vec<f32>, factor: Vec<f32> },
+    Add {
+        rectified: bool,
+    },
+    Affine {
+        scale: Vec<f32>,
+        shift: Vec<f32>,
+        activation: Activation,
+    },
+    Standardise {
+        mean: Vec<f32>,
+        factor: Vec<f32>,
+    },
     Squash,
     ClosedForm(Trained),
-    Circuit { circuit: Circuit, theta: Vec<f64> },
+    Circuit {
+        circuit: Circuit,
+        theta: Vec<f64>,
+    },
     Trigonometric,
     Concatenate,
 }
@@ -58,7 +87,8 @@ impl Inference {
     pub fn new(network: &Network) -> Result<Self> {
         let graph = network.graph();
         let needed = graph.needed(&[graph.output], &[]);
-        let running = || graph.nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node);
+        let running =
+            || graph.nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node);
         let mut readers: Vec<Vec<usize>> = vec![Vec::new(); graph.nodes.len() + 1];
         for (index, node) in running() {
             node.inputs.iter().for_each(|&value| readers[value].push(index));
@@ -83,13 +113,17 @@ impl Inference {
             input.reshape([batch, range, doppler, 1]);
             input.values_mut().copy_from_slice(maps);
         }
-        for step in &self.steps {
-            let mut output = std::mem::take(&mut self.buffers[step.output]);
-            let done = step.run(&self.buffers, &mut output);
-            self.buffers[step.output] = output;
-            done.map_err(|error| error.context(step.name.clone()))?;
-        }
-        Ok(self.buffers[self.output].values())
+        // Among the threads from beginning to end: to go there and back for every step costs more than some steps.
+        let Inference { steps, buffers, output } = self;
+        rayon::scope(|_| {
+            steps.iter().try_for_each(|step| {
+                let mut output = std::mem::take(&mut buffers[step.output]);
+                let done = step.run(buffers, &mut output);
+                buffers[step.output] = output;
+                done.map_err(|error| error.context(step.name.clone()))
+            })
+        })?;
+        Ok(buffers[*output].values())
     }
 }
 
@@ -265,6 +299,16 @@ impl Plan<'_> {
             self.push(node, Kernel::Block(block), inputs, &values);
             return Ok(());
         }
+        if let Layer::Linear { inputs: i, outputs } = node.layer
+            && i * outputs <= SMALL
+            && affine.is_none()
+            && inputs.len() == 1
+        {
+            let transposed = (0..i * outputs).map(|k| weight[k % outputs * i + k / outputs]).collect();
+            let dense = Kernel::Dense { weight: transposed, bias: bias.unwrap_or_default(), activation };
+            self.push(node, dense, inputs, &values);
+            return Ok(());
+        }
         let convolution = PreparedConv::new(&weight, dims, bias.as_deref(), affine, geometry, activation, level)?;
         self.push(node, Kernel::Convolution(convolution), inputs, &values);
         Ok(())
@@ -326,6 +370,20 @@ impl Step {
         match &self.kernel {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
+            Kernel::Dense { weight, bias, activation } => {
+                if weight.len() != width * bias.len() {
+                    bail!("expected {} values, got {width}", weight.len() / bias.len().max(1));
+                }
+                output.reshape([batch, 1, 1, bias.len()]);
+                let rows = output.values_mut().chunks_exact_mut(bias.len()).zip(input(0)?.values().chunks_exact(width));
+                for (row, input) in rows {
+                    row.copy_from_slice(bias);
+                    for (&x, weight) in input.iter().zip(weight.chunks_exact(bias.len())) {
+                        row.iter_mut().zip(weight).for_each(|(sum, w)| *sum += x * w);
+                    }
+                    row.iter_mut().for_each(|x| *x = activate(*activation, *x));
+                }
+            }
             &Kernel::Repeat { channels } => {
                 output.reshape([batch, rows, columns, channels]);
                 let cells = output.values_mut().chunks_exact_mut(channels);
@@ -354,7 +412,8 @@ impl Step {
                 }
                 let function = if *rectified { Activation::Relu } else { Activation::None };
                 let chunks = output.values_mut().par_chunks_mut(CHUNK).zip(other.values().par_chunks(CHUNK));
-                chunks.for_each(|(to, from)| to.iter_mut().zip(from).for_each(|(x, y)| *x = activate(function, *x + y)));
+                chunks
+                    .for_each(|(to, from)| to.iter_mut().zip(from).for_each(|(x, y)| *x = activate(function, *x + y)));
             }
             Kernel::Activate(function) => {
                 output.values_mut().iter_mut().for_each(|x| *x = activate(*function, *x));
@@ -370,7 +429,9 @@ impl Step {
                     bail!("expected {} values, got {width}", mean.len());
                 }
                 for row in output.values_mut().chunks_exact_mut(width) {
-                    row.iter_mut().zip(mean.iter().zip(factor)).for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
+                    row.iter_mut()
+                        .zip(mean.iter().zip(factor))
+                        .for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
                 }
             }
             Kernel::Squash => output.values_mut().iter_mut().for_each(|x| *x = squashed(*x)),

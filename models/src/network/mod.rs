@@ -19,8 +19,8 @@ use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
 
 pub(crate) use graph::{Graph, INPUT, Layer, Node, Size, Value};
-pub use inference::Inference;
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
+pub use inference::Inference;
 pub use parameters::{Centring, Parameter};
 pub use run::{Mode, Values};
 pub use torchvision::{TorchvisionWeights, WeightsError};
@@ -195,7 +195,8 @@ impl Network {
     pub fn logits(&self, input: &Tensor) -> Result<Tensor> {
         let (batch, range, doppler) = input.dims3()?;
         let mut inference = Inference::new(self)?;
-        let logits = with_values("network", input, |maps| Ok(inference.logits(maps, [batch, range, doppler])?.to_vec()))?;
+        let logits =
+            with_values("network", input, |maps| Ok(inference.logits(maps, [batch, range, doppler])?.to_vec()))?;
         let classes = logits.len() / batch.max(1);
         Tensor::from_vec(logits, (batch, classes), input.device())
     }

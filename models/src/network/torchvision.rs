@@ -40,13 +40,17 @@ pub enum WeightsError {
         reason: String,
     },
     /// torchvision has no such network.
-    #[error("torchvision has no {network:?}\n\nhint: weights are there for resnet18, efficientnet_b0 and efficientnet_b0_rgb")]
+    #[error(
+        "torchvision has no {network:?}\n\nhint: weights are there for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
+    )]
     NoCounterpart {
         /// The network.
         network: NetworkKind,
     },
     /// Arrays that the network needs are not in the file.
-    #[error("{path}: these are no weights of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}")]
+    #[error(
+        "{path}: these are no weights of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
+    )]
     Missing {
         /// File.
         path: PathBuf,
@@ -134,7 +138,8 @@ impl TorchvisionWeights {
             values.insert(name.clone(), numbers);
         }
         let known = |name: &str| layout.iter().any(|(ours, _)| ours == name) || name.ends_with(".num_batches_tracked");
-        let mut unused: Vec<String> = tensors.names().into_iter().filter(|name| !known(name)).map(str::to_owned).collect();
+        let mut unused: Vec<String> =
+            tensors.names().into_iter().filter(|name| !known(name)).map(str::to_owned).collect();
         unused.sort_unstable();
         if !missing.is_empty() {
             let (missing, unknown) = (list(&missing), list(&unused));
@@ -156,7 +161,8 @@ impl TorchvisionWeights {
 
     /// What a user should know about file and network.
     pub fn warnings(&self) -> Vec<String> {
-        let say = |names: &[String], what: &str| (!names.is_empty()).then(|| format!("weights: {} {what}", list(names)));
+        let say =
+            |names: &[String], what: &str| (!names.is_empty()).then(|| format!("weights: {} {what}", list(names)));
         let left = say(&self.initialised, "of the network stay as initialised: the file has none for these classes");
         let unused = say(&self.unused, "of the file are not used: the network has no such arrays");
         [left, unused].into_iter().flatten().collect()
@@ -215,7 +221,8 @@ mod tests {
     }
 
     fn bytes_of(arrays: &Arrays) -> Vec<u8> {
-        let data: Vec<Vec<u8>> = arrays.iter().map(|(.., v)| v.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
+        let data: Vec<Vec<u8>> =
+            arrays.iter().map(|(.., v)| v.iter().flat_map(|v| v.to_le_bytes()).collect()).collect();
         let views = arrays.iter().zip(&data).map(|((name, shape, _), data)| {
             (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), data).expect("view"))
         });
@@ -330,9 +337,10 @@ mod tests {
 
         #[test]
         fn a_pickle_is_told_how_to_become_safetensors() {
-            let error = TorchvisionWeights::from_bytes(Path::new("a.pth"), b"PK\x03\x04 a zip archive", &named("resnet18"))
-                .expect_err("refused")
-                .to_string();
+            let error =
+                TorchvisionWeights::from_bytes(Path::new("a.pth"), b"PK\x03\x04 a zip archive", &named("resnet18"))
+                    .expect_err("refused")
+                    .to_string();
             assert!(error.contains("a.pth") && error.contains("safetensors.torch.save_file"), "{error}");
         }
 

@@ -35,7 +35,7 @@ pub(super) fn write(
     // [from][to], so that rows of states multiply from the left.
     let trained: Vec<f32> = circuit.trained_matrix(&theta)?.into_iter().map(|v| v as f32).collect();
     let trained = w.constant(&named("trained"), &[states, states], &trained);
-    let mut probabilities = match spec.encoding {
+    let probabilities = match spec.encoding {
         Encoding::ZzFeatureMap => {
             let [real, imaginary] = feature_map(w, name, spec, input);
             let parts = [("real", real), ("imaginary", imaginary)].map(|(part, state)| {
@@ -55,8 +55,7 @@ pub(super) fn write(
     let sign = |state: usize, qubit: usize| if state >> qubit & 1 == 0 { shrink } else { -shrink };
     let signs: Vec<f32> = (0..states).flat_map(|s| (0..qubits).rev().map(move |q| sign(s, q))).collect();
     let signs = w.constant(&named("signs"), &[states, qubits], &signs);
-    probabilities = w.op("MatMul", &[&probabilities, &signs], output, Vec::new());
-    drop(probabilities);
+    w.op("MatMul", &[&probabilities, &signs], output, Vec::new());
     Ok(())
 }
 
@@ -81,6 +80,12 @@ fn feature_map(w: &mut Writer, name: &str, spec: &CircuitSpec, input: &str) -> [
         };
         let (first, second) = (pick("first", &|pair| pair.0), pick("second", &|pair| pair.1));
         let products = w.op("Mul", &[&first, &second], &named("products"), Vec::new());
+        // Twice a product is an angle: multiples of pi are taken off before rounding errors of large sums matter.
+        let per_turn = w.constant(&named("per_turn"), &[1], &[std::f32::consts::FRAC_1_PI]);
+        let turns = w.op("Mul", &[&products, &per_turn], &named("turns"), Vec::new());
+        let whole = w.op("Round", &[&turns], &named("whole_turns"), Vec::new());
+        let off = w.op("Mul", &[&whole, &pi], &named("off"), Vec::new());
+        let products = w.op("Sub", &[&products, &off], &named("rests"), Vec::new());
         w.op("Concat", &[input, &products], &named("terms"), vec![int("axis", 1)])
     };
     let count = qubits + pairs.len();

@@ -54,9 +54,7 @@ use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes, input_shape};
-use crate::network::{
-    Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, WeightsError,
-};
+use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, WeightsError};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
@@ -414,10 +412,13 @@ pub fn train_with_checkpoint(
     report: &mut dyn FnMut(EpochReport),
 ) -> Result<TrainOutcome, TrainError> {
     spec.check()?;
-    let weights = spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
+    let weights =
+        spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
     let data = data::Data::load(dataset, spec)?;
     let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
-    let (run, history) = Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }.run(report)?;
+    let (run, history) =
+        Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }
+            .run(report)?;
 
     let chosen_start = run.start_index();
     let (network, best_epoch) = run.finish()?;

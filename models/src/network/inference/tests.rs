@@ -6,9 +6,11 @@ use crate::train::Trainer;
 use candle_core::{Device, Tensor};
 use rand::Rng;
 
+/// Maps of which each is stronger than the one before, so that answers differ.
 fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     let mut rng = crate::stream(5, "maps", 0);
-    (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect()
+    let strength = |index: usize| 0.5 + (index / (range * doppler)) as f32;
+    (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
 }
 
 /// Numbers of a network after a few steps of training, so that its normalisations do something and its answers differ.
@@ -19,9 +21,9 @@ fn lively(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
         trainer.step(&maps, &labels).expect("step");
     }
     let mut values = trainer.network().values().expect("values");
-    // Two hidden units are soon dead.
-    if let Some(bias) = values.get_mut("head_hidden.bias") {
-        bias.fill(1.0);
+    // Two hidden units are soon dead; of two that are opposed one lives.
+    if let Some([a, b, c, d]) = values.get_mut("head_hidden.weight").map(Vec::as_mut_slice) {
+        (*c, *d) = (-*a, -*b);
     }
     values
 }
@@ -30,8 +32,13 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
     let mut network = Network::from_values(spec, values, level).expect("network");
     if spec.kind == crate::network::NetworkKind::Hqnn {
         let width = spec.head.width();
-        let mean = (0..width).map(|k| 0.1 * k as f32).collect();
-        network.set_latent_constants(Centring { mean, sigma: vec![0.7; width] });
+        // Spread over the squash, whatever the training left.
+        let shape = [2, 32, 32];
+        let input = Tensor::from_vec(maps(shape), &shape[..], &Device::Cpu).expect("tensor");
+        let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
+        let of = |f: fn(f32, f32) -> f32| (0..width).map(|k| f(latent[0][k], latent[1][k])).collect();
+        let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
+        network.set_latent_constants(Centring { mean, sigma });
     }
     network
 }
