@@ -152,6 +152,7 @@ impl PreparedBlock {
                 }
                 let tile = RowTile {
                     cells: cells[12 * first..].as_ptr(),
+                    cell_stride: 4 * count,
                     taps: [0u32, 1, 2].as_ptr(),
                     tap_count: 3,
                     channels: 3 * self.inputs,

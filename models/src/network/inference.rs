@@ -10,7 +10,8 @@ use rayon::prelude::*;
 use super::graph::{INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Feature, PreparedBlock, PreparedConv, bin, squashed, trigonometric_features,
+    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, squashed,
+    trigonometric_features,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
@@ -54,6 +55,7 @@ enum Kernel {
         kernel: usize,
         stride: usize,
         padding: usize,
+        level: KernelLevel,
     },
     AveragePool {
         rows: usize,
@@ -231,7 +233,7 @@ impl Plan<'_> {
             }
             Layer::Repeat { channels } => Kernel::Repeat { channels: *channels },
             Layer::Activate(activation) => Kernel::Activate(*activation),
-            &Layer::MaxPool { kernel, stride, padding } => Kernel::MaxPool { kernel, stride, padding },
+            &Layer::MaxPool { kernel, stride, padding } => Kernel::MaxPool { kernel, stride, padding, level },
             &Layer::AveragePool { rows, columns } => Kernel::AveragePool { rows, columns },
             Layer::ScaleChannels => Kernel::ScaleChannels,
             Layer::Add { rectified } => Kernel::Add { rectified: *rectified },
@@ -389,22 +391,11 @@ impl Step {
                 let cells = output.values_mut().chunks_exact_mut(channels);
                 cells.zip(input(0)?.values()).for_each(|(cell, &value)| cell.fill(value));
             }
-            &Kernel::MaxPool { kernel, stride, padding } => max_pool(input(0)?, [kernel, stride, padding], output)?,
-            &Kernel::AveragePool { rows, columns } => average_pool(input(0)?, [rows, columns], output),
-            Kernel::ScaleChannels => {
-                let factors = input(1)?.values();
-                if factors.len() != batch * channels {
-                    bail!("expected {batch} x {channels} factors, got {}", factors.len());
-                }
-                let maps = output.values_mut().par_chunks_exact_mut(width).zip(factors.par_chunks_exact(channels));
-                maps.for_each(|(map, factors)| {
-                    map.par_chunks_mut((CHUNK / channels).max(1) * channels).for_each(|cells| {
-                        for cell in cells.chunks_exact_mut(channels) {
-                            cell.iter_mut().zip(factors).for_each(|(x, factor)| *x *= factor);
-                        }
-                    });
-                });
+            &Kernel::MaxPool { kernel, stride, padding, level } => {
+                input(0)?.max_pool2d(kernel, stride, padding, level, output)?;
             }
+            &Kernel::AveragePool { rows, columns } => input(0)?.adaptive_average_pool(rows, columns, output)?,
+            Kernel::ScaleChannels => output.scale_channels(input(1)?)?,
             Kernel::Add { rectified } => {
                 let other = input(1)?;
                 if other.dims() != output.dims() {
@@ -473,69 +464,6 @@ impl Step {
         }
         Ok(())
     }
-}
-
-/// Largest value of each channel in windows; padding never wins.
-fn max_pool(input: &Feature, [kernel, stride, padding]: [usize; 3], output: &mut Feature) -> Result<()> {
-    let [batch, rows, columns, channels] = input.dims();
-    let length = |length: usize| (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1);
-    let (Some(out_rows), Some(out_columns)) = (length(rows), length(columns)) else {
-        bail!("windows of {kernel} cells do not fit into {rows} x {columns}");
-    };
-    output.reshape([batch, out_rows, out_columns, channels]);
-    let window = |index: usize, length: usize| {
-        let from = index * stride;
-        from.saturating_sub(padding)..(from + kernel).saturating_sub(padding).min(length)
-    };
-    let of_row = out_columns * channels;
-    output.values_mut().par_chunks_exact_mut(of_row).with_min_len((CHUNK / of_row).max(1)).enumerate().for_each(
-        |(index, line)| {
-            let map = &input.values()[index / out_rows * rows * columns * channels..];
-            for (column, best) in line.chunks_exact_mut(channels).enumerate() {
-                best.fill(f32::NEG_INFINITY);
-                for y in window(index % out_rows, rows) {
-                    for x in window(column, columns) {
-                        let cell = &map[(y * columns + x) * channels..][..channels];
-                        best.iter_mut().zip(cell).for_each(|(best, &v)| *best = if v > *best { v } else { *best });
-                    }
-                }
-            }
-        },
-    );
-    Ok(())
-}
-
-/// Means over bins, flattened channel-first.
-fn average_pool(input: &Feature, [bin_rows, bin_columns]: [usize; 2], output: &mut Feature) {
-    let [batch, rows, columns, channels] = input.dims();
-    let bins = bin_rows * bin_columns;
-    output.reshape([batch, 1, 1, channels * bins]);
-    let maps = output.values_mut().par_chunks_exact_mut(channels * bins);
-    maps.zip(input.values().par_chunks_exact(rows * columns * channels)).for_each(|(out, map)| {
-        // A few channels at a time, whose sums stay in registers.
-        const GROUP: usize = 16;
-        for index in 0..bins {
-            let (top, bottom) = bin(index / bin_columns, bin_rows, rows);
-            let (left, right) = bin(index % bin_columns, bin_columns, columns);
-            let factor = 1.0 / ((bottom - top) * (right - left)) as f32;
-            for first in (0..channels).step_by(GROUP) {
-                let mut sums = [0.0f32; GROUP];
-                let width = GROUP.min(channels - first);
-                for row in top..bottom {
-                    let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
-                    for cell in cells.chunks_exact(channels) {
-                        match cell[first..].first_chunk::<GROUP>() {
-                            Some(cell) => sums.iter_mut().zip(cell).for_each(|(sum, v)| *sum += v),
-                            None => sums.iter_mut().zip(&cell[first..]).for_each(|(sum, v)| *sum += v),
-                        }
-                    }
-                }
-                for (k, sum) in sums[..width].iter().enumerate() {
-                    out[(first + k) * bins + index] = sum * factor;
-                }
-            }
-        }
-    });
 }
 
 #[cfg(test)]
