@@ -227,6 +227,42 @@ fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
     classifier.classify_row(&map, set.header().shape, row).expect("with its label");
 }
 
+/// Steps that go nowhere leave the weights that were started from.
+#[test]
+fn a_training_starts_from_given_weights() {
+    use radome_models::network::{Network, NetworkKind};
+    use safetensors::tensor::{Dtype, TensorView};
+    let (set, spec) = brief();
+    let spec = TrainSpec {
+        network: NetworkKind::ResNet18,
+        epochs: 1,
+        linear_epochs: Some(0),
+        starts: 1,
+        learning_rate: 1e-9,
+        ..spec
+    };
+    let network = spec.network_spec();
+    let values = Network::initialise(&network, 77, 0, KernelLevel::detect()).and_then(|n| n.values()).expect("values");
+    let bytes = |name: &str| values[name].iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let arrays: Vec<_> = network.layout().into_iter().map(|(name, shape)| (bytes(&name), name, shape)).collect();
+    let views = arrays.iter().map(|(bytes, name, shape)| {
+        (name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).expect("an array"))
+    });
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("resnet18.safetensors");
+    std::fs::write(&path, safetensors::serialize(views, None).expect("serialised")).expect("writable");
+    let started = TrainSpec { weights: Some(path), ..spec };
+    let outcome = train(&set, &started, &mut |_| {}).expect("training");
+    assert_eq!(outcome.model.card.training.weights_hash.as_ref().map(String::len), Some(64));
+    let after = outcome.model.network.values().expect("values");
+    for name in ["conv1.weight", "layer4.1.conv2.weight", "fc.weight"] {
+        assert!(values[name].iter().zip(&after[name]).all(|(a, b)| (a - b).abs() < 1e-6), "{name}");
+    }
+    // The paper's network has no counterpart there.
+    let error = train(&set, &TrainSpec { network: NetworkKind::Hqnn, ..started }, &mut |_| {}).err().expect("refused");
+    assert!(matches!(error, TrainError::Weights(_)), "{error}");
+}
+
 mod hard_cases {
     use super::*;
 

@@ -2,7 +2,8 @@
 //! the convolutions and dense layers before them, activations and residual sums are fused with them, weights are packed, and
 //! buffers keep their memory from one run to the next.
 //!
-//! The same bits for any number of threads and any batch that a map is in; within rounding what `run.rs` gives.
+//! The same bits for any number of threads and any batch that a map is in (but for circuits with shots, which are numbered by
+//! row); within rounding what `run.rs` gives.
 
 use candle_core::{Result, bail};
 use rayon::prelude::*;
