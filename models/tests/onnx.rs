@@ -12,7 +12,7 @@ use radome_models::onnx::{self, ExportError};
 use radome_models::onnx_runtime::{OnnxError, OnnxSession};
 use radome_models::quantum::{CircuitSpec, Encoding, Execution, Noise, Shots};
 use radome_models::train::Trainer;
-use radome_models::{NetworkSpec, networks, stream};
+use radome_models::{Classifier, Model, ModelCard, ModelError, NetworkSpec, networks, stream};
 use rand::Rng;
 
 /// Logits at which a number counts as itself rather than as one.
@@ -137,8 +137,69 @@ fn every_circuit_answers_alike_in_onnxruntime() {
     eprintln!("circuits: {largest:.1e}");
 }
 
+/// The shipped models, exported and put to work as ONNX files, give the probabilities of the models.
+#[test]
+fn shipped_models_classify_alike_as_onnx_files() {
+    let folder = tempfile::tempdir().expect("folder");
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models");
+    let files = std::fs::read_dir(models).expect("models").filter_map(Result::ok).map(|file| file.path());
+    for path in files.filter(|path| path.extension().is_some_and(|e| e == "safetensors")) {
+        let model = Model::load(&path).expect("a model");
+        let file = folder.path().join("exported.ONNX");
+        std::fs::write(&file, onnx::export(&model).expect("exported")).expect("writable");
+        assert_eq!(ModelCard::load(&file).expect("a card"), model.card);
+        let mut theirs = match Classifier::load(&file) {
+            Ok(classifier) => classifier,
+            Err(error @ ModelError::Onnx(OnnxError::NoLibrary { .. })) => return eprintln!("skipped: {error}"),
+            Err(error) => panic!("{error}"),
+        };
+        let mut ours = Classifier::new(model);
+        let shape = ours.rdm_spec().shape(ours.waveform()).expect("a shape");
+        for index in 0..20 {
+            let mut rng = stream(5, "decibels", index);
+            let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
+            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify_cells(&db, shape).expect("probabilities"));
+            assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{}: {a:?} {b:?}", path.display());
+        }
+    }
+}
+
 mod hard_cases {
     use super::*;
+
+    /// Found before any runtime is looked for.
+    #[test]
+    fn cut_and_foreign_files_are_refused() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
+        let model = Model::load(&path).expect("a model");
+        let whole = onnx::export(&model).expect("exported");
+        let folder = tempfile::tempdir().expect("folder");
+        let file = folder.path().join("some.onnx");
+        let mut refusal = |bytes: &[u8]| {
+            std::fs::write(&file, bytes).expect("writable");
+            Classifier::load(&file).err().expect("refused")
+        };
+        for length in (0..whole.len()).step_by(9973).chain([whole.len() - 1]) {
+            let error = refusal(&whole[..length]);
+            assert!(matches!(error, ModelError::NotOnnx { .. } | ModelError::NoCard { .. }), "{length}: {error}");
+        }
+        for bytes in [&std::fs::read(&path).expect("readable")[..], b"{\"this\": \"is json\"}", &[0xff; 999]] {
+            let error = refusal(bytes);
+            assert!(matches!(error, ModelError::NotOnnx { .. } | ModelError::NoCard { .. }), "{error}");
+        }
+        let bare = onnx::export_network(&model.network, 32, 32).expect("exported");
+        let error = refusal(&bare);
+        assert!(matches!(error, ModelError::NoCard { .. }) && error.to_string().contains("'radome' entry"), "{error}");
+        // A number that is none: the first behind the array's name, a tag and its length in three bytes.
+        let mut numbers = whole;
+        let name = numbers.windows(10).rposition(|window| window == b"fc1.weight").expect("an array");
+        numbers[name + 14..name + 18].copy_from_slice(&[0xff; 4]);
+        let error = refusal(&numbers);
+        assert!(
+            matches!(error, ModelError::Inconsistent { .. }) && error.to_string().contains("fc1.weight"),
+            "{error}"
+        );
+    }
 
     fn refusal(circuit: CircuitSpec) -> String {
         let spec = NetworkSpec::with_head(Head::Circuit { circuit, frozen: false, placement: Placement::Latent });
