@@ -175,7 +175,7 @@ mod hard_cases {
         let whole = onnx::export(&model).expect("exported");
         let folder = tempfile::tempdir().expect("folder");
         let file = folder.path().join("some.onnx");
-        let mut refusal = |bytes: &[u8]| {
+        let refusal = |bytes: &[u8]| {
             std::fs::write(&file, bytes).expect("writable");
             Classifier::load(&file).err().expect("refused")
         };
