@@ -76,10 +76,10 @@ fn exported_models_answer_as_the_models() {
         let live =
             |model: &Path| json_lines(radome().arg("live").arg(&recording).arg("--model").arg(model).arg("--json"));
         let (ours, theirs) = (live(&native), live(&onnx));
-        assert_eq!((ours.len(), theirs.len()), (17, 17), "{model}");
+        assert!(ours.len() > 16 && ours.len() == theirs.len(), "{model}: {} {}", ours.len(), theirs.len());
         assert!(ours.iter().any(|answer| answer["probabilities"]["one"].is_number()), "{model}");
         for (a, b) in ours.iter().zip(&theirs).take(16) {
-            assert_alike(&without_latency(a), &without_files(b));
+            assert_alike(&without_latency(a), &without_latency(b));
         }
         let labelled = format!("{}=one", recording.display());
         let evaluate =
