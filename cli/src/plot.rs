@@ -82,7 +82,7 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
 pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
     const WIDTH: u32 = 640;
     const HEIGHT: u32 = 400;
-    const LEGEND: u32 = 150;
+    const LEGEND: u32 = 230;
     let size = (MARGIN_LEFT + WIDTH + LEGEND, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM);
     let mut image = RgbImage::from_pixel(size.0, size.1, Rgb([255, 255, 255]));
     let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
@@ -120,7 +120,7 @@ pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f6
         }
     };
     for (i, (name, points)) in (0u32..).zip(series) {
-        let colour = viridis(i as f32 / (series.len().max(2) - 1) as f32);
+        let colour = series_colour(i);
         for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
             dot(&mut image, x_of(x.log10()), y_of(y.log10()), colour);
         }
@@ -130,7 +130,8 @@ pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f6
     image.save(path).with_context(|| format!("cannot write {}", path.display()))
 }
 
-/// Writes lines through points of several series, a colour a series, on linear axes; `up` runs from 0 to 1.
+/// Writes lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn
+/// from the tenth below the lowest point to 1.
 pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
     const WIDTH: u32 = 640;
     const HEIGHT: u32 = 400;
@@ -142,16 +143,17 @@ pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64,
     let high = across_values().fold(f64::NEG_INFINITY, f64::max);
     let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
     let x_of = |v: f64| MARGIN_LEFT + ((v - low) / (high - low) * f64::from(WIDTH)) as u32;
-    let y_of = |v: f64| MARGIN_TOP + ((1.0 - v.clamp(0.0, 1.0)) * f64::from(HEIGHT)) as u32;
+    let lowest = series.iter().flat_map(|s| &s.1).map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
+    let floor = ((10.0 * lowest).floor() / 10.0).clamp(0.0, 0.9);
+    let y_of = |v: f64| MARGIN_TOP + ((1.0 - v.clamp(floor, 1.0)) / (1.0 - floor) * f64::from(HEIGHT)) as u32;
     for tick in ticks(low, high) {
         vertical(&mut image, x_of(tick), MARGIN_TOP + HEIGHT, 5);
         let name = label(tick, high - low);
         text(&mut image, x_of(tick).saturating_sub(4 * name.len() as u32), MARGIN_TOP + HEIGHT + 8, &name);
     }
-    for tenth in (0..=10).step_by(2) {
-        let v = f64::from(tenth) / 10.0;
+    for v in ticks(floor, 1.0) {
         horizontal(&mut image, MARGIN_LEFT - 5, y_of(v), WIDTH + 5);
-        text(&mut image, MARGIN_LEFT - 40, y_of(v).saturating_sub(4), &format!("{v:.1}"));
+        text(&mut image, MARGIN_LEFT - 48, y_of(v).saturating_sub(4), &format!("{v:.2}"));
     }
     vertical(&mut image, MARGIN_LEFT, MARGIN_TOP, HEIGHT);
     text(&mut image, MARGIN_LEFT + WIDTH / 2 - 36, MARGIN_TOP + HEIGHT + 26, across);
@@ -165,7 +167,7 @@ pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64,
         }
     };
     for (i, (name, points)) in (0u32..).zip(series) {
-        let colour = viridis(i as f32 / (series.len().max(2) - 1) as f32 * 0.9);
+        let colour = series_colour(i);
         for pair in points.windows(2) {
             let [(x0, y0), (x1, y1)] = [pair[0], pair[1]].map(|(x, y)| (f64::from(x_of(x)), f64::from(y_of(y))));
             for step in 0..=400 {
@@ -178,6 +180,25 @@ pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64,
         text(&mut image, MARGIN_LEFT + WIDTH + 26, MARGIN_TOP + 6 + 20 * i, name);
     }
     image.save(path).with_context(|| format!("cannot write {}", path.display()))
+}
+
+/// Colours that are told apart side by side: ColorBrewer's Set1 and Dark2, less the yellows.
+fn series_colour(index: u32) -> Rgb<u8> {
+    const COLOURS: [[u8; 3]; 12] = [
+        [228, 26, 28],
+        [55, 126, 184],
+        [77, 175, 74],
+        [152, 78, 163],
+        [255, 127, 0],
+        [166, 86, 40],
+        [247, 129, 191],
+        [102, 102, 102],
+        [27, 158, 119],
+        [0, 0, 0],
+        [117, 112, 179],
+        [102, 166, 30],
+    ];
+    Rgb(COLOURS.get(index as usize % COLOURS.len()).copied().unwrap_or_default())
 }
 
 /// Round values between two ends, about seven of them.
