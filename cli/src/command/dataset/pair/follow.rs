@@ -75,7 +75,9 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
     let mut free: Vec<Vec<bool>> = looks.iter().map(|look| vec![look.people > 0; look.echoes.len()]).collect();
     let mut all: Vec<Sighting> = Vec::new();
     for person in 0..people {
-        let chains = best_chains(looks, &free, sensor);
+        let mut chains = best_chains(looks, &free, sensor);
+        // The longest first: what walls throw of somebody is told by who that is.
+        chains.sort_by_key(|places| std::cmp::Reverse(places.len()));
         for places in chains {
             // A second person is where labels say so, for the better part.
             let counted = places.iter().filter(|p| looks.get(p.0).is_some_and(|look| look.people > person)).count();
@@ -104,12 +106,13 @@ pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
 /// a wall is that could throw as much; who stands keeps to the range of a piece of wall, but is louder.
 fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
     // Of each frame somebody, and by how much what is followed is farther (m) and louder (dB) than they are.
-    let mut beside: Vec<(&Smoothed, f64, f64)> = Vec::new();
+    let mut beside: Vec<(Smoothed, f64, f64)> = Vec::new();
     for state in track {
-        let of_frame = others.iter().flat_map(|other| &other.track).filter(|other| other.frame == state.frame);
-        for other in of_frame {
-            let farther_m = sensor.expected(state).range_m - sensor.expected(other).range_m;
-            if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > BODY_M) {
+        for (other, is_followed) in others.iter().filter_map(|other| at(other, state)) {
+            let farther_m = sensor.expected(state).range_m - sensor.expected(&other).range_m;
+            // Nothing so near is told from the echo of a body itself, where there is one.
+            let least_m = if is_followed { BODY_M } else { THROWN_M };
+            if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > least_m) {
                 beside.push((other, farther_m, own_db - other_db));
             }
         }
@@ -118,12 +121,25 @@ fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
     let is_most = |count: usize| 2 * count > seen;
     is_most(beside.len())
         && sensor.wall_pieces(WALL_STEP_M).any(|piece| {
-            let is_explained = |&&(other, farther_m, louder_db): &&(&Smoothed, f64, f64)| {
+            let is_explained = |(other, farther_m, louder_db): &&(Smoothed, f64, f64)| {
                 let thrown = sensor.thrown(other, &piece);
-                (thrown.farther_m - farther_m).abs() < THROWN_M && louder_db < thrown.louder_db + FADING_DB
+                (thrown.farther_m - farther_m).abs() < THROWN_M && *louder_db < thrown.louder_db + FADING_DB
             };
             is_most(beside.iter().filter(is_explained).count())
         })
+}
+
+/// Somebody at the time of a state, and whether they were followed then. Who goes nearer to the radar than echoes are told, or out
+/// of its beam, is not gone: for a while they go straight on, as loud on walls as they were, and walls throw of them still.
+fn at(sighting: &Sighting, state: &Smoothed) -> Option<(Smoothed, bool)> {
+    let (first, last) = (sighting.track.first()?, sighting.track.last()?);
+    if (first.frame..=last.frame).contains(&state.frame) {
+        return sighting.track.get(state.frame - first.frame).map(|followed| (*followed, true));
+    }
+    let end = if state.frame < first.frame { first } else { last };
+    let later_s = state.time_s - end.time_s;
+    let on = Smoothed { x: end.x + end.vx * later_s, y: end.y + end.vy * later_s, ..*end };
+    (later_s.abs() <= BRIDGE_S).then_some((on, false))
 }
 
 /// Whether an echo is a part of somebody, or a repeat of them off a wall.
@@ -302,6 +318,26 @@ mod tests {
                 assert!(is_thrown(&ghost, &walker, &sensor), "{piece:?}");
             }
         }
+    }
+
+    /// Past the radar, where nobody is followed, a wall beside it throws of them still. Who comes back from there is somebody.
+    #[test]
+    fn what_a_wall_throws_of_who_was_followed_just_before_is_nobody() {
+        let sensor = sensor();
+        let mut walker = walker(&sensor, |t| [6.0 - 1.2 * t, 3.3]);
+        let piece = (DVec3::new(0.6, 3.5, 2.7), -DVec3::Z);
+        let whole = walker[0].track.split_off(46);
+        let level = walker[0].track[45].snr_db;
+        let mut ghost: Vec<Smoothed> = whole;
+        for state in &mut ghost {
+            let thrown = sensor.thrown(state, &piece);
+            let range_m = sensor.expected(state).range_m + thrown.farther_m;
+            let (x, y) = (sensor.position.x + range_m + 0.115, sensor.position.y);
+            *state = Smoothed { x, y, vx: 0.0, vy: 0.0, snr_db: level.map(|db| db + thrown.louder_db), ..*state };
+        }
+        assert!(is_thrown(&ghost, &walker, &sensor));
+        let back = track(&sensor, |_| 0.0, |t| [0.7 + 1.2 * (t - 4.6), 3.3]);
+        assert!(!is_thrown(&back[46..], &walker, &sensor));
     }
 
     #[test]

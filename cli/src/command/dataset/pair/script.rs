@@ -274,12 +274,18 @@ fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Optio
         is_likely.then_some(((speed / usual).ln().abs(), speed.max(0.3), door, out))
     });
     let (_, speed, door, out) = timed.min_by(|a, b| a.0.total_cmp(&b.0))?;
-    let outside = door + out * OUTSIDE_M;
-    let arrival_s = state.time_s + sign * door.distance(from) / speed;
-    Some(vec![
-        Knot { time_s: arrival_s, place: door },
-        Knot { time_s: arrival_s + sign * OUTSIDE_M / speed, place: outside },
-    ])
+    // Who was seen through the door does not come in first.
+    let beyond_m = (from - door).dot(out);
+    let mut knots = Vec::new();
+    let (mut time_s, mut at) = (state.time_s, from);
+    for (place, is_ahead) in [(door, beyond_m < 0.0), (door + out * OUTSIDE_M, beyond_m < OUTSIDE_M)] {
+        if is_ahead {
+            time_s += sign * at.distance(place) / speed;
+            at = place;
+            knots.push(Knot { time_s, place });
+        }
+    }
+    Some(knots)
 }
 
 /// The place in a door that is nearest, and the way out.
@@ -440,6 +446,33 @@ mod tests {
         // From behind the place towards the radar.
         assert!(steps[0].walk_to_m.expect("a place")[0] > steps[1].walk_to_m.expect("a place")[0]);
         assert!(steps.last().and_then(|s| s.sit_s) > Some(10.0), "{steps:?}");
+    }
+
+    /// A step before the door they go out by it; seen in it or beyond it they do not come back in first.
+    #[test]
+    fn who_is_seen_through_a_door_goes_straight_on() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        let scene = radome_sim::Scene::load(&file).expect("a scene");
+        for (x, places) in [(11.8, 2), (12.2, 1), (12.8, 0)] {
+            let state = Smoothed {
+                frame: 0,
+                time_s: 3.0,
+                x,
+                y: 1.2,
+                vx: 1.0,
+                vy: 0.0,
+                sigma_m: 0.1,
+                snr_db: Some(20.0),
+                is_visible: true,
+            };
+            let knots = by_door(&state, 0.5, 1.0, scene.file()).expect("a door");
+            assert_eq!(knots.len(), places, "{knots:?}");
+            let mut last = (3.0, x);
+            for knot in knots {
+                assert!(knot.time_s > last.0 && knot.place.x > last.1, "{knot:?} {last:?}");
+                last = (knot.time_s, knot.place.x);
+            }
+        }
     }
 
     mod hard_cases {
