@@ -1,13 +1,12 @@
-use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use radome_dsp::Occupancy;
 use radome_models::Classifier;
-use serde_json::json;
 
-use crate::live::classify::{Answer, Delays, Event, FrameClassifier, Summary, run as run_classifier};
+use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::pipeline::{Pipeline, Policy};
+use crate::live::screen::Screen;
+use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output;
 use crate::source::{self, SourceOptions};
@@ -104,93 +103,13 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
     let reader = pipeline.start(source.frames, watch.frames);
-    let mut screen = Screen::new(watch.json);
     let patience = Duration::from_secs_f64((2.0 * waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let summary = run_classifier(&inlet, &mut judge, patience, |judge, event| match event {
-        Event::Answer(answer) => {
-            if let Some(page) = &page {
-                page.show(&answer, judge.map());
-            }
-            screen.answer(&answer)
-        }
-        Event::Gap(gap) if watch.json => output::json_line(&json!({ "gap": gap })),
-        Event::Gap(gap) => {
-            eprintln!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
-            Ok(())
-        }
-    });
+    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    if let Some(page) = page {
+        sinks.push(Box::new(page));
+    }
+    sinks.push(Box::new(Screen::new(watch.json)));
+    let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
-    screen.summary(&summary?)
-}
-
-/// Answers as JSON lines or as text for people: one line a change, and a line that lives on a terminal.
-struct Screen {
-    json: bool,
-    is_terminal: bool,
-    last: Option<(Option<Occupancy>, Option<Occupancy>)>,
-}
-
-impl Screen {
-    fn new(json: bool) -> Self {
-        let is_terminal = !json && std::io::stdout().is_terminal();
-        if !json {
-            println!("{:>8}  {:7} {:^23}  {:7} {:>10}", "time", "label", "empty   one     two", "truth", "latency");
-        }
-        Screen { json, is_terminal, last: None }
-    }
-
-    fn answer(&mut self, answer: &Answer) -> anyhow::Result<()> {
-        if self.json {
-            return output::json_line(answer);
-        }
-        let state = (answer.label, answer.truth);
-        let is_change = self.last != Some(state);
-        if !self.is_terminal && !is_change {
-            return Ok(());
-        }
-        let label = answer.label.map_or("-", Occupancy::name);
-        let values = match (&answer.probabilities, &answer.warming_up) {
-            (Some(p), _) => p.to_string(),
-            (None, Some(progress)) => format!("warming up {progress}"),
-            (None, None) => String::new(),
-        };
-        let mut truth = answer.truth.map_or("", Occupancy::name).to_owned();
-        if answer.transition == Some(true) {
-            truth.push('~');
-        }
-        let line = format!("{:7.2}s  {label:7} {values:23}  {truth:7} {:7.1} ms", answer.time_s, answer.latency_ms);
-        if self.is_terminal {
-            use std::io::Write;
-            let mut stdout = std::io::stdout().lock();
-            // A change stays on the screen; what is unchanged is written over.
-            let end = if is_change && self.last.is_some() { "\n" } else { "" };
-            write!(stdout, "{end}\r{line}\x1b[K")?;
-            stdout.flush()?;
-        } else {
-            output::text_line(&line)?;
-        }
-        self.last = Some(state);
-        Ok(())
-    }
-
-    fn summary(&mut self, summary: &Summary) -> anyhow::Result<()> {
-        if self.json {
-            return output::json_line(&json!({ "summary": summary }));
-        }
-        if self.is_terminal {
-            println!();
-        }
-        let mut line = format!("{} frames, {} dropped", summary.frames, summary.dropped);
-        if let Some(accuracy) = summary.balanced_accuracy {
-            line += &format!(", balanced accuracy {accuracy:.3}");
-        }
-        if let Some(settled) = &summary.metrics_without_transitions {
-            line += &format!(
-                " ({:.3} without the {} frames of entering and leaving)",
-                settled.balanced_accuracy, summary.transition_frames
-            );
-        }
-        line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
-        output::text_line(&line)
-    }
+    outcome.map(drop)
 }

@@ -4,14 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, MapStatus, Occupancy, Rdm, RdmProcessor};
+use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
 use radome_models::Classifier;
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
 
+use super::health::Health;
 use super::occupancy::Hysteresis;
 use super::pipeline::{Inlet, Item};
+use super::sink::{Moment, Sink};
 
 /// Probabilities of the classes by name.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -74,6 +76,8 @@ fn is_zero(n: &u32) -> bool {
 pub struct Latency {
     /// Median.
     pub p50: f64,
+    /// 95 of 100 are faster.
+    pub p95: f64,
     /// 99 of 100 are faster.
     pub p99: f64,
 }
@@ -135,17 +139,15 @@ pub struct FrameClassifier {
     map: Rdm,
     filter: OccupancyFilter,
     hysteresis: Hysteresis,
-    started: Instant,
-    first_label_s: Option<f64>,
-    latencies_ms: Vec<f64>,
-    dropped: BTreeMap<&'static str, u64>,
-    frames: u64,
-    labels: [u64; 3],
+    health: Health,
     transition_frames: u64,
-    all: Vec<(Occupancy, Occupancy)>,
-    settled: Vec<(Occupancy, Occupancy)>,
-    unfiltered: Vec<(Occupancy, Occupancy)>,
+    all: Confusion,
+    settled: Confusion,
+    unfiltered: Confusion,
 }
+
+/// Counts `[truth][label]`.
+type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
@@ -163,16 +165,11 @@ impl FrameClassifier {
             filter: OccupancyFilter::new(classifier.card().smoothing),
             classifier,
             hysteresis: Hysteresis::new(delays.on_s, delays.off_s),
-            started,
-            first_label_s: None,
-            latencies_ms: Vec::new(),
-            dropped: BTreeMap::new(),
-            frames: 0,
-            labels: [0; 3],
+            health: Health::new(started),
             transition_frames: 0,
-            all: Vec::new(),
-            settled: Vec::new(),
-            unfiltered: Vec::new(),
+            all: Confusion::default(),
+            settled: Confusion::default(),
+            unfiltered: Confusion::default(),
         })
     }
 
@@ -181,15 +178,19 @@ impl FrameClassifier {
         &self.map
     }
 
+    /// The run so far.
+    pub fn health(&self) -> &Health {
+        &self.health
+    }
+
     /// Notes missing frames and forgets what must not reach across them.
     pub fn gap(&mut self, gap: &Gap) {
-        *self.dropped.entry(gap.reason.name()).or_default() += gap.frames;
+        self.health.lost(gap.reason, gap.frames);
         self.processor.reset();
     }
 
     /// Judges a frame that arrived at `arrived`.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
-        self.frames += 1;
         let status = self.processor.process(frame, &mut self.map)?;
         let mut answer = Answer {
             sequence: frame.sequence,
@@ -215,66 +216,84 @@ impl FrameClassifier {
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);
                 answer.occupied = self.hysteresis.update(answer.time_s, label);
-                self.labels[label.index()] += 1;
+                self.health.labels[label.index()] += 1;
+                self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {
-                    self.all.push((truth.occupancy, label));
-                    self.unfiltered.push((truth.occupancy, most_probable(&raw)));
+                    let count = |confusion: &mut Confusion, label: Occupancy| {
+                        confusion[truth.occupancy.index()][label.index()] += 1;
+                    };
+                    count(&mut self.all, label);
+                    count(&mut self.unfiltered, most_probable(&raw));
                     if truth.transition {
                         self.transition_frames += 1;
                     } else {
-                        self.settled.push((truth.occupancy, label));
+                        count(&mut self.settled, label);
                     }
                 }
-                self.first_label_s.get_or_insert_with(|| self.started.elapsed().as_secs_f64());
+                self.health.first_label.get_or_insert_with(|| self.health.started.elapsed());
             }
         }
-        answer.latency_ms = arrived.elapsed().as_secs_f64() * 1e3;
-        self.latencies_ms.push(answer.latency_ms);
+        self.health.temperature_millicelsius = frame.temperature_millicelsius;
+        let latency = arrived.elapsed();
+        self.health.frame(arrived, latency);
+        answer.latency_ms = latency.as_secs_f64() * 1e3;
         Ok(answer)
     }
 
     /// What the run amounts to; `missed` frames were dropped for want of time.
     pub fn summary(&mut self, missed: u64) -> Summary {
         if missed > 0 {
-            self.dropped.insert(radome_dsp::GapReason::QueueFull.name(), missed);
+            self.health.dropped.insert(GapReason::QueueFull, missed);
         }
-        self.latencies_ms.sort_by(f64::total_cmp);
-        let quantile = |q: f64| {
-            let last = self.latencies_ms.len().saturating_sub(1);
-            self.latencies_ms.get((q * last as f64).round() as usize).copied().unwrap_or(0.0)
+        let metrics = |confusion: &Confusion| {
+            (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))
         };
-        let metrics = |pairs: &[(Occupancy, Occupancy)]| {
-            (!pairs.is_empty()).then(|| Metrics::from_predictions(pairs.iter().copied()))
-        };
+        let health = &self.health;
         let all = metrics(&self.all);
         Summary {
-            frames: self.frames,
-            dropped: self.dropped.values().sum(),
-            dropped_by_reason: self.dropped.clone(),
-            labelled: self.labels.iter().sum(),
-            labels: Occupancy::ALL.iter().map(|o| (o.name(), self.labels[o.index()])).collect(),
+            frames: health.frames,
+            dropped: health.dropped_total(),
+            dropped_by_reason: health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect(),
+            labelled: health.labels.iter().sum(),
+            labels: Occupancy::ALL.iter().map(|o| (o.name(), health.labels[o.index()])).collect(),
             balanced_accuracy: all.as_ref().map(|m| m.balanced_accuracy),
             metrics: all,
             metrics_without_transitions: metrics(&self.settled),
             transition_frames: self.transition_frames,
             metrics_unfiltered: metrics(&self.unfiltered),
-            latency_ms: Latency { p50: quantile(0.5), p99: quantile(0.99) },
-            first_label_s: self.first_label_s,
+            latency_ms: Latency {
+                p50: health.latency.quantile_s(0.5) * 1e3,
+                p95: health.latency.quantile_s(0.95) * 1e3,
+                p99: health.latency.quantile_s(0.99) * 1e3,
+            },
+            first_label_s: health.first_label.map(|d| d.as_secs_f64()),
         }
     }
 }
 
-/// Runs until the stream ends: hands every answer and gap to `say`, returns the summary.
+/// Runs until the stream ends: hands every answer and gap to the sinks in their order, and at the end the summary, which it
+/// also returns.
 pub fn run(
     inlet: &Inlet,
     judge: &mut FrameClassifier,
     patience: Duration,
-    mut say: impl FnMut(&FrameClassifier, Event) -> anyhow::Result<()>,
+    sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<Summary> {
-    loop {
-        if crate::output::interrupted() {
-            break;
-        }
+    let outcome = judge_all(inlet, judge, patience, sinks);
+    let summary = judge.summary(inlet.missed.load(Ordering::Relaxed));
+    // Whatever ended the run, what sinks hold is made whole.
+    let mut ends = sinks.iter_mut().map(|sink| sink.end(&summary)).collect::<Vec<_>>().into_iter();
+    outcome.and_then(|()| ends.try_for_each(|end| end))?;
+    Ok(summary)
+}
+
+fn judge_all(
+    inlet: &Inlet,
+    judge: &mut FrameClassifier,
+    patience: Duration,
+    sinks: &mut [Box<dyn Sink>],
+) -> anyhow::Result<()> {
+    while !crate::output::interrupted() {
         let delivery = match inlet.receiver.recv_timeout(patience) {
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
@@ -283,25 +302,19 @@ pub fn run(
         match delivery.item {
             Item::Frame(frame) => {
                 let answer = judge.frame(&frame, delivery.arrived)?;
-                say(judge, Event::Answer(answer))?;
+                let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: judge.health() };
+                for sink in sinks.iter_mut() {
+                    sink.answer(&moment)?;
+                }
             }
             Item::Gap(gap) => {
                 judge.gap(&gap);
-                say(judge, Event::Gap(gap))?;
+                for sink in sinks.iter_mut() {
+                    sink.gap(&gap, judge.health())?;
+                }
             }
-            Item::End(end) => {
-                end.map_err(anyhow::Error::from_boxed)?;
-                break;
-            }
+            Item::End(end) => return end.map_err(anyhow::Error::from_boxed),
         }
     }
-    Ok(judge.summary(inlet.missed.load(Ordering::Relaxed)))
-}
-
-/// What happens on a live run.
-pub enum Event {
-    /// A frame has been judged.
-    Answer(Answer),
-    /// Frames are missing.
-    Gap(Gap),
+    Ok(())
 }

@@ -1,6 +1,9 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
 pub mod classify;
+pub mod health;
 pub mod occupancy;
 pub mod pipeline;
+pub mod screen;
+pub mod sink;
 pub mod view;

@@ -10,11 +10,13 @@ use axum::extract::State;
 use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
 use axum::response::{Html, IntoResponse};
 use axum::routing::get;
-use radome_dsp::Rdm;
+use radome_dsp::{Gap, Rdm};
 use serde::Serialize;
 use tokio::sync::watch;
 
 use super::classify::Answer;
+use super::health::Health;
+use super::sink::{Moment, Sink};
 
 /// Options of the page.
 #[derive(clap::Args)]
@@ -71,14 +73,20 @@ impl Page {
         });
         Ok(Some(Page { newest }))
     }
+}
 
-    /// Makes an answer and its map the newest.
-    pub fn show(&self, answer: &Answer, map: &Rdm) {
+impl Sink for Page {
+    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         if self.newest.receiver_count() > 0
-            && let Some(message) = message(answer, map)
+            && let Some(message) = message(moment.answer, moment.map)
         {
             self.newest.send_replace(message);
         }
+        Ok(())
+    }
+
+    fn gap(&mut self, _gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+        Ok(())
     }
 }
 

@@ -1,0 +1,177 @@
+//! How a run fares, in counters of fixed size: what the page, the metrics and the summary at the end read.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use radome_dsp::{GapReason, Occupancy};
+
+/// Frames over whose arrivals the rate is taken.
+const RATE_FRAMES: usize = 32;
+
+/// Counters of a run.
+#[derive(Debug, Clone)]
+pub struct Health {
+    /// When the run began.
+    pub started: Instant,
+    /// Frames that were judged.
+    pub frames: u64,
+    /// How often each label was given.
+    pub labels: [u64; Occupancy::ALL.len()],
+    /// Frames lost, by reason.
+    pub dropped: BTreeMap<GapReason, u64>,
+    /// Codes at either end of the ADC, over all frames.
+    pub saturated_samples: u64,
+    /// From a frame's last byte to its label.
+    pub latency: LatencyHistogram,
+    /// From the start to the first label.
+    pub first_label: Option<Duration>,
+    /// What the newest frame said of the chip, degrees Celsius in thousandths.
+    pub temperature_millicelsius: Option<i32>,
+    arrivals: VecDeque<Instant>,
+}
+
+impl Health {
+    /// Nothing has happened yet.
+    pub fn new(started: Instant) -> Self {
+        Health {
+            started,
+            frames: 0,
+            labels: [0; Occupancy::ALL.len()],
+            dropped: BTreeMap::new(),
+            saturated_samples: 0,
+            latency: LatencyHistogram::new(),
+            first_label: None,
+            temperature_millicelsius: None,
+            arrivals: VecDeque::with_capacity(RATE_FRAMES),
+        }
+    }
+
+    /// A frame has arrived and been judged.
+    pub fn frame(&mut self, arrived: Instant, latency: Duration) {
+        self.frames += 1;
+        self.latency.add(latency);
+        if self.arrivals.len() == RATE_FRAMES {
+            self.arrivals.pop_front();
+        }
+        self.arrivals.push_back(arrived);
+    }
+
+    /// Frames are missing.
+    pub fn lost(&mut self, reason: GapReason, frames: u64) {
+        *self.dropped.entry(reason).or_default() += frames;
+    }
+
+    /// Frames lost for all reasons.
+    pub fn dropped_total(&self) -> u64 {
+        self.dropped.values().sum()
+    }
+
+    /// Frames in a second, over the newest ones; 0 until there are two.
+    pub fn frames_per_s(&self) -> f64 {
+        let (Some(first), Some(last)) = (self.arrivals.front(), self.arrivals.back()) else { return 0.0 };
+        let span_s = last.duration_since(*first).as_secs_f64();
+        if span_s > 0.0 { (self.arrivals.len() - 1) as f64 / span_s } else { 0.0 }
+    }
+}
+
+/// How often latencies were how long, in bins that are 2 % wide from a microsecond to over a hundred seconds.
+#[derive(Debug, Clone)]
+pub struct LatencyHistogram {
+    counts: Vec<u64>,
+    total: u64,
+    sum_s: f64,
+}
+
+impl LatencyHistogram {
+    const SHORTEST_S: f64 = 1e-6;
+    const RATIO: f64 = 1.02;
+    const BINS: usize = 936;
+
+    fn new() -> Self {
+        LatencyHistogram { counts: vec![0; Self::BINS], total: 0, sum_s: 0.0 }
+    }
+
+    fn add(&mut self, latency: Duration) {
+        let latency_s = latency.as_secs_f64();
+        let bin = (latency_s / Self::SHORTEST_S).max(1.0).ln() / Self::RATIO.ln();
+        self.counts[(bin as usize).min(Self::BINS - 1)] += 1;
+        self.total += 1;
+        self.sum_s += latency_s;
+    }
+
+    /// Latencies that were counted.
+    pub fn count(&self) -> u64 {
+        self.total
+    }
+
+    /// Their sum, s.
+    pub fn sum_s(&self) -> f64 {
+        self.sum_s
+    }
+
+    /// Latency, within one percent, that a share `q` of frames did not exceed, s; 0 if there was none.
+    pub fn quantile_s(&self, q: f64) -> f64 {
+        let rank = (q * self.total.saturating_sub(1) as f64).round() as u64;
+        let mut seen = 0;
+        for (bin, count) in self.counts.iter().enumerate() {
+            seen += count;
+            if seen > rank {
+                return Self::SHORTEST_S * Self::RATIO.powf(bin as f64 + 0.5);
+            }
+        }
+        0.0
+    }
+
+    /// Latencies of at most `bound_s`, to the nearest bin.
+    pub fn count_up_to(&self, bound_s: f64) -> u64 {
+        let bins = (bound_s / Self::SHORTEST_S).max(1.0).ln() / Self::RATIO.ln();
+        self.counts.iter().take(bins.round() as usize).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn quantiles_are_those_of_the_sorted_latencies_within_a_percent() {
+        let mut histogram = LatencyHistogram::new();
+        // 10 us to 10 s, evenly over logarithms: quantile q is 10 us * 10^(6 q).
+        for i in 0..10_001 {
+            histogram.add(Duration::from_secs_f64(1e-5 * 10f64.powf(6.0 * f64::from(i) / 1e4)));
+        }
+        for q in [0.0, 0.01, 0.5, 0.95, 0.99, 1.0] {
+            let ratio = histogram.quantile_s(q) / (1e-5 * 10f64.powf(6.0 * q));
+            assert!((ratio - 1.0).abs() < 0.0105, "{q}: {ratio}");
+        }
+        assert_eq!(histogram.count(), 10_001);
+        assert!((histogram.count_up_to(1e-2) as f64 / 5_000.0 - 1.0).abs() < 0.01);
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn none_one_and_those_beyond_the_bins() {
+            let mut histogram = LatencyHistogram::new();
+            assert_eq!(histogram.quantile_s(0.5), 0.0);
+            histogram.add(Duration::ZERO);
+            assert!(histogram.quantile_s(0.5) < 1.1e-6);
+            histogram.add(Duration::from_secs(100_000));
+            assert!(histogram.quantile_s(1.0) > 100.0);
+        }
+
+        #[test]
+        fn no_rate_before_two_frames() {
+            let now = Instant::now();
+            let mut health = Health::new(now);
+            assert_eq!(health.frames_per_s(), 0.0);
+            health.frame(now, Duration::ZERO);
+            assert_eq!(health.frames_per_s(), 0.0);
+            for i in 1..100 {
+                health.frame(now + Duration::from_millis(100 * i), Duration::ZERO);
+            }
+            assert!((health.frames_per_s() - 10.0).abs() < 1e-9);
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Answers on the terminal, or as JSON lines.
+
+use std::io::IsTerminal;
+
+use radome_dsp::{Gap, Occupancy};
+use serde_json::json;
+
+use super::classify::Summary;
+use super::health::Health;
+use super::sink::{Moment, Sink};
+use crate::output;
+
+/// Answers as JSON lines or as text for people: one line a change, and a line that lives on a terminal.
+pub struct Screen {
+    json: bool,
+    is_terminal: bool,
+    last: Option<(Option<Occupancy>, Option<Occupancy>)>,
+}
+
+impl Screen {
+    /// A screen whose head, if it has one, is written.
+    pub fn new(json: bool) -> Self {
+        let is_terminal = !json && std::io::stdout().is_terminal();
+        if !json {
+            println!("{:>8}  {:7} {:^23}  {:7} {:>10}", "time", "label", "empty   one     two", "truth", "latency");
+        }
+        Screen { json, is_terminal, last: None }
+    }
+}
+
+impl Sink for Screen {
+    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
+        let answer = moment.answer;
+        if self.json {
+            return output::json_line(answer);
+        }
+        let state = (answer.label, answer.truth);
+        let is_change = self.last != Some(state);
+        if !self.is_terminal && !is_change {
+            return Ok(());
+        }
+        let label = answer.label.map_or("-", Occupancy::name);
+        let values = match (&answer.probabilities, &answer.warming_up) {
+            (Some(p), _) => p.to_string(),
+            (None, Some(progress)) => format!("warming up {progress}"),
+            (None, None) => String::new(),
+        };
+        let mut truth = answer.truth.map_or("", Occupancy::name).to_owned();
+        if answer.transition == Some(true) {
+            truth.push('~');
+        }
+        let line = format!("{:7.2}s  {label:7} {values:23}  {truth:7} {:7.1} ms", answer.time_s, answer.latency_ms);
+        if self.is_terminal {
+            use std::io::Write;
+            let mut stdout = std::io::stdout().lock();
+            // A change stays on the screen; what is unchanged is written over.
+            let end = if is_change && self.last.is_some() { "\n" } else { "" };
+            write!(stdout, "{end}\r{line}\x1b[K")?;
+            stdout.flush()?;
+        } else {
+            output::text_line(&line)?;
+        }
+        self.last = Some(state);
+        Ok(())
+    }
+
+    fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+        if self.json {
+            return output::json_line(&json!({ "gap": gap }));
+        }
+        eprintln!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
+        Ok(())
+    }
+
+    fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
+        if self.json {
+            return output::json_line(&json!({ "summary": summary }));
+        }
+        if self.is_terminal {
+            println!();
+        }
+        let mut line = format!("{} frames, {} dropped", summary.frames, summary.dropped);
+        if let Some(accuracy) = summary.balanced_accuracy {
+            line += &format!(", balanced accuracy {accuracy:.3}");
+        }
+        if let Some(settled) = &summary.metrics_without_transitions {
+            line += &format!(
+                " ({:.3} without the {} frames of entering and leaving)",
+                settled.balanced_accuracy, summary.transition_frames
+            );
+        }
+        line += &format!(", latency {:.1} ms median, {:.1} ms p99", summary.latency_ms.p50, summary.latency_ms.p99);
+        output::text_line(&line)
+    }
+}

@@ -1,0 +1,36 @@
+//! Where answers go: the terminal, the page, the home, a recording.
+
+use std::sync::Arc;
+
+use radome_dsp::{Frame, Gap, Rdm};
+
+use super::classify::{Answer, Summary};
+use super::health::Health;
+
+/// A frame that has been judged, and everything that is known then.
+pub struct Moment<'a> {
+    /// What is said about it.
+    pub answer: &'a Answer,
+    /// The frame; a sink that keeps it longer takes it out of the pool, which then grows by one.
+    pub frame: &'a Arc<Frame>,
+    /// Its map; what it shows means nothing while the answer warms up.
+    pub map: &'a Rdm,
+    /// The run so far.
+    pub health: &'a Health,
+}
+
+/// Takes answers in their order, on the classifier's thread: what may wait for a network or a person does so on a thread of
+/// its own. An error ends the run.
+pub trait Sink {
+    /// A frame has been judged.
+    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()>;
+
+    /// Frames are missing here.
+    fn gap(&mut self, gap: &Gap, health: &Health) -> anyhow::Result<()>;
+
+    /// The run is over, however it ended.
+    fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
+        let _ = summary;
+        Ok(())
+    }
+}
