@@ -41,5 +41,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         json: arguments.json,
         delays: Default::default(),
         view: &arguments.view,
+        output: None,
+        home: &Default::default(),
     })
 }

@@ -1,10 +1,17 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::{Context, bail};
+use radome_driver::recording::mcap::RESULTS_VERSION;
+use radome_driver::{Judge, RecordingHeader};
 use radome_models::Classifier;
+use sha2::{Digest, Sha256};
 
+use crate::files;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
+use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
+use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -19,6 +26,9 @@ pub struct Arguments {
     /// Model file; a board is programmed with the waveform that it names
     #[arg(long)]
     model: PathBuf,
+    /// Record frames and answers to this MCAP file
+    #[arg(short, long, value_name = "FILE.mcap")]
+    output: Option<PathBuf>,
     /// Stop after so many frames
     #[arg(long)]
     frames: Option<u64>,
@@ -42,6 +52,8 @@ pub struct Arguments {
     json: bool,
     #[command(flatten)]
     view: view::Arguments,
+    #[command(flatten)]
+    home: home::Arguments,
 }
 
 /// Online classification of any source.
@@ -56,6 +68,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
+        output: arguments.output.as_deref(),
+        home: &arguments.home,
     })
 }
 
@@ -79,12 +93,22 @@ pub struct Watch<'a> {
     pub delays: Delays,
     /// The page.
     pub view: &'a view::Arguments,
+    /// Recording to write.
+    pub output: Option<&'a Path>,
+    /// Who else is told.
+    pub home: &'a home::Arguments,
 }
 
 /// Watches a source until it ends, is stopped, or has given enough frames.
 pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let started = Instant::now();
     output::catch_interrupts()?;
+    if let Some(path) = watch.output {
+        files::check_parent(path)?;
+        if is_same(path, Path::new(watch.source)) {
+            bail!("{} is source and output at once\n\nhint: choose another name", path.display());
+        }
+    }
     let classifier = Classifier::load(watch.model)?;
     let options = SourceOptions {
         waveform: Some(classifier.waveform().clone()),
@@ -98,18 +122,49 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(classifier, &waveform, watch.delays, started)?;
     let page = view::Page::open(watch.view)?;
+    let header = RecordingHeader {
+        waveform,
+        board: source.board.clone(),
+        registers: source.registers.clone(),
+        judge: Some(judge_named(watch)?),
+    };
+    let mut home = Home::open(watch.home, &header, started)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
+    let recorder = match watch.output {
+        Some(path) => {
+            let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy))?)
+        }
+        None => None,
+    };
     let reader = pipeline.start(source.frames, watch.frames);
-    let patience = Duration::from_secs_f64((2.0 * waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
+    let mut sinks: Vec<Box<dyn Sink>> = home.take_sinks();
+    if let Some(recorder) = recorder {
+        sinks.push(Box::new(recorder));
+    }
     if let Some(page) = page {
         sinks.push(Box::new(page));
     }
     sinks.push(Box::new(Screen::new(watch.json)));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
+    drop(home);
     outcome.map(drop)
+}
+
+/// Who judges, as recordings name it.
+fn judge_named(watch: &Watch) -> anyhow::Result<Judge> {
+    let bytes = std::fs::read(watch.model).with_context(|| format!("cannot read {}", watch.model.display()))?;
+    let model = watch.model.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    let model_hash = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    let Delays { on_s, off_s } = watch.delays;
+    Ok(Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: on_s, off_delay_s: off_s })
+}
+
+fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }

@@ -18,6 +18,7 @@ mod rcs;
 mod rdm;
 mod record;
 mod repair;
+mod results;
 mod simulate;
 mod study;
 mod train;
@@ -43,6 +44,8 @@ pub enum Command {
     Convert(convert::Arguments),
     /// What can be read of a cut or damaged recording, as a new file, and what is lost
     Repair(repair::Arguments),
+    /// What was said about the frames of a recording, as CSV
+    Results(results::Arguments),
     /// Labels of a recording, to and from Audacity tracks and DEEPCRAFT files
     Labels(labels::Arguments),
     /// One target through the solver: radar cross-section, analytic value, error, time
@@ -82,6 +85,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Repair(arguments) => repair::run(&arguments),
+        Command::Results(arguments) => results::run(&arguments),
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),

@@ -2,8 +2,10 @@
 
 pub mod classify;
 pub mod health;
+pub mod home;
 pub mod occupancy;
 pub mod pipeline;
+pub mod recorder;
 pub mod screen;
 pub mod sink;
 pub mod view;
