@@ -170,7 +170,7 @@ mod tests {
 
     #[test]
     fn occupancy_and_count_come_from_one_number() {
-        let said = |people| Said { sequence: 0, label: radome_dsp::Occupancy::One, probabilities: [0.1, 0.7, 0.2], people };
+        let said = |people| Said { probabilities: [0.1, 0.7, 0.2], people };
         let state = |people| state(&said(people), 3);
         assert_eq!(state(0)["occupancy"], "OFF");
         assert_eq!((state(1)["occupancy"].as_str(), state(1)["confidence"].as_f64()), (Some("ON"), Some(0.7)));

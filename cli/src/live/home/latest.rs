@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Gap, Occupancy};
+use radome_dsp::Gap;
 use tokio::sync::watch;
 
 use crate::live::classify::Summary;
@@ -14,10 +14,6 @@ use crate::live::sink::{Moment, Sink};
 /// What was said last.
 #[derive(Debug, Clone, Copy)]
 pub struct Said {
-    /// Number of the frame.
-    pub sequence: u64,
-    /// Most likely class of the frame.
-    pub label: Occupancy,
     /// Probabilities of empty, one and two.
     pub probabilities: [f32; 3],
     /// People that the room counts as holding, after delays: the one authoritative answer.
@@ -120,9 +116,8 @@ impl Sink for LatestSink {
         let mut newest = self.0.lock();
         newest.health.copy_from(moment.health);
         newest.judged = Some(Instant::now());
-        let (Some(label), Some(probabilities)) = (answer.label, answer.probabilities) else { return Ok(()) };
-        let said =
-            Said { sequence: answer.sequence, label, probabilities: probabilities.into(), people: answer.people };
+        let Some(probabilities) = answer.probabilities else { return Ok(()) };
+        let said = Said { probabilities: probabilities.into(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
         drop(newest);
         if is_change {
