@@ -407,7 +407,7 @@ mod hard_cases {
         broker.publish(&topic, &["-f", large]);
         broker.publish("homeassistant/status", &["-m", "offline"]);
         broker.publish("homeassistant/status", &["-m", "../../etc/passwd"]);
-        broker.publish(&topic, &["-m", "\u{0}\u{ffff}"]);
+        broker.publish(&topic, &["-m", "\u{1}\u{ffff}"]);
         let flood: String = (0..3000).map(|_| "online\n").collect();
         let mut command = Command::new(program("mosquitto_pub").expect("there"));
         command.args(["-p", &broker.port.to_string(), "-t", "homeassistant/status", "-l"]);
