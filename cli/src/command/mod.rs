@@ -8,6 +8,7 @@ mod convert;
 mod dataset;
 mod demo;
 mod devices;
+mod echoes;
 mod emulate;
 mod evaluate;
 mod export;
@@ -49,6 +50,8 @@ pub enum Command {
     Rcs(rcs::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
+    /// Range, speed, azimuth and elevation of what moves, frame by frame; and what a board's receivers are unlike in
+    Echoes(echoes::Arguments),
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
     /// Fit a receiver to a recording; how far simulations are from it, before and after
@@ -85,6 +88,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
+        Command::Echoes(arguments) => echoes::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),
