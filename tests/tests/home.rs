@@ -240,7 +240,8 @@ fn prometheus_reads_counters_gauges_and_a_histogram() {
             let (name, value) = line.rsplit_once(' ').expect("a sample");
             assert!(value.parse::<f64>().is_ok_and(f64::is_finite), "{line}");
             let family = name.split('{').next().expect("a name");
-            let of = |suffix: &str| family.strip_suffix(suffix).is_some_and(|name| types.get(name) == Some(&"histogram"));
+            let of =
+                |suffix: &str| family.strip_suffix(suffix).is_some_and(|name| types.get(name) == Some(&"histogram"));
             assert!(types.contains_key(family) || of("_bucket") || of("_sum") || of("_count"), "{line} has no type");
         }
     }
@@ -287,7 +288,9 @@ impl Ear {
     }
 
     fn wait_for(&self, what: &str) {
-        wait_for(what, || self.hear(Duration::from_millis(100)).iter().any(|line| line.starts_with(what)).then_some(()));
+        wait_for(what, || {
+            self.hear(Duration::from_millis(100)).iter().any(|line| line.starts_with(what)).then_some(())
+        });
     }
 }
 
@@ -298,7 +301,9 @@ fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_
     let scene = fixture("scenes/corridor.toml");
     let board = Running::start(radome().arg("emulate").arg("--from").arg(scene).args(["--speed", "1"]));
     let port = board.stdout.find(0, "the board's port", |line| {
-        line.split(|c: char| c.is_whitespace() || c == '"').find(|word| word.starts_with("/dev/pts/")).map(str::to_owned)
+        line.split(|c: char| c.is_whitespace() || c == '"')
+            .find(|word| word.starts_with("/dev/pts/"))
+            .map(str::to_owned)
     });
     let mut live = radome();
     live.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
@@ -375,7 +380,9 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
         let found = json_lines(radome().arg("labels").arg(path).arg("--json"));
         assert_eq!(found[0].as_array().map(Vec::len), Some(1), "{found:?}");
         labels.push(found[0][0]["label"].as_str().expect("a label").to_owned());
-        let frames = json_lines(radome().arg("live").arg(path).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json"));
+        let frames = json_lines(
+            radome().arg("live").arg(path).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json"),
+        );
         assert_eq!(frames.len(), answers.len() + 1, "as many frames as answers");
     }
     labels.sort();
@@ -448,8 +455,15 @@ mod hard_cases {
         let before = metric(&scrape(port, |page| page.contains("\nradome_up 1\n")), "radome_http_refused_total");
         let mut refused = 0.0;
         for path in [
-            "/", "/metrics/", "/../../etc/passwd", "/metrics/../../etc/passwd", "/%2e%2e/%2e%2e/etc/passwd",
-            "//etc/passwd", "/metrics%00", "/report/empty", "/report/../metrics",
+            "/",
+            "/metrics/",
+            "/../../etc/passwd",
+            "/metrics/../../etc/passwd",
+            "/%2e%2e/%2e%2e/etc/passwd",
+            "//etc/passwd",
+            "/metrics%00",
+            "/report/empty",
+            "/report/../metrics",
         ] {
             let answer = get(port, path);
             assert!(answer.starts_with("HTTP/1.1 4"), "{path}: {answer}");
@@ -460,12 +474,17 @@ mod hard_cases {
         let many: String = (0..500).map(|i| format!("H{i}: x\r\n")).collect();
         let many = format!("GET /metrics HTTP/1.1\r\n{many}\r\n");
         let slow = b"GET /metrics HTTP/1.1\r\nHost: ra";
-        for request in [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]] {
+        for request in
+            [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]]
+        {
             let answer = ask(port, request);
             assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
             refused += 1.0;
         }
-        for request in ["POST /metrics HTTP/1.1\r\nHost: r\r\n\r\n", "POST /report/empty HTTP/1.1\r\nHost: r\r\nOrigin: http://evil\r\n\r\n"] {
+        for request in [
+            "POST /metrics HTTP/1.1\r\nHost: r\r\n\r\n",
+            "POST /report/empty HTTP/1.1\r\nHost: r\r\nOrigin: http://evil\r\n\r\n",
+        ] {
             let answer = ask(port, request.as_bytes());
             assert!(answer.starts_with("HTTP/1.1 405") || answer.starts_with("HTTP/1.1 403"), "{answer}");
             refused += 1.0;

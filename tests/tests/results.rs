@@ -35,7 +35,12 @@ fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
     }
     // The frames are those of a recording that nobody judged.
     let judged_again = json_lines(
-        radome().arg("live").arg(at("night.mcap")).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json"),
+        radome()
+            .arg("live")
+            .arg(at("night.mcap"))
+            .arg("--model")
+            .arg(fixture("models/paper-hqnn.safetensors"))
+            .arg("--json"),
     );
     assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
 
@@ -97,7 +102,10 @@ fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_reada
         let kept = results(&night);
         let sequences: Vec<_> = kept.iter().map(|result| result["sequence"].as_u64().expect("a number")).collect();
         assert!(sequences.iter().copied().eq(0..kept.len() as u64), "{sequences:?}");
-        assert!(kept.iter().all(|result| result["host_time_ns"].as_u64().is_some_and(|ns| ns > 0)), "a board's frames have times");
+        assert!(
+            kept.iter().all(|result| result["host_time_ns"].as_u64().is_some_and(|ns| ns > 0)),
+            "a board's frames have times"
+        );
         if is_whole {
             assert_eq!(kept.len(), said);
         } else {
@@ -117,7 +125,13 @@ mod hard_cases {
         }
         let mut command = radome();
         command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
-        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args(["--frames", "60", "--json", "-o", "/dev/full"]);
+        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args([
+            "--frames",
+            "60",
+            "--json",
+            "-o",
+            "/dev/full",
+        ]);
         let told = failure(&mut command);
         assert!(told.contains("/dev/full"), "{told}");
     }

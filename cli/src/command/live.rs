@@ -4,10 +4,10 @@ use std::time::{Duration, Instant};
 use anyhow::{Context, bail};
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_driver::{Judge, RecordingHeader};
-use radome_models::Classifier;
 use sha2::{Digest, Sha256};
 
 use crate::files;
+use crate::judge::Model;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
@@ -23,7 +23,7 @@ use crate::source::{self, SourceOptions};
 pub struct Arguments {
     /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
     source: String,
-    /// Model file; a board is programmed with the waveform that it names
+    /// Model file, which names the waveform that a board is programmed with; or cfar, the classical detector, for any waveform
     #[arg(long)]
     model: PathBuf,
     /// Record frames and answers to this MCAP file
@@ -109,9 +109,10 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
             bail!("{} is source and output at once\n\nhint: choose another name", path.display());
         }
     }
-    let classifier = Classifier::load(watch.model)?;
+    let model = Model::open(watch.model)?;
+    let is_detector = matches!(model, Model::Cfar);
     let options = SourceOptions {
-        waveform: Some(classifier.waveform().clone()),
+        waveform: model.waveform().cloned(),
         seed: watch.seed,
         people: watch.people,
         frames: watch.frames,
@@ -120,13 +121,13 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(classifier, &waveform, watch.delays, started)?;
+    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?;
     let page = view::Page::open(watch.view)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
         registers: source.registers.clone(),
-        judge: Some(judge_named(watch)?),
+        judge: Some(named(watch, is_detector)?),
     };
     let mut home = Home::open(watch.home, &header, started)?;
 
@@ -157,10 +158,16 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
 }
 
 /// Who judges, as recordings name it.
-fn judge_named(watch: &Watch) -> anyhow::Result<Judge> {
-    let bytes = std::fs::read(watch.model).with_context(|| format!("cannot read {}", watch.model.display()))?;
+fn named(watch: &Watch, is_detector: bool) -> anyhow::Result<Judge> {
     let model = watch.model.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let model_hash = Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect();
+    let model_hash = match is_detector {
+        // It is this program's own.
+        true => format!("radome {}", env!("CARGO_PKG_VERSION")),
+        false => {
+            let bytes = std::fs::read(watch.model).with_context(|| format!("cannot read {}", watch.model.display()))?;
+            Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+        }
+    };
     let Delays { on_s, off_s } = watch.delays;
     Ok(Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: on_s, off_delay_s: off_s })
 }

@@ -8,6 +8,8 @@ mod convert;
 mod dataset;
 mod demo;
 mod devices;
+mod doctor;
+mod echoes;
 mod emulate;
 mod evaluate;
 mod export;
@@ -32,6 +34,8 @@ pub enum Command {
     Demo(demo::Arguments),
     /// Boards and debug probes on this machine: who they say they are, or what to do about those that cannot be used
     Devices(devices::Arguments),
+    /// What could keep the program from working here: permissions, ports, library, model against board, disk
+    Doctor(doctor::Arguments),
     /// Check a waveform: derived ranges, resolutions, data rate
     Config(config::Arguments),
     /// Capture a source to a file, lossless or loud
@@ -52,6 +56,8 @@ pub enum Command {
     Rcs(rcs::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
+    /// Range, speed, azimuth and elevation of what moves, frame by frame; and what a board's receivers are unlike in
+    Echoes(echoes::Arguments),
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
     /// Fit a receiver to a recording; how far simulations are from it, before and after
@@ -79,6 +85,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
         Command::Devices(arguments) => devices::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Live(arguments) => live::run(&arguments),
@@ -89,6 +96,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
+        Command::Echoes(arguments) => echoes::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),

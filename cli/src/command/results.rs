@@ -32,7 +32,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let recording = Recording::open(&arguments.recording)?;
     let judge = recording.header().judge;
     let Some((results, judge)) = recording.results()?.zip(judge) else {
-        bail!("{named} holds no results\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames");
+        bail!(
+            "{named} holds no results\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
+        );
     };
     eprintln!(
         "judged by {} (SHA-256 {}), on after {} s, off after {} s",
@@ -67,7 +69,8 @@ fn write_csv(
 }
 
 fn csv_line(result: &FrameResult) -> String {
-    let probabilities = result.probabilities.map_or(",,".to_owned(), |[empty, one, two]| format!("{empty},{one},{two}"));
+    let probabilities =
+        result.probabilities.map_or(",,".to_owned(), |[empty, one, two]| format!("{empty},{one},{two}"));
     let host_time = match result.host_time_ns {
         0 => String::new(),
         ns => format!("{:.3}", ns as f64 * 1e-9),

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
-use radome_models::Classifier;
+use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
@@ -14,6 +13,7 @@ use super::health::Health;
 use super::occupancy::PeopleCount;
 use super::pipeline::{Inlet, Item};
 use super::sink::{Moment, Sink};
+use crate::judge::{Judge, Model, Verdict};
 
 /// Probabilities of the classes by name.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -142,9 +142,7 @@ impl Default for Delays {
 
 /// Judges frames one after the other.
 pub struct FrameClassifier {
-    classifier: Classifier,
-    processor: RdmProcessor,
-    map: Rdm,
+    judge: Judge,
     filter: OccupancyFilter,
     people: PeopleCount,
     health: Health,
@@ -159,19 +157,10 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
-    pub fn new(
-        classifier: Classifier,
-        waveform: &radome_dsp::Waveform,
-        delays: Delays,
-        started: Instant,
-    ) -> anyhow::Result<Self> {
-        waveform.check_compatible(classifier.waveform())?;
-        let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
+    pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
         Ok(FrameClassifier {
-            map: processor.empty_map(),
-            processor,
-            filter: OccupancyFilter::new(classifier.card().smoothing),
-            classifier,
+            filter: OccupancyFilter::new(model.smoothing()),
+            judge: model.judge(waveform)?,
             people: PeopleCount::new(delays.on_s, delays.off_s),
             health: Health::new(started),
             transition_frames: 0,
@@ -183,7 +172,7 @@ impl FrameClassifier {
 
     /// The last map that was made.
     pub fn map(&self) -> &Rdm {
-        &self.map
+        self.judge.map()
     }
 
     /// The run so far.
@@ -194,12 +183,12 @@ impl FrameClassifier {
     /// Notes missing frames and forgets what must not reach across them.
     pub fn gap(&mut self, gap: &Gap) {
         self.health.lost(gap.reason, gap.frames);
-        self.processor.reset();
+        self.judge.reset();
     }
 
     /// Judges a frame that arrived at `arrived`.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
-        let status = self.processor.process(frame, &mut self.map)?;
+        let verdict = self.judge.frame(frame)?;
         let mut answer = Answer {
             sequence: frame.sequence,
             time_s: frame.time_s(),
@@ -214,13 +203,12 @@ impl FrameClassifier {
             saturated_samples: 0,
             latency_ms: 0.0,
         };
-        match status {
-            MapStatus::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
-            MapStatus::Ready => {
-                let raw = self.classifier.classify(&self.map)?;
+        match verdict {
+            Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
+            Verdict::Probabilities(raw) => {
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
-                answer.saturated_samples = self.map.flags.saturated_samples;
+                answer.saturated_samples = self.map().flags.saturated_samples;
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);

@@ -49,7 +49,8 @@ impl Health {
     /// Becomes a copy of another; in the steady state without setting memory aside.
     pub fn copy_from(&mut self, other: &Health) {
         let Health { started, frames, labels, dropped, saturated_samples, latency, first_label, .. } = other;
-        (self.started, self.frames, self.labels, self.saturated_samples) = (*started, *frames, *labels, *saturated_samples);
+        (self.started, self.frames, self.labels, self.saturated_samples) =
+            (*started, *frames, *labels, *saturated_samples);
         (self.first_label, self.temperature_millicelsius) = (*first_label, other.temperature_millicelsius);
         if self.dropped != *dropped {
             self.dropped.clone_from(dropped);

@@ -9,10 +9,10 @@ mod wire;
 use std::path::{Path, PathBuf};
 
 use make::{GAP, HOST_NS, code, frames, header, judge, labels, results, waveform};
-use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_driver::recording::Recording;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
 use radome_driver::recording::mcap::{append_labels, repair};
+use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
 fn golden(name: &str) -> PathBuf {
@@ -111,14 +111,21 @@ fn the_judged_recording_holds_what_it_held() {
     let found: Vec<_> = reader.results().expect("results").expect("some").map(|r| r.expect("reads")).collect();
     assert_eq!(found, results());
     assert_eq!(found.iter().map(|r| r.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 8, 9]);
-    assert_eq!((found[0].label, found[1].label, found[1].probabilities), (None, Some(Occupancy::One), Some([0.125, 0.75, 0.125])));
-    assert_eq!((found[3].occupied, found[3].people, found[3].latency_ns, found[3].time_ns), (true, 1, 1_000_003, 1_200_000_000));
+    assert_eq!(
+        (found[0].label, found[1].label, found[1].probabilities),
+        (None, Some(Occupancy::One), Some([0.125, 0.75, 0.125]))
+    );
+    assert_eq!(
+        (found[3].occupied, found[3].people, found[3].latency_ns, found[3].time_ns),
+        (true, 1, 1_000_003, 1_200_000_000)
+    );
     // Frames and labels are those of a recording without results.
     assert_eq!(reader.labels().expect("labels"), labels());
     let (all, gap, error) = read(&mut reader);
     assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
     // A recording without a judge has none, the vendor's cannot have any.
-    let mut without = Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
+    let mut without =
+        Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
     assert!(without.next().is_none());
     assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
 }
@@ -258,7 +265,9 @@ mod hard_cases {
                     // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole frames, nothing
                     // says. An MCAP file says that it was never finished.
                     let is_complete = match recording {
-                        "recording.mcap" | "judged.mcap" => McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete()),
+                        "recording.mcap" | "judged.mcap" => {
+                            McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete())
+                        }
                         _ if file.ends_with(".csv") && !bytes[cut..bytes.len() - 1].contains(&b'\n') => false,
                         _ if *file == "sdk.txt" && cut % (bytes.len() / whole.len()) == 0 => false,
                         _ => error.is_none() && !bytes[cut..].trim_ascii().is_empty(),

@@ -11,7 +11,8 @@ use rumqttc::{TlsConfiguration, Transport};
 use rustls::pki_types::CertificateDer;
 use rustls::pki_types::pem::PemObject;
 
-const GRAMMAR: &str = "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password in RADOME_MQTT_PASSWORD";
+const GRAMMAR: &str =
+    "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password in RADOME_MQTT_PASSWORD";
 /// Longest packet that is taken from a broker: what is subscribed to has messages of a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
 /// How long a silent connection lives; the broker says that the radar is gone after one and a half times this.
@@ -147,7 +148,10 @@ mod tests {
     #[test]
     fn the_environment_adds_what_the_address_lacks_and_logs_show_no_password() {
         let with = |url| Broker::parse_with(url, Some("env".into()), Some("secret".into())).expect("parses");
-        assert_eq!((with("mqtt://hub").user.as_deref(), with("mqtt://u@hub").user.as_deref()), (Some("env"), Some("u")));
+        assert_eq!(
+            (with("mqtt://hub").user.as_deref(), with("mqtt://u@hub").user.as_deref()),
+            (Some("env"), Some("u"))
+        );
         assert_eq!(with("mqtt://u:p@hub").password.as_deref(), Some("p"));
         assert_eq!(with("mqtt://u@hub").to_string(), "hub:1883");
     }
@@ -157,10 +161,19 @@ mod tests {
 
         #[test]
         fn what_is_no_address_is_refused_with_a_hint() {
-            for url in
-                ["", "hub", "http://hub", "mqtt://", "mqtt://hub:0", "mqtt://hub:x", "mqtt://hub:99999", "mqtt://hub/a/b",
-                 "mqtt://u:p@", "mqtt://%ff@hub", "mqtt://hub?x=1"]
-            {
+            for url in [
+                "",
+                "hub",
+                "http://hub",
+                "mqtt://",
+                "mqtt://hub:0",
+                "mqtt://hub:x",
+                "mqtt://hub:99999",
+                "mqtt://hub/a/b",
+                "mqtt://u:p@",
+                "mqtt://%ff@hub",
+                "mqtt://hub?x=1",
+            ] {
                 let Err(error) = parse(url) else { panic!("{url} was taken") };
                 let said = format!("{error:#}");
                 assert!(said.contains("hint:") || url.contains("%ff"), "{url}: {said}");

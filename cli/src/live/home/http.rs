@@ -78,11 +78,7 @@ pub async fn serve(listener: TcpListener, latest: Arc<Latest>, reports: Option<R
     }
 }
 
-async fn count_refused(
-    State(latest): State<Arc<Latest>>,
-    request: axum::extract::Request,
-    next: Next,
-) -> Response {
+async fn count_refused(State(latest): State<Arc<Latest>>, request: axum::extract::Request, next: Next) -> Response {
     let response = next.run(request).await;
     if response.status().is_client_error() {
         count(&latest.counters.http_refused);

@@ -167,13 +167,8 @@ impl Keeper {
         if fits_s < span_s {
             eprintln!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");
         }
-        let ring = Ring {
-            entries: VecDeque::new(),
-            bytes: 0,
-            span_ns: (span_s * 1e9) as u64,
-            most_bytes,
-            newest_ns: 0,
-        };
+        let ring =
+            Ring { entries: VecDeque::new(), bytes: 0, span_ns: (span_s * 1e9) as u64, most_bytes, newest_ns: 0 };
         let ring = Arc::new(Mutex::new(ring));
         let (sender, receiver) = bounded(2);
         let saving = Saving {

@@ -56,7 +56,11 @@ pub fn text(latest: &Latest) -> String {
     page.sample("radome_saturated_samples_total", &[], health.saturated_samples as f64);
     page.metric("radome_frame_rate_hertz", "gauge", "Frames in a second, over the newest.");
     page.sample("radome_frame_rate_hertz", &[], health.frames_per_s());
-    page.metric("radome_chip_temperature_celsius", "gauge", "Temperature of the radar chip; absent where none is known.");
+    page.metric(
+        "radome_chip_temperature_celsius",
+        "gauge",
+        "Temperature of the radar chip; absent where none is known.",
+    );
     if let Some(temperature) = health.temperature_millicelsius {
         page.sample("radome_chip_temperature_celsius", &[], f64::from(temperature) * 1e-3);
     }

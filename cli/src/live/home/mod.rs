@@ -1,7 +1,7 @@
 //! What the house reads of a run: MQTT for its hub, metrics for Prometheus, notifications for systemd. All of them look at what
 //! is newest when it suits them, on threads of their own: none of them can hold up the classifier.
 
-mod broker;
+pub mod broker;
 mod discovery;
 mod http;
 mod keep;
@@ -110,7 +110,11 @@ impl Home {
         }
         if let Some(reports) = reports {
             let mut signals = signal(SignalKind::user_defined1()).context("cannot catch SIGUSR1")?;
-            tokio::spawn(async move { while signals.recv().await.is_some() { report_false_alarm(&reports) } });
+            tokio::spawn(async move {
+                while signals.recv().await.is_some() {
+                    report_false_alarm(&reports)
+                }
+            });
         }
         drop(_inside);
         home.runtime = Some(runtime);

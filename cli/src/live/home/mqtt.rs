@@ -5,10 +5,10 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use radome_dsp::Occupancy;
+use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{LastWill, Packet, Publish};
 use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
-use rumqttc::Outgoing;
 use tokio::sync::{mpsc, watch};
 
 use super::broker::Broker;
@@ -133,7 +133,10 @@ impl Listener {
                     let words = in_words(&error);
                     // Once for each kind of trouble.
                     if words != last_words {
-                        tracing::warn!("MQTT broker {}: {words}; trying again, frames are judged meanwhile", self.broker);
+                        tracing::warn!(
+                            "MQTT broker {}: {words}; trying again, frames are judged meanwhile",
+                            self.broker
+                        );
                         last_words = words;
                     }
                     let _ = self.hears.send(Heard::Lost).await;
@@ -168,7 +171,8 @@ fn in_words(error: &ConnectionError) -> String {
         ConnectionError::Io(error) => error.to_string(),
         ConnectionError::Timeout(_) => "no answer".into(),
         ConnectionError::ConnectionRefused(Code::BadUserNamePassword | Code::NotAuthorized) => {
-            "it refuses the login (user and password in the URL, or in RADOME_MQTT_USER and RADOME_MQTT_PASSWORD)".into()
+            "it refuses the login (user and password in the URL, or in RADOME_MQTT_USER and RADOME_MQTT_PASSWORD)"
+                .into()
         }
         other => other.to_string(),
     }

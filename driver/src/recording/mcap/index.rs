@@ -31,6 +31,11 @@ pub(super) struct Index {
 }
 
 impl Index {
+    /// Whether a chunk starts here.
+    pub fn is_chunk(&self, offset: u64) -> bool {
+        self.chunks.binary_search_by_key(&offset, |chunk| chunk.offset).is_ok()
+    }
+
     /// Finds the chunks of a file.
     pub fn read(records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<Self, RecordingError> {
         let summary_start = summary_start(records)?;

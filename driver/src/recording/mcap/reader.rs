@@ -208,6 +208,11 @@ impl McapReader {
                     self.chunk_offset = at;
                     self.pending = read_chunk(&self.records, at, &self.body, &mut self.channels)?.into();
                 }
+                // A chunk whose first byte has become another's would go missing without a word.
+                Next::Record(_, at) if self.index.is_chunk(at) => {
+                    let reason = "the index says that a chunk starts here, but none does";
+                    return Err(self.records.corrupt(at, reason.into()));
+                }
                 Next::Record(..) => {}
                 Next::End => self.ended = true,
                 Next::CutShort => {

@@ -27,8 +27,7 @@ pub(super) enum Topic {
 }
 
 pub(super) fn topic(name: &str) -> Option<Topic> {
-    let topics =
-        [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label), (RESULTS, Topic::Result)];
+    let topics = [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label), (RESULTS, Topic::Result)];
     topics.into_iter().find(|t| t.0 == name).map(|t| t.1)
 }
 

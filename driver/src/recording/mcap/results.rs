@@ -13,7 +13,7 @@ pub struct Judge {
     pub version: u32,
     /// Name of the model's file.
     pub model: String,
-    /// SHA-256 of that file, hexadecimal.
+    /// SHA-256 of that file, hexadecimal; the program's version, if it judges without a file.
     pub model_hash: String,
     /// Agreement after which the room counted as occupied, s.
     pub on_delay_s: f64,
