@@ -14,6 +14,7 @@ mod evaluate;
 mod export;
 mod labels;
 mod live;
+mod manual;
 mod models;
 mod rcs;
 mod rdm;
@@ -70,8 +71,12 @@ pub enum Command {
     Models(models::Arguments),
     /// The quantum layer at one point: expectations and gradients
     Circuit(circuit::Arguments),
-    /// Speed against error
+    /// Speed against error: every stage in one table, or one stage in detail
     Bench(bench::Arguments),
+    /// A script that completes commands and options in a shell
+    Completions(manual::CompletionArguments),
+    /// Manual pages of all commands
+    Man(manual::ManArguments),
 }
 
 /// Runs a command.
@@ -99,5 +104,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Models(arguments) => models::run(&arguments),
         Command::Circuit(arguments) => circuit::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Completions(arguments) => manual::completions(&arguments),
+        Command::Man(arguments) => manual::man(&arguments),
     }
 }
