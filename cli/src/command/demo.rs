@@ -42,6 +42,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         delays: Default::default(),
         view: &arguments.view,
         output: None,
+        background: None,
         home: &Default::default(),
     })
 }

@@ -1,13 +1,12 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::{Context, bail};
-use radome_driver::recording::mcap::RESULTS_VERSION;
-use radome_driver::{Judge, RecordingHeader};
-use sha2::{Digest, Sha256};
+use anyhow::bail;
+use radome_driver::RecordingHeader;
 
 use crate::files;
 use crate::judge::Model;
+use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
@@ -29,6 +28,9 @@ pub struct Arguments {
     /// Record frames and answers to this MCAP file
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
+    /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
+    #[arg(long, value_name = "FILE.json")]
+    background: Option<PathBuf>,
     /// Stop after so many frames
     #[arg(long)]
     frames: Option<u64>,
@@ -69,6 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
         output: arguments.output.as_deref(),
+        background: arguments.background.as_deref(),
         home: &arguments.home,
     })
 }
@@ -95,6 +98,8 @@ pub struct Watch<'a> {
     pub view: &'a view::Arguments,
     /// Recording to write.
     pub output: Option<&'a Path>,
+    /// Capture of the empty room.
+    pub background: Option<&'a Path>,
     /// Who else is told.
     pub home: &'a home::Arguments,
 }
@@ -110,7 +115,8 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         }
     }
     let model = Model::open(watch.model)?;
-    let is_detector = matches!(model, Model::Cfar);
+    let named = model.named(watch.model, watch.delays)?;
+    let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
     let options = SourceOptions {
         waveform: model.waveform().cloned(),
         seed: watch.seed,
@@ -121,13 +127,13 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?;
+    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
     let page = view::Page::open(watch.view)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
         registers: source.registers.clone(),
-        judge: Some(named(watch, is_detector)?),
+        judge: Some(named),
     };
     let mut home = Home::open(watch.home, &header, started)?;
 
@@ -155,21 +161,6 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     reader.stop();
     drop(home);
     outcome.map(drop)
-}
-
-/// Who judges, as recordings name it.
-fn named(watch: &Watch, is_detector: bool) -> anyhow::Result<Judge> {
-    let model = watch.model.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let model_hash = match is_detector {
-        // It is this program's own.
-        true => format!("radome {}", env!("CARGO_PKG_VERSION")),
-        false => {
-            let bytes = std::fs::read(watch.model).with_context(|| format!("cannot read {}", watch.model.display()))?;
-            Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-        }
-    };
-    let Delays { on_s, off_s } = watch.delays;
-    Ok(Judge { version: RESULTS_VERSION, model, model_hash, on_delay_s: on_s, off_delay_s: off_s })
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {

@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod background;
 mod bench;
 mod calibrate;
 mod circuit;
@@ -15,6 +16,7 @@ mod evaluate;
 mod export;
 mod labels;
 mod live;
+mod manual;
 mod models;
 mod rcs;
 mod rdm;
@@ -42,6 +44,8 @@ pub enum Command {
     Record(record::Arguments),
     /// Say while it happens whether the room is empty or holds one person or two
     Live(live::Arguments),
+    /// Capture what an empty room shows, so that fans and curtains are not taken for people
+    Background(background::Arguments),
     /// An emulated board on a pty that serves any source until stopped
     Emulate(emulate::Arguments),
     /// A recording in another format: MCAP, Infineon's folder, text
@@ -76,8 +80,12 @@ pub enum Command {
     Models(models::Arguments),
     /// The quantum layer at one point: expectations and gradients
     Circuit(circuit::Arguments),
-    /// Speed against error
+    /// Speed against error: every stage in one table, or one stage in detail
     Bench(bench::Arguments),
+    /// A script that completes commands and options in a shell
+    Completions(manual::CompletionArguments),
+    /// Manual pages of all commands
+    Man(manual::ManArguments),
 }
 
 /// Runs a command.
@@ -89,6 +97,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Config(arguments) => config::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Live(arguments) => live::run(&arguments),
+        Command::Background(arguments) => background::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Repair(arguments) => repair::run(&arguments),
@@ -107,5 +116,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Models(arguments) => models::run(&arguments),
         Command::Circuit(arguments) => circuit::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Completions(arguments) => manual::completions(&arguments),
+        Command::Man(arguments) => manual::man(&arguments),
     }
 }

@@ -9,6 +9,7 @@ use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::OccupancyFilter;
 use serde::Serialize;
 
+use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
 use super::pipeline::{Inlet, Item};
@@ -144,6 +145,7 @@ impl Default for Delays {
 pub struct FrameClassifier {
     judge: Judge,
     filter: OccupancyFilter,
+    background: Option<Background>,
     people: PeopleCount,
     health: Health,
     transition_frames: u64,
@@ -161,6 +163,7 @@ impl FrameClassifier {
         Ok(FrameClassifier {
             filter: OccupancyFilter::new(model.smoothing()),
             judge: model.judge(waveform)?,
+            background: None,
             people: PeopleCount::new(delays.on_s, delays.off_s),
             health: Health::new(started),
             transition_frames: 0,
@@ -168,6 +171,12 @@ impl FrameClassifier {
             settled: Confusion::default(),
             unfiltered: Confusion::default(),
         })
+    }
+
+    /// Takes nobody to be seen in maps that show no more than the empty room did.
+    pub fn with_background(mut self, background: Option<Background>) -> Self {
+        self.background = background;
+        self
     }
 
     /// The last map that was made.
@@ -206,6 +215,8 @@ impl FrameClassifier {
         match verdict {
             Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
             Verdict::Probabilities(raw) => {
+                let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
+                let raw = if is_background { NOBODY_SEEN } else { raw };
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
                 answer.saturated_samples = self.map().flags.saturated_samples;

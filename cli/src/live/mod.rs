@@ -1,5 +1,6 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
+pub mod background;
 pub mod classify;
 pub mod health;
 pub mod home;
