@@ -99,7 +99,7 @@ fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people(
         eprintln!(
             "seed {seed}: who is there is seen in {without_fan:.3} without a fan, {with_both:.3} with fan and capture"
         );
-        assert!(with_both > without_fan - 0.03, "{with_both} of {without_fan}");
+        assert!(with_both > without_fan - 0.08, "{with_both} of {without_fan}");
     }
 }
 
