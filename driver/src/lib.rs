@@ -24,6 +24,6 @@ pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
-pub use recording::mcap::{LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};
+pub use recording::mcap::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};
 pub use replay::RealTime;
 pub use usb::UsbAddress;
