@@ -22,9 +22,9 @@ pub struct Arguments {
     /// Stop after so many frames
     #[arg(long)]
     frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes
-    #[arg(long, default_value_t = 0.0)]
-    speed: f64,
+    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
+    #[arg(long)]
+    speed: Option<f64>,
     /// Seed of a simulation
     #[arg(long, default_value_t = 100_001)]
     seed: u64,
@@ -52,7 +52,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         seed: arguments.seed,
         people: arguments.people,
         frames: arguments.frames,
-        speed: (arguments.speed > 0.0).then_some(arguments.speed),
+        speed: arguments.speed,
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
@@ -71,7 +71,7 @@ pub struct Watch<'a> {
     pub people: Option<usize>,
     /// Frames to stop after.
     pub frames: Option<u64>,
-    /// Times real time.
+    /// Times real time; 0 is as fast as it goes. `None`: recordings at their own pace, all else as fast as it goes.
     pub speed: Option<f64>,
     /// JSON lines instead of a table.
     pub json: bool,
@@ -92,12 +92,16 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         people: watch.people,
         frames: watch.frames,
         speed: watch.speed,
+        as_tape: watch.view.is_wanted(),
     };
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(classifier, &waveform, watch.delays, started)?;
-    let page = view::Page::open(watch.view)?;
+    if let Some(tape) = &source.tape {
+        tape.transport.set_preroll_s(judge.memory_s());
+    }
+    let page = view::Page::open(watch.view, &source, watch.model)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };

@@ -5,6 +5,7 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
+use radome_dsp::rdm::SlowTime;
 use radome_models::Classifier;
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::OccupancyFilter;
@@ -26,6 +27,13 @@ pub struct Probabilities {
 impl std::fmt::Display for Probabilities {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:5.3}   {:5.3}   {:5.3}", self.empty, self.one, self.two)
+    }
+}
+
+impl Probabilities {
+    /// Of empty, one and two.
+    pub fn values(self) -> [f32; 3] {
+        [self.empty, self.one, self.two]
     }
 }
 
@@ -139,6 +147,9 @@ pub struct FrameClassifier {
     map: Rdm,
     filter: OccupancyFilter,
     hysteresis: Hysteresis,
+    delays: Delays,
+    frame_interval_s: f64,
+    last_time_s: Option<f64>,
     health: Health,
     transition_frames: u64,
     all: Confusion,
@@ -165,6 +176,9 @@ impl FrameClassifier {
             filter: OccupancyFilter::new(classifier.card().smoothing),
             classifier,
             hysteresis: Hysteresis::new(delays.on_s, delays.off_s),
+            delays,
+            frame_interval_s: waveform.frame_interval_s(),
+            last_time_s: None,
             health: Health::new(started),
             transition_frames: 0,
             all: Confusion::default(),
@@ -183,18 +197,42 @@ impl FrameClassifier {
         &self.health
     }
 
+    /// How far back an answer looks, s: the frames of a map, and as long as people stay.
+    pub fn memory_s(&self) -> f64 {
+        let map_s = match self.classifier.rdm_spec().slow_time {
+            SlowTime::Chirps => 0.0,
+            SlowTime::Frames { frames } => frames as f64 * self.frame_interval_s,
+        };
+        map_s + self.classifier.card().smoothing.dwell_s.min(10.0)
+    }
+
     /// Notes missing frames and forgets what must not reach across them.
     pub fn gap(&mut self, gap: &Gap) {
         self.health.lost(gap.reason, gap.frames);
         self.processor.reset();
     }
 
+    /// Notes how many frames there was no time for, all in all.
+    fn missed(&mut self, frames: u64) {
+        if frames > 0 {
+            self.health.dropped.insert(GapReason::QueueFull, frames);
+        }
+    }
+
     /// Judges a frame that arrived at `arrived`.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
+        let time_s = frame.time_s();
+        if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
+            // A recording that was sought: what was known then says nothing of what comes before.
+            self.filter = OccupancyFilter::new(self.classifier.card().smoothing);
+            self.hysteresis = Hysteresis::new(self.delays.on_s, self.delays.off_s);
+            self.processor.reset();
+        }
+        self.last_time_s = Some(time_s);
         let status = self.processor.process(frame, &mut self.map)?;
         let mut answer = Answer {
             sequence: frame.sequence,
-            time_s: frame.time_s(),
+            time_s,
             label: None,
             probabilities: None,
             frame_probabilities: None,
@@ -242,9 +280,7 @@ impl FrameClassifier {
 
     /// What the run amounts to; `missed` frames were dropped for want of time.
     pub fn summary(&mut self, missed: u64) -> Summary {
-        if missed > 0 {
-            self.health.dropped.insert(GapReason::QueueFull, missed);
-        }
+        self.missed(missed);
         let metrics = |confusion: &Confusion| {
             (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))
         };
@@ -301,6 +337,7 @@ fn judge_all(
         };
         match delivery.item {
             Item::Frame(frame) => {
+                judge.missed(inlet.missed.load(Ordering::Relaxed));
                 let answer = judge.frame(&frame, delivery.arrived)?;
                 let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: judge.health() };
                 for sink in sinks.iter_mut() {

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-use super::RecordingError;
+use super::{Extent, RecordingError};
 use super::infineon::InfineonReader;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader};
 use super::text::TextReader;
@@ -75,6 +75,16 @@ impl Recording {
             Recording::Mcap(reader) => reader.seek_time_s(time_s),
             Recording::Infineon(reader) => reader.seek_time_s(time_s),
             Recording::Text(reader) => reader.seek_time_s(time_s),
+        }
+    }
+
+    /// First and last frame that can be read, without reading what lies between; `None` if there is none. Reading then starts
+    /// anew.
+    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
+        match self {
+            Recording::Mcap(reader) => reader.extent(),
+            Recording::Infineon(reader) => reader.extent(),
+            Recording::Text(reader) => reader.extent(),
         }
     }
 
