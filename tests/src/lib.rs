@@ -1,5 +1,7 @@
 //! What the end-to-end tests share: the built program, its files, and its answers.
 
+pub mod browser;
+
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -28,7 +28,7 @@ const list = new LabelList({
   list: $('labels-list'), count: $('labels-count'), state: $('labels-state'),
   send: request => send(request), goTo: time => seek(time), select: id => select(id),
 });
-Object.assign(page, { map, partner, profile, doppler, chirps, timeline });
+Object.assign(page, { map, partner, profile, doppler, chirps, timeline, send: request => send(request) });
 
 // ---- what comes
 

@@ -5,7 +5,7 @@ import { begin, clock, painter, theme, ticks } from './plot.js';
 /** Answers that are kept: an hour of ten a second. Of fixed size, so that a page can stay open for months. */
 const MOST = 36000;
 const NAMES = ['empty', 'one', 'two'];
-const LEFT = 74, RIGHT = 8, TOP = 4, BOTTOM = 18, GRIP = 9;
+const LEFT = 88, RIGHT = 8, TOP = 4, BOTTOM = 18, GRIP = 9;
 const NONE = 255, SPLIT = 1000;
 
 /** Answers in the order of their time. */
