@@ -144,7 +144,14 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
             let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
             let registers = stream.registers().clone();
-            Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers, tape: None })
+            Ok(Source {
+                frames: Box::new(stream),
+                is_live: true,
+                description,
+                board: Some(identity),
+                registers,
+                tape: None,
+            })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {

@@ -152,7 +152,8 @@ impl Player {
     pub fn new(mut recording: Recording, speed: f64) -> Result<Option<Self>, RecordingError> {
         let Some(extent) = recording.extent()? else { return Ok(None) };
         let playback = Playback { playing: true, speed: normal(speed), position: None, at_end: false };
-        let state = State { playback, sought: None, steps: 0, closed: false, touched: false, preroll_s: 0.0, preroll: 0..0 };
+        let state =
+            State { playback, sought: None, steps: 0, closed: false, touched: false, preroll_s: 0.0, preroll: 0..0 };
         let transport = Transport { shared: Arc::new((Mutex::new(state), Condvar::new())) };
         Ok(Some(Player { recording, extent, transport, clock: None, rolling_to: None }))
     }
@@ -328,7 +329,9 @@ impl FrameSource for Player {
             let found = match self.task() {
                 Task::Close => return Ok(SourceEvent::End),
                 Task::Seek(place) => self.seek(place, frame)?,
-                Task::Step => self.frame_alone(frame)?.inspect(|found| self.transport.state().playback.position = Some(*found)),
+                Task::Step => {
+                    self.frame_alone(frame)?.inspect(|found| self.transport.state().playback.position = Some(*found))
+                }
                 Task::StepBack => self.step_back(frame)?,
                 Task::Roll => {
                     let found = self.frame_alone(frame)?;

@@ -227,11 +227,8 @@ impl Served {
     /// # Panics
     /// If it serves no page.
     pub fn start(command: &mut Command) -> Served {
-        let mut child = command
-            .args(["--view", "--listen", "127.0.0.1:0"])
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("starts");
+        let mut child =
+            command.args(["--view", "--listen", "127.0.0.1:0"]).stderr(Stdio::piped()).spawn().expect("starts");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
         let mut said = String::new();
         let address = lines.by_ref().map_while(Result::ok).find_map(|line| {

@@ -78,7 +78,8 @@ fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
 fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     let folder = tempfile::tempdir().expect("a folder");
     let recording = walk(folder.path(), 2.0, 8.0, 60);
-    let before = json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")));
+    let before =
+        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")));
     let served = replay(&recording, "1");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
     browser.wait_until("window.radome?.header && radome.labels");
@@ -153,7 +154,8 @@ fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
     assert!(served.stop());
     let kept = labels(&recording);
     assert!(kept.len() == 3 && kept[2].2 == "empty" && near(kept[2].0, 3.0) && near(kept[2].1, 3.1), "{kept:?}");
-    let after = json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")));
+    let after =
+        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")));
     assert_eq!(before[0]["frames"], after[0]["frames"]);
     let read = |name: &str| std::fs::read(folder.path().join(name)).expect("maps");
     assert!(read("a.npy") == read("b.npy"), "labels leave frames alone");
@@ -217,8 +219,296 @@ fn a_simulated_partner_stands_beside_its_recording() {
     browser.evaluate("radome.send({do: 'pause'})");
     browser.evaluate("radome.send({do: 'seek_frame', sequence: 20})");
     browser.wait_until("radome.header.answer.sequence === 20 && radome.header.partner");
-    let [real, simulated] = ["map", "partner"].map(|view| browser.evaluate(&format!("radome.{view}.strongest.range_m")));
+    let [real, simulated] =
+        ["map", "partner"].map(|view| browser.evaluate(&format!("radome.{view}.strongest.range_m")));
     let apart = real.as_f64().expect("a range") - simulated.as_f64().expect("a range");
     assert!(apart.abs() < 1.0, "{real} and {simulated}");
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}
+
+/// Pictures for the README: `RADOME_PICTURES=docs cargo test --release -p radome-tests --test page -- --ignored pictures`.
+#[test]
+#[ignore = "makes files"]
+fn pictures() {
+    let Some(to) = std::env::var_os("RADOME_PICTURES").map(|to| radome_tests::root().join(to)) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("evening.mcap");
+    json_lines(
+        radome()
+            .arg("simulate")
+            .arg(fixture("scenes/corridor.toml"))
+            .args(["--frames", "300", "--seed", "100001", "--json", "-o"])
+            .arg(&recording),
+    );
+    let served = replay(&recording, "10");
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1060) else { return };
+    browser.wait_until("window.radome?.header && radome.labels");
+    let shot = |browser: &mut Browser, name: &str| {
+        browser.evaluate("new Promise(r => setTimeout(r, 600))");
+        browser.screenshot(&to.join(name));
+    };
+    let label = |browser: &mut Browser, start_s: f64, end_s: f64, occupancy: &str| {
+        browser.evaluate(&format!(
+            "radome.send({{do: 'add', start_s: {start_s}, end_s: {end_s}, occupancy: '{occupancy}', who: 'A. Reader'}})"
+        ));
+    };
+    browser.wait_until("radome.header.answer.sequence > 275");
+    browser.evaluate("radome.send({do: 'pause'})");
+    browser.evaluate("radome.send({do: 'seek_frame', sequence: 269})");
+    browser.wait_until("radome.header.answer.sequence === 269");
+    for (start_s, end_s, occupancy) in [(0.0, 5.6, "empty"), (5.6, 6.9, "one"), (6.9, 13.0, "two"), (13.0, 21.2, "one")]
+    {
+        label(&mut browser, start_s, end_s, occupancy);
+    }
+    browser.wait_until("radome.labels.spans.length === 4 && radome.labels.saved");
+    shot(&mut browser, "live-page.png");
+
+    browser.call(
+        "Emulation.setEmulatedMedia",
+        json!({ "features": [{ "name": "prefers-color-scheme", "value": "dark" }] }),
+    );
+    browser.resize(390, 844, 2.0);
+    shot(&mut browser, "live-page-phone.png");
+
+    browser.call("Emulation.setEmulatedMedia", json!({ "features": [] }));
+    browser.resize(1280, 760, 1.0);
+    browser
+        .evaluate("document.getElementById('chirps-card').open = document.getElementById('labels-card').open = true");
+    browser.wait_until("radome.header.chirps");
+    browser.evaluate("document.getElementById('time-card').scrollIntoView()");
+    shot(&mut browser, "live-page-labels.png");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}
+
+mod hard_cases {
+    use super::*;
+    use std::io::{Read, Write};
+    use std::net::TcpStream;
+    use std::time::{Duration, Instant};
+
+    use radome_tests::browser::PATIENCE;
+    use tungstenite::client::IntoClientRequest;
+    use tungstenite::{Message, WebSocket};
+
+    /// Status of what is answered to these bytes; 0 if nothing is.
+    fn status(address: &str, request: &str) -> u16 {
+        let mut stream = TcpStream::connect(address).expect("a connection");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        let _ = stream.write_all(request.as_bytes());
+        let mut answer = [0; 12];
+        match stream.read_exact(&mut answer) {
+            Ok(()) => String::from_utf8_lossy(&answer)[9..].parse().unwrap_or(0),
+            Err(_) => 0,
+        }
+    }
+
+    fn get(address: &str, path: &str, headers: &str) -> u16 {
+        status(address, &format!("GET {path} HTTP/1.1\r\nConnection: close\r\n{headers}\r\n"))
+    }
+
+    type Socket = WebSocket<tungstenite::stream::MaybeTlsStream<TcpStream>>;
+
+    fn page(address: &str) -> Socket {
+        let (socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("a page");
+        if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
+            stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        }
+        socket
+    }
+
+    /// Reads until the server has had enough, or says something that holds.
+    fn until(socket: &mut Socket, holds: impl Fn(&str) -> bool) -> bool {
+        let end = Instant::now() + PATIENCE;
+        while Instant::now() < end {
+            match socket.read() {
+                Ok(Message::Text(text)) if holds(&text) => return true,
+                Ok(Message::Close(_)) | Err(_) => return false,
+                Ok(_) => {}
+            }
+        }
+        panic!("neither said nor closed");
+    }
+
+    fn refused(address: &str) -> Value {
+        let mut stream = TcpStream::connect(address).expect("a connection");
+        let request = format!("GET /health.json HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+        stream.write_all(request.as_bytes()).expect("asks");
+        let mut text = String::new();
+        stream.read_to_string(&mut text).expect("an answer");
+        let body = text.split_once("\r\n\r\n").expect("a body").1;
+        serde_json::from_str::<Value>(body).expect("JSON")["refused"].clone()
+    }
+
+    #[test]
+    fn who_means_the_page_ill_is_refused_and_counted_and_the_pipeline_loses_nothing() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let answers = folder.path().join("answers.jsonl");
+        let out = std::fs::File::create(&answers).expect("a file");
+        let frames = 200;
+        let served = Served::start(
+            radome()
+                .args(["demo", "--frames", &frames.to_string(), "--speed", "1", "--json", "--seed", "100003"])
+                .stdout(out),
+        );
+        let address = served.address.clone();
+        let ours = format!("Host: {address}\r\n");
+        let port = address.rsplit(':').next().expect("a port").to_owned();
+        assert_eq!(get(&address, "/", &ours), 200);
+
+        // Names that lead here but are not ours; sites that are not ours.
+        for host in
+            ["evil.example", &format!("evil.example:{port}"), "127.0.0.1:1", &format!("127.0.0.1.nip.io:{port}")]
+        {
+            assert_eq!(get(&address, "/", &format!("Host: {host}\r\n")), 403, "{host}");
+        }
+        assert_eq!(get(&address, "/labels.json", ""), 403, "no host");
+        for origin in [
+            "http://evil.example",
+            "null",
+            &format!("http://localhost:{port}.evil.example"),
+            &format!("http://127.0.0.1:{}0", port),
+        ] {
+            assert_eq!(get(&address, "/labels.json", &format!("{ours}Origin: {origin}\r\n")), 403, "{origin}");
+            let mut request = format!("ws://{address}/stream").into_client_request().expect("a request");
+            request.headers_mut().insert("Origin", origin.parse().expect("a header"));
+            assert!(tungstenite::connect(request).is_err(), "{origin}");
+        }
+        assert_eq!(get(&address, "/labels.json", &format!("{ours}Origin: http://{address}\r\n")), 200);
+
+        // Paths and methods.
+        for path in [
+            "/../../etc/passwd",
+            "/%2e%2e/%2e%2e/etc/passwd",
+            "/page/main.js",
+            "/main.js/",
+            "/.git/config",
+            "//etc/passwd",
+            "/main.js%00.html",
+        ] {
+            assert!(matches!(get(&address, path, &ours), 400 | 404), "{path}");
+        }
+        let long = format!("/{}", "a".repeat(100_000));
+        assert!(matches!(get(&address, &long, &ours), 0 | 400 | 404 | 414 | 431));
+        assert_eq!(
+            status(
+                &address,
+                &format!(
+                    "POST /labels.json HTTP/1.1\r\n{ours}Content-Length: 99999999999\r\nConnection: close\r\n\r\n"
+                )
+            ),
+            405
+        );
+        for garbage in ["\0\0\0\0\r\n\r\n", "GET\r\n\r\n", "GET / HTTP/9.9\r\n\r\n", "PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"]
+        {
+            assert!(matches!(status(&address, garbage), 0 | 400 | 403 | 505), "{garbage:?}");
+        }
+
+        // Messages that are none.
+        let mut socket = page(&address);
+        for text in [
+            "",
+            "{",
+            "[]",
+            "null",
+            "{\"do\":\"format\"}",
+            "{\"do\":\"label\"}",
+            "{\"do\":\"seek\",\"time_s\":1e999}",
+            "{\"do\":\"label\",\"occupancy\":\"three\"}",
+            "{\"do\":\"look\",\"channel\":{\"rx\":-1}}",
+            "{\"do\":\"look\",\"channel\":{\"rx\":99}}",
+            "{\"do\":\"look\",\"chirp\":4000000000}",
+            "{\"do\":\"seek\",\"time_s\":1}",
+            "{\"do\":\"move\",\"id\":7,\"start_s\":1,\"end_s\":2}",
+            "{\"do\":\"undo\"}",
+            "{\"do\":\"undo\",\"more\":1}",
+            &format!("{{\"do\":\"label\",\"occupancy\":\"one\",\"who\":\"{}\"}}", "x".repeat(61)),
+        ] {
+            socket.send(Message::text(text)).expect("sent");
+            assert!(until(&mut socket, |said| said.contains("\"refused\":\"")), "{text}");
+        }
+        // The page works on.
+        socket.send(Message::text("{\"do\":\"label\",\"occupancy\":\"one\",\"who\":null}")).expect("sent");
+        assert!(until(&mut socket, |said| said.contains("\"label\":\"one\"")));
+        for _ in 0..30 {
+            let _ = socket.send(Message::binary(vec![0xff; 100]));
+        }
+        assert!(!until(&mut socket, |_| false), "thrown out");
+        let mut socket = page(&address);
+        let _ = socket.send(Message::text("x".repeat(5_000_000)));
+        assert!(!until(&mut socket, |_| false), "thrown out");
+        let mut socket = page(&address);
+        for _ in 0..2_000 {
+            let _ = socket.send(Message::text("{\"do\":\"seen\"}"));
+        }
+        assert!(!until(&mut socket, |_| false), "thrown out");
+        // Frames that break the protocol: not masked, unknown kind, a length beyond all memory.
+        for bytes in [
+            &[0x81u8, 0x02, b'h', b'i'][..],
+            &[0x8f, 0x80, 0, 0, 0, 0],
+            &[0x81, 0xff, 0x7f, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 0xff, 1, 2, 3, 4],
+        ] {
+            let mut socket = page(&address);
+            if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_mut() {
+                stream.write_all(bytes).expect("sent");
+            }
+            assert!(!until(&mut socket, |_| false), "thrown out: {bytes:x?}");
+        }
+
+        // More pages than there may be.
+        let pages: Vec<_> = (0..30).map(|_| tungstenite::connect(format!("ws://{address}/stream"))).collect();
+        let open = pages.iter().filter(|page| page.is_ok()).count();
+        assert!((1..=16).contains(&open), "{open}");
+        drop(pages);
+        // Thousands of connections, some of which say half a request.
+        for round in 0..6 {
+            let crowd: Vec<TcpStream> = (0..500).filter_map(|_| TcpStream::connect(&address).ok()).collect();
+            for mut stream in crowd.iter().skip(round) {
+                let _ = stream.write_all(b"GET / HTTP/1.1\r\nHost: ");
+            }
+        }
+        // When they have gone, the page is there.
+        let end = Instant::now() + PATIENCE;
+        while get(&address, "/", &ours) != 200 {
+            assert!(Instant::now() < end, "the page does not come back");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        let counted = refused(&address);
+        for (what, least) in [
+            ("host", 5),
+            ("origin", 8),
+            ("method", 1),
+            ("path", 4),
+            ("messages", 20),
+            ("oversized", 2),
+            ("flood", 1),
+            ("pages", 14),
+            ("connections", 1000),
+        ] {
+            assert!(counted[what].as_u64().expect("a number") >= least, "{what}: {counted}");
+        }
+
+        assert!(served.wait(), "ends by itself, in order");
+        let text = std::fs::read_to_string(&answers).expect("answers");
+        let lines: Vec<Value> = text.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect();
+        assert_eq!(lines.len(), frames + 1);
+        let summary = &lines[frames]["summary"];
+        assert_eq!((&summary["frames"], &summary["dropped"]), (&json!(frames), &json!(0)), "{summary}");
+    }
+
+    #[test]
+    fn labels_that_another_program_has_changed_are_not_overwritten() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = walk(folder.path(), 2.0, 4.0, 20);
+        let served = replay(&recording, "0");
+        let mut socket = page(&served.address);
+        assert!(until(&mut socket, |said| said.contains("\"at_end\":true")));
+        let track = folder.path().join("track.txt");
+        std::fs::write(&track, "0.1\t0.5\tempty\n").expect("writable");
+        json_lines(radome().arg("labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+        socket.send(Message::text("{\"do\":\"add\",\"start_s\":1,\"end_s\":1.5,\"occupancy\":\"one\"}")).expect("sent");
+        assert!(until(&mut socket, |said| said.contains("another program")));
+        drop(socket);
+        assert!(!served.stop(), "what was not saved is a failure");
+        assert_eq!(labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
+    }
 }

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
 use radome_dsp::rdm::SlowTime;
+use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
 use radome_models::Classifier;
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::OccupancyFilter;

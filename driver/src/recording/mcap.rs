@@ -160,7 +160,6 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     Ok(())
 }
 
-
 /// Where a frame stands, without decoding it; `None` if it is shorter than a header.
 fn frame_position(bytes: &[u8]) -> Option<Position> {
     let header: &[u8; FRAME_HEADER] = bytes.first_chunk()?;

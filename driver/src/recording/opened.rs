@@ -6,10 +6,10 @@ use std::path::Path;
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-use super::{Extent, RecordingError};
 use super::infineon::InfineonReader;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader};
 use super::text::TextReader;
+use super::{Extent, RecordingError};
 
 /// An opened recording.
 #[derive(Debug)]

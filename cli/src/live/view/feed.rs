@@ -214,8 +214,7 @@ impl Feed {
         let id = slot.next_page;
         slot.next_page += 1;
         let told = slot.answers - slot.history.len() as u64;
-        let page =
-            PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told };
+        let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told };
         slot.pages.insert(id, page);
         drop(slot);
         self.wake.notify_all();

@@ -314,8 +314,7 @@ impl Keeper {
             Ok(match Recording::open(&recording)? {
                 Recording::Mcap(_) => Place::Mcap(recording),
                 _ => {
-                    let file =
-                        labels::file_beside(&recording).unwrap_or_else(|| labels::name_beside(&recording));
+                    let file = labels::file_beside(&recording).unwrap_or_else(|| labels::name_beside(&recording));
                     Place::Beside { recording, file }
                 }
             })

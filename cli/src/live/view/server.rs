@@ -139,7 +139,8 @@ impl Doors {
     }
 
     fn told(&self) -> serde_json::Value {
-        let refused = REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));
+        let refused =
+            REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));
         refused.collect::<serde_json::Map<String, serde_json::Value>>().into()
     }
 
@@ -206,7 +207,11 @@ struct Connection {
 }
 
 impl AsyncRead for Connection {
-    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<std::io::Result<()>> {
+    fn poll_read(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        buffer: &mut ReadBuf<'_>,
+    ) -> Poll<std::io::Result<()>> {
         let polled = Pin::new(&mut self.stream).poll_read(cx, buffer);
         if polled.is_ready() {
             self.silence.as_mut().reset(tokio::time::Instant::now() + SILENCE);
@@ -443,8 +448,7 @@ async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool 
         });
         if is_news {
             told.playback = Some(playback);
-            let playback =
-                json!({ "playing": playback.playing, "speed": playback.speed, "at_end": playback.at_end });
+            let playback = json!({ "playing": playback.playing, "speed": playback.speed, "at_end": playback.at_end });
             if !say(socket, json!({ "playback": playback })).await {
                 return false;
             }
@@ -488,8 +492,18 @@ mod tests {
                 assert!(here.knows_host(host), "{host}");
             }
             for host in [
-                "", "localhost", "localhost:8061", "127.0.0.1", "127.0.0.1:80600", "evil.example:8060", "192.168.0.4:8060",
-                "localhost.evil.example:8060", "127.0.0.1.evil.example:8060", "radar.example:8060", "[::1]", "127.1:8060",
+                "",
+                "localhost",
+                "localhost:8061",
+                "127.0.0.1",
+                "127.0.0.1:80600",
+                "evil.example:8060",
+                "192.168.0.4:8060",
+                "localhost.evil.example:8060",
+                "127.0.0.1.evil.example:8060",
+                "radar.example:8060",
+                "[::1]",
+                "127.1:8060",
             ] {
                 assert!(!here.knows_host(host), "{host}");
             }

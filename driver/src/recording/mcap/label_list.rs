@@ -62,12 +62,15 @@ impl<'a> Summary<'a> {
         while let Some((header, behind)) = rest.split_first_chunk::<{ RECORD_HEADER as usize }>() {
             let [opcode, length @ ..] = *header;
             let length = usize::try_from(u64::from_le_bytes(length)).ok();
-            let (body, next) = length.and_then(|n| behind.split_at_checked(n)).ok_or("a record of the summary is cut")?;
+            let (body, next) =
+                length.and_then(|n| behind.split_at_checked(n)).ok_or("a record of the summary is cut")?;
             rest = next;
             match opcode {
                 op::STATISTICS | op::CHANNEL => match parse_record(opcode, body).map_err(|e| e.to_string())? {
                     Record::Statistics(found) => statistics = Some(found),
-                    Record::Channel(found) if topic(&found.topic) == Some(Topic::Label) => channel = Some((found.id, body)),
+                    Record::Channel(found) if topic(&found.topic) == Some(Topic::Label) => {
+                        channel = Some((found.id, body))
+                    }
                     _ => {}
                 },
                 // Places, which will be others.
@@ -174,12 +177,9 @@ fn map(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) {
 fn statistics_body(statistics: &Statistics) -> Vec<u8> {
     let mut out = statistics.message_count.to_le_bytes().to_vec();
     out.extend(statistics.schema_count.to_le_bytes());
-    for count in [
-        statistics.channel_count,
-        statistics.attachment_count,
-        statistics.metadata_count,
-        statistics.chunk_count,
-    ] {
+    for count in
+        [statistics.channel_count, statistics.attachment_count, statistics.metadata_count, statistics.chunk_count]
+    {
         out.extend(count.to_le_bytes());
     }
     out.extend(statistics.message_start_time.to_le_bytes());

@@ -106,7 +106,8 @@ impl Records {
         }
         if length > left - RECORD_HEADER {
             // Unless it has grown since: labels are written behind the last frame.
-            self.length = self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
+            self.length =
+                self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
             if length > self.length.saturating_sub(at + RECORD_HEADER) {
                 return Ok(Next::CutShort);
             }

@@ -230,7 +230,7 @@ export class Timeline {
     const was = drag?.edge && this.spans.find(span => span.id === drag.id);
     if (was && was[drag.edge] !== drag.span[drag.edge]) {
       // Shown there until the server has said so.
-      Object.assign(was, drag.span);
+      this.spans = this.spans.map(span => span === was ? { ...span, ...drag.span } : span);
       this.move(drag.id, drag.span.start_s, drag.span.end_s);
     }
     this.draw();
