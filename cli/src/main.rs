@@ -5,6 +5,7 @@
 
 mod command;
 mod files;
+mod judge;
 mod labels;
 mod live;
 mod output;

@@ -7,6 +7,112 @@
 use std::f64::consts::TAU;
 
 use num_complex::Complex64;
+use serde::{Deserialize, Serialize};
+
+use crate::RxMask;
+
+/// Distance between neighbouring receivers on the package, m (BGT60TR13C datasheet V2.4.9, table 72).
+pub const RECEIVER_SPACING_M: f64 = 2.5e-3;
+
+/// Two receivers whose phases are compared.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Baseline {
+    /// Index in the frame of the receiver that it leads to.
+    pub to: usize,
+    /// Index of the one that it comes from.
+    pub from: usize,
+    /// Its length, m.
+    pub length_m: f64,
+    /// `arg(X_to conj(X_from))` of what comes from broadside, rad: 0 of receivers that are alike.
+    pub phase_rad: f64,
+}
+
+impl Baseline {
+    /// Cosine of the angle between a target's direction and this baseline, from `X_to conj(X_from)`.
+    pub fn cosine(&self, cross: Complex64, wavelength_m: f64) -> Option<f64> {
+        direction_cosine(cross * Complex64::from_polar(1.0, -self.phase_rad), self.length_m, wavelength_m)
+    }
+}
+
+/// What the receivers of one board are unlike in: phases of what comes from straight ahead, rad. Told by a reflector in a
+/// known direction ([`Receivers::calibrate`]).
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AngleCalibration {
+    /// Of RX1 over RX3.
+    pub azimuth_phase_rad: f64,
+    /// Of RX2 over RX3.
+    pub elevation_phase_rad: f64,
+}
+
+/// Where something is seen, in the radar's frame: x ahead, y to the left, z up. rad.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Direction {
+    /// From straight ahead, positive to the left.
+    pub azimuth_rad: Option<f64>,
+    /// Above the horizon of the radar.
+    pub elevation_rad: Option<f64>,
+}
+
+/// The receivers that a waveform uses, as an L with RX3 in its corner: RX1 lies to the left of it, RX2 above.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Receivers {
+    azimuth: Option<Baseline>,
+    elevation: Option<Baseline>,
+}
+
+impl Receivers {
+    /// Those of a waveform, as a calibration says that they are. Without RX3 or its neighbour there is no angle on that side.
+    pub fn new(mask: RxMask, calibration: AngleCalibration) -> Self {
+        let antennas = mask.antennas();
+        let index = |antenna: u8| antennas.iter().position(|a| *a == antenna);
+        let pair = |antenna: u8, phase_rad: f64| {
+            Some(Baseline { to: index(antenna)?, from: index(3)?, length_m: RECEIVER_SPACING_M, phase_rad })
+        };
+        Receivers {
+            azimuth: pair(1, calibration.azimuth_phase_rad),
+            elevation: pair(2, calibration.elevation_phase_rad),
+        }
+    }
+
+    /// The pairs that there are, azimuth first: what an [`EchoFinder`](crate::echo::EchoFinder) asks for.
+    pub fn baselines(&self) -> Vec<Baseline> {
+        self.azimuth.into_iter().chain(self.elevation).collect()
+    }
+
+    /// Direction from the cosines of [`Receivers::baselines`]. Where only one side is told, azimuth is taken in the radar's
+    /// horizon; `None` where no point in front of the radar has both cosines.
+    pub fn direction(&self, cosines: &[Option<f64>]) -> Direction {
+        let mut cosines = cosines.iter().copied();
+        let left = self.azimuth.and_then(|_| cosines.next().flatten());
+        let up = self.elevation.and_then(|_| cosines.next().flatten());
+        let ahead = (1.0 - up.unwrap_or(0.0).powi(2) - left.unwrap_or(0.0).powi(2)).max(0.0).sqrt();
+        let is_possible = up.unwrap_or(0.0).powi(2) + left.unwrap_or(0.0).powi(2) <= 1.0;
+        Direction {
+            azimuth_rad: left.filter(|_| is_possible).map(|left| left.atan2(ahead)),
+            elevation_rad: up.filter(|_| is_possible).map(f64::asin),
+        }
+    }
+
+    /// What receivers are unlike in, from cosines that these (perhaps calibrated already) told of a reflector that is really in
+    /// the direction `truth`; a side that told nothing stays as it is.
+    pub fn calibrate(&self, cosines: &[Option<f64>], truth: (f64, f64), wavelength_m: f64) -> AngleCalibration {
+        let (azimuth_rad, elevation_rad) = truth;
+        let expected = [elevation_rad.cos() * azimuth_rad.sin(), elevation_rad.sin()];
+        let mut cosines = cosines.iter().copied();
+        let mut phase = |baseline: Option<Baseline>, expected: f64| {
+            let Some(baseline) = baseline else { return 0.0 };
+            let told = cosines.next().flatten().unwrap_or(expected);
+            let phase = baseline.phase_rad - TAU * baseline.length_m / wavelength_m * (told - expected);
+            phase - TAU * (phase / TAU).round()
+        };
+        let [left, up] = expected;
+        AngleCalibration {
+            azimuth_phase_rad: phase(self.azimuth, left),
+            elevation_phase_rad: phase(self.elevation, up),
+        }
+    }
+}
 
 /// Cosine of the angle between a target's direction and the baseline from receiver `b` to receiver `a`, from their
 /// cross-spectrum `X_a conj(X_b)`.
@@ -38,8 +144,75 @@ mod tests {
         }
     }
 
+    fn receivers(calibration: AngleCalibration) -> Receivers {
+        Receivers::new(RxMask::from_antennas(&[1, 2, 3]).expect("three"), calibration)
+    }
+
+    /// Cross-spectra of a far target by the definition of the phase, with receivers that are unlike.
+    fn cosines(of: &Receivers, direction: (f64, f64), unlike: AngleCalibration, wavelength_m: f64) -> Vec<Option<f64>> {
+        let (azimuth, elevation) = direction;
+        let along = [elevation.cos() * azimuth.sin(), elevation.sin()];
+        let phases = [unlike.azimuth_phase_rad, unlike.elevation_phase_rad];
+        let told = of.baselines().into_iter().zip(along).zip(phases).map(|((baseline, along), unlike)| {
+            let phase = unlike - TAU * RECEIVER_SPACING_M / wavelength_m * along;
+            baseline.cosine(Complex64::from_polar(2.0, phase), wavelength_m)
+        });
+        told.collect()
+    }
+
+    #[test]
+    fn azimuth_is_to_the_left_and_elevation_up() {
+        let like = receivers(AngleCalibration::default());
+        for (azimuth_deg, elevation_deg) in [(0.0, 0.0), (40.0, 0.0), (-25.0, 10.0), (10.0, -35.0), (60.0, 20.0f64)] {
+            let truth = (f64::to_radians(azimuth_deg), elevation_deg.to_radians());
+            let told = like.direction(&cosines(&like, truth, AngleCalibration::default(), 5e-3));
+            assert!((told.azimuth_rad.expect("told") - truth.0).abs() < 1e-12, "{azimuth_deg}: {told:?}");
+            assert!((told.elevation_rad.expect("told") - truth.1).abs() < 1e-12, "{elevation_deg}: {told:?}");
+        }
+    }
+
+    /// A reflector in a known direction tells what receivers are unlike in; then every direction is told right.
+    #[test]
+    fn one_reflector_calibrates_all_directions() {
+        let unlike = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };
+        let uncalibrated = receivers(AngleCalibration::default());
+        let known = (0.2, -0.1);
+        let told = cosines(&uncalibrated, known, unlike, 4.95e-3);
+        let calibration = uncalibrated.calibrate(&told, known, 4.95e-3);
+        assert!((calibration.azimuth_phase_rad - 0.7).abs() < 1e-12, "{calibration:?}");
+        assert!((calibration.elevation_phase_rad + 1.1).abs() < 1e-12, "{calibration:?}");
+        let calibrated = receivers(calibration);
+        let direction = calibrated.direction(&cosines(&calibrated, (-0.5, 0.3), unlike, 4.95e-3));
+        assert!((direction.azimuth_rad.expect("told") + 0.5).abs() < 1e-12);
+        assert!((direction.elevation_rad.expect("told") - 0.3).abs() < 1e-12);
+        // A second reflector, seen through the calibration, changes nothing.
+        let again = calibrated.calibrate(&cosines(&calibrated, known, unlike, 4.95e-3), known, 4.95e-3);
+        assert!((again.azimuth_phase_rad - 0.7).abs() < 1e-12, "{again:?}");
+    }
+
     mod hard_cases {
         use super::*;
+
+        #[test]
+        fn fewer_receivers_tell_fewer_angles() {
+            let pair = |antennas: &[u8]| {
+                Receivers::new(RxMask::from_antennas(antennas).expect("valid"), AngleCalibration::default())
+            };
+            assert!(pair(&[1]).baselines().is_empty() && pair(&[1, 2]).baselines().is_empty());
+            let side = pair(&[1, 3]);
+            assert_eq!(side.baselines().iter().map(|b| (b.to, b.from)).collect::<Vec<_>>(), [(0, 1)]);
+            let direction = side.direction(&[Some(0.5)]);
+            assert!((direction.azimuth_rad.expect("told") - 30f64.to_radians()).abs() < 1e-12);
+            assert_eq!(direction.elevation_rad, None);
+            assert_eq!(pair(&[2, 3]).direction(&[Some(0.5)]).azimuth_rad, None);
+            assert_eq!(side.direction(&[]), Direction { azimuth_rad: None, elevation_rad: None });
+        }
+
+        #[test]
+        fn cosines_of_no_direction_are_none() {
+            let told = receivers(AngleCalibration::default()).direction(&[Some(0.9), Some(0.8)]);
+            assert_eq!(told, Direction { azimuth_rad: None, elevation_rad: None });
+        }
 
         #[test]
         fn silence_and_what_comes_from_nowhere_have_no_direction() {

@@ -204,19 +204,8 @@ impl Cfar {
                     }));
                 }
                 CfarMethod::OrderedStatistic { .. } => {
-                    for plan in &self.plan {
-                        cells.clear();
-                        for (row, is_outer) in self.rows(doppler) {
-                            let row = power.get(row * self.range..(row + 1) * self.range).unwrap_or(&[]);
-                            let middle = if is_outer { plan.middle.clone() } else { 0..0 };
-                            for part in [plan.low.clone(), middle, plan.high.clone()] {
-                                cells.extend_from_slice(row.get(part).unwrap_or(&[]));
-                            }
-                        }
-                        // The plan has counted them: there is at least one more than `order`.
-                        let order = plan.order.min(cells.len().saturating_sub(1));
-                        let (_, level, _) = cells.select_nth_unstable_by(order, f64::total_cmp);
-                        out.push(plan.factor * *level);
+                    for range in 0..self.range {
+                        out.push(self.ordered_threshold(power, doppler, range, &mut cells)?);
                     }
                 }
             }
@@ -230,16 +219,73 @@ impl Cfar {
         let fits = (map.shape.doppler, map.shape.range) == (self.doppler, self.range);
         let Some(db) = map.db.get(rx * plane..(rx + 1) * plane).filter(|_| fits) else { return Vec::new() };
         let power: Vec<f64> = db.iter().map(|&db| 10f64.powf(f64::from(db) / 10.0)).collect();
-        let Some(thresholds) = self.thresholds(&power) else { return Vec::new() };
-        let above =
-            power.iter().zip(&thresholds).zip(db).enumerate().filter(|(_, ((power, threshold), _))| power > threshold);
-        let detection = |(index, ((_, threshold), db)): (usize, ((&f64, &f64), &f32))| Detection {
+        let detection = |index: usize, threshold: f64| Detection {
             doppler: index / self.range,
             range: index % self.range,
-            power_db: *db,
+            power_db: db.get(index).copied().unwrap_or_default(),
             threshold_db: (10.0 * threshold.log10()) as f32,
         };
-        above.map(detection).collect()
+        match self.spec.method {
+            CfarMethod::CellAveraging => {
+                let Some(thresholds) = self.thresholds(&power) else { return Vec::new() };
+                let all = power.iter().zip(&thresholds).enumerate();
+                all.filter(|(_, (power, threshold))| power > threshold).map(|(i, (_, t))| detection(i, *t)).collect()
+            }
+            CfarMethod::OrderedStatistic { .. } => {
+                let mut cells = Vec::new();
+                let exact = self.candidates(&power).into_iter().filter_map(|index| {
+                    let threshold =
+                        self.ordered_threshold(&power, index / self.range, index % self.range, &mut cells)?;
+                    (power.get(index)? > &threshold).then(|| detection(index, threshold))
+                });
+                exact.collect()
+            }
+        }
+    }
+
+    /// Cells that may exceed their ordered threshold, all that do among them: a cell does if more training cells than the rank
+    /// says lie below its power over the factor, and counting is much cheaper than ordering.
+    fn candidates(&self, power: &[f64]) -> Vec<usize> {
+        let mut candidates = Vec::new();
+        for doppler in 0..self.doppler {
+            for (range, plan) in self.plan.iter().enumerate() {
+                let index = doppler * self.range + range;
+                // A little more than exact, for the rounding of the quotient.
+                let bound = power.get(index).copied().unwrap_or(0.0) / plan.factor * (1.0 + 1e-12);
+                let below = |cells: Option<&[f64]>| {
+                    cells.unwrap_or(&[]).iter().map(|c| usize::from(*c <= bound)).sum::<usize>()
+                };
+                let mut count = 0;
+                for (row, is_outer) in self.rows(doppler) {
+                    let row = power.get(row * self.range..(row + 1) * self.range).unwrap_or(&[]);
+                    count += below(row.get(plan.low.clone())) + below(row.get(plan.high.clone()));
+                    if is_outer {
+                        count += below(row.get(plan.middle.clone()));
+                    }
+                }
+                if count > plan.order {
+                    candidates.push(index);
+                }
+            }
+        }
+        candidates
+    }
+
+    /// The ordered threshold of one cell.
+    fn ordered_threshold(&self, power: &[f64], doppler: usize, range: usize, cells: &mut Vec<f64>) -> Option<f64> {
+        let plan = self.plan.get(range)?;
+        cells.clear();
+        for (row, is_outer) in self.rows(doppler) {
+            let row = power.get(row * self.range..(row + 1) * self.range).unwrap_or(&[]);
+            let middle = if is_outer { plan.middle.clone() } else { 0..0 };
+            for part in [plan.low.clone(), middle, plan.high.clone()] {
+                cells.extend_from_slice(row.get(part).unwrap_or(&[]));
+            }
+        }
+        // The plan has counted them: there is at least one more than `order`.
+        let order = plan.order.min(cells.len().checked_sub(1)?);
+        let (_, level, _) = cells.select_nth_unstable_by(order, f64::total_cmp);
+        Some(plan.factor * *level)
     }
 
     /// Rows of the window about a row, and whether each lies beyond the guard cells.

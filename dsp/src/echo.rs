@@ -13,7 +13,7 @@ use num_complex::Complex64;
 use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 
-use crate::angle::direction_cosine;
+use crate::angle::Baseline;
 use crate::{Frame, MapError, Waveform, Window};
 
 /// Points of the range transform for each sample: peaks between bins are told from the shape of the window's main lobe.
@@ -34,17 +34,6 @@ const LEAST_CHANGING: f64 = 0.05;
 /// Range bins, from the first, that hold what leaks from transmitter to receiver and how a chirp begins: no map tells anything
 /// there.
 pub const LEAKAGE_BINS: usize = 3;
-
-/// Two receivers whose phases are compared.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Baseline {
-    /// Index in the frame of the receiver that it leads to.
-    pub to: usize,
-    /// Index of the one that it comes from.
-    pub from: usize,
-    /// Its length, m.
-    pub length_m: f64,
-}
 
 /// An echo.
 #[derive(Debug, Clone, PartialEq)]
@@ -185,7 +174,7 @@ impl EchoFinder {
                     of(baseline.to).iter().zip(of(baseline.from)).map(|(a, b)| a * b.conj()).sum::<Complex64>()
                 };
                 let cross = pair(range - 1) + pair(range) + pair(range + 1);
-                direction_cosine(cross, baseline.length_m, self.waveform.wavelength_m())
+                baseline.cosine(cross, self.waveform.wavelength_m())
             });
             echoes.push(Echo {
                 range_m: (range as f64 + vertex(before, cell, after)) * self.bin_m(),
@@ -198,6 +187,34 @@ impl EchoFinder {
         echoes.sort_by(|a, b| b.snr_db.total_cmp(&a.snr_db));
         echoes.truncate(MOST_ECHOES);
         echoes
+    }
+
+    /// The strongest of what stands still between two ranges, m, in the mean of profiles: a reflector that was put there.
+    /// Its level is over the noise of a cell as ranges about it show it, which is no noise where rooms are full.
+    pub fn standing(&self, profiles: &[&RangeProfile], within_m: std::ops::Range<f64>) -> Option<Echo> {
+        let rx = self.waveform.shape().rx;
+        let mean = |cell: usize| {
+            profiles.iter().map(|p| p.0.get(cell).copied().unwrap_or_default()).sum::<Complex64>()
+                / profiles.len().max(1) as f64
+        };
+        let means: Vec<Complex64> = (0..rx * self.bins).map(mean).collect();
+        let cell = |rx: usize, range: usize| means.get(rx * self.bins + range).copied().unwrap_or_default();
+        let power: Vec<f64> =
+            (0..self.bins).map(|range| (0..rx).map(|rx| cell(rx, range).norm_sqr()).sum::<f64>()).collect();
+        let at = |range: usize| power.get(range).copied().unwrap_or(0.0);
+        let is_within = |range: &usize| within_m.contains(&(*range as f64 * self.bin_m()));
+        let range = (1..self.bins.saturating_sub(1)).filter(is_within).max_by(|&a, &b| at(a).total_cmp(&at(b)))?;
+        let cosines = self.baselines.iter().map(|baseline| {
+            let pair = |range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
+            baseline.cosine(pair(range - 1) + pair(range) + pair(range + 1), self.waveform.wavelength_m())
+        });
+        Some(Echo {
+            range_m: (range as f64 + vertex(at(range - 1), at(range), at(range + 1))) * self.bin_m(),
+            velocity_m_per_s: 0.0,
+            snr_db: ratio_db(at(range), noise_power(power.iter().copied())),
+            cosines: cosines.collect(),
+            is_still: true,
+        })
     }
 
     fn bin_m(&self) -> f64 {
@@ -286,7 +303,7 @@ impl EchoFinder {
                     }
                 }
             }
-            direction_cosine(cross, baseline.length_m, self.waveform.wavelength_m())
+            baseline.cosine(cross, self.waveform.wavelength_m())
         });
         Echo {
             range_m: place * self.bin_m() - by_speed_m,
@@ -326,7 +343,7 @@ mod tests {
     use super::*;
     use crate::{SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
 
-    const BASELINE: Baseline = Baseline { to: 0, from: 2, length_m: 2.5e-3 };
+    const BASELINE: Baseline = Baseline { to: 0, from: 2, length_m: 2.5e-3, phase_rad: 0.0 };
 
     /// Samples of one point that recedes, straight from the beat's formula, rounded to codes.
     fn frame(waveform: &Waveform, range_m: f64, velocity_m_per_s: f64, sine: f64, level_lsb: f64) -> Frame {
@@ -385,6 +402,20 @@ mod tests {
         let echo = echoes.first().expect("an echo");
         assert!((echo.range_m - 3.02).abs() < 0.01, "{echo:?}");
         assert!((echo.cosines[0].expect("a direction") - 0.25).abs() < 0.01, "{echo:?}");
+    }
+
+    #[test]
+    fn a_reflector_that_stands_there_is_found_between_its_ranges() {
+        let waveform = waveform();
+        let mut finder = EchoFinder::new(&waveform, &[BASELINE]);
+        let mut scene = frame(&waveform, 2.5, 0.0, -0.3, 60.0);
+        let wall = frame(&waveform, 5.0, 0.0, 0.1, 300.0);
+        scene.codes.iter_mut().zip(&wall.codes).for_each(|(a, b)| *a = *a + *b - 2048);
+        let (_, profile) = finder.moving(&scene).expect("a frame");
+        let echo = finder.standing(&[&profile, &profile], 2.0..3.0).expect("an echo");
+        assert!((echo.range_m - 2.5).abs() < 0.01, "{echo:?}");
+        assert!((echo.cosines[0].expect("a direction") + 0.3).abs() < 0.01, "{echo:?}");
+        assert_eq!(finder.standing(&[&profile], 100.0..200.0), None);
     }
 
     mod hard_cases {

@@ -31,6 +31,7 @@ mod frame;
 
 mod kernel;
 mod noise;
+pub mod people;
 pub mod rdm;
 pub mod slow_time;
 mod waveform;

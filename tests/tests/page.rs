@@ -240,7 +240,7 @@ fn pictures() {
             .args(["--frames", "300", "--seed", "100001", "--json", "-o"])
             .arg(&recording),
     );
-    let served = replay(&recording, "10");
+    let served = replay(&recording, "3");
     let Some(mut browser) = Browser::open(&served.url(), 1280, 1060) else { return };
     browser.wait_until("window.radome?.header && radome.labels");
     let shot = |browser: &mut Browser, name: &str| {
@@ -510,5 +510,86 @@ mod hard_cases {
         drop(socket);
         assert!(!served.stop(), "what was not saved is a failure");
         assert_eq!(labels(&recording), [(0.1, 0.5, "empty".to_owned())]);
+    }
+}
+
+/// Resident memory of a process and of all that it started, bytes.
+fn memory_bytes(id: u32) -> f64 {
+    let mut parents = std::collections::BTreeMap::new();
+    for entry in std::fs::read_dir("/proc").expect("a list").flatten() {
+        let Some(process) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let Ok(status) = std::fs::read_to_string(entry.path().join("status")) else { continue };
+        let field = |name: &str| -> f64 {
+            let line = status.lines().find_map(|line| line.strip_prefix(name));
+            line.and_then(|l| l.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap_or(0.0)
+        };
+        // Pages that processes share with files on the disk are not theirs alone.
+        parents.insert(process, (field("PPid:") as u32, 1024.0 * field("RssAnon:")));
+    }
+    let is_of = |mut process: u32| {
+        while process != id && process > 1 {
+            process = parents.get(&process).map_or(0, |p| p.0);
+        }
+        process == id
+    };
+    parents.iter().filter(|(process, _)| is_of(**process)).map(|(_, (_, bytes))| bytes).sum()
+}
+
+/// `tests/long page`: a page that stays open at ten times real time, `RADOME_PAGE_S` seconds of it.
+#[test]
+#[ignore = "takes half an hour"]
+#[allow(clippy::print_stderr)]
+fn hours_of_frames_leave_no_trace_in_memory() {
+    let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
+    let frames = (100.0 * (length_s + 60.0)) as u64;
+    let served = Served::start(
+        radome()
+            .args(["demo", "--frames", &frames.to_string(), "--speed", "10", "--json", "--seed", "100003"])
+            .stdout(Stdio::null()),
+    );
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1100) else { return };
+    browser.wait_until("window.radome?.header");
+    browser.key("r");
+    browser.key("h");
+    // Until what has a fixed size is full: the history of answers holds six minutes at this pace.
+    let settle_s = (0.2 * length_s).clamp(20.0, 400.0);
+    let begun = std::time::Instant::now();
+    let mut heard = Vec::new();
+    let mut next_s = settle_s;
+    while begun.elapsed().as_secs_f64() < length_s {
+        std::thread::sleep(std::time::Duration::from_secs(1));
+        if begun.elapsed().as_secs_f64() >= next_s {
+            let (heap, server) = (browser.heap_bytes(), memory_bytes(served.id()));
+            let (whole, pictures) = (memory_bytes(browser.id()), browser.evaluate("radome.pictures"));
+            eprintln!(
+                "{next_s:6.0} s: server {:.1} MB, browser {:.1} MB of which objects {:.2} MB, {pictures} pictures, frame {}, lost {}",
+                server * 1e-6,
+                whole * 1e-6,
+                heap * 1e-6,
+                browser.evaluate("radome.header.answer.sequence"),
+                browser.evaluate("radome.header.health.dropped"),
+            );
+            heard.push((server, whole, heap));
+            next_s += (length_s - settle_s) / 10.0;
+        }
+    }
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+    // Medians of the first and the last three: single readings differ by what has just been asked for.
+    let median = |of: &[(f64, f64, f64)], which: fn(&(f64, f64, f64)) -> f64| {
+        let mut values: Vec<f64> = of.iter().map(which).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    for (name, which) in
+        [("server", (|m| m.0) as fn(&(f64, f64, f64)) -> f64), ("browser", |m| m.1), ("the page's objects", |m| m.2)]
+    {
+        let (first, last) = (median(&heard[..3], which), median(&heard[heard.len() - 3..], which));
+        eprintln!(
+            "{name}: {:.1} MB, then {:.1} MB ({:+.1} %)",
+            first * 1e-6,
+            last * 1e-6,
+            100.0 * (last / first - 1.0)
+        );
+        assert!(last < 1.1 * first, "{name} grew from {first} to {last} bytes");
     }
 }

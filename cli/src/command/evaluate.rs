@@ -3,7 +3,7 @@ mod thermal;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use radome_dsp::{Frame, FrameSource, MapStatus, Occupancy, RdmProcessor, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::Classifier;
 use radome_models::dataset::{self, Dataset, SplitSpec};
 use radome_models::evaluate::{Metrics, evaluate, most_probable};
@@ -12,12 +12,13 @@ use serde::Serialize;
 use serde_json::json;
 
 use self::thermal::ThermalNoise;
+use crate::judge::{CFAR, Model, Verdict};
 use crate::output;
 
 /// `radome evaluate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model file; the first of what follows if not given here
+    /// Model file, or cfar for the classical detector; the first of what follows if not given here
     #[arg(long)]
     model: Option<PathBuf>,
     /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two
@@ -53,13 +54,16 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (None, Some((model, inputs))) => (PathBuf::from(model), inputs),
         (None, None) => bail!("nothing to evaluate"),
     };
-    let mut classifier = Classifier::load(&model)?;
+    let judging = Model::open(&model)?;
     match inputs {
         [] => bail!("nothing to evaluate {} on\n\nhint: name a dataset folder, or RECORDING=LABEL", model.display()),
         [folder] if labelled(folder).is_err() && Path::new(folder).is_dir() => {
+            let Model::Network(mut classifier) = judging else {
+                bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
+            };
             on_dataset(&mut classifier, Path::new(folder), arguments)
         }
-        recordings => on_recordings(&mut classifier, recordings, arguments),
+        recordings => on_recordings(judging, recordings, arguments),
     }
 }
 
@@ -90,12 +94,13 @@ struct Judged {
 /// How often each class was what frames were called.
 type Counts = [u64; Occupancy::ALL.len()];
 
-fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
     let all = inputs.iter().map(|input| labelled(input)).collect::<anyhow::Result<Vec<_>>>()?;
     let (mut confusion, mut confusion_alone) = ([Counts::default(); 3], [Counts::default(); 3]);
     let mut recordings = Vec::new();
     for (path, label) in all {
-        let [filtered, alone] = judge(classifier, path, None)?;
+        let (back, [filtered, alone]) = judge(model, path, None)?;
+        model = back;
         let counts = if arguments.no_smoothing { alone } else { filtered };
         for (sum, count) in confusion_alone[label.index()].iter_mut().zip(alone) {
             *sum += count;
@@ -118,7 +123,7 @@ fn on_recordings(classifier: &mut Classifier, inputs: &[String], arguments: &Arg
         recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
     }
     let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
-    let thermal = under_thermal_noise(classifier, inputs, arguments)?;
+    let thermal = under_thermal_noise(model, inputs, arguments)?;
     if arguments.json {
         return output::json_line(&json!({
             "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
@@ -154,11 +159,7 @@ struct Thermal {
     confusion: [Counts; Occupancy::ALL.len()],
 }
 
-fn under_thermal_noise(
-    classifier: &mut Classifier,
-    inputs: &[String],
-    arguments: &Arguments,
-) -> anyhow::Result<Vec<Thermal>> {
+fn under_thermal_noise(mut model: Model, inputs: &[String], arguments: &Arguments) -> anyhow::Result<Vec<Thermal>> {
     let mut all = Vec::new();
     for &snr_db in &arguments.thermal_snr_db {
         if !snr_db.is_finite() {
@@ -168,7 +169,8 @@ fn under_thermal_noise(
         for input in inputs {
             let (path, label) = labelled(input)?;
             let noise = ThermalNoise::of(path, snr_db)?;
-            let [filtered, alone] = judge(classifier, path, Some(&noise))?;
+            let (back, [filtered, alone]) = judge(model, path, Some(&noise))?;
+            model = back;
             let counts = if arguments.no_smoothing { alone } else { filtered };
             confusion[label.index()].iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
         }
@@ -178,23 +180,21 @@ fn under_thermal_noise(
     Ok(all)
 }
 
-/// How often frames of a recording were called each class, through the filter and by themselves.
-fn judge(classifier: &mut Classifier, path: &Path, noise: Option<&ThermalNoise>) -> anyhow::Result<[Counts; 2]> {
+/// How often frames of a recording were called each class, through the filter and by themselves; and the model again.
+fn judge(model: Model, path: &Path, noise: Option<&ThermalNoise>) -> anyhow::Result<(Model, [Counts; 2])> {
     let mut source = radome_driver::recording::open(path)?;
-    source.waveform().check_compatible(classifier.waveform()).with_context(|| path.display().to_string())?;
-    let mut processor = RdmProcessor::new(classifier.rdm_spec(), source.waveform())?;
-    let (mut frame, mut map) = (Frame::zeroed(source.waveform().shape()), processor.empty_map());
-    let (mut filter, mut counts) = (OccupancyFilter::new(classifier.card().smoothing), [Counts::default(); 2]);
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let (mut filter, mut counts) = (OccupancyFilter::new(model.smoothing()), [Counts::default(); 2]);
+    let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => return Ok(counts),
-            SourceEvent::Gap(_) => processor.reset(),
+            SourceEvent::End => return Ok((judge.into_model(), counts)),
+            SourceEvent::Gap(_) => judge.reset(),
             SourceEvent::Frame => {
                 if let Some(noise) = noise {
                     noise.add(&mut frame);
                 }
-                if processor.process(&frame, &mut map)? == MapStatus::Ready {
-                    let alone = classifier.classify(&map)?;
+                if let Verdict::Probabilities(alone) = judge.frame(&frame)? {
                     let filtered = filter.update(frame.time_s(), alone);
                     for (counts, probabilities) in counts.iter_mut().zip([filtered, alone]) {
                         counts[most_probable(&probabilities).index()] += 1;

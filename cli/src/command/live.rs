@@ -1,8 +1,7 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use radome_models::Classifier;
-
+use crate::judge::Model;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::pipeline::{Pipeline, Policy};
 use crate::live::screen::Screen;
@@ -16,7 +15,7 @@ use crate::source::{self, SourceOptions};
 pub struct Arguments {
     /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
     source: String,
-    /// Model file; a board is programmed with the waveform that it names
+    /// Model file, which names the waveform that a board is programmed with; or cfar, the classical detector, for any waveform
     #[arg(long)]
     model: PathBuf,
     /// Stop after so many frames
@@ -85,9 +84,9 @@ pub struct Watch<'a> {
 pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let started = Instant::now();
     output::catch_interrupts()?;
-    let classifier = Classifier::load(watch.model)?;
+    let model = Model::open(watch.model)?;
     let options = SourceOptions {
-        waveform: Some(classifier.waveform().clone()),
+        waveform: model.waveform().cloned(),
         seed: watch.seed,
         people: watch.people,
         frames: watch.frames,
@@ -97,7 +96,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(classifier, &waveform, watch.delays, started)?;
+    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?;
     if let Some(tape) = &source.tape {
         tape.transport.set_preroll_s(judge.memory_s());
     }

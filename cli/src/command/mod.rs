@@ -8,11 +8,13 @@ mod convert;
 mod dataset;
 mod demo;
 mod devices;
+mod echoes;
 mod emulate;
 mod evaluate;
 mod export;
 mod labels;
 mod live;
+mod manual;
 mod models;
 mod rcs;
 mod rdm;
@@ -49,6 +51,8 @@ pub enum Command {
     Rcs(rcs::Arguments),
     /// Range-Doppler maps of a source as an array
     Rdm(rdm::Arguments),
+    /// Range, speed, azimuth and elevation of what moves, frame by frame; and what a board's receivers are unlike in
+    Echoes(echoes::Arguments),
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
     /// Fit a receiver to a recording; how far simulations are from it, before and after
@@ -67,8 +71,12 @@ pub enum Command {
     Models(models::Arguments),
     /// The quantum layer at one point: expectations and gradients
     Circuit(circuit::Arguments),
-    /// Speed against error
+    /// Speed against error: every stage in one table, or one stage in detail
     Bench(bench::Arguments),
+    /// A script that completes commands and options in a shell
+    Completions(manual::CompletionArguments),
+    /// Manual pages of all commands
+    Man(manual::ManArguments),
 }
 
 /// Runs a command.
@@ -85,6 +93,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
+        Command::Echoes(arguments) => echoes::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),
@@ -95,5 +104,7 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Models(arguments) => models::run(&arguments),
         Command::Circuit(arguments) => circuit::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
+        Command::Completions(arguments) => manual::completions(&arguments),
+        Command::Man(arguments) => manual::man(&arguments),
     }
 }

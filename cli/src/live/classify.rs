@@ -4,17 +4,16 @@ use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use radome_dsp::rdm::SlowTime;
-use radome_dsp::{Frame, Gap, GapReason, MapStatus, Occupancy, Rdm, RdmProcessor};
-use radome_models::Classifier;
+use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
-use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 use serde::Serialize;
 
 use super::health::Health;
 use super::occupancy::Hysteresis;
 use super::pipeline::{Inlet, Item};
 use super::sink::{Moment, Sink};
+use crate::judge::{Judge, Model, Verdict};
 
 /// Probabilities of the classes by name.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -142,13 +141,13 @@ impl Default for Delays {
 
 /// Judges frames one after the other.
 pub struct FrameClassifier {
-    classifier: Classifier,
-    processor: RdmProcessor,
-    map: Rdm,
+    judge: Judge,
     filter: OccupancyFilter,
     hysteresis: Hysteresis,
     delays: Delays,
-    frame_interval_s: f64,
+    smoothing: Smoothing,
+    /// Time over which the frames of a map are spread, s.
+    map_s: f64,
     last_time_s: Option<f64>,
     health: Health,
     transition_frames: u64,
@@ -162,22 +161,16 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
-    pub fn new(
-        classifier: Classifier,
-        waveform: &radome_dsp::Waveform,
-        delays: Delays,
-        started: Instant,
-    ) -> anyhow::Result<Self> {
-        waveform.check_compatible(classifier.waveform())?;
-        let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
+    pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
+        let smoothing = model.smoothing();
+        let map_s = model.frames() as f64 * waveform.frame_interval_s();
         Ok(FrameClassifier {
-            map: processor.empty_map(),
-            processor,
-            filter: OccupancyFilter::new(classifier.card().smoothing),
-            classifier,
+            filter: OccupancyFilter::new(smoothing),
+            judge: model.judge(waveform)?,
             hysteresis: Hysteresis::new(delays.on_s, delays.off_s),
             delays,
-            frame_interval_s: waveform.frame_interval_s(),
+            smoothing,
+            map_s,
             last_time_s: None,
             health: Health::new(started),
             transition_frames: 0,
@@ -189,7 +182,7 @@ impl FrameClassifier {
 
     /// The last map that was made.
     pub fn map(&self) -> &Rdm {
-        &self.map
+        self.judge.map()
     }
 
     /// The run so far.
@@ -199,17 +192,13 @@ impl FrameClassifier {
 
     /// How far back an answer looks, s: the frames of a map, and as long as people stay.
     pub fn memory_s(&self) -> f64 {
-        let map_s = match self.classifier.rdm_spec().slow_time {
-            SlowTime::Chirps => 0.0,
-            SlowTime::Frames { frames } => frames as f64 * self.frame_interval_s,
-        };
-        map_s + self.classifier.card().smoothing.dwell_s.min(10.0)
+        self.map_s + self.smoothing.dwell_s.min(10.0)
     }
 
     /// Notes missing frames and forgets what must not reach across them.
     pub fn gap(&mut self, gap: &Gap) {
         self.health.lost(gap.reason, gap.frames);
-        self.processor.reset();
+        self.judge.reset();
     }
 
     /// Notes how many frames there was no time for, all in all.
@@ -224,12 +213,12 @@ impl FrameClassifier {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
             // A recording that was sought: what was known then says nothing of what comes before.
-            self.filter = OccupancyFilter::new(self.classifier.card().smoothing);
+            self.filter = OccupancyFilter::new(self.smoothing);
             self.hysteresis = Hysteresis::new(self.delays.on_s, self.delays.off_s);
-            self.processor.reset();
+            self.judge.reset();
         }
         self.last_time_s = Some(time_s);
-        let status = self.processor.process(frame, &mut self.map)?;
+        let verdict = self.judge.frame(frame)?;
         let mut answer = Answer {
             sequence: frame.sequence,
             time_s,
@@ -243,13 +232,12 @@ impl FrameClassifier {
             saturated_samples: 0,
             latency_ms: 0.0,
         };
-        match status {
-            MapStatus::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
-            MapStatus::Ready => {
-                let raw = self.classifier.classify(&self.map)?;
+        match verdict {
+            Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
+            Verdict::Probabilities(raw) => {
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
-                answer.saturated_samples = self.map.flags.saturated_samples;
+                answer.saturated_samples = self.map().flags.saturated_samples;
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);

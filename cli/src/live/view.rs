@@ -125,6 +125,7 @@ impl Page {
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .thread_name("page")
+            .on_thread_start(yield_to_others)
             .enable_all()
             .build()
             .context("cannot start the page's thread")?;
@@ -155,17 +156,30 @@ impl Page {
         });
         let mut threads = Vec::new();
         let of = shared.clone();
-        threads.push(std::thread::Builder::new().name("page-maps".into()).spawn(move || of.feed.serve(partner))?);
+        threads.push(std::thread::Builder::new().name("page-maps".into()).spawn(move || {
+            yield_to_others();
+            of.feed.serve(partner);
+        })?);
         let of = shared.clone();
         threads.push(std::thread::Builder::new().name("page-labels".into()).spawn(move || of.labels.keep())?);
         let of = shared.clone();
         // Ends with the program: a browser that is slow to leave does not hold it up.
         std::thread::Builder::new().name("page-server".into()).spawn(move || {
+            yield_to_others();
             if let Err(error) = runtime.block_on(server::serve(listener, of)) {
                 tracing::error!("live page: {error}");
             }
         })?;
         Ok(Some(Page { shared, threads }))
+    }
+}
+
+/// Behind the threads of the pipeline, wherever they want the same core: what pages do, and what is done to them, costs no frame.
+fn yield_to_others() {
+    // Linux keeps this for each thread. Where it does not, or may not, all are equal.
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::process::nice(10) {
+        tracing::debug!("the page's threads keep their priority: {error}");
     }
 }
 

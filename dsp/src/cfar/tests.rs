@@ -162,6 +162,31 @@ fn a_target_is_found_where_it_is_across_the_seam_of_doppler_too() {
     }
 }
 
+/// Counting which cells can exceed an ordered threshold loses none and adds none, at a rate at which many do.
+#[test]
+fn detections_are_the_cells_above_their_thresholds() {
+    let (rows, columns) = (24, 40);
+    let mut draw = Draw(17);
+    for method in [CA, OS] {
+        let cfar = Cfar::new(spec(method, (1, 2), (2, 3), 0.05, 2), rows, columns).expect("valid");
+        let mut power: Vec<f64> = (0..rows * columns).map(|_| draw.power(2)).collect();
+        power[5 * columns + 7] = 1e3;
+        power[5 * columns + 8] = 900.0;
+        // As a map holds them.
+        let map = map(rows, columns, &power);
+        let power: Vec<f64> = map.db.iter().map(|&db| 10f64.powf(f64::from(db) / 10.0)).collect();
+        let thresholds = cfar.thresholds(&power).expect("of this size");
+        let expected: Vec<usize> = (0..power.len()).filter(|&i| power[i] > thresholds[i]).collect();
+        let found = cfar.detect(&map, 0);
+        assert!(expected.len() > 20);
+        assert_eq!(found.iter().map(|d| d.doppler * columns + d.range).collect::<Vec<_>>(), expected);
+        for d in found {
+            let threshold = 10.0 * thresholds[d.doppler * columns + d.range].log10();
+            assert!((f64::from(d.threshold_db) - threshold).abs() < 1e-5 * threshold.abs().max(1.0));
+        }
+    }
+}
+
 #[test]
 fn a_stronger_neighbour_masks_a_target_from_ca_and_not_from_os() {
     let (rows, columns) = (32, 64);

@@ -11,10 +11,19 @@ use radome_models::train::Trainer;
 use radome_models::{NetworkSpec, onnx};
 use serde::{Deserialize, Serialize};
 
+use super::point::{Point, least_ms};
 use crate::output;
 
 /// Networks that are timed if none is named, as the script of the peers knows them.
 const NETWORKS: [&str; 5] = ["hqnn", "estimator_matched", "doppler_net", "resnet18", "efficientnet_b0"];
+/// The same as stages of the table.
+const STAGES: [&str; NETWORKS.len()] = [
+    "a map by the HQNN",
+    "a map by its linear control",
+    "a map by DopplerNet",
+    "a map by ResNet-18",
+    "a map by EfficientNet-B0",
+];
 const SIZE: usize = 128;
 
 /// `radome bench train`, `radome bench infer`
@@ -59,6 +68,64 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
         let (maps, labels) = Trainer::made_up_maps(batch, SIZE, SIZE)?;
         least(repeats, || Ok(trainer.step(&maps, &labels).map(|_| ())?))
     })
+}
+
+/// One map to logits, for the table of all stages; errors are those of logits against the portable kernels.
+pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
+    const ROUNDS: usize = 30;
+    let folder = std::env::temp_dir().join(format!("radome-bench-{}", std::process::id()));
+    std::fs::create_dir_all(&folder)?;
+    let mut points = Vec::new();
+    for (name, stage) in NETWORKS.iter().zip(STAGES) {
+        let spec = NetworkSpec::named(name).with_context(|| format!("there is no network '{name}'"))?;
+        let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+        let mut portable = Vec::new();
+        for level in [KernelLevel::Portable, KernelLevel::detect()] {
+            let network = Network::initialise(&spec, 1, 0, level)?;
+            let mut inference = Inference::new(&network)?;
+            let mut logits = Vec::new();
+            let rounds = if level == KernelLevel::Portable { 1 } else { ROUNDS };
+            let milliseconds = least_ms(rounds, || {
+                logits = inference.logits(&maps, [1, SIZE, SIZE])?.to_vec();
+                Ok(())
+            })?;
+            if level == KernelLevel::Portable {
+                std::fs::write(folder.join(format!("{name}.onnx")), onnx::export_network(&network, SIZE, SIZE)?)?;
+                portable = logits;
+                continue;
+            }
+            let apart = portable.iter().zip(&logits).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+            let way = format!("native, {:.0} k parameters", spec.parameter_count() as f64 * 1e-3);
+            points.push(Point {
+                stage,
+                way,
+                milliseconds,
+                error: Some(apart),
+                error_unit: "of logits",
+                is_peer: false,
+            });
+        }
+        let arguments = Arguments {
+            networks: Vec::new(),
+            batch: None,
+            threads: rayon::current_num_threads(),
+            repeats: None,
+            python: python.map(Path::to_owned),
+            json: false,
+        };
+        let mut rows = peers(&arguments, "infer", name, 1, ROUNDS, None);
+        rows.extend(peers(&arguments, "infer", name, 1, ROUNDS, Some(&folder)));
+        points.extend(rows.into_iter().map(|row| Point {
+            stage,
+            way: row.peer,
+            milliseconds: row.milliseconds,
+            error: None,
+            error_unit: "of logits",
+            is_peer: true,
+        }));
+    }
+    std::fs::remove_dir_all(&folder)?;
+    Ok(points)
 }
 
 /// Maps to logits.

@@ -11,6 +11,7 @@ use rand::Rng;
 use rustfft::num_complex::Complex64;
 use serde::Serialize;
 
+use super::point::Point;
 use crate::output;
 
 #[derive(clap::Args)]
@@ -43,19 +44,56 @@ const FRAME_CHIRPS: usize = 128;
 
 /// Paths of walkers through the paper's chirps, between two keys.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let rows = measure(&arguments.paths, arguments.rounds)?;
+    if arguments.json {
+        return output::json_line(&rows);
+    }
+    output::text_line(&format!(
+        "{:>6} {:>13} {:>12} {:>11} {:>11}",
+        "paths", "us/128 chirps", "us/path", "error", "exact/this"
+    ))?;
+    for r in rows {
+        output::text_line(&format!(
+            "{:6} {:13.1} {:12.3} {:11.1e} {:11.0}",
+            r.paths, r.microseconds, r.microseconds_a_path, r.relative_error, r.exact_over_this
+        ))?;
+    }
+    Ok(())
+}
+
+/// The same for the table of all stages.
+pub fn points() -> anyhow::Result<Vec<Point>> {
+    let mut points = Vec::new();
+    for row in measure(&[300], 20)? {
+        let point = |way: &str, milliseconds: f64, error: Option<f64>| Point {
+            stage: "300 paths to 128 chirps",
+            way: way.to_owned(),
+            milliseconds,
+            error,
+            error_unit: "relative rms",
+            is_peer: false,
+        };
+        let milliseconds = 1e-3 * row.microseconds;
+        points.push(point("non-uniform FFT by chirp, f32", milliseconds, Some(row.relative_error)));
+        points.push(point("sum of exponentials, f64, the reference", milliseconds * row.exact_over_this, None));
+    }
+    Ok(points)
+}
+
+fn measure(counts: &[usize], rounds: usize) -> anyhow::Result<Vec<Row>> {
     let waveform = Waveform::realise(WaveformRequest::paper())?;
     let chirp = Chirp::new(&waveform);
     let samples = waveform.request.samples_per_chirp;
     let synthesiser = Synthesiser::new(samples);
     let place = |i: usize| i as f64 / FRAME_CHIRPS as f64;
     let mut rows = Vec::new();
-    for &count in &arguments.paths {
+    for &count in counts {
         let paths = walkers(count);
         let (mut grids, mut grid) = (synthesiser.grids(), synthesiser.grid());
         let mut scratch = SynthesisScratch::default();
         let mut fast = vec![0f32; FRAME_CHIRPS * samples];
         let (mut all_us, mut spread_us) = (f64::INFINITY, f64::INFINITY);
-        for _ in 0..arguments.rounds.max(1) {
+        for _ in 0..rounds.max(1) {
             fast.fill(0.0);
             let started = Instant::now();
             let mut spreading = 0.0;
@@ -94,20 +132,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             exact_over_this: exact_us / told * FRAME_CHIRPS as f64 / all_us,
         });
     }
-    if arguments.json {
-        return output::json_line(&rows);
-    }
-    output::text_line(&format!(
-        "{:>6} {:>13} {:>12} {:>11} {:>11}",
-        "paths", "us/128 chirps", "us/path", "error", "exact/this"
-    ))?;
-    for r in rows {
-        output::text_line(&format!(
-            "{:6} {:13.1} {:12.3} {:11.1e} {:11.0}",
-            r.paths, r.microseconds, r.microseconds_a_path, r.relative_error, r.exact_over_this
-        ))?;
-    }
-    Ok(())
+    Ok(rows)
 }
 
 fn tone(path: &Stretch, chirp: &Chirp, place: f64) -> Tone {

@@ -375,7 +375,7 @@ struct Watcher {
 }
 
 impl Watcher {
-    fn new(waveform: &Waveform, baselines: &[radome_dsp::echo::Baseline]) -> Self {
+    fn new(waveform: &Waveform, baselines: &[radome_dsp::angle::Baseline]) -> Self {
         let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
         Watcher {
             finder: EchoFinder::new(waveform, baselines),

@@ -31,6 +31,8 @@ const MOST_UNSEEN: u32 = 2;
 const PATIENCE: Duration = Duration::from_secs(2);
 /// Answers that a page gets when it comes: ten minutes of the paper's frames.
 const HISTORY: usize = 6_000;
+/// Frames over whose arrivals the rate is taken.
+const RATE_FRAMES: usize = 32;
 /// dB of one step of a cell's byte.
 const STEP_DB: f32 = 0.5;
 /// Doppler bins around zero that do not count as noise.
@@ -143,6 +145,8 @@ struct Slot {
     /// Answers that have left the history, and those in it.
     answers: u64,
     after_gap: bool,
+    /// When the newest came: a recording that is sought gives others than those that are shown.
+    came: VecDeque<Instant>,
     pages: BTreeMap<PageId, PageState>,
     next_page: PageId,
     closed: bool,
@@ -172,7 +176,7 @@ impl Feed {
             answer: answer.clone(),
             frame: moment.frame.clone(),
             network_map: moment.map.clone(),
-            health: strip(moment),
+            health: strip(moment, self.rate()),
         };
         let mut slot = self.slot();
         let point = Point {
@@ -194,6 +198,18 @@ impl Feed {
         drop(slot);
         self.wake.notify_all();
         drop(old);
+    }
+
+    /// Frames in a second, over the newest ones.
+    fn rate(&self) -> f64 {
+        let came = &mut self.slot().came;
+        if came.len() == RATE_FRAMES {
+            came.pop_front();
+        }
+        came.push_back(Instant::now());
+        let (Some(first), Some(last)) = (came.front(), came.back()) else { return 0.0 };
+        let span_s = last.duration_since(*first).as_secs_f64();
+        if span_s > 0.0 { (came.len() - 1) as f64 / span_s } else { 0.0 }
     }
 
     /// Frames are missing.
@@ -381,12 +397,12 @@ impl PageState {
 }
 
 /// How the run fares.
-fn strip(moment: &Moment) -> serde_json::Value {
+fn strip(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     let health = moment.health;
     let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();
     json!({
         "frames": health.frames,
-        "frames_per_s": health.frames_per_s(),
+        "frames_per_s": frames_per_s,
         "dropped": health.dropped_total(),
         "dropped_by_reason": dropped,
         "latency_p50_ms": health.latency.quantile_s(0.5) * 1e3,

@@ -216,9 +216,15 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         match output {
             Output::Decibels { floor_power } => {
                 let floor_power = V::splat(floor_power);
-                let mut sink = DecibelSink { row_starts, cells, first_bin, floor_power, total };
+                let mut sink = DecibelSink::<V, false> { row_starts, cells, first_bin, floor_power, total };
                 self.doppler_plan.transform(&source, buffer, &mut sink);
-                sink.total.is_finite()
+                let is_finite = sink.total.is_finite();
+                if !is_finite {
+                    // What is no number has been made one: once more, with a look at each.
+                    let mut sink = DecibelSink::<V, true> { row_starts, cells, first_bin, floor_power, total };
+                    self.doppler_plan.transform(&source, buffer, &mut sink);
+                }
+                is_finite
             }
             Output::Power { adds } => {
                 let mut sink = PowerSink { row_starts, cells, first_bin, adds, total };
@@ -285,8 +291,8 @@ fn power<const L: usize, V: Vector<L>>(x: Complex<V>) -> V {
     x.im.mul_add(x.im, x.re * x.re)
 }
 
-/// Decibels into the rows of the map, zero Doppler in the middle.
-struct DecibelSink<'a, V> {
+/// Decibels into the rows of the map, zero Doppler in the middle; what is not finite stays so if it guards.
+struct DecibelSink<'a, V, const GUARDS: bool> {
     row_starts: &'a [usize],
     cells: &'a mut [f32],
     first_bin: usize,
@@ -295,13 +301,14 @@ struct DecibelSink<'a, V> {
     total: V,
 }
 
-impl<const L: usize, V: Vector<L>> Sink<L, V> for DecibelSink<'_, V> {
+impl<const L: usize, V: Vector<L>, const GUARDS: bool> Sink<L, V> for DecibelSink<'_, V, GUARDS> {
     #[inline(always)]
     fn put(&mut self, position: usize, value: Complex<V>) {
         let start = self.row_starts[position] + self.first_bin;
         let power = power(value);
         self.total = self.total + power;
-        power.to_db(self.floor_power).store(&mut self.cells[start..start + L]);
+        let db = if GUARDS { power.to_db(self.floor_power) } else { power.finite_to_db(self.floor_power) };
+        db.store(&mut self.cells[start..start + L]);
     }
 }
 

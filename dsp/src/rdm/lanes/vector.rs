@@ -40,6 +40,12 @@ pub(super) trait Vector<const L: usize>:
     /// Power to decibels: [`decibel::power_to_db`] in lanes.
     #[inline(always)]
     fn to_db(self, floor_power: Self) -> Self {
+        self.finite_to_db(floor_power).unless_non_finite(self.at_least(floor_power))
+    }
+
+    /// The same for finite powers; of others it makes numbers.
+    #[inline(always)]
+    fn finite_to_db(self, floor_power: Self) -> Self {
         let clamped = self.at_least(floor_power);
         let (exponent, mantissa) = clamped.split_binade();
         let t = mantissa - Self::splat(1.0);
@@ -48,7 +54,7 @@ pub(super) trait Vector<const L: usize>:
         for coefficient in [f, e, d, c, b, a] {
             sum = sum.mul_add(t, Self::splat(coefficient));
         }
-        (sum.mul_add(t, exponent) * Self::splat(decibel::DB_PER_OCTAVE)).unless_non_finite(clamped)
+        sum.mul_add(t, exponent) * Self::splat(decibel::DB_PER_OCTAVE)
     }
 }
 

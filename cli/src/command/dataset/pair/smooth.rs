@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
-use radome_dsp::echo::Baseline;
+use radome_dsp::angle::Baseline;
 use radome_sim::Scene;
 use radome_sim::field::fresnel;
 use radome_sim::field::image::{BoxRoom, Wall};
@@ -109,7 +109,7 @@ impl Sensor {
         let offset = |antenna: u8| ANTENNA_OFFSETS_M.rx.get(usize::from(antenna) - 1).copied().unwrap_or_default();
         let pair = [(1, 3), (1, 2)].into_iter().find_map(|(to, from)| {
             let way = offset(to) - offset(from);
-            let baseline = Baseline { to: index(to)?, from: index(from)?, length_m: way.length() };
+            let baseline = Baseline { to: index(to)?, from: index(from)?, length_m: way.length(), phase_rad: 0.0 };
             Some((world_from_radar * way.normalize(), baseline))
         });
         let antenna = &scene.receiver().antenna;

@@ -23,12 +23,15 @@ export class ChirpsView {
     if (!begun || !this.header) return;
     const { g, width, height } = begun, n = this.header.samples;
     const chirp = this.codes.subarray(0, n), least = this.codes.subarray(n, 2 * n), most = this.codes.subarray(2 * n, 3 * n);
-    const x = i => LEFT + (i + 0.5) / n * (width - LEFT - RIGHT), y = code => TOP + (1 - code / LARGEST) * (height - TOP - BOTTOM);
+    // As close as the codes allow, or all that the ADC can say.
+    const span = this.whole ? [0, LARGEST] : [Math.min(...least), Math.max(...most)], margin = Math.max(8, 0.06 * (span[1] - span[0]));
+    const low = Math.max(-40, span[0] - margin), high = Math.min(LARGEST + 40, span[1] + margin);
+    const x = i => LEFT + (i + 0.5) / n * (width - LEFT - RIGHT), y = code => TOP + (1 - (code - low) / (high - low)) * (height - TOP - BOTTOM);
     g.textAlign = 'right';
     g.textBaseline = 'middle';
     g.strokeStyle = theme.line;
-    for (const code of [0, 1024, 2048, 3072, LARGEST]) {
-      g.fillText(code, LEFT - 5, y(code));
+    for (const [code, text] of this.whole ? [0, 1024, 2048, 3072, LARGEST].map(c => [c, c]) : ticks(low, high, 5)) {
+      g.fillText(text, LEFT - 5, y(code));
       g.beginPath(); g.moveTo(LEFT, y(code)); g.lineTo(width - RIGHT, y(code)); g.stroke();
     }
     g.textAlign = 'center';

@@ -13,22 +13,22 @@ export class DopplerView {
     this.canvas = canvas;
     this.ring = document.createElement('canvas');
     this.times = new Float64Array(COLUMNS);
-    this.count = 0;
+    this.count = this.valid = 0;
     this.draw = painter(() => this.paint(), 60);
   }
 
   take(header, bytes, floor, time_s) {
     const { range, doppler, low_db: low, step_db: step } = header;
     if (this.doppler !== doppler || this.step !== header.velocity_step_m_per_s) {
-      Object.assign(this, { doppler, step: header.velocity_step_m_per_s, count: 0 });
+      Object.assign(this, { doppler, step: header.velocity_step_m_per_s, count: 0, valid: 0 });
       this.ring.width = COLUMNS;
       this.ring.height = doppler;
       this.column = new ImageData(1, doppler);
     }
-    const last = this.times[(this.count - 1 + COLUMNS) % COLUMNS];
-    if (this.count && time_s === last) return;
-    // Another stretch of the recording.
-    if (this.count && time_s < last) this.count = 0;
+    const last = () => this.times[(this.count - 1 + COLUMNS) % COLUMNS];
+    if (this.valid && time_s === last()) return;
+    // Back: what was later is not yet.
+    while (this.valid && time_s <= last()) { this.count--; this.valid--; }
     const out = new Uint32Array(this.column.data.buffer);
     for (let d = 0; d < doppler; d++) {
       let over = -Infinity;
@@ -41,23 +41,22 @@ export class DopplerView {
     this.ring.getContext('2d').putImageData(this.column, this.count % COLUMNS, 0);
     this.times[this.count % COLUMNS] = time_s;
     this.count++;
+    this.valid = Math.min(COLUMNS, this.valid + 1);
     this.draw();
   }
 
-  forget() { this.count = 0; }
+  forget() { this.count = this.valid = 0; }
 
   paint() {
     const begun = begin(this.canvas);
-    if (!begun || !this.count) return;
+    if (!begun || !this.valid) return;
     const { g, width, height } = begun, w = width - LEFT - 4, h = height - TOP - BOTTOM, { doppler, step } = this;
     g.imageSmoothingEnabled = false;
-    const shown = Math.min(this.count, COLUMNS), per = w / COLUMNS, start = this.count % COLUMNS, x0 = LEFT + w - shown * per;
-    if (this.count <= COLUMNS) g.drawImage(this.ring, 0, 0, shown, doppler, x0, TOP, shown * per, h);
-    else {
-      const old = COLUMNS - start;
-      g.drawImage(this.ring, start, 0, old, doppler, LEFT, TOP, old * per, h);
-      if (start) g.drawImage(this.ring, 0, 0, start, doppler, LEFT + old * per, TOP, start * per, h);
-    }
+    const shown = this.valid, per = w / COLUMNS, start = (this.count - shown) % COLUMNS, x0 = LEFT + w - shown * per;
+    // The ring from its oldest column on, in two pieces where it has gone round.
+    const first = Math.min(shown, COLUMNS - start);
+    g.drawImage(this.ring, start, 0, first, doppler, x0, TOP, first * per, h);
+    if (first < shown) g.drawImage(this.ring, 0, 0, shown - first, doppler, x0 + first * per, TOP, (shown - first) * per, h);
     g.fillStyle = theme.ink;
     g.textAlign = 'right';
     g.textBaseline = 'middle';

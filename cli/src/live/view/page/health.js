@@ -26,7 +26,8 @@ export class HealthStrip {
   }
 
   hello({ source, board, model }) {
-    this.put('source', source);
+    // The last part of a path is what tells it from others.
+    this.put('source', source.replace(/\S*\/(?=[^/\s])/g, ''), { title: source });
     this.put('board', board ? board.name : null);
     this.put('firmware', board ? board.firmware : null, { title: board?.chip ?? '' });
     this.put('model', model);

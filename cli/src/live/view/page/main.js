@@ -191,6 +191,7 @@ for (const id of ['low', 'high']) $(id).addEventListener('input', () => { map[id
 $('partner-on').addEventListener('change', look);
 $('chirps-card').addEventListener('toggle', look);
 $('chirp').addEventListener('input', look);
+$('whole').addEventListener('change', () => { chirps.whole = $('whole').checked; chirps.draw(); });
 $('window').addEventListener('change', () => { page.windowed = true; timeline.window = Number($('window').value); timeline.draw(); });
 $('play').addEventListener('click', play);
 $('step').addEventListener('click', () => step(1));

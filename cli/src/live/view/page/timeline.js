@@ -108,15 +108,15 @@ export class Timeline {
     // One column a pixel at most, whatever the window holds.
     let filled = -1;
     for (let i = begin_; i < end; i++) {
-      const left = Math.max(filled, x(history.time[i])), right = x(until(i));
-      if (right - filled < 0.7 && i + 1 < end) continue;
+      const left = Math.max(filled, Math.round(x(history.time[i]))), right = Math.round(x(until(i)));
+      if (right <= left && i + 1 < end) continue;
       filled = right;
       if (history.empty[i] === NONE) continue;
       let y = pTop + pHeight;
       for (const name of NAMES) {
         const h = history[name][i] / 250 * pHeight;
         g.fillStyle = theme[name];
-        g.fillRect(left, y - h, right - left + 0.3, h);
+        g.fillRect(left, y - h, right - left, h);
         y -= h;
       }
     }

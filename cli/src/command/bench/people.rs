@@ -1,0 +1,52 @@
+//! Simulated people as ellipsoids: frames at several tolerances and key times, beside a trace for every chirp.
+
+use radome_dsp::Frame;
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use super::point::{Point, least_ms};
+use crate::files;
+
+const STAGE: &str = "a frame of two walkers";
+/// Frames that tell.
+const FRAMES: [u64; 3] = [40, 60, 80];
+/// Stretches of a frame are halved so often for the reference: 128 of them.
+const HALVINGS: u32 = 7;
+
+/// The corridor with two walkers on all threads; the error is the rms of the samples' difference, over the samples' rms.
+pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
+    let scene = Scene::load(&files::fixture("scenes/corridor.toml")?)?;
+    let simulator = |tolerance_db: f64| {
+        let options = SimulateOptions { seed: 100_001, people: Some(2), tolerance_db, ..Default::default() };
+        Simulator::new(&scene, options)
+    };
+    let exact: Vec<Vec<f32>> = {
+        let simulator = simulator(0.02)?;
+        FRAMES.iter().map(|&index| simulator.echo_samples_halved(index, HALVINGS)).collect()
+    };
+    let mut points = Vec::new();
+    for tolerance_db in [0.5, 2.0, 0.2] {
+        let simulator = simulator(tolerance_db)?;
+        let mut apart = (0.0, 0.0);
+        for (&index, exact) in FRAMES.iter().zip(&exact) {
+            for (a, b) in simulator.echo_samples(index).iter().zip(exact) {
+                apart = (apart.0 + f64::from(a - b).powi(2), apart.1 + f64::from(*b).powi(2));
+            }
+        }
+        let ms = least_ms(rounds, || {
+            for index in FRAMES {
+                let frame: Frame = simulator.render(index);
+                std::hint::black_box(frame);
+            }
+            Ok(())
+        })?;
+        points.push(Point {
+            stage: STAGE,
+            way: format!("tolerance {tolerance_db} dB"),
+            milliseconds: ms / FRAMES.len() as f64,
+            error: Some(10.0 * (apart.0 / apart.1).log10()),
+            error_unit: "dB of echoes",
+            is_peer: false,
+        });
+    }
+    Ok(points)
+}
