@@ -142,7 +142,7 @@ impl Page {
         }
         let shared = Arc::new(Shared {
             labels: Keeper::open(tape.as_ref(), waveform.frame_interval_s())?,
-            feed: Feed::new(&waveform),
+            feed: Feed::new(&waveform, tape.is_some()),
             about: About {
                 description: source.description.clone(),
                 model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),

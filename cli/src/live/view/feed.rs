@@ -145,7 +145,7 @@ struct Slot {
     /// Answers that have left the history, and those in it.
     answers: u64,
     after_gap: bool,
-    /// When the newest came: a recording that is sought gives others than those that are shown.
+    /// When those of a recording came that are shown: of one that is sought, others come too.
     came: VecDeque<Instant>,
     pages: BTreeMap<PageId, PageState>,
     next_page: PageId,
@@ -157,12 +157,13 @@ pub struct Feed {
     slot: Mutex<Slot>,
     wake: Condvar,
     waveform: Waveform,
+    is_tape: bool,
 }
 
 impl Feed {
     /// Nothing has been seen yet.
-    pub fn new(waveform: &Waveform) -> Self {
-        Feed { slot: Mutex::default(), wake: Condvar::new(), waveform: waveform.clone() }
+    pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
+        Feed { slot: Mutex::default(), wake: Condvar::new(), waveform: waveform.clone(), is_tape }
     }
 
     fn slot(&self) -> MutexGuard<'_, Slot> {
@@ -176,7 +177,7 @@ impl Feed {
             answer: answer.clone(),
             frame: moment.frame.clone(),
             network_map: moment.map.clone(),
-            health: strip(moment, self.rate()),
+            health: strip(moment, self.rate(moment)),
         };
         let mut slot = self.slot();
         let point = Point {
@@ -200,8 +201,11 @@ impl Feed {
         drop(old);
     }
 
-    /// Frames in a second, over the newest ones.
-    fn rate(&self) -> f64 {
+    /// Frames in a second, over the newest ones that are shown.
+    fn rate(&self, moment: &Moment) -> f64 {
+        if !self.is_tape {
+            return moment.health.frames_per_s();
+        }
         let came = &mut self.slot().came;
         if came.len() == RATE_FRAMES {
             came.pop_front();

@@ -52,7 +52,7 @@ export class DopplerView {
     if (!begun || !this.valid) return;
     const { g, width, height } = begun, w = width - LEFT - 4, h = height - TOP - BOTTOM, { doppler, step } = this;
     g.imageSmoothingEnabled = false;
-    const shown = this.valid, per = w / COLUMNS, start = (this.count - shown) % COLUMNS, x0 = LEFT + w - shown * per;
+    const shown = this.valid, per = w / Math.min(COLUMNS, Math.max(160, shown)), start = (this.count - shown) % COLUMNS, x0 = LEFT + w - shown * per;
     // The ring from its oldest column on, in two pieces where it has gone round.
     const first = Math.min(shown, COLUMNS - start);
     g.drawImage(this.ring, start, 0, first, doppler, x0, TOP, first * per, h);
@@ -64,7 +64,7 @@ export class DopplerView {
     for (const [value, text] of ticks(-zero * step, (doppler - 1 - zero) * step, 5)) g.fillText(text, LEFT - 5, TOP + (1 - (value / step + zero + 0.5) / doppler) * h);
     g.textAlign = 'center';
     g.textBaseline = 'alphabetic';
-    for (let i = shown - 1, n = 0; i >= 0; i -= 96, n++) {
+    for (let i = shown - 1, every = Math.ceil(90 / per); i >= 0; i -= every) {
       const x = Math.min(x0 + (i + 0.5) * per, width - 24);
       if (x > LEFT + 16) g.fillText(clock(this.times[(this.count - shown + i) % COLUMNS]), x, height - 5);
     }
