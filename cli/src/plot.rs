@@ -82,8 +82,12 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
 pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
     const WIDTH: u32 = 640;
     const HEIGHT: u32 = 400;
-    const LEGEND: u32 = 230;
-    let size = (MARGIN_LEFT + WIDTH + LEGEND, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM);
+    let longest = series.iter().map(|(name, _)| name.chars().count() as u32).max().unwrap_or(0);
+    let size = (MARGIN_LEFT + WIDTH + 40 + 8 * longest, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM);
+    let power = |decade: i32| match decade {
+        -3..=4 => format!("{}", 10f64.powi(decade)),
+        _ => format!("1e{decade}"),
+    };
     let mut image = RgbImage::from_pixel(size.0, size.1, Rgb([255, 255, 255]));
     let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
     // Whole decades around all points.
@@ -100,13 +104,13 @@ pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f6
     for decade in x_low as i32..=x_high as i32 {
         let x = x_of(f64::from(decade));
         vertical(&mut image, x, MARGIN_TOP, HEIGHT + 5);
-        let name = format!("{}", 10f64.powi(decade));
+        let name = power(decade);
         text(&mut image, x.saturating_sub(4 * name.len() as u32), MARGIN_TOP + HEIGHT + 8, &name);
     }
     for decade in y_low as i32..=y_high as i32 {
         let y = y_of(f64::from(decade));
         horizontal(&mut image, MARGIN_LEFT - 5, y, WIDTH + 5);
-        let name = format!("{}", 10f64.powi(decade));
+        let name = power(decade);
         text(&mut image, (MARGIN_LEFT - 8).saturating_sub(8 * name.len() as u32), y.saturating_sub(4), &name);
     }
     text(&mut image, MARGIN_LEFT + WIDTH / 2 - 36, MARGIN_TOP + HEIGHT + 26, across);

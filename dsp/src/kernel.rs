@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Instruction set of the kernels that make maps.
+/// Instruction set of the kernels that make maps, and of those of networks.
 ///
 /// The same binary at the same level gives the same bits on any machine that has the level; unlike levels differ in
 /// rounding (fused multiply-add or not), by some -140 dBc. Ordered from slow to fast.
@@ -49,6 +49,11 @@ impl KernelLevel {
         self == KernelLevel::Portable
     }
 
+    /// This level, or the fastest below it that the machine has.
+    pub fn available(self) -> Self {
+        Self::ALL.into_iter().rfind(|level| *level <= self && level.is_available()).unwrap_or(KernelLevel::Portable)
+    }
+
     /// Name as people write it.
     pub fn name(self) -> &'static str {
         match self {
@@ -74,6 +79,9 @@ mod tests {
         assert!(KernelLevel::Portable.is_available());
         let detected = KernelLevel::detect();
         assert!(detected.is_available());
-        assert!(KernelLevel::ALL.into_iter().all(|level| level <= detected || !level.is_available()));
+        for level in KernelLevel::ALL {
+            assert!(level <= detected || !level.is_available());
+            assert_eq!(level.available(), level.min(detected));
+        }
     }
 }

@@ -3,43 +3,7 @@
 //! All levels do the same sums; AVX2 and AVX-512 fuse multiply and add, and tiles have other sizes: unlike machines
 //! agree bit for bit only at the same level, so the level is recorded with every trained model and can be chosen.
 
-use serde::{Deserialize, Serialize};
-
-/// Which instructions the inner loops use.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum KernelLevel {
-    /// Plain Rust: separate multiply and add.
-    Portable,
-    /// AVX2 with fused multiply-add; falls back to `Portable` where the processor lacks it.
-    Avx2,
-    /// AVX-512; falls back to `Avx2` where the processor lacks it.
-    Avx512,
-}
-
-impl KernelLevel {
-    /// From the slowest to the fastest.
-    pub const ALL: [KernelLevel; 3] = [KernelLevel::Portable, KernelLevel::Avx2, KernelLevel::Avx512];
-
-    /// The fastest that this machine has.
-    pub fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            let wide = is_x86_feature_detected!("avx512f")
-                && is_x86_feature_detected!("avx512bw")
-                && is_x86_feature_detected!("avx512dq")
-                && is_x86_feature_detected!("avx512vl");
-            return if wide { KernelLevel::Avx512 } else { KernelLevel::Avx2 };
-        }
-        KernelLevel::Portable
-    }
-
-    /// This level, or the next below that the processor has.
-    pub fn available(self) -> Self {
-        let best = Self::detect();
-        if (self as u8) < best as u8 { self } else { best }
-    }
-}
+pub use radome_dsp::KernelLevel;
 
 /// Calls the generic function with `FUSED` true inside a function compiled for AVX2 or AVX-512, or false in plain code.
 macro_rules! dispatch {

@@ -9,7 +9,7 @@ use radome_models::quantum::{
 
 use super::point::{Point, least_ms};
 
-const STAGE: &str = "circuit and gradients, a sample";
+const STAGE: &str = "a sample by the circuit";
 const BATCH: usize = 256;
 
 /// A batch of the paper's circuit, forward and all gradients; the error is the rms of the expectations.
@@ -52,7 +52,7 @@ pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
         let execution = Execution::Shots(Shots { count, seed: 1, gradient: ShotGradient::Shots });
         let of = Circuit::new(&CircuitSpec { execution, ..CircuitSpec::default() })?;
         let mut told = vec![[0.0; 2]; BATCH];
-        let ms = least_ms(rounds.min(5), || {
+        let ms = least_ms(rounds.min(10), || {
             for (row, (x, told)) in x.iter().zip(&mut told).enumerate() {
                 let draw = Draw { call: 0, row: row as u64 };
                 let x = x.map(f64::from);

@@ -70,7 +70,8 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
     })
 }
 
-/// One map to logits, for the table of all stages; errors are those of logits against the portable kernels.
+/// One map to logits, for the table of all stages; errors are those of logits against the portable
+/// kernels, over the largest.
 pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     const ROUNDS: usize = 30;
     let folder = std::env::temp_dir().join(format!("radome-bench-{}", std::process::id()));
@@ -94,7 +95,9 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
                 portable = logits;
                 continue;
             }
-            let apart = portable.iter().zip(&logits).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+            let largest = portable.iter().map(|a| f64::from(a.abs())).fold(f64::MIN_POSITIVE, f64::max);
+            let apart =
+                portable.iter().zip(&logits).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max) / largest;
             let way = format!("native, {:.0} k parameters", spec.parameter_count() as f64 * 1e-3);
             points.push(Point {
                 stage,

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
 use radome_models::dataset::{Split, SplitSpec};
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Newest format of the file.
 const FORMAT: u32 = 1;
@@ -16,7 +18,8 @@ const FORMAT: u32 = 1;
 #[serde(deny_unknown_fields)]
 pub struct BuildSpec {
     format: u32,
-    /// Which map.
+    /// Which map: keys that are left out are those of [`map_of_networks`].
+    #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
     pub map: RdmSpec,
     /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
     /// bit if it is given.
@@ -124,6 +127,24 @@ pub enum FolderLabel {
     Skip,
 }
 
+/// What a network can be trained on, whatever the board: the mean power of all receivers, less each chirp's mean and what stands
+/// still within the frame.
+fn map_of_networks() -> RdmSpec {
+    RdmSpec {
+        channels: Channels::IncoherentSum,
+        chirp_mean_removal: true,
+        static_removal: StaticRemoval::SlowTimeMean,
+        ..RdmSpec::default()
+    }
+}
+
+fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<RdmSpec, D::Error> {
+    let given = toml::Table::deserialize(deserializer)?;
+    let mut all = toml::Table::try_from(map_of_networks()).map_err(D::Error::custom)?;
+    all.extend(given);
+    all.try_into().map_err(D::Error::custom)
+}
+
 fn one() -> u64 {
     1
 }
@@ -173,5 +194,20 @@ impl BuildSpec {
             bail!("recorded source {}: {fault}", index + 1);
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_that_is_not_named_is_one_that_networks_can_take_and_named_keys_change_it() {
+        let read = |text: &str| toml::from_str::<BuildSpec>(text);
+        assert_eq!(read("format = 1").expect("valid").map, map_of_networks());
+        let some = read("format = 1\n[map]\nchannels = { one = 0 }").expect("valid").map;
+        assert_eq!(some, RdmSpec { channels: Channels::One(0), ..map_of_networks() });
+        let error = read("format = 1\n[map]\nchannel = 1").expect_err("no such key").to_string();
+        assert!(error.contains("channel"), "{error}");
     }
 }

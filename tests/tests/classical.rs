@@ -1,0 +1,93 @@
+//! What needs no training: the detector that counts people, and directions of echoes.
+
+use std::path::Path;
+
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+fn simulate(folder: &Path, people: usize) -> String {
+    let path = folder.join(format!("people-{people}.mcap"));
+    let people = people.to_string();
+    let args = ["simulate", "--people", &people, "--seed", "200001", "--frames", "150", "--json", "-o"];
+    json_lines(radome().args(args).arg(&path).arg(fixture("scenes/hall.toml")));
+    path.display().to_string()
+}
+
+/// Empty halls are called empty and walkers somebody, through the same filter and figures as a network's.
+#[test]
+fn the_detector_judges_recordings_in_place_of_a_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let labelled =
+        [(0, "empty"), (1, "one")].map(|(people, label)| format!("{}={label}", simulate(folder.path(), people)));
+    let answer = &json_lines(radome().args(["evaluate", "--model", "cfar", "--json"]).args(labelled))[0];
+    let recordings = answer["recordings"].as_array().expect("a list");
+    assert_eq!(recordings[0]["majority"], "empty", "{answer}");
+    assert!(recordings[0]["share"].as_f64().expect("number") > 0.95, "{answer}");
+    assert_eq!(recordings[1]["majority"], "one", "{answer}");
+}
+
+/// It takes any waveform, live too.
+#[test]
+fn the_detector_watches_any_source() {
+    let args = ["live", "--model", "cfar", "--frames", "60", "--people", "0", "--json"];
+    let lines = json_lines(radome().args(args).arg(fixture("scenes/corridor.toml")));
+    let (summary, frames) = lines.split_last().expect("some lines");
+    assert_eq!(frames.len(), 60);
+    assert!(frames.iter().all(|frame| frame["label"] == "empty"), "{summary}");
+}
+
+#[test]
+fn the_detector_wants_frames_and_not_maps() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let said = failure(radome().args(["evaluate", "--model", "cfar"]).arg(folder.path()));
+    assert!(said.contains("raw frames") && said.contains("hint:"), "{said}");
+}
+
+/// The corridor with something else after its furniture, in place of its people or before them.
+fn scene(folder: &Path, name: &str, rest: &str) -> std::path::PathBuf {
+    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
+    let corridor = corridor.replace("../receivers", &fixture("receivers").display().to_string());
+    let (head, people) = corridor.split_at(corridor.find("[people").expect("a people table"));
+    let path = folder.join(name);
+    let people = if rest.contains("[people") { "" } else { people };
+    std::fs::write(&path, format!("{head}{rest}{people}")).expect("writable");
+    path
+}
+
+/// Who walks on the radar's left has a positive azimuth, on its right a negative one; the strongest echo is theirs.
+#[test]
+fn azimuth_is_on_the_side_on_which_somebody_walks() {
+    let folder = tempfile::tempdir().expect("a folder");
+    for (y_m, sign) in [(1.55, 1.0), (0.45, -1.0)] {
+        let walk = format!(
+            "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [2.0, {y_m}] }}, {{ walk_to_m = [5.0, {y_m}], speed_m_per_s = 1.0 }}]\n"
+        );
+        let path = scene(folder.path(), "walk.toml", &walk);
+        let frames = json_lines(radome().args(["echoes", "--frames", "30", "--json"]).arg(path));
+        let strongest = frames.iter().filter_map(|frame| frame["echoes"].get(0));
+        let sides: Vec<f64> = strongest.filter_map(|echo| echo["azimuth_deg"].as_f64()).collect();
+        let right = sides.iter().filter(|azimuth| *azimuth * sign > 0.0).count();
+        assert!(sides.len() >= 15 && 10 * right >= 9 * sides.len(), "{y_m}: {sides:?}");
+    }
+}
+
+/// Receivers of the simulator are alike: a reflector in a known place tells phases near none, and the file that is written is
+/// read again.
+#[test]
+fn a_reflector_tells_what_receivers_are_unlike_in() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let thing = "[[furniture]]\nname = \"corner\"\nposition_m = [2.85, 0.99, 1.49]\nsize_m = [0.02, 0.02, 0.02]\ncross_section_dbsm = 5.0\n";
+    let path = scene(folder.path(), "corner.toml", thing);
+    let angles = folder.path().join("angles.toml");
+    let args = ["echoes", "--people", "0", "--reflector", "2.5,0,0", "--json", "-o"];
+    let told: Value = json_lines(radome().args(args).arg(&angles).arg(&path)).remove(0);
+    for phase in ["azimuth_phase_rad", "elevation_phase_rad"] {
+        assert!(told[phase].as_f64().expect("number").abs() < 0.35, "{told}");
+    }
+    json_lines(
+        radome().args(["echoes", "--frames", "5", "--people", "0", "--json", "--angles"]).arg(&angles).arg(&path),
+    );
+    std::fs::write(&angles, "format = 7\n").expect("writable");
+    let said = failure(radome().args(["echoes", "--frames", "5", "--angles"]).arg(&angles).arg(&path));
+    assert!(said.contains("hint:") && said.contains("angles.toml"), "{said}");
+}
