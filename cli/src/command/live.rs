@@ -100,7 +100,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     if let Some(tape) = &source.tape {
         tape.transport.set_preroll_s(judge.memory_s());
     }
-    let page = view::Page::open(watch.view, &source, watch.model)?;
+    let page = view::Page::open(watch.view, &source, watch.model, None)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };

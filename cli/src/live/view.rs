@@ -11,7 +11,7 @@ mod partner;
 mod server;
 
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
@@ -114,8 +114,14 @@ pub struct Page {
 }
 
 impl Page {
-    /// Starts serving if the page is wanted.
-    pub fn open(arguments: &Arguments, source: &Source, model: &std::path::Path) -> anyhow::Result<Option<Page>> {
+    /// Starts serving if the page is wanted. Labels of a live source go into `recording` at the end, once whoever writes it has
+    /// finished it.
+    pub fn open(
+        arguments: &Arguments,
+        source: &Source,
+        model: &Path,
+        recording: Option<&Path>,
+    ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
             return Ok(None);
         }
@@ -141,7 +147,7 @@ impl Page {
             eprintln!("whoever reaches {address} can watch and label");
         }
         let shared = Arc::new(Shared {
-            labels: Keeper::open(tape.as_ref(), waveform.frame_interval_s())?,
+            labels: Keeper::open(tape.as_ref(), recording, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, tape.is_some()),
             about: About {
                 description: source.description.clone(),
@@ -214,7 +220,7 @@ impl Sink for Page {
             }
         }
         // Pages hear that it is over.
-        self.shared.doors.wait_for_farewells();
+        server::wait_for_farewells(&self.shared);
         self.shared.labels.last_word()
     }
 }

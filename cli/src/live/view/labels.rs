@@ -1,6 +1,6 @@
 //! The labels that pages make: put down by keys while frames go by, moved at their edges, taken back; and where they are kept.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -238,6 +238,9 @@ struct Told<'a> {
     place: Option<String>,
     /// Whether what is shown is there.
     saved: bool,
+    /// Where they will be at the end of the run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    later: Option<String>,
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
@@ -301,6 +304,8 @@ pub struct Keeper {
     state: Mutex<State>,
     changed: Condvar,
     place: Option<Place>,
+    /// The recording that is being made, which takes labels when it is finished.
+    recording: Option<PathBuf>,
     interval_s: f64,
     /// Bits of the time of the newest frame, s.
     now_s: AtomicU64,
@@ -308,7 +313,7 @@ pub struct Keeper {
 
 impl Keeper {
     /// With the labels that the recording has.
-    pub fn open(tape: Option<&Tape>, interval_s: f64) -> anyhow::Result<Self> {
+    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, interval_s: f64) -> anyhow::Result<Self> {
         let place = tape.map(|tape| -> anyhow::Result<Place> {
             let recording = tape.path.clone();
             Ok(match Recording::open(&recording)? {
@@ -326,6 +331,7 @@ impl Keeper {
         Ok(Keeper {
             state: Mutex::new(state),
             changed: Condvar::new(),
+            recording: recording.filter(|_| place.is_none()).map(Path::to_owned),
             place,
             interval_s,
             now_s: AtomicU64::new(0f64.to_bits()),
@@ -407,6 +413,7 @@ impl Keeper {
             can_redo: !state.book.future.is_empty(),
             place: self.place.as_ref().map(Place::name),
             saved: state.saved == state.book.revision,
+            later: self.recording.as_ref().map(|path| path.display().to_string()),
             fault: state.fault.as_deref(),
         };
         serde_json::json!({ "labels": told })
@@ -459,9 +466,14 @@ impl Keeper {
         self.changed.notify_all();
     }
 
-    /// Says what could not be kept.
+    /// Gives a recording that has been made its labels; says what could not be kept.
     pub fn last_word(&self) -> anyhow::Result<()> {
         let state = self.state();
+        if let Some(recording) = self.recording.as_ref().filter(|_| !state.book.spans.is_empty()) {
+            mcap::set_labels(recording, &state.book.labels(self.now_s()))
+                .with_context(|| format!("{} labels were not saved", state.book.spans.len()))?;
+            return Ok(());
+        }
         if let Some(fault) = &state.fault {
             bail!("labels were not saved: {fault}");
         }

@@ -143,13 +143,13 @@ impl Doors {
             REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));
         refused.collect::<serde_json::Map<String, serde_json::Value>>().into()
     }
+}
 
-    /// Waits a little until pages have gone.
-    pub fn wait_for_farewells(&self) {
-        let end = Instant::now() + FAREWELL;
-        while self.open_connections() > 0 && Instant::now() < end {
-            std::thread::sleep(Duration::from_millis(20));
-        }
+/// Waits a little until pages have heard that the run is over, and gone.
+pub fn wait_for_farewells(shared: &Shared) {
+    let end = Instant::now() + FAREWELL;
+    while shared.feed.pages() > 0 && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(20));
     }
 }
 

@@ -8,7 +8,7 @@ import { Link, floats, words } from './link.js';
 import { MapView } from './map.js';
 import { clock } from './plot.js';
 import { ProfileView } from './profile.js';
-import { Timeline } from './timeline.js';
+import { History, Timeline } from './timeline.js';
 
 const $ = id => document.getElementById(id);
 const page = window.radome = { pictures: 0, header: null, hello: null, labels: null, playback: null, last: null };
@@ -96,6 +96,8 @@ const send = request => link.send(request);
 
 function greet(hello) {
   page.hello = hello;
+  // The program says anew what has been; it may be another run.
+  timeline.history = new History();
   health.hello(hello);
   timeline.tape = hello.tape;
   timeline.interval = hello.frame_interval_s;
@@ -165,7 +167,22 @@ function relook() {
   look();
 }
 
-function seek(time_s) { if (page.hello?.tape) send({ do: 'seek', time_s }); }
+/** A place in the recording. While a hand draws, one at a time: each costs the frames before it. */
+let sought = null, resting = 0;
+function seek(time_s) {
+  if (!page.hello?.tape || !Number.isFinite(time_s)) return;
+  sought = time_s;
+  if (resting) return;
+  const go = () => {
+    resting = 0;
+    if (sought === null) return;
+    send({ do: 'seek', time_s: sought });
+    sought = null;
+    resting = setTimeout(go, 200);
+  };
+  go();
+}
+
 function select(id) { timeline.selected = id; list.mark(id); timeline.draw(); }
 function who() { return $('who').value.trim() || null; }
 function label(occupancy) { send({ do: 'label', occupancy, who: who() }); }
