@@ -10,7 +10,7 @@ use mcap::records::{ChunkIndex, Record, Statistics, op};
 
 use super::index::summary_start;
 use super::lengths::parse_record;
-use super::records::{RECORD_HEADER, Records, Topic, topic};
+use super::records::{MAX_RECORD, RECORD_HEADER, Records, Topic, topic};
 use super::{LABELS, LabelSpan};
 use crate::recording::RecordingError;
 
@@ -29,12 +29,15 @@ pub fn set_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingErro
     let no_summary = || records.corrupt(length, "its summary is not where its footer says".into());
     let end = summary_start.checked_sub(DATA_END_BYTES).filter(|_| summary_start <= length - FOOTER_BYTES);
     let end = end.ok_or_else(no_summary)?;
-    let mut bytes = vec![0; usize::try_from(length - end).map_err(|_| no_summary())?];
-    records.peek(end, &mut bytes)?;
-    let summary = bytes.get(DATA_END_BYTES as usize..bytes.len() - FOOTER_BYTES as usize);
-    let Some(summary) = summary.filter(|_| bytes.first() == Some(&op::DATA_END)) else {
+    // Before anything is set aside for it: a footer may lie.
+    let mut data_end = [0; RECORD_HEADER as usize];
+    records.peek(end, &mut data_end)?;
+    if data_end != [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0] || length - end > MAX_RECORD {
         return Err(records.corrupt(end, "no end of the data where the summary starts".into()));
-    };
+    }
+    let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
+    records.peek(end, &mut bytes)?;
+    let summary = bytes.get(DATA_END_BYTES as usize..bytes.len() - FOOTER_BYTES as usize).unwrap_or(&[]);
     let summary = Summary::parse(summary).map_err(|reason| records.corrupt(summary_start, reason))?;
     let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(path)(e.into()))?;
     let tail = summary.with_labels(end, &json).map_err(RecordingError::cannot_write(path))?;

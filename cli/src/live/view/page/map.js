@@ -41,13 +41,14 @@ export class MapView {
     const sorted = Array.from(floor).filter(Number.isFinite).sort((a, b) => a - b);
     const middle = this.overFloor ? 0 : sorted[sorted.length >> 1] ?? 0;
     const wants = [middle - 2, Math.max(middle + 38, this.strongest ? this.strongest.db + 2 : -Infinity)];
-    if (!this.auto || Math.abs(this.auto[0] - wants[0]) > 30) this.auto = wants;
+    if (!this.auto || this.isNew || Math.abs(this.auto[0] - wants[0]) > 30) this.auto = wants;
     else this.auto = this.auto.map((v, i) => v + (wants[i] > v && i ? 0.5 : 0.05) * (wants[i] - v));
+    this.isNew = false;
     this.draw();
   }
 
   /** What was held, or belongs to another view, means nothing any more. */
-  forget() { this.held = null; this.auto = null; }
+  forget() { this.held = null; this.isNew = true; }
 
   none(text) { this.header = null; this.message = text; this.strongest = null; this.draw(); }
 

@@ -21,13 +21,14 @@ export class ProfileView {
     Object.assign(this, { header, peak, floor });
     const finite = Array.from(floor).filter(Number.isFinite);
     const wants = [Math.min(...finite) - 4, Math.max(...(this.held ?? peak).subarray(2), Math.min(...finite) + 40) + 3];
-    if (!this.scale || Math.abs(this.scale[0] - wants[0]) > 30) this.scale = wants;
+    if (!this.scale || this.isNew || Math.abs(this.scale[0] - wants[0]) > 30) this.scale = wants;
     else this.scale = this.scale.map((v, i) => v + (i && wants[i] > v ? 0.5 : 0.05) * (wants[i] - v));
+    this.isNew = false;
     this.draw();
   }
 
   none() { this.header = null; this.draw(); }
-  forget() { this.held = null; this.scale = null; }
+  forget() { this.held = null; this.isNew = true; }
 
   paint() {
     const begun = begin(this.canvas);
