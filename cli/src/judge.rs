@@ -3,11 +3,16 @@
 use std::path::Path;
 
 use anyhow::Context;
+use radome_driver::Judge as NamedJudge;
+use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::people::PeopleCounter;
 use radome_dsp::rdm::SlowTime;
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, Waveform};
 use radome_models::Classifier;
 use radome_models::occupancy_filter::Smoothing;
+use sha2::{Digest, Sha256};
+
+use crate::live::classify::Delays;
 
 /// The name that takes the place of a model file.
 pub const CFAR: &str = "cfar";
@@ -58,6 +63,21 @@ impl Model {
             Model::Network(classifier) => Some(classifier.waveform()),
             Model::Cfar => None,
         }
+    }
+
+    /// Who judges, as recordings name it.
+    pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
+        let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let model_hash = match self {
+            // It is this program's own.
+            Model::Cfar => format!("radome {}", env!("CARGO_PKG_VERSION")),
+            Model::Network(_) => {
+                let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+                Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+            }
+        };
+        let Delays { on_s: on_delay_s, off_s: off_delay_s } = delays;
+        Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
     }
 
     /// How answers to frames are put together.

@@ -11,6 +11,7 @@
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
@@ -19,7 +20,7 @@ use radome_driver::{
     Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace, Player,
     RealTime, Reconnect, Transport, candidates,
 };
-use radome_dsp::{FrameSource, Waveform};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 /// What to do with a source beyond its name.
@@ -74,6 +75,37 @@ impl Source {
 
 /// Opens a SOURCE.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
+    let source = open_unstamped(spec, options)?;
+    Ok(match source.is_live {
+        true => Source { frames: Box::new(Stamped(source.frames)), ..source },
+        false => source,
+    })
+}
+
+/// Frames of a board with the host's time, where the board's own driver gives none.
+struct Stamped(Box<dyn FrameSource>);
+
+impl FrameSource for Stamped {
+    fn waveform(&self) -> &Waveform {
+        self.0.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        frame.host_time_ns = 0;
+        let event = self.0.next_frame(frame)?;
+        if event == SourceEvent::Frame && frame.host_time_ns == 0 {
+            let now = SystemTime::now().duration_since(UNIX_EPOCH);
+            frame.host_time_ns = now.map_or(0, |now| now.as_nanos() as u64);
+        }
+        Ok(event)
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        self.0.frame_count()
+    }
+}
+
+fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     if let Some(inner) = spec.strip_prefix("emulated:") {
         return emulated(inner, options);
     }
@@ -193,7 +225,7 @@ fn the_one_board() -> anyhow::Result<Address> {
 
 /// The same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
+    let source = open_unstamped(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
     let emulated = EmulatedSource::start(source.frames, EmulatorOptions { pace, ..Default::default() })?;

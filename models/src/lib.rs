@@ -26,6 +26,7 @@ mod random;
 pub mod standardise;
 pub mod study;
 pub mod train;
+mod whole_file;
 
 pub use classifier::{Classifier, ClassifyError};
 pub use dataset::Dataset;

@@ -1,7 +1,6 @@
 //! Trained networks as safetensors with a card in the metadata.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform};
@@ -16,6 +15,7 @@ use crate::occupancy_filter::Smoothing;
 use crate::onnx;
 use crate::onnx_runtime::OnnxError;
 use crate::standardise::Standardisation;
+use crate::whole_file;
 
 /// Version of the format that is written; older ones are read.
 pub const MODEL_FORMAT_VERSION: u32 = 1;
@@ -207,16 +207,7 @@ impl Model {
         }
         let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
         let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(format!(".partial-{}", std::process::id()));
-        let temporary = path.with_file_name(name);
-        let write = || -> std::io::Result<()> {
-            let mut file = std::fs::File::create(&temporary)?;
-            file.write_all(&data)?;
-            file.sync_all()?;
-            std::fs::rename(&temporary, path)
-        };
-        write().inspect_err(|_| drop(std::fs::remove_file(&temporary))).map_err(io("writing"))
+        whole_file::write(path, &data).map_err(io("writing"))
     }
 
     /// Reads a model and checks that it is whole and makes sense.

@@ -1,6 +1,7 @@
 //! What the end-to-end tests share: the built program, its files, and its answers.
 
 pub mod browser;
+pub mod running;
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

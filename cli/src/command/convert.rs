@@ -92,6 +92,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     for label in source.labels()? {
         writer.label(&label)?;
     }
+    for result in source.results()?.into_iter().flatten() {
+        writer.result(&result?)?;
+    }
     let report = writer.finish()?;
     bar.finish_and_clear();
     for what in &report.unheld {

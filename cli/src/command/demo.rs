@@ -41,5 +41,8 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         json: arguments.json,
         delays: Default::default(),
         view: &arguments.view,
+        output: None,
+        background: None,
+        home: &Default::default(),
     })
 }

@@ -1,9 +1,16 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use anyhow::bail;
+use radome_driver::RecordingHeader;
+
+use crate::files;
 use crate::judge::Model;
+use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
+use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
+use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -18,6 +25,12 @@ pub struct Arguments {
     /// Model file, which names the waveform that a board is programmed with; or cfar, the classical detector, for any waveform
     #[arg(long)]
     model: PathBuf,
+    /// Record frames and answers to this MCAP file
+    #[arg(short, long, value_name = "FILE.mcap")]
+    output: Option<PathBuf>,
+    /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
+    #[arg(long, value_name = "FILE.json")]
+    background: Option<PathBuf>,
     /// Stop after so many frames
     #[arg(long)]
     frames: Option<u64>,
@@ -41,6 +54,8 @@ pub struct Arguments {
     json: bool,
     #[command(flatten)]
     view: view::Arguments,
+    #[command(flatten)]
+    home: home::Arguments,
 }
 
 /// Online classification of any source.
@@ -55,6 +70,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
+        output: arguments.output.as_deref(),
+        background: arguments.background.as_deref(),
+        home: &arguments.home,
     })
 }
 
@@ -78,13 +96,27 @@ pub struct Watch<'a> {
     pub delays: Delays,
     /// The page.
     pub view: &'a view::Arguments,
+    /// Recording to write.
+    pub output: Option<&'a Path>,
+    /// Capture of the empty room.
+    pub background: Option<&'a Path>,
+    /// Who else is told.
+    pub home: &'a home::Arguments,
 }
 
 /// Watches a source until it ends, is stopped, or has given enough frames.
 pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let started = Instant::now();
     output::catch_interrupts()?;
+    if let Some(path) = watch.output {
+        files::check_parent(path)?;
+        if is_same(path, Path::new(watch.source)) {
+            bail!("{} is source and output at once\n\nhint: choose another name", path.display());
+        }
+    }
     let model = Model::open(watch.model)?;
+    let named = model.named(watch.model, watch.delays)?;
+    let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
     let options = SourceOptions {
         waveform: model.waveform().cloned(),
         seed: watch.seed,
@@ -96,23 +128,45 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
-    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?;
+    let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
     if let Some(tape) = &source.tape {
         tape.transport.set_preroll_s(judge.memory_s());
     }
-    let page = view::Page::open(watch.view, &source, watch.model, None)?;
+    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
+    let header = RecordingHeader {
+        waveform,
+        board: source.board.clone(),
+        registers: source.registers.clone(),
+        judge: Some(named),
+    };
+    let mut home = Home::open(watch.home, &header, started)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
     let inlet = pipeline.consumer("classifier", 16, policy);
+    let recorder = match watch.output {
+        Some(path) => {
+            let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
+            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy))?)
+        }
+        None => None,
+    };
     let reader = pipeline.start(source.frames, watch.frames);
-    let patience = Duration::from_secs_f64((2.0 * waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = Vec::new();
+    let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
+    let mut sinks: Vec<Box<dyn Sink>> = home.take_sinks();
+    if let Some(recorder) = recorder {
+        sinks.push(Box::new(recorder));
+    }
     if let Some(page) = page {
         sinks.push(Box::new(page));
     }
     sinks.push(Box::new(Screen::new(watch.json)));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
+    drop(home);
     outcome.map(drop)
+}
+
+fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }

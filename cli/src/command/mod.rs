@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod background;
 mod bench;
 mod calibrate;
 mod circuit;
@@ -8,6 +9,7 @@ mod convert;
 mod dataset;
 mod demo;
 mod devices;
+mod doctor;
 mod echoes;
 mod emulate;
 mod evaluate;
@@ -20,6 +22,7 @@ mod rcs;
 mod rdm;
 mod record;
 mod repair;
+mod results;
 mod simulate;
 mod study;
 mod train;
@@ -33,18 +36,24 @@ pub enum Command {
     Demo(demo::Arguments),
     /// Boards and debug probes on this machine: who they say they are, or what to do about those that cannot be used
     Devices(devices::Arguments),
+    /// What could keep the program from working here: permissions, ports, library, model against board, disk
+    Doctor(doctor::Arguments),
     /// Check a waveform: derived ranges, resolutions, data rate
     Config(config::Arguments),
     /// Capture a source to a file, lossless or loud
     Record(record::Arguments),
     /// Say while it happens whether the room is empty or holds one person or two
     Live(live::Arguments),
+    /// Capture what an empty room shows, so that fans and curtains are not taken for people
+    Background(background::Arguments),
     /// An emulated board on a pty that serves any source until stopped
     Emulate(emulate::Arguments),
     /// A recording in another format: MCAP, Infineon's folder, text
     Convert(convert::Arguments),
     /// What can be read of a cut or damaged recording, as a new file, and what is lost
     Repair(repair::Arguments),
+    /// What was said about the frames of a recording, as CSV
+    Results(results::Arguments),
     /// Labels of a recording, to and from Audacity tracks and DEEPCRAFT files
     Labels(labels::Arguments),
     /// One target through the solver: radar cross-section, analytic value, error, time
@@ -84,12 +93,15 @@ pub fn run(command: Command) -> anyhow::Result<()> {
     match command {
         Command::Demo(arguments) => demo::run(arguments),
         Command::Devices(arguments) => devices::run(&arguments),
+        Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Live(arguments) => live::run(&arguments),
+        Command::Background(arguments) => background::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
         Command::Repair(arguments) => repair::run(&arguments),
+        Command::Results(arguments) => results::run(&arguments),
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),

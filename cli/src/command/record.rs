@@ -1,5 +1,5 @@
 use std::path::PathBuf;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 use anyhow::bail;
 use radome_driver::recording::mcap::{Recorder, RecordingHeader};
@@ -55,6 +55,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         waveform: source.frames.waveform().clone(),
         board: source.board.clone(),
         registers: source.registers.clone(),
+        judge: None,
     };
     let mut recorder = Recorder::create(&arguments.output, &header)?;
     let bar = output::progress(arguments.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
@@ -77,14 +78,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         };
         match delivery.item {
             Item::Frame(frame) => {
-                if source.is_live && frame.host_time_ns == 0 {
-                    let mut stamped = (*frame).clone();
-                    stamped.host_time_ns =
-                        SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
-                    recorder.frame(&stamped)?;
-                } else {
-                    recorder.frame(&frame)?;
-                }
+                recorder.frame(&frame)?;
                 frames += 1;
                 unflushed = true;
                 bar.inc(1);

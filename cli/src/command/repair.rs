@@ -42,6 +42,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "file": file,
             "frames": report.frames,
             "labels": report.labels,
+            "results": report.results,
             "gaps": report.gaps,
             "lost": report.frames_lost(),
             "lost_bytes": report.bytes_lost(),

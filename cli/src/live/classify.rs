@@ -9,8 +9,9 @@ use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 use serde::Serialize;
 
+use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
-use super::occupancy::Hysteresis;
+use super::occupancy::PeopleCount;
 use super::pipeline::{Inlet, Item};
 use super::sink::{Moment, Sink};
 use crate::judge::{Judge, Model, Verdict};
@@ -58,6 +59,8 @@ pub struct Answer {
     pub frame_probabilities: Option<Probabilities>,
     /// Whether the room counts as occupied, with delays against flicker.
     pub occupied: bool,
+    /// People that it counts as holding, with the same delays.
+    pub people: usize,
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,
@@ -143,7 +146,8 @@ impl Default for Delays {
 pub struct FrameClassifier {
     judge: Judge,
     filter: OccupancyFilter,
-    hysteresis: Hysteresis,
+    background: Option<Background>,
+    people: PeopleCount,
     delays: Delays,
     smoothing: Smoothing,
     /// Time over which the frames of a map are spread, s.
@@ -167,7 +171,8 @@ impl FrameClassifier {
         Ok(FrameClassifier {
             filter: OccupancyFilter::new(smoothing),
             judge: model.judge(waveform)?,
-            hysteresis: Hysteresis::new(delays.on_s, delays.off_s),
+            background: None,
+            people: PeopleCount::new(delays.on_s, delays.off_s),
             delays,
             smoothing,
             map_s,
@@ -178,6 +183,12 @@ impl FrameClassifier {
             settled: Confusion::default(),
             unfiltered: Confusion::default(),
         })
+    }
+
+    /// Takes nobody to be seen in maps that show no more than the empty room did.
+    pub fn with_background(mut self, background: Option<Background>) -> Self {
+        self.background = background;
+        self
     }
 
     /// The last map that was made.
@@ -201,20 +212,13 @@ impl FrameClassifier {
         self.judge.reset();
     }
 
-    /// Notes how many frames there was no time for, all in all.
-    fn missed(&mut self, frames: u64) {
-        if frames > 0 {
-            self.health.dropped.insert(GapReason::QueueFull, frames);
-        }
-    }
-
     /// Judges a frame that arrived at `arrived`.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
             // A recording that was sought: what was known then says nothing of what comes before.
             self.filter = OccupancyFilter::new(self.smoothing);
-            self.hysteresis = Hysteresis::new(self.delays.on_s, self.delays.off_s);
+            self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
             self.judge.reset();
         }
         self.last_time_s = Some(time_s);
@@ -226,6 +230,7 @@ impl FrameClassifier {
             probabilities: None,
             frame_probabilities: None,
             occupied: false,
+            people: 0,
             warming_up: None,
             truth: frame.truth.map(|t| t.occupancy),
             transition: frame.truth.map(|t| t.transition),
@@ -235,13 +240,16 @@ impl FrameClassifier {
         match verdict {
             Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
             Verdict::Probabilities(raw) => {
+                let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
+                let raw = if is_background { NOBODY_SEEN } else { raw };
                 let filtered = self.filter.update(answer.time_s, raw);
                 let label = most_probable(&filtered);
                 answer.saturated_samples = self.map().flags.saturated_samples;
                 answer.frame_probabilities = Some(raw.into());
                 answer.probabilities = Some(filtered.into());
                 answer.label = Some(label);
-                answer.occupied = self.hysteresis.update(answer.time_s, label);
+                answer.people = self.people.update(answer.time_s, label);
+                answer.occupied = answer.people > 0;
                 self.health.labels[label.index()] += 1;
                 self.health.saturated_samples += u64::from(answer.saturated_samples);
                 if let Some(truth) = frame.truth {
@@ -266,9 +274,8 @@ impl FrameClassifier {
         Ok(answer)
     }
 
-    /// What the run amounts to; `missed` frames were dropped for want of time.
-    pub fn summary(&mut self, missed: u64) -> Summary {
-        self.missed(missed);
+    /// What the run amounts to.
+    pub fn summary(&self) -> Summary {
         let metrics = |confusion: &Confusion| {
             (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))
         };
@@ -304,7 +311,7 @@ pub fn run(
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<Summary> {
     let outcome = judge_all(inlet, judge, patience, sinks);
-    let summary = judge.summary(inlet.missed.load(Ordering::Relaxed));
+    let summary = judge.summary();
     // Whatever ended the run, what sinks hold is made whole.
     let mut ends = sinks.iter_mut().map(|sink| sink.end(&summary)).collect::<Vec<_>>().into_iter();
     outcome.and_then(|()| ends.try_for_each(|end| end))?;
@@ -317,6 +324,7 @@ fn judge_all(
     patience: Duration,
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<()> {
+    let mut missed = Missed { inlet, noted: 0, next_sequence: 0 };
     while !crate::output::interrupted() {
         let delivery = match inlet.receiver.recv_timeout(patience) {
             Ok(delivery) => delivery,
@@ -325,21 +333,44 @@ fn judge_all(
         };
         match delivery.item {
             Item::Frame(frame) => {
-                judge.missed(inlet.missed.load(Ordering::Relaxed));
+                missed.note(frame.sequence, judge, sinks)?;
                 let answer = judge.frame(&frame, delivery.arrived)?;
                 let moment = Moment { answer: &answer, frame: &frame, map: judge.map(), health: judge.health() };
                 for sink in sinks.iter_mut() {
                     sink.answer(&moment)?;
                 }
             }
-            Item::Gap(gap) => {
-                judge.gap(&gap);
-                for sink in sinks.iter_mut() {
-                    sink.gap(&gap, judge.health())?;
-                }
+            Item::Gap(gap) => tell_gap(&gap, judge, sinks)?,
+            Item::End(end) => {
+                missed.note(u64::MAX, judge, sinks)?;
+                return end.map_err(anyhow::Error::from_boxed);
             }
-            Item::End(end) => return end.map_err(anyhow::Error::from_boxed),
         }
     }
-    Ok(())
+    missed.note(u64::MAX, judge, sinks)
+}
+
+fn tell_gap(gap: &Gap, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
+    judge.gap(gap);
+    sinks.iter_mut().try_for_each(|sink| sink.gap(gap, judge.health()))
+}
+
+/// Frames that the classifier was too slow for become gaps where they are missing.
+struct Missed<'a> {
+    inlet: &'a Inlet,
+    noted: u64,
+    next_sequence: u64,
+}
+
+impl Missed<'_> {
+    /// Before the frame with this number is judged.
+    fn note(&mut self, sequence: u64, judge: &mut FrameClassifier, sinks: &mut [Box<dyn Sink>]) -> anyhow::Result<()> {
+        let missed = self.inlet.missed.load(Ordering::Relaxed);
+        let first_sequence = std::mem::replace(&mut self.next_sequence, sequence.saturating_add(1));
+        let frames = missed - std::mem::replace(&mut self.noted, missed);
+        if frames > 0 {
+            tell_gap(&Gap { first_sequence, frames, reason: GapReason::QueueFull }, judge, sinks)?;
+        }
+        Ok(())
+    }
 }

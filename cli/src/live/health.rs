@@ -46,6 +46,20 @@ impl Health {
         }
     }
 
+    /// Becomes a copy of another; in the steady state without setting memory aside.
+    pub fn copy_from(&mut self, other: &Health) {
+        let Health { started, frames, labels, dropped, saturated_samples, latency, first_label, .. } = other;
+        (self.started, self.frames, self.labels, self.saturated_samples) =
+            (*started, *frames, *labels, *saturated_samples);
+        (self.first_label, self.temperature_millicelsius) = (*first_label, other.temperature_millicelsius);
+        if self.dropped != *dropped {
+            self.dropped.clone_from(dropped);
+        }
+        self.latency.counts.copy_from_slice(&latency.counts);
+        (self.latency.total, self.latency.sum_s) = (latency.total, latency.sum_s);
+        self.arrivals.clone_from(&other.arrivals);
+    }
+
     /// A frame has arrived and been judged.
     pub fn frame(&mut self, arrived: Instant, latency: Duration) {
         self.frames += 1;

@@ -1,9 +1,12 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
+pub mod background;
 pub mod classify;
 pub mod health;
+pub mod home;
 pub mod occupancy;
 pub mod pipeline;
+pub mod recorder;
 pub mod screen;
 pub mod sink;
 pub mod view;

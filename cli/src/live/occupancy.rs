@@ -1,36 +1,54 @@
-//! What leaves the house: occupied or not, after delays.
+//! What leaves the house: how many people count as there, after delays.
 
 use radome_dsp::Occupancy;
 
-/// Occupied or not, with delays against flicker.
+/// On or off, with delays against flicker.
 #[derive(Debug, Clone)]
-pub struct Hysteresis {
+struct Hysteresis {
     on_delay_s: f64,
     off_delay_s: f64,
-    is_occupied: bool,
+    is_on: bool,
     /// Since when the frames have said otherwise.
     contrary_since_s: Option<f64>,
 }
 
 impl Hysteresis {
-    /// Changes to occupied after `on_delay_s` of agreement, to empty after `off_delay_s`.
-    pub fn new(on_delay_s: f64, off_delay_s: f64) -> Self {
-        Hysteresis { on_delay_s, off_delay_s, is_occupied: false, contrary_since_s: None }
+    fn new(on_delay_s: f64, off_delay_s: f64) -> Self {
+        Hysteresis { on_delay_s, off_delay_s, is_on: false, contrary_since_s: None }
     }
 
-    /// Takes the label of the frame at `time_s`; returns whether the room counts as occupied.
-    pub fn update(&mut self, time_s: f64, label: Occupancy) -> bool {
-        if (label != Occupancy::Empty) == self.is_occupied {
+    fn update(&mut self, time_s: f64, says_on: bool) -> bool {
+        if says_on == self.is_on {
             self.contrary_since_s = None;
-            return self.is_occupied;
+            return self.is_on;
         }
         let since_s = *self.contrary_since_s.get_or_insert(time_s);
-        let delay_s = if self.is_occupied { self.off_delay_s } else { self.on_delay_s };
+        let delay_s = if self.is_on { self.off_delay_s } else { self.on_delay_s };
         if time_s - since_s >= delay_s {
-            self.is_occupied = !self.is_occupied;
+            self.is_on = says_on;
             self.contrary_since_s = None;
         }
-        self.is_occupied
+        self.is_on
+    }
+}
+
+/// How many people a room counts as holding, with the same delays for each of them: nobody's first or second person flickers.
+#[derive(Debug, Clone)]
+pub struct PeopleCount {
+    at_least: [Hysteresis; 2],
+}
+
+impl PeopleCount {
+    /// One more person counts after `on_delay_s` of agreement, one less after `off_delay_s`.
+    pub fn new(on_delay_s: f64, off_delay_s: f64) -> Self {
+        PeopleCount { at_least: [Hysteresis::new(on_delay_s, off_delay_s), Hysteresis::new(on_delay_s, off_delay_s)] }
+    }
+
+    /// Takes the label of the frame at `time_s`; returns the number of people.
+    pub fn update(&mut self, time_s: f64, label: Occupancy) -> usize {
+        let [one, two] = &mut self.at_least;
+        let holds = [one.update(time_s, label >= Occupancy::One), two.update(time_s, label >= Occupancy::Two)];
+        holds.into_iter().filter(|holds| *holds).count()
     }
 }
 
@@ -40,14 +58,27 @@ mod tests {
 
     #[test]
     fn hysteresis_waits_on_both_sides() {
-        let mut state = Hysteresis::new(0.5, 2.0);
+        let mut state = PeopleCount::new(0.5, 2.0);
         let mut at = |time_s: f64, label| state.update(time_s, label);
-        assert!(!at(0.0, Occupancy::One));
-        assert!(!at(0.3, Occupancy::Empty));
-        assert!(!at(0.4, Occupancy::Two));
-        assert!(at(0.9, Occupancy::One));
-        assert!(at(1.0, Occupancy::Empty));
-        assert!(at(2.9, Occupancy::Empty));
-        assert!(!at(3.0, Occupancy::Empty));
+        assert_eq!(at(0.0, Occupancy::One), 0);
+        assert_eq!(at(0.3, Occupancy::Empty), 0);
+        assert_eq!(at(0.4, Occupancy::Two), 0);
+        assert_eq!(at(0.9, Occupancy::One), 1);
+        assert_eq!(at(1.0, Occupancy::Empty), 1);
+        assert_eq!(at(2.9, Occupancy::Empty), 1);
+        assert_eq!(at(3.0, Occupancy::Empty), 0);
+    }
+
+    #[test]
+    fn the_second_person_has_delays_of_their_own() {
+        let mut state = PeopleCount::new(0.5, 2.0);
+        let mut at = |time_s: f64, label| state.update(time_s, label);
+        at(0.0, Occupancy::Two);
+        assert_eq!(at(0.5, Occupancy::Two), 2);
+        assert_eq!(at(1.0, Occupancy::One), 2);
+        assert_eq!(at(2.0, Occupancy::Empty), 2);
+        // Since 1.0 nobody has said two, since 2.0 nobody has said one.
+        assert_eq!(at(3.0, Occupancy::Empty), 1);
+        assert_eq!(at(4.0, Occupancy::Empty), 0);
     }
 }

@@ -6,6 +6,7 @@
 //! | frames | channel `/radome/frames` | `radome.frame`, below |
 //! | gaps | channel `/radome/gaps` | JSON [`Gap`](radome_dsp::Gap) |
 //! | labels | channel `/radome/labels` | JSON [`LabelSpan`], or a list of them that takes the place of all before it |
+//! | answers of a classifier, if one listened | channel `/radome/results`; [`Judge`] in the metadata | JSON [`FrameResult`] |
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
 //! chirps u16 | samples u16 | 0 u16 | sequence u64 | board time ns u64 | host time ns u64 | temperature i32
@@ -13,7 +14,7 @@
 //!
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
 //! written as a whole every second of board time or 4 MB, so that a recording can be read up to its last chunk whenever
-//! its writer dies. Nothing depends on the wall clock: the same frames give the same bytes.
+//! its writer dies. Results stand in chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
 
 mod append;
 mod index;
@@ -23,12 +24,14 @@ mod reader;
 mod recorder;
 mod records;
 mod repair;
+mod results;
 
 pub use append::append_labels;
 pub use label_list::set_labels;
-pub use reader::McapReader;
+pub use reader::{McapReader, Results};
 pub use recorder::{Recorder, RecordingSummary};
 pub use repair::{Damage, RepairReport, repair};
+pub use results::{FrameResult, Judge, RESULTS_VERSION};
 
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use serde::{Deserialize, Serialize};
@@ -43,6 +46,7 @@ const METADATA_NAME: &str = "radome";
 const FRAMES: &str = "/radome/frames";
 const GAPS: &str = "/radome/gaps";
 const LABELS: &str = "/radome/labels";
+const RESULTS: &str = "/radome/results";
 const FRAME_HEADER: usize = 40;
 
 /// What holds for the whole recording.
@@ -54,12 +58,14 @@ pub struct RecordingHeader {
     pub board: Option<BoardIdentity>,
     /// What its chip was programmed with; empty if there was none.
     pub registers: RegisterList,
+    /// Who judged the frames; with one, the recording has a channel for results.
+    pub judge: Option<Judge>,
 }
 
 impl RecordingHeader {
     /// A recording without a board.
     pub fn new(waveform: Waveform) -> Self {
-        RecordingHeader { waveform, board: None, registers: RegisterList::new() }
+        RecordingHeader { waveform, board: None, registers: RegisterList::new(), judge: None }
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::Path;
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use super::infineon::InfineonReader;
-use super::mcap::{LabelSpan, McapReader, RecordingHeader};
+use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
 use super::{Extent, RecordingError};
 
@@ -53,6 +53,14 @@ impl Recording {
         match self {
             Recording::Mcap(reader) => reader.labels(),
             Recording::Infineon(_) | Recording::Text(_) => Ok(Vec::new()),
+        }
+    }
+
+    /// What was said about the frames; the vendor's formats cannot hold it.
+    pub fn results(&self) -> Result<Option<Results>, RecordingError> {
+        match self {
+            Recording::Mcap(reader) => reader.results().map(Some),
+            Recording::Infineon(_) | Recording::Text(_) => Ok(None),
         }
     }
 

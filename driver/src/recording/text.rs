@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceError, SourceEvent, Waveform};
 
-use super::mcap::{LabelSpan, RecordingHeader};
+use super::mcap::{FrameResult, LabelSpan, RecordingHeader};
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
 use super::{Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
@@ -250,6 +250,11 @@ impl TextWriter {
     /// Takes note of a label, which the format cannot hold.
     pub fn label(&mut self, _: &LabelSpan) {
         self.tally.labels += 1;
+    }
+
+    /// Takes note of a result, which the format cannot hold.
+    pub fn result(&mut self, _: &FrameResult) {
+        self.tally.results += 1;
     }
 
     /// Completes the file and its configuration.

@@ -6,7 +6,7 @@ use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
 
 use super::RecordingError;
 use super::infineon::InfineonWriter;
-use super::mcap::{LabelSpan, Recorder, RecordingHeader};
+use super::mcap::{FrameResult, LabelSpan, Recorder, RecordingHeader};
 use super::partial::Partial;
 use super::text::TextWriter;
 
@@ -59,6 +59,7 @@ pub(crate) struct Tally {
     frames_lost: u64,
     truths: u64,
     pub labels: u64,
+    pub results: u64,
     renumbered: bool,
 }
 
@@ -102,6 +103,9 @@ impl Tally {
         }
         if self.labels > 0 {
             unheld.push(format!("{} labels", self.labels));
+        }
+        if self.results > 0 {
+            unheld.push(format!("what was said about {} frames", self.results));
         }
         unheld
     }
@@ -163,6 +167,16 @@ impl RecordingWriter {
             Writer::Mcap(recorder, _) => recorder.label(label)?,
             Writer::Infineon(writer) => writer.label(label),
             Writer::Text(writer) => writer.label(label),
+        }
+        Ok(())
+    }
+
+    /// Adds what was said about a frame; the header must name who said it.
+    pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
+        match &mut self.writer {
+            Writer::Mcap(recorder, _) => recorder.result(result)?,
+            Writer::Infineon(writer) => writer.result(result),
+            Writer::Text(writer) => writer.result(result),
         }
         Ok(())
     }

@@ -8,11 +8,11 @@ mod wire;
 
 use std::path::{Path, PathBuf};
 
-use make::{GAP, HOST_NS, code, frames, header, labels, waveform};
-use radome_driver::McapReader;
+use make::{GAP, HOST_NS, code, frames, header, judge, labels, results, waveform};
 use radome_driver::recording::Recording;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft};
-use radome_driver::recording::mcap::repair;
+use radome_driver::recording::mcap::{append_labels, repair};
+use radome_driver::{FrameResult, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth};
 
 fn golden(name: &str) -> PathBuf {
@@ -104,6 +104,51 @@ fn the_native_recording_holds_what_it_held() {
     assert_eq!(temperatures, [0, 0, 31_500, 31_500, 31_500, 31_750, 31_750, 31_750]);
 }
 
+#[test]
+fn the_judged_recording_holds_what_it_held() {
+    let mut reader = Recording::open(&golden("judged.mcap")).expect("opens");
+    assert_eq!(reader.header(), RecordingHeader { judge: Some(judge()), ..header() });
+    let found: Vec<_> = reader.results().expect("results").expect("some").map(|r| r.expect("reads")).collect();
+    assert_eq!(found, results());
+    assert_eq!(found.iter().map(|r| r.sequence).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 8, 9]);
+    assert_eq!(
+        (found[0].label, found[1].label, found[1].probabilities),
+        (None, Some(Occupancy::One), Some([0.125, 0.75, 0.125]))
+    );
+    assert_eq!(
+        (found[3].occupied, found[3].people, found[3].latency_ns, found[3].time_ns),
+        (true, 1, 1_000_003, 1_200_000_000)
+    );
+    // Frames and labels are those of a recording without results.
+    assert_eq!(reader.labels().expect("labels"), labels());
+    let (all, gap, error) = read(&mut reader);
+    assert_eq!((all.as_slice(), gap, error), (frames().as_slice(), Some(5), None));
+    // A recording without a judge has none, the vendor's cannot have any.
+    let mut without =
+        Recording::open(&golden("recording.mcap")).expect("opens").results().expect("none").expect("mcap");
+    assert!(without.next().is_none());
+    assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
+}
+
+/// Who reads a recording that was never finished finds the results of every chunk that is whole; so does who repairs it.
+#[test]
+fn results_of_an_unfinished_recording_are_found() {
+    let folder = tempfile::tempdir().expect("folder");
+    let (cut, fixed) = (folder.path().join("cut.mcap"), folder.path().join("fixed.mcap"));
+    let bytes = golden_bytes("judged.mcap");
+    let results_of = |path: &Path| -> Vec<FrameResult> {
+        McapReader::open(path).expect("opens").results().expect("results").map_while(Result::ok).collect()
+    };
+    std::fs::write(&cut, &bytes[..bytes.len() - 40]).expect("writes");
+    assert_eq!(results_of(&cut), results());
+    let report = repair(&cut, &fixed).expect("repairs");
+    assert_eq!((report.results, results_of(&fixed)), (7, results()));
+    assert_eq!(McapReader::open(&fixed).expect("opens").header().judge, Some(judge()));
+    // Labels are added to a judged recording without loss.
+    append_labels(&fixed, &labels()[..1]).expect("appends");
+    assert_eq!(results_of(&fixed), results());
+}
+
 /// What the vendor's formats hold of a frame: samples and, the folder, times and temperature; frames are counted anew.
 fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
     frame.sequence = index as u64;
@@ -166,8 +211,9 @@ mod hard_cases {
     }
 
     /// Recordings with the files that hold them.
-    const RECORDINGS: [(&str, &[&str]); 3] = [
+    const RECORDINGS: [(&str, &[&str]); 4] = [
         ("recording.mcap", &["recording.mcap"]),
+        ("judged.mcap", &["judged.mcap"]),
         (
             "infineon",
             &[
@@ -219,7 +265,9 @@ mod hard_cases {
                     // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole frames, nothing
                     // says. An MCAP file says that it was never finished.
                     let is_complete = match recording {
-                        "recording.mcap" => McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete()),
+                        "recording.mcap" | "judged.mcap" => {
+                            McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete())
+                        }
                         _ if file.ends_with(".csv") && !bytes[cut..bytes.len() - 1].contains(&b'\n') => false,
                         _ if *file == "sdk.txt" && cut % (bytes.len() / whole.len()) == 0 => false,
                         _ => error.is_none() && !bytes[cut..].trim_ascii().is_empty(),
@@ -276,7 +324,7 @@ mod hard_cases {
                     bytes[bit / 8] ^= 1 << (bit % 8);
                     std::fs::write(folder.path().join(file), bytes).expect("writes");
                     let (frames, _) = said(folder.path(), recording);
-                    if recording == "recording.mcap" {
+                    if recording.ends_with(".mcap") {
                         assert!(whole.starts_with(&frames), "bit {bit}");
                     } else {
                         let codes =

@@ -10,8 +10,9 @@ use radome_driver::protocol::strata::{
 };
 use radome_driver::protocol::{ascii, packed12};
 use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
+use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_driver::recording::{Format, RecordingWriter};
-use radome_driver::{LabelSpan, RecordingHeader};
+use radome_driver::{FrameResult, Judge, LabelSpan, RecordingHeader};
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Truth, Waveform};
 
 use crate::common;
@@ -70,11 +71,38 @@ pub fn header() -> RecordingHeader {
         chip_id: 0x303,
     };
     let configuration = ChipConfiguration { waveform: waveform(), slice_samples: 32 };
-    RecordingHeader { waveform: waveform(), board: Some(board), registers: configuration.compile().expect("compiles") }
+    let registers = configuration.compile().expect("compiles");
+    RecordingHeader { waveform: waveform(), board: Some(board), registers, judge: None }
 }
 
-fn recording(path: &Path, format: Format) {
-    let mut writer = RecordingWriter::create(path, format, &header()).expect("creates");
+pub fn judge() -> Judge {
+    let model_hash = "ab".repeat(32);
+    Judge { version: RESULTS_VERSION, model: "paper.safetensors".into(), model_hash, on_delay_s: 0.5, off_delay_s: 3.0 }
+}
+
+/// What was said about the frames: the first warmed up, the seventh came too late.
+pub fn results() -> Vec<FrameResult> {
+    let judged = frames().into_iter().filter(|frame| frame.sequence != 7);
+    let result = |frame: Frame| {
+        let probabilities = (frame.sequence > 0).then_some([0.125, 0.75, 0.125]);
+        FrameResult {
+            sequence: frame.sequence,
+            time_ns: frame.time_ns,
+            host_time_ns: frame.host_time_ns,
+            label: probabilities.map(|_| Occupancy::One),
+            probabilities,
+            frame_probabilities: probabilities.map(|_| [0.25, 0.5, 0.25]),
+            occupied: frame.sequence > 2,
+            people: u8::from(frame.sequence > 2),
+            latency_ns: 1_000_000 + frame.sequence,
+        }
+    };
+    judged.map(result).collect()
+}
+
+fn recording(path: &Path, format: Format, judge: Option<Judge>) {
+    let is_judged = judge.is_some();
+    let mut writer = RecordingWriter::create(path, format, &RecordingHeader { judge, ..header() }).expect("creates");
     for frame in frames() {
         writer.frame(&frame).expect("writes");
         if frame.sequence + 1 == GAP.first_sequence {
@@ -82,6 +110,9 @@ fn recording(path: &Path, format: Format) {
         }
     }
     labels().iter().for_each(|label| writer.label(label).expect("writes"));
+    if is_judged {
+        results().iter().for_each(|result| writer.result(result).expect("writes"));
+    }
     writer.finish().expect("finishes");
 }
 
@@ -151,9 +182,10 @@ fn esp32() -> Vec<u8> {
 
 /// Makes all golden files in a folder.
 pub fn make(folder: &Path) {
-    recording(&folder.join("recording.mcap"), Format::Mcap);
-    recording(&folder.join("infineon"), Format::Infineon);
-    recording(&folder.join("sdk.txt"), Format::Text);
+    recording(&folder.join("recording.mcap"), Format::Mcap, None);
+    recording(&folder.join("judged.mcap"), Format::Mcap, Some(judge()));
+    recording(&folder.join("infineon"), Format::Infineon, None);
+    recording(&folder.join("sdk.txt"), Format::Text, None);
     let write = |name: &str, bytes: &[u8]| std::fs::write(folder.join(name), bytes).expect("writes");
     write("labels-audacity.txt", to_audacity(&labels()).as_bytes());
     write("labels-deepcraft.label", to_deepcraft(&labels()).as_bytes());

@@ -27,6 +27,7 @@ use crate::dataset::{Dataset, DatasetError, Split};
 use crate::evaluate::{Metrics, evaluate};
 use crate::network::{Head, NetworkKind, NetworkSpec};
 use crate::train::{EpochReport, TrainError, TrainSpec, train_with_checkpoint};
+use crate::whole_file;
 use crate::{Classifier, ClassifyError};
 
 /// Balanced accuracy on the training maps below which a training has failed: chance is a third.
@@ -536,8 +537,7 @@ fn name(job: &Job) -> String {
 }
 
 fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), StudyError> {
-    let temporary = path.with_extension("partial");
-    std::fs::write(&temporary, bytes).and_then(|()| std::fs::rename(&temporary, path)).map_err(|e| file(path, e))
+    whole_file::write(path, bytes).map_err(|e| file(path, e))
 }
 
 fn file(path: &Path, reason: impl std::fmt::Display) -> StudyError {

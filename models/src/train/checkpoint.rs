@@ -1,7 +1,6 @@
 //! A training on disk after each epoch, so that one that was stopped ends with the same weights as one that was not.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::Write;
 use std::path::Path;
 
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
@@ -10,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::run::Best;
 use super::{EpochReport, TrainError};
 use crate::network::Centring;
+use crate::whole_file;
 
 /// Key of the numbers that are no arrays.
 const KEY: &str = "radome-training";
@@ -108,16 +108,7 @@ impl Checkpoint {
             .map_err(|e| unusable(path, e))?;
         let metadata = HashMap::from([(KEY.to_owned(), text)]);
         let data = safetensors::serialize(views, Some(metadata)).map_err(|e| unusable(path, e))?;
-        let mut name = path.file_name().unwrap_or_default().to_owned();
-        name.push(".partial");
-        let temporary = path.with_file_name(name);
-        let write = || -> std::io::Result<()> {
-            let mut file = std::fs::File::create(&temporary)?;
-            file.write_all(&data)?;
-            file.sync_all()?;
-            std::fs::rename(&temporary, path)
-        };
-        write().map_err(|e| unusable(path, e))
+        whole_file::write(path, &data).map_err(|e| unusable(path, e))
     }
 
     /// What a checkpoint file holds; nothing if there is no file.

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, Gap};
 use serde_json::json;
 
 use super::{FIRST_UNIX_NS, SUPPORTED_VERSION, nominal_time_ns};
-use crate::recording::mcap::{LabelSpan, RecordingHeader};
+use crate::recording::mcap::{FrameResult, LabelSpan, RecordingHeader};
 use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
 use crate::recording::{RecordingError, Tally, WriteReport};
@@ -97,6 +97,11 @@ impl InfineonWriter {
     /// Takes note of a label, which the format cannot hold.
     pub fn label(&mut self, _: &LabelSpan) {
         self.tally.labels += 1;
+    }
+
+    /// Takes note of a result, which the format cannot hold.
+    pub fn result(&mut self, _: &FrameResult) {
+        self.tally.results += 1;
     }
 
     /// Completes the folder.

@@ -35,6 +35,9 @@ pub fn append_labels(path: &Path, labels: &[LabelSpan]) -> Result<RecordingSumma
     for label in source.labels()?.iter().chain(labels) {
         recorder.label(label)?;
     }
+    for result in source.results()? {
+        recorder.result(&result?)?;
+    }
     let summary = recorder.finish()?;
     partial.finish()?;
     Ok(summary)

@@ -16,6 +16,7 @@ const FOOTER: u64 = RECORD_HEADER + 20 + 8;
 pub(super) struct Chunk {
     pub offset: u64,
     pub has_labels: bool,
+    pub has_results: bool,
     /// Its first frame, once somebody has looked: none if it holds no frame that can be read.
     pub first: Option<Option<Position>>,
 }
@@ -29,6 +30,11 @@ pub(super) struct Index {
 }
 
 impl Index {
+    /// Whether a chunk starts here.
+    pub fn is_chunk(&self, offset: u64) -> bool {
+        self.chunks.binary_search_by_key(&offset, |chunk| chunk.offset).is_ok()
+    }
+
     /// Finds the chunks of a file.
     pub fn read(records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<Self, RecordingError> {
         let summary_start = summary_start(records)?;
@@ -74,9 +80,12 @@ fn from_summary(
                         return Ok(None);
                     }
                     end = chunk.chunk_start_offset.saturating_add(chunk.chunk_length);
-                    let mut topics = chunk.message_index_offsets.keys().filter_map(|id| channels.get(id));
-                    let has_labels = topics.any(|topic| *topic == Topic::Label);
-                    chunks.push(Chunk { offset: chunk.chunk_start_offset, has_labels, first: None });
+                    let has = |wanted: Topic| {
+                        let mut topics = chunk.message_index_offsets.keys().filter_map(|id| channels.get(id));
+                        topics.any(|topic| *topic == wanted)
+                    };
+                    let (has_labels, has_results) = (has(Topic::Label), has(Topic::Result));
+                    chunks.push(Chunk { offset: chunk.chunk_start_offset, has_labels, has_results, first: None });
                 }
                 Ok(Record::Statistics(found)) => statistics = Some(found),
                 _ => return Ok(None),
@@ -99,7 +108,9 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
     let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false });
     loop {
         match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX)? {
-            Next::Record(op::CHUNK, offset) => index.chunks.push(Chunk { offset, has_labels: false, first: None }),
+            Next::Record(op::CHUNK, offset) => {
+                index.chunks.push(Chunk { offset, has_labels: false, has_results: false, first: None });
+            }
             Next::Record(op::MESSAGE_INDEX, _) => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 match channels.get(&messages.channel_id) {
@@ -107,6 +118,11 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
                     Some(Topic::Label) => {
                         if let Some(chunk) = index.chunks.last_mut() {
                             chunk.has_labels = true;
+                        }
+                    }
+                    Some(Topic::Result) => {
+                        if let Some(chunk) = index.chunks.last_mut() {
+                            chunk.has_results = true;
                         }
                     }
                     _ => {}

@@ -6,9 +6,9 @@ use std::path::Path;
 use mcap::records::op;
 use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
-use super::index::{Chunk, Index};
+use super::index::Index;
 use super::records::{Next, Records, Topic, read_chunk, read_head};
-use super::{LabelSpan, RecordingHeader, decode_frame, frame_position, take_labels};
+use super::{FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, take_labels};
 use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
 
 /// Reads a native recording as a [`FrameSource`].
@@ -94,7 +94,7 @@ impl McapReader {
         let mut records = Records::open(&self.records.path)?;
         let mut labels = Vec::new();
         for chunk in self.index.chunks.iter().filter(|chunk| chunk.has_labels) {
-            for (topic, data) in read_messages(&mut records, chunk, &mut self.channels.clone())? {
+            for (topic, data) in read_messages(&mut records, chunk.offset, &mut self.channels.clone())? {
                 if topic == Topic::Label {
                     take_labels(&data, &mut labels)
                         .map_err(|e| records.corrupt(chunk.offset, format!("a label is malformed: {e}")))?;
@@ -102,6 +102,22 @@ impl McapReader {
             }
         }
         Ok(labels)
+    }
+
+    /// What was said about the frames, in the order of writing. Only chunks that hold results are read, one at a time.
+    pub fn results(&self) -> Result<Results, RecordingError> {
+        if let Some(judge) = self.header.judge.as_ref().filter(|judge| judge.version > RESULTS_VERSION) {
+            let got = format!("{} of its results", judge.version);
+            return Err(RecordingError::Newer { path: self.records.path.clone(), got, supported: "1" });
+        }
+        let chunks: Vec<u64> = self.index.chunks.iter().filter(|c| c.has_results).map(|c| c.offset).collect();
+        Ok(Results {
+            records: Records::open(&self.records.path)?,
+            channels: self.channels.clone(),
+            chunks: chunks.into(),
+            pending: VecDeque::new(),
+            chunk_offset: 0,
+        })
     }
 
     /// Goes to the first frame with this sequence number or a later one: see
@@ -128,7 +144,7 @@ impl McapReader {
         }
         let mut last = None;
         for chunk in self.index.chunks.iter().rev() {
-            let messages = match read_messages(&mut self.records, chunk, &mut self.channels) {
+            let messages = match read_messages(&mut self.records, chunk.offset, &mut self.channels) {
                 Ok(messages) => messages,
                 Err(RecordingError::Corrupt { .. }) => continue,
                 Err(error) => return Err(error),
@@ -198,7 +214,7 @@ impl McapReader {
         if let Some(known) = chunk.first {
             return Ok(known);
         }
-        let messages = match read_messages(&mut self.records, chunk, &mut self.channels) {
+        let messages = match read_messages(&mut self.records, chunk.offset, &mut self.channels) {
             Ok(messages) => messages,
             Err(RecordingError::Corrupt { .. }) => Vec::new(),
             Err(error) => return Err(error),
@@ -217,6 +233,11 @@ impl McapReader {
                 Next::Record(op::CHUNK, at) => {
                     self.chunk_offset = at;
                     self.pending = read_chunk(&self.records, at, &self.body, &mut self.channels)?.into();
+                }
+                // A chunk whose first byte has become another's would go missing without a word.
+                Next::Record(_, at) if self.index.is_chunk(at) => {
+                    let reason = "the index says that a chunk starts here, but none does";
+                    return Err(self.records.corrupt(at, reason.into()));
                 }
                 Next::Record(..) => {}
                 Next::End => self.ended = true,
@@ -241,7 +262,7 @@ impl McapReader {
             self.fill_pending()?;
             let Some((topic, data)) = self.pending.pop_front() else { return Ok(SourceEvent::End) };
             match topic {
-                Topic::Label => {}
+                Topic::Label | Topic::Result => {}
                 Topic::Gap => {
                     let gap: Gap = serde_json::from_slice(&data)
                         .map_err(|e| self.records.corrupt(self.chunk_offset, format!("a gap is malformed: {e}")))?;
@@ -269,14 +290,14 @@ impl McapReader {
 /// The messages of a chunk that the index names.
 fn read_messages(
     records: &mut Records,
-    chunk: &Chunk,
+    offset: u64,
     channels: &mut BTreeMap<u16, Topic>,
 ) -> Result<Vec<(Topic, Vec<u8>)>, RecordingError> {
     let mut body = Vec::new();
-    records.go_to(chunk.offset)?;
+    records.go_to(offset)?;
     match records.next(&mut body, |opcode| opcode == op::CHUNK)? {
         Next::Record(op::CHUNK, at) => read_chunk(records, at, &body, channels),
-        _ => Err(records.corrupt(chunk.offset, "the index says that a chunk starts here, but none does".into())),
+        _ => Err(records.corrupt(offset, "the index says that a chunk starts here, but none does".into())),
     }
 }
 
@@ -292,4 +313,48 @@ impl FrameSource for McapReader {
     fn frame_count(&self) -> Option<u64> {
         Some(self.index.frames)
     }
+}
+
+/// Results of a recording, one after the other; a damaged chunk is an error and the end.
+#[derive(Debug)]
+pub struct Results {
+    records: Records,
+    channels: BTreeMap<u16, Topic>,
+    /// Offsets of the chunks that are still to be read.
+    chunks: VecDeque<u64>,
+    pending: VecDeque<(Topic, Vec<u8>)>,
+    chunk_offset: u64,
+}
+
+impl Results {
+    fn read_next(&mut self) -> Result<Option<FrameResult>, RecordingError> {
+        loop {
+            while let Some((topic, data)) = self.pending.pop_front() {
+                if topic == Topic::Result {
+                    return parse_result(&data).map(Some).map_err(|e| self.records.corrupt(self.chunk_offset, e));
+                }
+            }
+            let Some(offset) = self.chunks.pop_front() else { return Ok(None) };
+            self.chunk_offset = offset;
+            self.pending = read_messages(&mut self.records, offset, &mut self.channels)?.into();
+        }
+    }
+}
+
+impl Iterator for Results {
+    type Item = Result<FrameResult, RecordingError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        let next = self.read_next().transpose();
+        if matches!(next, Some(Err(_))) {
+            self.chunks.clear();
+            self.pending.clear();
+        }
+        next
+    }
+}
+
+/// A result from a message; what is wrong otherwise.
+pub(super) fn parse_result(data: &[u8]) -> Result<FrameResult, String> {
+    serde_json::from_slice(data).map_err(|e| format!("a result is malformed: {e}"))
 }

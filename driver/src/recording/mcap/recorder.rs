@@ -9,13 +9,18 @@ use mcap::records::{MessageHeader, Metadata, op};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
 
-use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, LabelSpan, METADATA_NAME, RecordingHeader, encode_frame};
+use super::{
+    FORMAT_VERSION, FRAMES, FrameResult, GAPS, LABELS, LabelSpan, METADATA_NAME, RESULTS, RecordingHeader, encode_frame,
+};
 use crate::recording::RecordingError;
 
 /// A chunk is written when it holds this many bytes.
 const CHUNK_BYTES: usize = 4_000_000;
 /// A chunk is written when it spans this much board time, ns.
 const CHUNK_NS: u64 = 1_000_000_000;
+
+/// Results are written as a chunk when there are so many, or with the frames' next chunk.
+const RESULTS_OF_A_CHUNK: usize = 4096;
 
 /// What a recording holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -28,6 +33,8 @@ pub struct RecordingSummary {
     pub frames_lost: u64,
     /// Labels written.
     pub labels: u64,
+    /// Results written.
+    pub results: u64,
     /// Length of the file, bytes.
     pub bytes: u64,
 }
@@ -40,7 +47,9 @@ pub struct Recorder {
     /// Taken when finished.
     writer: Option<Writer<BufWriter<File>>>,
     shape: FrameShape,
-    channels: [u16; 3],
+    channels: Vec<u16>,
+    /// Results that wait for a chunk of their own.
+    waiting: Vec<FrameResult>,
     buffer: Vec<u8>,
     chunk_bytes: usize,
     chunk_start_ns: u64,
@@ -81,21 +90,27 @@ impl Recorder {
             .map_err(failed(path, "cannot be written"))?;
 
         let json = |value: serde_json::Result<String>| value.map_err(|e| io(std::io::Error::other(e)));
-        let metadata = BTreeMap::from([
+        let mut metadata = BTreeMap::from([
             ("format_version".to_owned(), FORMAT_VERSION.to_string()),
             ("waveform".to_owned(), json(serde_json::to_string(&header.waveform))?),
             ("board".to_owned(), json(serde_json::to_string(&header.board))?),
             ("registers".to_owned(), json(serde_json::to_string(&header.registers))?),
         ]);
+        if let Some(judge) = &header.judge {
+            metadata.insert("judge".to_owned(), json(serde_json::to_string(judge))?);
+        }
         let begin = || {
             writer.write_metadata(&Metadata { name: METADATA_NAME.to_owned(), metadata })?;
             let schema = writer.add_schema("radome.frame", "", &[])?;
             let none = BTreeMap::new();
-            let channels = [
+            let mut channels = vec![
                 writer.add_channel(schema, FRAMES, "radome.frame", &none)?,
                 writer.add_channel(0, GAPS, "json", &none)?,
                 writer.add_channel(0, LABELS, "json", &none)?,
             ];
+            if header.judge.is_some() {
+                channels.push(writer.add_channel(0, RESULTS, "json", &none)?);
+            }
             writer.flush()?;
             Ok(channels)
         };
@@ -105,6 +120,7 @@ impl Recorder {
             writer: Some(writer),
             shape: header.waveform.shape(),
             channels,
+            waiting: Vec::new(),
             buffer: Vec::new(),
             chunk_bytes: 0,
             chunk_start_ns: 0,
@@ -128,9 +144,35 @@ impl Recorder {
     /// Writes what is waiting as a chunk of its own, which survives whatever happens to this process. A recording does so
     /// by itself every second of board time; this is for sources that have fallen silent.
     pub fn flush(&mut self) -> Result<(), RecordingError> {
-        self.chunk_bytes = 0;
+        self.end_chunk()?;
+        self.write_results()
+    }
+
+    fn end_chunk(&mut self) -> Result<(), RecordingError> {
+        if std::mem::take(&mut self.chunk_bytes) == 0 {
+            return Ok(());
+        }
         let Some(writer) = &mut self.writer else { return Ok(()) };
         writer.flush().map_err(failed(&self.path, "cannot be written"))
+    }
+
+    /// Writes the results that wait, as a chunk of their own. Frames must not be waiting.
+    fn write_results(&mut self) -> Result<(), RecordingError> {
+        if self.waiting.is_empty() {
+            return Ok(());
+        }
+        let mut json = std::mem::take(&mut self.buffer);
+        let last_time_ns = self.last_time_ns;
+        for result in std::mem::take(&mut self.waiting) {
+            json.clear();
+            serde_json::to_writer(&mut json, &result)
+                .map_err(|e| failed(&self.path, "cannot be written")(McapError::Io(e.into())))?;
+            let log_time = if result.host_time_ns > 0 { result.host_time_ns } else { result.time_ns };
+            self.write(3, Some((log_time, result.time_ns)), &json)?;
+        }
+        self.buffer = json;
+        self.last_time_ns = last_time_ns;
+        self.end_chunk()
     }
 
     /// Adds a frame. It must have the waveform's shape.
@@ -185,8 +227,25 @@ impl Recorder {
         Ok(())
     }
 
+    /// Adds what was said about a frame; the recording must have been created with a judge.
+    pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
+        if self.channels.len() < 4 {
+            let source = std::io::Error::other("a result in a recording that names no judge");
+            return Err(failed(&self.path, "cannot be written")(McapError::Io(source)));
+        }
+        self.waiting.push(*result);
+        self.summary.results += 1;
+        if self.waiting.len() >= RESULTS_OF_A_CHUNK {
+            self.flush()?;
+        }
+        Ok(())
+    }
+
     /// Completes the file.
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
+        if !self.waiting.is_empty() {
+            self.flush()?;
+        }
         let Some(mut writer) = self.writer.take() else { return Ok(self.summary) };
         let finish = failed(&self.path, "cannot be finished");
         writer.finish().map_err(finish)?;
@@ -238,10 +297,12 @@ fn sort_channels(file: &mut File) -> std::io::Result<()> {
 impl Drop for Recorder {
     /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] says that all is there.
     fn drop(&mut self) {
-        if let Some(mut writer) = self.writer.take() {
-            if let Err(error) = writer.flush() {
-                tracing::error!(%error, path = %self.path.display(), "the last chunk of a recording is lost");
-            }
+        if self.writer.is_some()
+            && let Err(error) = self.flush()
+        {
+            tracing::error!(%error, path = %self.path.display(), "the last chunk of a recording is lost");
+        }
+        if let Some(writer) = self.writer.take() {
             // The writer would finish the file when dropped.
             drop(writer.into_inner());
         }

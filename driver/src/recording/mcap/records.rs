@@ -9,7 +9,7 @@ use mcap::records::{Record, op};
 use radome_dsp::Waveform;
 
 use super::lengths::{parse_record, strings_fit};
-use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RecordingHeader};
+use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RESULTS, RecordingHeader};
 use crate::recording::RecordingError;
 
 /// Longest record that makes sense: chunks are a few megabytes.
@@ -23,10 +23,12 @@ pub(super) enum Topic {
     Frame,
     Gap,
     Label,
+    Result,
 }
 
 pub(super) fn topic(name: &str) -> Option<Topic> {
-    [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label)].into_iter().find(|t| t.0 == name).map(|t| t.1)
+    let topics = [(FRAMES, Topic::Frame), (GAPS, Topic::Gap), (LABELS, Topic::Label), (RESULTS, Topic::Result)];
+    topics.into_iter().find(|t| t.0 == name).map(|t| t.1)
 }
 
 /// Records of a file, one after the other.
@@ -285,5 +287,6 @@ pub(super) fn parse_header(
         waveform,
         board: serde_json::from_str(field("board")?).map_err(wrong("board"))?,
         registers: serde_json::from_str(field("registers")?).map_err(wrong("registers"))?,
+        judge: metadata.get("judge").map(|judge| serde_json::from_str(judge).map_err(wrong("judge"))).transpose()?,
     })
 }

@@ -7,6 +7,7 @@ use mcap::records::{Record, op};
 use radome_dsp::{Frame, Gap, GapReason};
 
 use super::lengths::parse_record;
+use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
 use super::{LabelSpan, RecordingHeader, decode_frame, take_labels};
 use crate::recording::{Format, RecordingError, RecordingWriter};
@@ -31,6 +32,8 @@ pub struct RepairReport {
     pub frames: u64,
     /// Labels written.
     pub labels: u64,
+    /// Results written.
+    pub results: u64,
     /// Gaps that the recording had already.
     pub gaps: u64,
     /// Gaps that stand for what is lost now, as written; one of 0 frames where nobody knows how many.
@@ -96,7 +99,7 @@ struct Repair {
 impl Repair {
     fn copy(&mut self, records: &mut Records) -> Result<(), RecordingError> {
         // What the recorder numbers them; the first chunk says so, if it can be read.
-        let mut channels = BTreeMap::from([(1, Topic::Frame), (2, Topic::Gap), (3, Topic::Label)]);
+        let mut channels = BTreeMap::from([(1, Topic::Frame), (2, Topic::Gap), (3, Topic::Label), (4, Topic::Result)]);
         let mut body = Vec::new();
         records.go_to(8)?;
         loop {
@@ -180,6 +183,16 @@ impl Repair {
                     self.report.damage.push(malformed(format!("a label is malformed: {error}")));
                 }
             }
+            Topic::Result => match parse_result(data) {
+                Ok(_) if self.header.judge.is_none() => {
+                    self.report.damage.push(malformed("a result, but the header names no judge".into()));
+                }
+                Ok(result) => {
+                    self.writer.result(&result)?;
+                    self.report.results += 1;
+                }
+                Err(reason) => self.report.damage.push(malformed(reason)),
+            },
         }
         Ok(())
     }

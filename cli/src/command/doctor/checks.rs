@@ -1,0 +1,309 @@
+//! The checks, each a function of what there is.
+
+use std::io::Write;
+use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::Context;
+use radome_driver::RecordingHeader;
+use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
+use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
+
+use super::Check;
+use crate::judge::{Judge, Model, Verdict};
+use crate::live::home::broker::Broker;
+use crate::source::{self, SourceOptions};
+
+/// The program itself.
+pub fn program() -> Check {
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let found = format!(
+        "radome {}, {}, kernels {}, {cores} cores",
+        env!("CARGO_PKG_VERSION"),
+        std::env::consts::ARCH,
+        KernelLevel::detect().name()
+    );
+    Check::ok("program", found)
+}
+
+/// Recordings carry the wall clock's time; hubs refuse certificates from the future.
+pub fn clock() -> Check {
+    /// 1 November 2026.
+    const RELEASE_S: u64 = 1_793_491_200;
+    const TEN_YEARS_S: u64 = 315_360_000;
+    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
+    let found = format!("{now_s} s since 1970");
+    if (RELEASE_S..RELEASE_S + TEN_YEARS_S).contains(&now_s) {
+        Check::ok("clock", found)
+    } else {
+        Check::warn("clock", found, "set it (timedatectl set-ntp true): recordings and certificates go by it")
+    }
+}
+
+/// Whether every user may open boards.
+pub fn udev_rules() -> Check {
+    let installed = ["/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d"]
+        .iter()
+        .map(|folder| Path::new(folder).join("70-radome.rules"))
+        .find(|path| path.exists());
+    match installed.map(|path| (std::fs::read_to_string(&path), path)) {
+        Some((Ok(text), path)) if text.trim() == UDEV_RULES.trim() => Check::ok("udev", path.display().to_string()),
+        Some((_, path)) => Check::warn("udev", format!("{} is another version's", path.display()), PERMISSION_REMEDY),
+        None => Check::warn("udev", "no rule lets users open boards", PERMISSION_REMEDY),
+    }
+}
+
+/// Whether the live page could be served where it is by default.
+pub fn page_port() -> Check {
+    let address = SocketAddr::from(([127, 0, 0, 1], 8060));
+    match TcpListener::bind(address) {
+        Ok(_) => Check::ok("page", format!("{address} is free")),
+        Err(error) => Check::warn(
+            "page",
+            format!("{address}: {error}"),
+            "another program serves there; --listen 127.0.0.1:PORT chooses another",
+        ),
+    }
+}
+
+/// The model's file.
+pub fn model(path: &Path) -> (Check, Option<Model>) {
+    match Model::open(path) {
+        Ok(model) => {
+            let wants = model.waveform().map_or("any waveform".to_owned(), |w| w.shape().to_string());
+            (Check::ok("model", format!("{}: {wants}", path.display())), Some(model))
+        }
+        Err(error) => (Check::error("model", &error), None),
+    }
+}
+
+/// Needed for ONNX files only, and then the model's own check has said so.
+pub fn onnxruntime(model: Option<&Path>) -> Check {
+    let is_needed = model.and_then(Path::extension).is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"));
+    let found = match (is_needed, std::env::var_os("ORT_DYLIB_PATH")) {
+        (true, _) => "used by the model".to_owned(),
+        (false, Some(path)) => format!("not needed; ORT_DYLIB_PATH is {}", Path::new(&path).display()),
+        (false, None) => "not needed: only .onnx models are run by it".to_owned(),
+    };
+    Check::ok("onnxruntime", found)
+}
+
+/// Whether somebody listens where the broker should be.
+pub fn broker(url: &str) -> Check {
+    let broker = match Broker::parse(url) {
+        Ok(broker) => broker,
+        Err(error) => return Check::error("mqtt", &error),
+    };
+    let connect = || -> anyhow::Result<()> {
+        let address = broker.to_string();
+        let addresses = address.to_socket_addrs().with_context(|| format!("{address} has no address"))?;
+        let mut last = anyhow::anyhow!("{address} has no address");
+        for address in addresses {
+            match TcpStream::connect_timeout(&address, Duration::from_secs(3)) {
+                Ok(_) => return Ok(()),
+                Err(error) => last = anyhow::anyhow!("{address}: {error}"),
+            }
+        }
+        Err(last)
+    };
+    match connect() {
+        Ok(()) => Check::ok("mqtt", format!("{broker} takes connections")),
+        Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
+    }
+}
+
+/// Boards and probes that are attached. Asking stops a board that measures.
+pub fn devices() -> Vec<Check> {
+    let candidates = discover::candidates();
+    if candidates.is_empty() {
+        let hint = "plug one in, or name a SOURCE that needs none: emulated:SCENE.toml";
+        return vec![Check::warn("devices", "no board is attached", hint)];
+    }
+    let check = |candidate: &radome_driver::Candidate| {
+        let name = format!("{}: {}", candidate.path.display(), candidate.belief.description());
+        match discover::ask(candidate, false) {
+            State::Ready { identity: Identity::Board(board) } => {
+                Check::ok("device", format!("{name}, firmware {}, {}", board.firmware_version, board.chip))
+            }
+            State::Ready { identity: Identity::Probe(_) } => Check::ok("device", format!("{name}, answers")),
+            State::NotAsked => Check::ok("device", format!("{name}, not asked")),
+            State::Busy => Check::warn("device", format!("{name}, in use"), "another program has it: stop that first"),
+            State::PermissionDenied { remedy } => Check::fail("device", format!("{name}, permission denied"), remedy),
+            State::NotAnswering { why } => {
+                Check::fail("device", format!("{name}, {why}"), "radome devices says more; unplug it and plug it in")
+            }
+            State::OtherChip { chip } => {
+                Check::fail("device", format!("{name}, radar chip {chip}"), "this program drives the BGT60TR13C")
+            }
+            State::NoDriver => Check::fail("device", format!("{name}, no serial port"), "sudo modprobe cdc_acm"),
+        }
+    };
+    candidates.iter().map(check).collect()
+}
+
+/// What was seen of a source.
+pub struct Examined {
+    /// The source in words.
+    pub description: String,
+    /// Waveform, board, registers.
+    pub header: RecordingHeader,
+    /// The first frames.
+    pub frames: Vec<Frame>,
+}
+
+/// Frames that are judged, and how long they may take.
+const FRAMES: usize = 20;
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Whether a source opens, gives frames, and can be judged.
+pub fn source(spec: &str, model: Option<Model>) -> (Vec<Check>, Option<Examined>) {
+    let options = SourceOptions {
+        waveform: model.as_ref().and_then(|model| model.waveform().cloned()),
+        seed: 1,
+        frames: Some(FRAMES as u64),
+        ..SourceOptions::default()
+    };
+    let opened = match source::open(spec, &options) {
+        Ok(opened) => opened,
+        Err(error) => return (vec![Check::error("source", &error)], None),
+    };
+    let waveform = opened.frames.waveform().clone();
+    let mut checks = vec![Check::ok("source", format!("{}, {}", opened.description, waveform.shape()))];
+    let header =
+        RecordingHeader { waveform: waveform.clone(), board: opened.board, registers: opened.registers, judge: None };
+    let mut examined = Examined { description: opened.description, header, frames: Vec::new() };
+    let mut judge = match model.map(|model| model.judge(&waveform)) {
+        Some(Ok(judge)) => {
+            checks.push(Check::ok("fit", "the model was made for such frames"));
+            Some(judge)
+        }
+        Some(Err(error)) => {
+            checks.push(Check::error("fit", &error));
+            None
+        }
+        None => None,
+    };
+    checks.push(frames(opened.frames, opened.is_live, &mut judge, &mut examined.frames));
+    (checks, Some(examined))
+}
+
+/// The first frames: how many come, what is lost, how long each takes to judge.
+fn frames(
+    mut source: Box<dyn radome_dsp::FrameSource>,
+    is_live: bool,
+    judge: &mut Option<Judge>,
+    kept: &mut Vec<Frame>,
+) -> Check {
+    let interval_s = source.waveform().frame_interval_s();
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let start = Instant::now();
+    let (mut lost, mut slowest, mut saturated) = (0, Duration::ZERO, 0);
+    while kept.len() < FRAMES && start.elapsed() < PATIENCE {
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => {
+                let at_rail = |code: &&u16| matches!(**code, 0 | radome_dsp::MAX_CODE);
+                saturated += frame.codes.iter().filter(at_rail).count();
+                let asked = Instant::now();
+                match judge.as_mut().map(|judge| judge.frame(&frame)) {
+                    Some(Err(error)) => return Check::error("frames", &error),
+                    // The first one sets things up.
+                    Some(Ok(Verdict::Probabilities(_))) if !kept.is_empty() => slowest = slowest.max(asked.elapsed()),
+                    _ => {}
+                }
+                kept.push(frame.clone());
+            }
+            Ok(SourceEvent::Gap(gap)) => lost += gap.frames,
+            Ok(SourceEvent::End) => break,
+            Err(error) => return Check::error("frames", &anyhow::Error::from_boxed(error)),
+        }
+    }
+    let count = kept.len();
+    let found = format!(
+        "{count} frames in {:.1} s, {lost} lost, {saturated} samples at a rail, slowest answer {:.1} ms of {:.0} ms",
+        start.elapsed().as_secs_f64(),
+        slowest.as_secs_f64() * 1e3,
+        interval_s * 1e3
+    );
+    if count == 0 {
+        return Check::fail(
+            "frames",
+            found,
+            "the board is silent: radome devices --reset, or unplug it and plug it in",
+        );
+    }
+    if lost > 0 {
+        return Check::warn("frames", found, "another socket or a shorter cable; a hub that others do not share");
+    }
+    if is_live && slowest.as_secs_f64() > interval_s {
+        return Check::warn("frames", found, "this machine is too slow for the model: frames will be dropped");
+    }
+    if saturated > 0 {
+        return Check::warn("frames", found, "something stands close to the antenna, or if_gain_db is too high");
+    }
+    Check::ok("frames", found)
+}
+
+/// Room and speed for recordings.
+pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
+    const PROBE_BYTES: usize = 32 << 20;
+    let named = folder.display();
+    let paper = FrameShape { rx: 3, chirps: 128, samples: 256 };
+    let (codes, interval_s) = waveform.map_or((paper.codes(), 0.1), |w| (w.shape().codes(), w.frame_interval_s()));
+    // Two bytes a code, before compression.
+    let needed_bytes_per_s = 2.0 * codes as f64 / interval_s;
+    let mut checks = Vec::new();
+    match rustix::fs::statvfs(folder) {
+        Ok(fs) => {
+            let free_bytes = fs.f_bavail as f64 * fs.f_frsize as f64;
+            let hours = free_bytes / needed_bytes_per_s / 3600.0;
+            let found = format!("{named}: {:.1} GiB free, {hours:.1} h of frames", free_bytes / f64::from(1 << 30));
+            checks.push(match hours {
+                h if h < 0.1 => Check::fail("room", found, "make room, or --record-to another disk"),
+                h if h < 10.0 => Check::warn("room", found, "not enough for a night"),
+                _ => Check::ok("room", found),
+            });
+        }
+        Err(error) => {
+            checks.push(Check::fail("room", format!("{named}: {error}"), "name a folder that exists"));
+            return checks;
+        }
+    }
+    let path = probe_name(folder);
+    let probe = || -> std::io::Result<f64> {
+        // Nothing that compresses, in case the disk does.
+        let mut word = 1u64;
+        let mut block = vec![0u8; 1 << 20];
+        block.chunks_mut(8).for_each(|bytes| {
+            word = word.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            bytes.copy_from_slice(&word.to_le_bytes());
+        });
+        let mut file = std::fs::File::create_new(&path)?;
+        let start = Instant::now();
+        for _ in 0..PROBE_BYTES / block.len() {
+            file.write_all(&block)?;
+        }
+        file.sync_all()?;
+        Ok(PROBE_BYTES as f64 / start.elapsed().as_secs_f64())
+    };
+    let speed = probe();
+    let _ = std::fs::remove_file(&path);
+    checks.push(match speed {
+        Ok(speed) => {
+            let found = format!("{named}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
+            match speed / needed_bytes_per_s {
+                ratio if ratio < 1.0 => Check::fail("speed", found, "record to a faster disk: recordings would stop"),
+                ratio if ratio < 3.0 => {
+                    Check::warn("speed", found, "record to a faster disk: there is little to spare")
+                }
+                _ => Check::ok("speed", found),
+            }
+        }
+        Err(error) => Check::fail("speed", format!("{named}: {error}"), "name a folder that this user may write"),
+    });
+    checks
+}
+
+fn probe_name(folder: &Path) -> PathBuf {
+    folder.join(format!(".radome-doctor-{}", std::process::id()))
+}

@@ -1,0 +1,163 @@
+//! What an empty room shows: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
+//! network makes of it.
+
+use std::path::Path;
+
+use anyhow::{Context, bail};
+use radome_driver::Judge;
+use radome_dsp::Rdm;
+use serde::{Deserialize, Serialize};
+
+use crate::files;
+
+const FORMAT: u32 = 1;
+/// Fewest frames that say anything about a room: ten seconds at ten a second.
+pub const LEAST_FRAMES: usize = 90;
+/// Times the largest excess of the part of the capture that the level was not taken from, from where on there is more than the
+/// empty room; and the least that is, dB over all cells.
+const MARGIN: f32 = 3.0;
+const LEAST_THRESHOLD_DB: f32 = 60.0;
+/// A room whose own excess is larger is not empty, or never twice the same. Walkers have 300 to 3000.
+const MOST_THRESHOLD_DB: f32 = 300.0;
+/// Probabilities of empty, one and two by a frame that shows no more than the empty room: people are missed now and then.
+pub const NOBODY_SEEN: [f32; 3] = [0.96, 0.02, 0.02];
+
+/// The level of an empty room, cell by cell, as one model's maps show it.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Background {
+    format: u32,
+    /// SHA-256 of the model whose maps these are.
+    model_hash: String,
+    doppler: usize,
+    range: usize,
+    /// Frames of the capture.
+    pub frames: usize,
+    /// Sum over cells of what exceeds the level, from which on somebody may be there, dB.
+    pub threshold_db: f32,
+    /// Highest level of each cell and its neighbours, `[doppler][range]` of the first channel, dB.
+    level_db: Vec<f32>,
+}
+
+/// A capture that goes on.
+pub struct Capture {
+    maps: Vec<Vec<f32>>,
+    doppler: usize,
+    range: usize,
+}
+
+fn first_channel(map: &Rdm) -> &[f32] {
+    map.db.get(..map.shape.doppler * map.shape.range).unwrap_or(&map.db)
+}
+
+impl Capture {
+    /// Nothing yet.
+    pub fn new() -> Self {
+        Capture { maps: Vec::new(), doppler: 0, range: 0 }
+    }
+
+    /// Takes a map of the empty room.
+    pub fn add(&mut self, map: &Rdm) {
+        (self.doppler, self.range) = (map.shape.doppler, map.shape.range);
+        self.maps.push(first_channel(map).to_vec());
+    }
+
+    /// The level by the first two thirds, how far it is exceeded by the last.
+    pub fn finish(self, judge: &Judge) -> anyhow::Result<Background> {
+        let Capture { maps, doppler, range } = self;
+        if maps.len() < LEAST_FRAMES {
+            bail!(
+                "{} maps of the empty room, expected {LEAST_FRAMES} at least\n\nhint: capture for longer",
+                maps.len()
+            );
+        }
+        let (first, last) = maps.split_at(2 * maps.len() / 3);
+        let mut highest = vec![f32::MIN; doppler * range];
+        for map in first {
+            highest.iter_mut().zip(map).for_each(|(highest, cell)| *highest = highest.max(*cell));
+        }
+        let level_db = with_neighbours(&highest, doppler, range);
+        let most = last.iter().map(|map| excess_db(map, &level_db)).fold(0.0, f32::max);
+        let threshold_db = (MARGIN * most).max(LEAST_THRESHOLD_DB);
+        if threshold_db > MOST_THRESHOLD_DB {
+            bail!(
+                "the end of the capture shows {most:.0} dB that its beginning did not: the room was not empty, or something moves in \
+                 it that never does so twice in the same way\n\nhint: leave the room, or capture for longer"
+            );
+        }
+        let (frames, model_hash) = (maps.len(), judge.model_hash.clone());
+        Ok(Background { format: FORMAT, model_hash, doppler, range, frames, threshold_db, level_db })
+    }
+}
+
+/// The largest of each cell and the eight around it; velocities go round, ranges do not.
+fn with_neighbours(cells: &[f32], doppler: usize, range: usize) -> Vec<f32> {
+    let at = |d: usize, r: usize| {
+        let rows = [(d + doppler - 1) % doppler, d, (d + 1) % doppler];
+        let columns = r.saturating_sub(1)..(r + 2).min(range);
+        let near = rows.into_iter().flat_map(|row| columns.clone().map(move |column| row * range + column));
+        near.filter_map(|i| cells.get(i)).copied().fold(f32::MIN, f32::max)
+    };
+    (0..doppler * range).map(|i| at(i / range, i % range)).collect()
+}
+
+/// Sum of what cells have more than the level, dB.
+fn excess_db(cells: &[f32], level_db: &[f32]) -> f32 {
+    cells.iter().zip(level_db).map(|(cell, level)| (cell - level).max(0.0)).sum()
+}
+
+impl Background {
+    /// Reads a capture; refuses one of another model.
+    pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
+        let named = || format!("{} is no capture of an empty room", path.display());
+        let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let background: Background = serde_json::from_slice(&text).with_context(named)?;
+        if background.format != FORMAT {
+            bail!("{}: format {}, this program reads {FORMAT}", path.display(), background.format);
+        }
+        let cells = background.level_db.len();
+        if background.doppler.checked_mul(background.range) != Some(cells) || cells == 0 {
+            bail!("{}: {cells} cells, expected {} x {}", path.display(), background.doppler, background.range);
+        }
+        if background.model_hash != judge.model_hash {
+            bail!(
+                "{} was captured with another model than {}, whose maps are others\n\nhint: radome background SOURCE --model {} -o \
+                 FILE.json captures the empty room anew",
+                path.display(),
+                judge.model,
+                judge.model
+            );
+        }
+        Ok(background)
+    }
+
+    /// Writes it, whole or not at all.
+    pub fn save(&self, path: &Path) -> anyhow::Result<()> {
+        let rounded = Background {
+            level_db: self.level_db.iter().map(|level| (level * 100.0).round() / 100.0).collect(),
+            ..self.clone()
+        };
+        files::write_atomically(path, |file| serde_json::to_writer(file, &rounded).context("cannot write the capture"))
+    }
+
+    /// Whether a map shows no more than the empty room did.
+    pub fn is_all(&self, map: &Rdm) -> bool {
+        (map.shape.doppler, map.shape.range) == (self.doppler, self.range)
+            && excess_db(first_channel(map), &self.level_db) <= self.threshold_db
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn neighbours_go_round_in_velocity_and_end_in_range() {
+        let mut cells = vec![0.0; 4 * 3];
+        cells[0] = 5.0;
+        let level = with_neighbours(&cells, 4, 3);
+        // Rows 3, 0 and 1; columns 0 and 1.
+        assert_eq!(level, [5.0, 5.0, 0.0, 5.0, 5.0, 0.0, 0.0, 0.0, 0.0, 5.0, 5.0, 0.0]);
+        assert_eq!(excess_db(&[7.0; 12], &level), 6.0 * 2.0 + 6.0 * 7.0);
+    }
+}

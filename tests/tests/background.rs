@@ -1,0 +1,137 @@
+//! A fan in the room: who captures the empty room is not told that somebody is there, and is told when somebody is.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// A corridor with so many people in it, for thirty seconds.
+fn simulate(path: &Path, people: &str, seed: &str) {
+    let mut command = radome();
+    command.arg("simulate").arg(fixture("scenes/corridor.toml")).args(["--people", people, "--seed", seed]);
+    json_lines(command.args(["--frames", "300", "--json", "-o"]).arg(path));
+}
+
+/// The same with a fan at 3 m: three blades that come and go by 6 cm 2.3 times a second, 3 codes strong.
+fn with_fan(from: &Path, to: &Path, phase: f64) {
+    let mut source = Recording::open(from).expect("opens");
+    let waveform = source.waveform().clone();
+    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
+    let mut frame = Frame::zeroed(waveform.shape());
+    let shape = waveform.shape();
+    let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / shape.samples as f64;
+    loop {
+        match source.next_frame(&mut frame).expect("reads") {
+            SourceEvent::End => break,
+            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
+            SourceEvent::Frame => {
+                for (i, code) in frame.codes.iter_mut().enumerate() {
+                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
+                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
+                    let echo = |blade: i32| {
+                        let turn = TAU * (2.3 * time_s + f64::from(blade) / 3.0) + phase;
+                        let delay_s = 2.0 * (3.0 + 0.06 * turn.sin()) / 299_792_458.0;
+                        let in_chirp_s = sample as f64 / waveform.sample_rate_hz;
+                        3.0 * (TAU * delay_s * (waveform.centre_frequency_hz() + slope * in_chirp_s)).cos()
+                    };
+                    let value = f64::from(*code) + (0..3).map(echo).sum::<f64>();
+                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
+                }
+                writer.frame(&frame).expect("writes");
+            }
+        }
+    }
+    writer.finish().expect("finishes");
+}
+
+fn live(recording: &Path, background: Option<&Path>) -> Vec<Value> {
+    let mut command = radome();
+    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json");
+    if let Some(background) = background {
+        command.arg("--background").arg(background);
+    }
+    let mut lines = json_lines(&mut command);
+    lines.pop();
+    lines
+}
+
+fn share(frames: &[Value], of: impl Fn(&Value) -> bool) -> f64 {
+    frames.iter().filter(|frame| of(frame)).count() as f64 / frames.len().max(1) as f64
+}
+
+#[test]
+#[allow(clippy::print_stderr)]
+fn a_fan_is_nobody_once_the_empty_room_is_known_and_people_before_it_are_people() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    simulate(&at("capture.mcap"), "0", "1");
+    with_fan(&at("capture.mcap"), &at("capture-fan.mcap"), 0.0);
+    let model = fixture("models/paper-hqnn.safetensors");
+    let mut command = radome();
+    command.arg("background").arg(at("capture-fan.mcap")).arg("--model").arg(&model);
+    let report = json_lines(command.args(["--json", "-o"]).arg(at("empty.json")));
+    assert_eq!(report[0]["frames"], 300);
+
+    let is_occupied = |frame: &Value| frame["occupied"] == true;
+    for seed in ["100007", "100008"] {
+        // Another night, with the fan at another place of its turn.
+        simulate(&at("empty.mcap"), "0", seed);
+        with_fan(&at("empty.mcap"), &at("empty-fan.mcap"), 1.0);
+        let before = share(&live(&at("empty-fan.mcap"), None), is_occupied);
+        let after = share(&live(&at("empty-fan.mcap"), Some(&at("empty.json"))), is_occupied);
+        eprintln!(
+            "seed {seed}: the empty room with a fan counts as occupied in {before:.3} of frames, then {after:.3}"
+        );
+        assert!(before > 0.9 && after == 0.0, "{before} {after}");
+
+        simulate(&at("one.mcap"), "1", seed);
+        with_fan(&at("one.mcap"), &at("one-fan.mcap"), 1.0);
+        let there = |lines: Vec<Value>| -> f64 {
+            let there: Vec<Value> =
+                lines.into_iter().filter(|frame| frame["truth"] != "empty" && frame["transition"] == false).collect();
+            share(&there, |frame| frame["label"] != "empty")
+        };
+        let without_fan = there(live(&at("one.mcap"), None));
+        let with_both = there(live(&at("one-fan.mcap"), Some(&at("empty.json"))));
+        eprintln!(
+            "seed {seed}: who is there is seen in {without_fan:.3} without a fan, {with_both:.3} with fan and capture"
+        );
+        assert!(with_both > without_fan - 0.08, "{with_both} of {without_fan}");
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_room_that_is_not_empty_a_short_look_and_another_models_capture_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        simulate(&at("one.mcap"), "1", "100007");
+        simulate(&at("empty.mcap"), "0", "1");
+        let model = fixture("models/paper-hqnn.safetensors");
+        let capture = |source: &Path, seconds: &str| {
+            let mut command = radome();
+            command.arg("background").arg(source).arg("--model").arg(&model).args(["--seconds", seconds, "-o"]);
+            command.arg(at("room.json"));
+            command
+        };
+        let said = failure(&mut capture(&at("one.mcap"), "60"));
+        assert!(said.contains("was not empty") && said.contains("hint:"), "{said}");
+        let said = failure(&mut capture(&at("empty.mcap"), "2"));
+        assert!(said.contains("expected 90") && said.contains("hint:"), "{said}");
+        assert!(!at("room.json").exists());
+        assert!(capture(&at("empty.mcap"), "60").output().expect("runs").status.success());
+        let with = |background: &Path, model: &str| {
+            let mut command = radome();
+            command.arg("live").arg(at("empty.mcap")).args(["--model", model, "--background"]);
+            failure(command.arg(background))
+        };
+        assert!(with(&at("room.json"), "cfar").contains("another model"));
+        std::fs::write(at("nonsense.json"), "{\"format\":1}").expect("writable");
+        assert!(with(&at("nonsense.json"), model.to_str().expect("text")).contains("nonsense.json"));
+    }
+}

@@ -1,0 +1,109 @@
+//! What the doctor finds.
+
+use std::io::{Cursor, Read};
+use std::net::TcpListener;
+
+use radome_tests::{fixture, json_lines, radome};
+use serde_json::Value;
+
+fn doctor() -> std::process::Command {
+    let mut command = radome();
+    command.args(["doctor", "--json", "--record-to"]).arg(std::env::temp_dir());
+    command
+}
+
+fn named<'a>(checks: &'a [Value], name: &str) -> &'a Value {
+    checks.iter().find(|check| check["check"] == name).unwrap_or_else(|| panic!("no {name} in {checks:?}"))
+}
+
+/// Checks of a run that fails, and what it says at the end.
+fn failing(command: &mut std::process::Command) -> (Vec<Value>, String) {
+    let output = command.output().expect("runs");
+    assert_eq!(output.status.code(), Some(1), "{command:?}");
+    let lines =
+        String::from_utf8_lossy(&output.stdout).lines().map(|l| serde_json::from_str(l).expect("JSON")).collect();
+    (lines, String::from_utf8_lossy(&output.stderr).into_owned())
+}
+
+#[test]
+fn a_source_that_works_is_examined_and_packed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bundle = folder.path().join("report.zip");
+    let mut command = doctor();
+    command.arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+    command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--bundle").arg(&bundle);
+    command.env("RADOME_MQTT_PASSWORD", "hunter2");
+    let checks = json_lines(&mut command);
+    for name in ["program", "model", "source", "fit", "frames", "speed"] {
+        assert_eq!(named(&checks, name)["verdict"], "ok", "{checks:?}");
+    }
+    assert!(named(&checks, "frames")["found"].as_str().is_some_and(|found| found.starts_with("20 frames")));
+    let summary = &checks.last().expect("a summary")["summary"];
+    assert_eq!((&summary["failures"], &summary["checks"]), (&0.into(), &(checks.len() - 1).into()));
+
+    let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(&bundle).expect("packed"))).expect("an archive");
+    let mut everything = Vec::new();
+    for name in [
+        "README.txt",
+        "checks.json",
+        "program.json",
+        "devices.json",
+        "source.json",
+        "registers.txt",
+        "frames.mcap",
+        "model.json",
+    ] {
+        let mut part = Vec::new();
+        archive.by_name(name).unwrap_or_else(|e| panic!("{name}: {e}")).read_to_end(&mut part).expect("whole");
+        assert!(!part.is_empty(), "{name}");
+        if name == "frames.mcap" {
+            let path = folder.path().join(name);
+            std::fs::write(&path, &part).expect("writable");
+            let report =
+                json_lines(radome().arg("convert").arg(&path).arg(folder.path().join("copy.mcap")).arg("--json"));
+            assert_eq!(report[0]["frames"], 20);
+        }
+        everything.extend(part);
+    }
+    let has = |secret: &str| everything.windows(secret.len()).any(|bytes| bytes == secret.as_bytes());
+    assert!(!has("hunter2"), "a secret leaves the house");
+}
+
+#[test]
+fn what_does_not_fit_is_a_failure_with_a_hint() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("broken.safetensors");
+    std::fs::write(&path, b"nonsense").expect("writable");
+    let (checks, said) = failing(doctor().arg("--model").arg(&path));
+    assert_eq!(named(&checks, "model")["verdict"], "fail");
+    assert!(said.contains("failed"), "{said}");
+
+    let (checks, _) = failing(doctor().arg("serial:/dev/no-such-port"));
+    assert!(named(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
+
+    let closed = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port");
+    let (checks, said) = failing(doctor().args(["--mqtt", &format!("mqtt://u:hunter2@{closed}")]));
+    let broker = named(&checks, "mqtt");
+    assert!(broker["verdict"] == "fail" && broker["hint"].is_string(), "{broker}");
+    assert!(!said.contains("hunter2") && !broker.to_string().contains("hunter2"));
+
+    let (checks, _) = failing(radome().args(["doctor", "--json", "--record-to", "/no/such/folder"]));
+    assert_eq!(named(&checks, "room")["verdict"], "fail");
+}
+
+/// What is installed by hand is what the program prints.
+#[test]
+fn the_packaged_rules_are_the_programs_and_the_unit_names_options_that_exist() {
+    let read =
+        |name: &str| std::fs::read_to_string(radome_tests::root().join("packaging").join(name)).expect("packaged");
+    let printed = radome().args(["devices", "--udev-rules"]).output().expect("runs");
+    assert_eq!(String::from_utf8_lossy(&printed.stdout).trim(), read("udev/70-radome.rules").trim());
+    let unit = read("systemd/radome.service");
+    let help = radome().args(["live", "--help"]).output().expect("runs");
+    let help = String::from_utf8_lossy(&help.stdout).into_owned();
+    let options: Vec<&str> = unit.split_whitespace().map(|word| word.trim_start_matches("RADOME_OPTIONS=")).collect();
+    let options: Vec<&str> =
+        options.into_iter().filter(|word| word.starts_with("--m") || word.starts_with("--keep")).collect();
+    assert!(options.len() >= 4 && options.iter().all(|option| help.contains(option)), "{options:?}");
+    assert!(unit.contains("Type=notify") && unit.contains("WatchdogSec="));
+}

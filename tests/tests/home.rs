@@ -1,0 +1,586 @@
+//! The house from outside: a real MQTT broker, a scraper, systemd's socket, and those who mean no good.
+
+use std::io::{Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::os::unix::net::UnixDatagram;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use radome_tests::running::{Running, wait_for};
+use radome_tests::{fixture, json_lines, radome};
+use serde_json::Value;
+
+/// What the emulated board calls itself.
+const ID: &str = "000102030405060708090a0b0c0d0e0f";
+
+/// A mosquitto of the test's own.
+struct Broker {
+    folder: tempfile::TempDir,
+    port: u16,
+    process: Option<Running>,
+}
+
+impl Broker {
+    /// On a free port; `None`, with a word on stderr, where mosquitto is not installed.
+    #[allow(clippy::print_stderr)]
+    fn prepare() -> Option<Self> {
+        if program("mosquitto").is_none() || program("mosquitto_sub").is_none() {
+            eprintln!("skipped: mosquitto is absent; tests/run installs mosquitto and mosquitto-clients");
+            return None;
+        }
+        let folder = tempfile::tempdir().expect("a folder");
+        let port = free_port();
+        let settings = format!("listener {port} 127.0.0.1\nallow_anonymous true\npersistence false\n");
+        std::fs::write(folder.path().join("mosquitto.conf"), settings).expect("writable");
+        Some(Broker { folder, port, process: None })
+    }
+
+    fn start(&mut self) {
+        let mut command = Command::new(program("mosquitto").expect("there"));
+        let settings = self.folder.path().join("mosquitto.conf");
+        self.process = Some(Running::start(command.arg("-c").arg(settings)));
+        wait_for("the broker", || TcpStream::connect(("127.0.0.1", self.port)).ok());
+    }
+
+    fn url(&self) -> String {
+        format!("mqtt://127.0.0.1:{}", self.port)
+    }
+
+    /// All messages, from those that are retained on.
+    fn listen(&self) -> Running {
+        let mut command = Command::new(program("mosquitto_sub").expect("there"));
+        Running::start(command.args(["-p", &self.port.to_string(), "-v", "-t", "#"]))
+    }
+
+    fn publish(&self, topic: &str, options: &[&str]) {
+        let mut command = Command::new(program("mosquitto_pub").expect("there"));
+        command.args(["-p", &self.port.to_string(), "-q", "1", "-t", topic]).args(options);
+        assert!(command.status().expect("runs").success(), "{command:?}");
+    }
+}
+
+fn program(name: &str) -> Option<PathBuf> {
+    let path = std::env::var("PATH").unwrap_or_default();
+    let mut folders = path.split(':').chain(["/usr/sbin", "/usr/local/sbin"]);
+    folders.find_map(|folder| Some(Path::new(folder).join(name)).filter(|program| program.exists()))
+}
+
+fn free_port() -> u16 {
+    TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a free port").port()
+}
+
+/// The corridor through an emulated board, at its own pace, until stopped.
+fn watch() -> Command {
+    let mut command = radome();
+    command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+    command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args(["--speed", "1", "--json"]);
+    command
+}
+
+/// Asks for an orderly end; asserts that every frame was judged, but for those that an overloaded machine's emulated board itself
+/// has lost and said so, and returns the summary.
+fn stop_and_count(mut live: Running) -> Value {
+    live.signal("TERM");
+    assert!(live.wait().success(), "{:?}", live.stderr.all());
+    let lines = live.stdout.all();
+    let (last, lines) = lines.split_last().expect("some lines");
+    let mut next = 0;
+    for line in lines {
+        let line: Value = serde_json::from_str(line).expect("JSON");
+        match line["gap"]["frames"].as_u64() {
+            Some(lost) => next += lost,
+            None => {
+                assert_eq!(line["sequence"], next, "a frame is missing");
+                next += 1;
+            }
+        }
+    }
+    let summary: Value = serde_json::from_str(last).expect("a summary");
+    let late = &summary["summary"]["dropped_by_reason"]["queue_full"];
+    assert!(late.is_null(), "the classifier was held up: {summary}");
+    summary["summary"].clone()
+}
+
+fn message(line: &str, topic: &str) -> Option<String> {
+    line.strip_prefix(topic)?.strip_prefix(' ').map(str::to_owned)
+}
+
+fn discovery_topic() -> String {
+    format!("homeassistant/device/bgt60_{ID}/config")
+}
+
+fn count_of(lines: &[String], topic: &str) -> usize {
+    lines.iter().filter(|line| message(line, topic).is_some()).count()
+}
+
+#[test]
+fn the_hub_finds_the_radar_sees_people_come_and_learns_of_its_death() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    broker.start();
+    let live = Running::start(watch().args(["--mqtt", &broker.url(), "--mqtt-name", "Corridor radar"]));
+    let hub = broker.listen();
+    let availability = format!("radome/{ID}/availability");
+    let state = format!("radome/{ID}/state");
+
+    let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    let found: Value = serde_json::from_str(&found).expect("JSON");
+    assert_eq!((&found["dev"]["name"], &found["dev"]["mdl"]), (&"Corridor radar".into(), &"BGT60TR13C".into()));
+    assert_eq!(found["dev"]["ids"], serde_json::json!([format!("bgt60_{ID}")]));
+    assert_eq!((&found["avty_t"], &found["stat_t"]), (&availability.as_str().into(), &state.as_str().into()));
+    assert!(found["o"]["name"] == "radome" && found["dev"]["hw"].is_string(), "{found}");
+    let components = found["cmps"].as_object().expect("components");
+    let names: Vec<&str> = components.keys().map(String::as_str).collect();
+    assert_eq!(names, ["confidence", "count", "dropped", "occupancy"], "no buttons where nothing is kept");
+    assert_eq!(components["occupancy"]["dev_cla"], "occupancy");
+    let mut ids: Vec<_> = components.values().map(|c| c["uniq_id"].as_str().expect("an id")).collect();
+    ids.dedup();
+    assert_eq!(ids.len(), 4);
+
+    hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+    let is_occupied = |line: &str| {
+        let state: Value = serde_json::from_str(&message(line, &state)?).ok()?;
+        (state["occupancy"] == "ON").then_some(state)
+    };
+    let said = hub.stdout.find(0, "somebody", is_occupied);
+    assert!(said["count"].as_u64().is_some_and(|count| count >= 1), "{said}");
+    assert!(said["confidence"].as_f64().is_some_and(|c| (0.0..=1.0).contains(&c)) && said["dropped_frames"] == 0);
+
+    // Who comes later finds all of it retained.
+    let late = broker.listen();
+    for topic in [&discovery_topic(), &availability, &state] {
+        late.stdout.find(0, topic, |line| message(line, topic));
+    }
+
+    // The hub starts again.
+    let before = hub.stdout.all().len();
+    broker.publish("homeassistant/status", &["-m", "online"]);
+    hub.stdout.find(before, "a second announcement", |line| message(line, &discovery_topic()));
+    hub.stdout.find(before, "its state", |line| message(line, &state));
+
+    let before = hub.stdout.all().len();
+    live.signal("KILL");
+    let last = hub.stdout.find(before, "the last will", |line| message(line, &availability).filter(|m| m == "offline"));
+    assert_eq!(last, "offline");
+}
+
+#[test]
+fn frames_are_judged_while_the_broker_is_away_and_it_is_told_when_it_comes() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    let live = Running::start(watch().args(["--mqtt", &broker.url()]));
+    live.stderr.find(0, "a word about the broker", |line| line.contains("MQTT broker").then_some(()));
+    let answers = || live.stdout.all().len();
+    let wait_for_more = || {
+        let before = answers();
+        wait_for("twenty more answers", || (answers() >= before + 20).then_some(()));
+    };
+    wait_for_more();
+    for _ in 0..2 {
+        broker.start();
+        let hub = broker.listen();
+        hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+        let availability = format!("radome/{ID}/availability");
+        hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+        broker.process = None;
+        wait_for_more();
+    }
+    let summary = stop_and_count(live);
+    assert!(summary["frames"].as_u64().is_some_and(|frames| frames >= 60), "{summary}");
+}
+
+#[test]
+fn an_orderly_end_says_offline_itself() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    broker.start();
+    let live = Running::start(watch().args(["--mqtt", &broker.url()]));
+    let hub = broker.listen();
+    let availability = format!("radome/{ID}/availability");
+    hub.stdout.find(0, "online", |line| message(line, &availability).filter(|m| m == "online"));
+    stop_and_count(live);
+    wait_for("offline", || {
+        let messages: Vec<String> = hub.stdout.all().iter().filter_map(|line| message(line, &availability)).collect();
+        messages.last().filter(|last| *last == "offline").map(drop)
+    });
+}
+
+/// Runs openssl in a folder; `false` if there is none.
+fn openssl(folder: &Path, arguments: &str) -> bool {
+    let output = Command::new("openssl").args(arguments.split(' ')).current_dir(folder).output();
+    output.is_ok_and(|output| output.status.success())
+}
+
+#[test]
+#[allow(clippy::print_stderr)]
+fn an_encrypted_broker_is_told_if_its_authority_is_trusted_and_the_login_is_right() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    let folder = broker.folder.path().to_owned();
+    std::fs::write(folder.join("names"), "subjectAltName=DNS:localhost\n").expect("writable");
+    let is_made =
+        openssl(&folder, "req -x509 -newkey rsa:2048 -nodes -keyout ca.key -out ca.pem -days 30 -subj /CN=authority")
+            && openssl(&folder, "req -newkey rsa:2048 -nodes -keyout hub.key -out hub.csr -subj /CN=localhost")
+            && openssl(
+                &folder,
+                "x509 -req -in hub.csr -CA ca.pem -CAkey ca.key -CAcreateserial -out hub.pem -days 30 -extfile names",
+            );
+    let hashed =
+        Command::new("mosquitto_passwd").args(["-b", "-c", "logins", "radar", "secret"]).current_dir(&folder).status();
+    if !is_made || !hashed.is_ok_and(|status| status.success()) {
+        eprintln!("skipped: openssl or mosquitto_passwd is absent");
+        return;
+    }
+    // mosquitto gives up root's rights before it reads them.
+    for name in ["ca.pem", "hub.pem", "hub.key", "logins"] {
+        let open = std::os::unix::fs::PermissionsExt::from_mode(0o644);
+        std::fs::set_permissions(folder.join(name), open).expect("settable");
+    }
+    std::fs::set_permissions(&folder, std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("settable");
+    let (at, port, plain) = (|name: &str| folder.join(name).display().to_string(), broker.port, free_port());
+    let settings = format!(
+        "per_listener_settings true\nlistener {port} 127.0.0.1\ncafile {}\ncertfile {}\nkeyfile {}\npassword_file {}\n\
+         allow_anonymous false\nlistener {plain} 127.0.0.1\nallow_anonymous true\npersistence false\n",
+        at("ca.pem"),
+        at("hub.pem"),
+        at("hub.key"),
+        at("logins")
+    );
+    std::fs::write(folder.join("mosquitto.conf"), settings).expect("writable");
+    broker.start();
+    let told = |password: &str, authority: bool| {
+        let mut command = watch();
+        command.args(["--mqtt", &format!("mqtts://radar@localhost:{port}")]).env("RADOME_MQTT_PASSWORD", password);
+        if authority {
+            command.arg("--mqtt-ca").arg(folder.join("ca.pem"));
+        }
+        Running::start(&mut command)
+    };
+    for (password, authority, word) in [("wrong", true, "refuses the login"), ("secret", false, "UnknownIssuer")] {
+        let live = told(password, authority);
+        let said = live.stderr.find(0, word, |line| line.contains(word).then(|| line.to_owned()));
+        assert!(!said.contains("secret") && !said.contains("wrong:"), "{said}");
+        stop_and_count(live);
+    }
+    let live = told("secret", true);
+    broker.port = plain;
+    broker.listen().stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    stop_and_count(live);
+}
+
+/// What a server answers to these bytes, as far as it does.
+fn ask(port: u16, request: &[u8]) -> String {
+    let mut answer = Vec::new();
+    if let Ok(mut socket) = TcpStream::connect(("127.0.0.1", port)) {
+        let _ = socket.set_read_timeout(Some(Duration::from_secs(20)));
+        let _ = socket.write_all(request);
+        let _ = socket.read_to_end(&mut answer);
+    }
+    String::from_utf8_lossy(&answer).into_owned()
+}
+
+fn get(port: u16, path: &str) -> String {
+    ask(port, format!("GET {path} HTTP/1.1\r\nHost: radar\r\n\r\n").as_bytes())
+}
+
+fn metric(page: &str, name: &str) -> f64 {
+    let value = page.lines().find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    value.and_then(|value| value.parse().ok()).unwrap_or_else(|| panic!("no {name} in {page}"))
+}
+
+/// The metrics once there are such; while a crowd is served there may be none.
+fn scrape(port: u16, until: impl Fn(&str) -> bool) -> String {
+    wait_for("metrics", || Some(get(port, "/metrics")).filter(|page| page.starts_with("HTTP/1.1 200") && until(page)))
+}
+
+fn metrics_port(live: &Running) -> u16 {
+    live.stderr.find(0, "the metrics' address", |line| {
+        line.strip_prefix("metrics: http://127.0.0.1:")?.strip_suffix("/metrics")?.parse().ok()
+    })
+}
+
+#[test]
+fn prometheus_reads_counters_gauges_and_a_histogram() {
+    let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+    let port = metrics_port(&live);
+    let page = scrape(port, |page| page.contains("\nradome_up 1\n"));
+    assert!(page.contains("text/plain; version=0.0.4"), "{page}");
+    let body = page.split("\r\n\r\n").nth(1).expect("a body");
+    let mut types = std::collections::BTreeMap::new();
+    for line in body.lines() {
+        if let Some(rest) = line.strip_prefix("# TYPE ") {
+            let (name, kind) = rest.split_once(' ').expect("name and kind");
+            assert!(types.insert(name, kind).is_none(), "{name} twice");
+        } else if !line.starts_with('#') {
+            let (name, value) = line.rsplit_once(' ').expect("a sample");
+            assert!(value.parse::<f64>().is_ok_and(f64::is_finite), "{line}");
+            let family = name.split('{').next().expect("a name");
+            let of =
+                |suffix: &str| family.strip_suffix(suffix).is_some_and(|name| types.get(name) == Some(&"histogram"));
+            assert!(types.contains_key(family) || of("_bucket") || of("_sum") || of("_count"), "{line} has no type");
+        }
+    }
+    let buckets: Vec<f64> = body
+        .lines()
+        .filter(|line| line.starts_with("radome_latency_seconds_bucket"))
+        .map(|line| line.rsplit_once(' ').and_then(|(_, n)| n.parse().ok()).expect("a number"))
+        .collect();
+    assert!(buckets.is_sorted() && buckets.len() == 11, "{buckets:?}");
+    assert_eq!(buckets.last(), Some(&metric(body, "radome_latency_seconds_count")));
+    assert!(get(port, "/health").starts_with("HTTP/1.1 200"));
+    let frames = metric(&scrape(port, |_| true), "radome_frames_total");
+    let summary = stop_and_count(live);
+    assert!(summary["frames"].as_f64().is_some_and(|all| all >= frames));
+}
+
+/// What systemd would hear.
+struct Ear {
+    socket: UnixDatagram,
+    folder: tempfile::TempDir,
+}
+
+impl Ear {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let socket = UnixDatagram::bind(folder.path().join("notify")).expect("a socket");
+        socket.set_read_timeout(Some(Duration::from_millis(100))).expect("settable");
+        Ear { socket, folder }
+    }
+
+    fn path(&self) -> PathBuf {
+        self.folder.path().join("notify")
+    }
+
+    /// What is said within this time.
+    fn hear(&self, time: Duration) -> Vec<String> {
+        let (start, mut heard, mut bytes) = (Instant::now(), Vec::new(), [0; 4096]);
+        while start.elapsed() < time {
+            if let Ok(length) = self.socket.recv(&mut bytes) {
+                heard.extend(String::from_utf8_lossy(&bytes[..length]).lines().map(str::to_owned));
+            }
+        }
+        heard
+    }
+
+    fn wait_for(&self, what: &str) {
+        wait_for(what, || {
+            self.hear(Duration::from_millis(100)).iter().any(|line| line.starts_with(what)).then_some(())
+        });
+    }
+}
+
+#[test]
+fn systemd_hears_ready_after_the_first_label_and_the_watchdog_only_while_frames_come() {
+    let ear = Ear::new();
+    // A board in a process of its own, that can be made to stand still.
+    let scene = fixture("scenes/corridor.toml");
+    let board = Running::start(radome().arg("emulate").arg("--from").arg(scene).args(["--speed", "1"]));
+    let port = board.stdout.find(0, "the board's port", |line| {
+        line.split(|c: char| c.is_whitespace() || c == '"')
+            .find(|word| word.starts_with("/dev/pts/"))
+            .map(str::to_owned)
+    });
+    let mut live = radome();
+    live.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+    live.arg("--json").env("NOTIFY_SOCKET", ear.path()).env("WATCHDOG_USEC", "2000000");
+    let mut live = Running::start(&mut live);
+    ear.wait_for("READY=1");
+    let labelled = live.stdout.all().iter().filter(|line| line.contains("\"label\":\"")).count();
+    assert!(labelled > 0, "ready before the first label");
+    ear.wait_for("WATCHDOG=1");
+    ear.wait_for("STATUS=");
+    board.signal("STOP");
+    // What was on its way may still come.
+    ear.hear(Duration::from_secs(2));
+    let heard = ear.hear(Duration::from_secs(4));
+    assert!(!heard.iter().any(|line| line == "WATCHDOG=1"), "content with a dead board: {heard:?}");
+    board.signal("CONT");
+    ear.wait_for("WATCHDOG=1");
+    live.signal("TERM");
+    ear.wait_for("STOPPING=1");
+    assert!(live.wait().success());
+}
+
+#[test]
+fn reports_keep_the_last_minute_with_labels_and_answers() {
+    let Some(mut broker) = Broker::prepare() else { return };
+    broker.start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut command = watch();
+    command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-last-s", "3", "--keep-to"]);
+    let live = Running::start(command.arg(folder.path().join("reports")));
+    let port = metrics_port(&live);
+    let hub = broker.listen();
+    let found = hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+    let found: Value = serde_json::from_str(&found).expect("JSON");
+    let button = &found["cmps"]["report_empty"];
+    assert_eq!((&button["p"], &button["pl_prs"]), (&"button".into(), &"empty".into()));
+    wait_for("more than is kept", || (live.stdout.all().len() > 50).then_some(()));
+
+    let kept = |n: usize| {
+        wait_for("a report", || {
+            let files = std::fs::read_dir(folder.path().join("reports")).expect("a folder");
+            let files: Vec<PathBuf> = files.map(|file| file.expect("a file").path()).collect();
+            let is_whole = |path: &PathBuf| path.extension().is_some_and(|e| e == "mcap");
+            let mut whole: Vec<PathBuf> = files.into_iter().filter(is_whole).collect();
+            whole.sort();
+            (whole.len() == n).then_some(whole)
+        })
+    };
+    // A report that the broker keeps is about another night; what is no class is no report.
+    let topic = button["cmd_t"].as_str().expect("a topic");
+    broker.publish(topic, &["-m", "three"]);
+    broker.publish(topic, &["-m", button["pl_prs"].as_str().expect("a payload")]);
+    let first = kept(1);
+    // Those within five seconds of another are refused.
+    assert!(ask(port, b"POST /report/one HTTP/1.1\r\nHost: radar\r\n\r\n").starts_with("HTTP/1.1 202"));
+    scrape(port, |page| metric(page, "radome_reports_refused_total") >= 1.0);
+    std::thread::sleep(Duration::from_secs(5));
+    assert!(ask(port, b"POST /report/one HTTP/1.1\r\nHost: radar\r\n\r\n").starts_with("HTTP/1.1 202"));
+    let second = kept(2);
+    std::thread::sleep(Duration::from_secs(5));
+    live.signal("USR1");
+    let third = kept(3);
+    let page = scrape(port, |_| true);
+    assert_eq!((metric(&page, "radome_reports_kept_total"), metric(&page, "radome_mqtt_refused_total")), (3.0, 1.0));
+    stop_and_count(live);
+
+    let (first, rest): (Vec<_>, Vec<_>) = third.iter().partition(|path| first.contains(path));
+    assert_eq!((first.len(), second.len(), rest.len()), (1, 2, 2));
+    let mut labels = Vec::new();
+    for path in &third {
+        let answers = json_lines(radome().arg("results").arg(path).arg("--json"));
+        let times: Vec<u64> = answers.iter().map(|answer| answer["time_ns"].as_u64().expect("a time")).collect();
+        // Three seconds, but for frames that an overloaded machine's board has lost.
+        let span_s = (times[times.len() - 1] - times[0]) as f64 * 1e-9;
+        assert!((2.0..3.05).contains(&span_s), "{span_s} s");
+        let found = json_lines(radome().arg("labels").arg(path).arg("--json"));
+        assert_eq!(found[0].as_array().map(Vec::len), Some(1), "{found:?}");
+        labels.push(found[0][0]["label"].as_str().expect("a label").to_owned());
+        let frames = json_lines(
+            radome().arg("live").arg(path).arg("--model").arg(fixture("models/paper-hqnn.safetensors")).arg("--json"),
+        );
+        let judged = frames.iter().filter(|line| line["sequence"].is_u64()).count();
+        assert_eq!(judged, answers.len(), "as many frames as answers");
+    }
+    labels.sort();
+    assert_eq!(labels, ["empty", "empty", "one"]);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_broker_full_of_malice_is_refused_and_counted() {
+        let Some(mut broker) = Broker::prepare() else { return };
+        broker.start();
+        let folder = tempfile::tempdir().expect("a folder");
+        let (large, topic) = (folder.path().join("large"), format!("radome/{ID}/report"));
+        std::fs::write(&large, vec![b'x'; 3_000_000]).expect("writable");
+        let large = large.to_str().expect("text");
+        // Before the radar comes, and retained: it gets them as soon as it asks.
+        broker.publish("homeassistant/status", &["-r", "-f", large]);
+        broker.publish(&topic, &["-r", "-m", "empty"]);
+        let mut command = watch();
+        command.args(["--mqtt", &broker.url(), "--metrics", "127.0.0.1:0", "--keep-to"]);
+        let live = Running::start(command.arg(folder.path().join("reports")));
+        let port = metrics_port(&live);
+        let hub = broker.listen();
+        hub.stdout.find(0, "discovery", |line| message(line, &discovery_topic()));
+        scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 1.0 && page.contains("\nradome_up 1\n"));
+        // And while it listens.
+        broker.publish(&topic, &["-f", large]);
+        broker.publish("homeassistant/status", &["-m", "offline"]);
+        broker.publish("homeassistant/status", &["-m", "../../etc/passwd"]);
+        broker.publish(&topic, &["-m", "\u{1}\u{ffff}"]);
+        let flood: String = (0..3000).map(|_| "online\n").collect();
+        let mut command = Command::new(program("mosquitto_pub").expect("there"));
+        command.args(["-p", &broker.port.to_string(), "-t", "homeassistant/status", "-l"]);
+        let mut child = command.stdin(Stdio::piped()).spawn().expect("runs");
+        child.stdin.take().expect("piped").write_all(flood.as_bytes()).expect("takes it");
+        assert!(child.wait().expect("ends").success());
+        let page = scrape(port, |page| metric(page, "radome_mqtt_refused_total") >= 3.0);
+        assert_eq!(metric(&page, "radome_mqtt_connected"), 1.0, "{page}");
+        assert_eq!(metric(&page, "radome_mqtt_connections_total"), 1.0, "it was never thrown out");
+        // Three thousand hubs are announced to at most once a second.
+        assert!(count_of(&hub.stdout.all(), &discovery_topic()) < 60);
+        assert_eq!(metric(&page, "radome_reports_kept_total"), 0.0);
+        stop_and_count(live);
+    }
+
+    #[test]
+    fn a_crowd_before_the_metrics_is_turned_away_and_frames_go_on() {
+        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+        let port = metrics_port(&live);
+        scrape(port, |page| page.contains("\nradome_up 1\n"));
+        // Ten times two hundred who come and say nothing.
+        for _ in 0..10 {
+            let crowd: Vec<_> = (0..200).map(|_| TcpStream::connect(("127.0.0.1", port))).collect();
+            assert!(crowd.iter().filter(|socket| socket.is_ok()).count() > 0);
+        }
+        let idle: Vec<_> = (0..200).filter_map(|_| TcpStream::connect(("127.0.0.1", port)).ok()).collect();
+        // Those who are let in and say nothing are shown out, so that others are served again.
+        let page = scrape(port, |page| metric(page, "radome_http_turned_away_total") >= 100.0);
+        assert!(metric(&page, "radome_frames_total") > 0.0);
+        drop(idle);
+        stop_and_count(live);
+    }
+
+    #[test]
+    fn malformed_requests_and_strange_paths_are_refused_and_counted() {
+        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0"]));
+        let port = metrics_port(&live);
+        let before = metric(&scrape(port, |page| page.contains("\nradome_up 1\n")), "radome_http_refused_total");
+        let mut refused = 0.0;
+        for path in [
+            "/",
+            "/metrics/",
+            "/../../etc/passwd",
+            "/metrics/../../etc/passwd",
+            "/%2e%2e/%2e%2e/etc/passwd",
+            "//etc/passwd",
+            "/metrics%00",
+            "/report/empty",
+            "/report/../metrics",
+        ] {
+            let answer = get(port, path);
+            assert!(answer.starts_with("HTTP/1.1 4"), "{path}: {answer}");
+            assert!(!answer.contains("root:"), "{path}");
+            refused += 1.0;
+        }
+        let long = format!("GET /metrics HTTP/1.1\r\nHost: radar\r\nX: {}\r\n\r\n", "x".repeat(100_000));
+        let many: String = (0..500).map(|i| format!("H{i}: x\r\n")).collect();
+        let many = format!("GET /metrics HTTP/1.1\r\n{many}\r\n");
+        let slow = b"GET /metrics HTTP/1.1\r\nHost: ra";
+        for request in
+            [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]]
+        {
+            let answer = ask(port, request);
+            assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
+            refused += 1.0;
+        }
+        for request in [
+            "POST /metrics HTTP/1.1\r\nHost: r\r\n\r\n",
+            "POST /report/empty HTTP/1.1\r\nHost: r\r\nOrigin: http://evil\r\n\r\n",
+        ] {
+            let answer = ask(port, request.as_bytes());
+            assert!(answer.starts_with("HTTP/1.1 405") || answer.starts_with("HTTP/1.1 403"), "{answer}");
+            refused += 1.0;
+        }
+        let after = metric(&scrape(port, |_| true), "radome_http_refused_total");
+        assert!(after - before >= refused, "{after} - {before} counted of {refused}");
+        stop_and_count(live);
+    }
+
+    #[test]
+    fn addresses_that_are_none_and_ports_that_are_taken_are_named() {
+        let said = |options: &[&str]| radome_tests::failure(watch().args(options));
+        let text = said(&["--mqtt", "http://hub"]);
+        assert!(text.contains("http://") && text.contains("hint:"), "{text}");
+        let text = said(&["--mqtt", "mqtt://:secret@hub:bad"]);
+        assert!(!text.contains("secret") && text.contains("hint:"), "{text}");
+        let taken = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = taken.local_addr().expect("bound").to_string();
+        let text = said(&["--metrics", &address]);
+        assert!(text.contains(&address) && text.contains("hint:"), "{text}");
+        let text = said(&["--keep-to", "/proc/nowhere"]);
+        assert!(text.contains("/proc/nowhere") && text.contains("hint:"), "{text}");
+    }
+}

@@ -1,0 +1,186 @@
+//! How fast and how steadily, over long runs: `tests/long home`. Off by default.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
+use radome_models::Model;
+use radome_tests::running::{Running, wait_up_to};
+use radome_tests::{fixture, json_lines, radome};
+
+fn setting(name: &str, default: u64) -> u64 {
+    std::env::var(name).map_or(default, |value| value.parse().unwrap_or_else(|e| panic!("{name}={value}: {e}")))
+}
+
+/// A hundred small frames a second, over and over, that cost nothing to make.
+struct SmallFrames {
+    waveform: Waveform,
+    end: u64,
+    sent: Arc<AtomicU64>,
+}
+
+fn small() -> Waveform {
+    let request = WaveformRequest {
+        samples_per_chirp: 64,
+        chirps_per_frame: 8,
+        frame_interval_s: 0.01,
+        ..WaveformRequest::paper()
+    };
+    Waveform::realise(request).expect("possible")
+}
+
+impl FrameSource for SmallFrames {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        let next = self.sent.load(Ordering::Relaxed);
+        if next == self.end {
+            return Ok(SourceEvent::End);
+        }
+        let shape = self.waveform.shape();
+        if frame.codes.len() != shape.codes() {
+            frame.codes = (0..shape.codes()).map(|i| ((i * 2_654_435_761) >> 7 & 0xFFF) as u16).collect();
+        }
+        frame.shape = shape;
+        (frame.sequence, frame.time_ns) = (next, next * 10_000_000);
+        self.sent.store(next + 1, Ordering::Relaxed);
+        Ok(SourceEvent::Frame)
+    }
+}
+
+/// Memory that a process holds, KiB.
+fn resident_kib(process: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).expect("a process");
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("its memory");
+    line.trim().trim_end_matches(" kB").parse().expect("a number")
+}
+
+/// Frames judged and lost, by the metrics.
+fn counted(port: u16) -> (u64, u64) {
+    let mut page = String::new();
+    let mut socket = TcpStream::connect(("127.0.0.1", port)).expect("listens");
+    socket.write_all(b"GET /metrics HTTP/1.1\r\nHost: radar\r\n\r\n").expect("takes it");
+    socket.read_to_string(&mut page).expect("answers");
+    let value =
+        |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok()).unwrap_or(0.0) as u64;
+    let sum = |name: &str| page.lines().filter(|line| line.starts_with(name)).map(value).sum();
+    (sum("radome_frames_total "), sum("radome_frames_dropped_total{"))
+}
+
+/// `RADOME_FRAMES` small frames, a million unless told otherwise, as fast as they go: memory stays what it is, and what was sent
+/// is what was judged and what was counted as lost.
+#[test]
+#[ignore = "takes minutes: tests/long home"]
+#[allow(clippy::print_stderr)]
+fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
+    let end = setting("RADOME_FRAMES", 1_000_000);
+    let folder = tempfile::tempdir().expect("a folder");
+    // The paper's network, told that its maps come from small frames: what it says means nothing, what it costs is the same.
+    let mut model = Model::load(&fixture("models/paper-hqnn.safetensors")).expect("loads");
+    model.card.waveform = small();
+    (model.card.rdm_spec.doppler_fft_length, model.card.rdm_spec.range_fft_length) = (Some(128), Some(256));
+    let path = folder.path().join("small.safetensors");
+    model.save(&path).expect("saves");
+
+    let sent = Arc::new(AtomicU64::new(0));
+    let source = SmallFrames { waveform: small(), end, sent: sent.clone() };
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
+    let board = EmulatedBoard::spawn(Box::new(source), options).expect("a board");
+    let mut command = radome();
+    command.arg("live").arg(format!("serial:{}", board.path().display())).arg("--model").arg(&path);
+    command.args(["--metrics", "127.0.0.1:0", "--keep-last-s", "30", "--keep-to"]).arg(folder.path().join("reports"));
+    let start = Instant::now();
+    let mut live = Running::start(&mut command);
+    let port = live.stderr.find(0, "the metrics' address", |line| {
+        line.strip_prefix("metrics: http://127.0.0.1:")?.strip_suffix("/metrics")?.parse().ok()
+    });
+    let mut memory = Vec::new();
+    let mut last = (0, Instant::now());
+    let (frames, lost) = loop {
+        let (frames, lost) = counted(port);
+        memory.push((frames + lost, resident_kib(live.id())));
+        if frames + lost > last.0 {
+            last = (frames + lost, Instant::now());
+        }
+        // All, or nothing more for a minute.
+        if frames + lost >= end || last.1.elapsed() > Duration::from_secs(60) {
+            break (frames, lost);
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    };
+    let took_s = start.elapsed().as_secs_f64();
+    live.signal("TERM");
+    assert!(live.wait().success(), "{:?}", live.stderr.all());
+    // Pools, queues and the ring of the last seconds are filled by a tenth of a million.
+    let filled = (end / 10).max(75_000).min(end / 2);
+    let settled: Vec<u64> = memory.iter().filter(|(frames, _)| *frames > filled).map(|(_, kib)| *kib).collect();
+    let (first, most) = (settled.first().copied().unwrap_or(0), settled.iter().max().copied().unwrap_or(0));
+    eprintln!(
+        "{frames} judged, {lost} counted as lost, {} sent in {took_s:.1} s ({:.0}/s); memory {first} KiB, at most {most} KiB",
+        sent.load(Ordering::Relaxed),
+        end as f64 / took_s
+    );
+    assert_eq!(frames + lost, end, "frames and counted gaps are what was sent");
+    assert!(most <= first + 4096, "memory grows: {settled:?}");
+}
+
+/// `RADOME_PACE_FRAMES` frames of the paper's waveform at their own pace, a minute unless told otherwise, from a board in another
+/// process, while all is recorded and two pages look on: the label is there 2 ms after the last sample, 5 ms at most.
+#[test]
+#[ignore = "takes minutes, and means something on an idle machine only: tests/long home"]
+#[allow(clippy::print_stderr)]
+fn a_label_comes_within_two_milliseconds_of_the_last_sample_at_the_papers_pace() {
+    let frames = setting("RADOME_PACE_FRAMES", 600);
+    let folder = tempfile::tempdir().expect("a folder");
+    let run = folder.path().join("run.mcap");
+    let scene = fixture("scenes/corridor.toml");
+    let count = (frames + 20).to_string();
+    json_lines(radome().arg("simulate").arg(scene).args(["--frames", &count, "--json", "-o"]).arg(&run));
+    let board = Running::start(radome().arg("emulate").arg("--from").arg(&run).args(["--speed", "1"]));
+    let port = board.stdout.find(0, "the board's port", |line| {
+        line.split(|c: char| c.is_whitespace() || c == '"')
+            .find(|word| word.starts_with("/dev/pts/"))
+            .map(str::to_owned)
+    });
+    let night = folder.path().join("night.mcap");
+    let mut command = radome();
+    command.arg("live").arg(format!("serial:{port}")).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+    command.args(["--json", "--frames", &frames.to_string(), "--view", "--listen", "127.0.0.1:0", "-o"]).arg(&night);
+    let mut live = Running::start(&mut command);
+    let address = live.stderr.find(0, "the page's address", |line| line.strip_prefix("live page: ").map(str::to_owned));
+    let address = address.trim_start_matches("http://").split(['/', ' ', '?']).next().expect("an address").to_owned();
+    let pages = [(); 2].map(|()| {
+        let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
+        std::thread::spawn(move || std::iter::from_fn(|| socket.read().ok()).count())
+    });
+    // Until it has them all, or nothing more comes: a board whose own FIFO overflowed has fewer.
+    let mut last = (0, Instant::now());
+    wait_up_to(Duration::from_secs(60 + frames / 5), "the last frame", || {
+        let lines = live.stdout.all().len();
+        if lines > last.0 {
+            last = (lines, Instant::now());
+        }
+        (!live.is_running() || last.1.elapsed() > Duration::from_secs(20)).then_some(())
+    });
+    if live.is_running() {
+        live.signal("TERM");
+    }
+    assert!(live.wait().success(), "{:?}", live.stderr.all());
+    let seen = pages.map(|page| page.join().expect("a page"));
+    let lines = live.stdout.all();
+    let summary: serde_json::Value = serde_json::from_str(lines.last().expect("a summary")).expect("JSON");
+    let summary = &summary["summary"];
+    eprintln!("latency {}, pages saw {seen:?} messages, {summary}", summary["latency_ms"]);
+    assert_eq!((&summary["frames"], &summary["dropped"]), (&frames.into(), &0.into()));
+    let kept = json_lines(radome().arg("results").arg(&night).arg("--json"));
+    assert_eq!(kept.len() as u64, frames);
+    assert!(seen.iter().all(|seen| *seen as u64 > frames / 2), "{seen:?}");
+    let latency = |quantile: &str| summary["latency_ms"][quantile].as_f64().expect("a number");
+    assert!(latency("p50") <= 2.0 && latency("p99") <= 5.0, "{}", summary["latency_ms"]);
+}

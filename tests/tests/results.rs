@@ -1,0 +1,156 @@
+//! What was said about frames, in the recording beside them.
+
+use std::path::Path;
+
+use radome_tests::running::{Running, wait_for};
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// `live` on two seconds of a simulated corridor, recorded; its JSON lines.
+fn live(output: &Path, frames: &str) -> Vec<Value> {
+    let mut command = radome();
+    command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+    command.arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+    json_lines(command.args(["--frames", frames, "--json", "-o"]).arg(output))
+}
+
+fn results(path: &Path) -> Vec<Value> {
+    json_lines(radome().arg("results").arg(path).arg("--json"))
+}
+
+#[test]
+fn results_are_what_was_said_and_survive_every_copy_that_can_hold_them() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    let said = live(&at("night.mcap"), "40");
+    let said = &said[..40];
+    let kept = results(&at("night.mcap"));
+    assert_eq!(kept.len(), 40);
+    for (said, kept) in said.iter().zip(&kept) {
+        for field in ["sequence", "label", "occupied", "people"] {
+            assert_eq!(said[field], kept[field], "{field}");
+        }
+        let p = |class: &str| said["probabilities"][class].clone();
+        assert_eq!(kept["probabilities"], Value::from(vec![p("empty"), p("one"), p("two")]));
+    }
+    // The frames are those of a recording that nobody judged.
+    let judged_again = json_lines(
+        radome()
+            .arg("live")
+            .arg(at("night.mcap"))
+            .arg("--model")
+            .arg(fixture("models/paper-hqnn.safetensors"))
+            .arg("--json"),
+    );
+    assert!(judged_again.iter().zip(said).all(|(again, said)| again["probabilities"] == said["probabilities"]));
+
+    json_lines(radome().arg("convert").args([at("night.mcap"), at("copy.mcap")]).arg("--json"));
+    assert_eq!(results(&at("copy.mcap")), kept);
+    json_lines(radome().arg("repair").arg(at("night.mcap")).arg("-o").arg(at("fixed.mcap")).arg("--json"));
+    assert_eq!(results(&at("fixed.mcap")), kept);
+    let track = at("track.txt");
+    std::fs::write(&track, "0.5\t1.5\tone\n").expect("writable");
+    json_lines(radome().arg("labels").arg(at("copy.mcap")).arg("--import").arg(&track).arg("--json"));
+    assert_eq!(results(&at("copy.mcap")), kept);
+
+    let output = radome().arg("convert").args([at("night.mcap"), at("folder/")]).output().expect("runs");
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success() && told.contains("what was said about 40 frames"), "{told}");
+    let told = failure(radome().arg("results").arg(at("folder")));
+    assert!(told.contains("holds no results") && told.contains("hint:"), "{told}");
+}
+
+#[test]
+fn csv_has_a_line_a_frame_or_one_a_change() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (night, table) = (folder.path().join("night.mcap"), folder.path().join("night.csv"));
+    let said = live(&night, "80");
+    let output = radome().arg("results").arg(&night).arg("--csv").arg(&table).output().expect("runs");
+    assert!(output.status.success() && output.stdout.is_empty());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("paper-hqnn.safetensors"));
+    let table = std::fs::read_to_string(&table).expect("a table");
+    let rows: Vec<Vec<&str>> = table.lines().map(|line| line.split(',').collect()).collect();
+    assert_eq!(rows.len(), 81);
+    assert!(rows.iter().all(|row| row.len() == rows[0].len()), "{table}");
+    let column = |name: &str| rows[0].iter().position(|head| *head == name).expect("a column");
+    for (row, said) in rows[1..].iter().zip(&said) {
+        assert_eq!(row[column("label")], said["label"].as_str().expect("a label"));
+        assert_eq!(row[column("people")], said["people"].to_string());
+    }
+    let changes = radome().arg("results").arg(&night).arg("--changes").output().expect("runs");
+    let changes = String::from_utf8_lossy(&changes.stdout).lines().count();
+    let people: Vec<_> = said[..80].iter().map(|said| said["people"].as_u64()).collect();
+    let expected = 1 + people.windows(2).filter(|pair| pair[0] != pair[1]).count();
+    assert!(expected > 1, "somebody comes");
+    assert_eq!(changes, expected + 1, "and a line with the names of the columns");
+}
+
+#[test]
+fn a_run_that_is_stopped_leaves_a_whole_recording_and_one_that_is_killed_a_readable_one() {
+    for (signal, is_whole) in [("INT", true), ("KILL", false)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let night = folder.path().join("night.mcap");
+        let mut command = radome();
+        command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args(["--speed", "1", "--json", "-o"]);
+        let mut live = Running::start(command.arg(&night));
+        wait_for("frames", || (live.stdout.all().len() >= 45).then_some(()));
+        live.signal(signal);
+        let status = live.wait();
+        assert_eq!(status.success(), is_whole, "{:?}", live.stderr.all());
+        let lines = live.stdout.all();
+        let said = lines.iter().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+        let said: Vec<u64> = said.filter_map(|line| line["sequence"].as_u64()).collect();
+        let kept = results(&night);
+        let sequences: Vec<_> = kept.iter().map(|result| result["sequence"].as_u64().expect("a number")).collect();
+        assert!(said.starts_with(&sequences), "{sequences:?} of {said:?}");
+        assert!(
+            kept.iter().all(|result| result["host_time_ns"].as_u64().is_some_and(|ns| ns > 0)),
+            "a board's frames have times"
+        );
+        if is_whole {
+            assert_eq!(sequences, said);
+        } else {
+            // Chunks are a second long, and results follow theirs.
+            assert!(kept.len() + 25 >= said.len() && !kept.is_empty(), "{} of {said:?}", kept.len());
+        }
+    }
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn a_disk_that_is_full_ends_the_run_and_is_named() {
+        if !Path::new("/dev/full").exists() {
+            return;
+        }
+        let mut command = radome();
+        command.arg("live").arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+        command.arg("--model").arg(fixture("models/paper-hqnn.safetensors")).args([
+            "--frames",
+            "60",
+            "--json",
+            "-o",
+            "/dev/full",
+        ]);
+        let told = failure(&mut command);
+        assert!(told.contains("/dev/full"), "{told}");
+    }
+
+    #[test]
+    fn the_source_is_not_written_over_and_a_folder_that_is_absent_is_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let night = folder.path().join("night.mcap");
+        live(&night, "3");
+        let before = std::fs::read(&night).expect("readable");
+        let live = |output: &Path| {
+            let mut command = radome();
+            command.arg("live").arg(&night).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+            failure(command.arg("-o").arg(output))
+        };
+        assert!(live(&night).contains("source and output"));
+        assert!(live(&folder.path().join("no/such/x.mcap")).contains("does not exist"));
+        assert_eq!(std::fs::read(&night).expect("readable"), before);
+    }
+}
