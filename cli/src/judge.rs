@@ -35,6 +35,8 @@ pub enum Model {
 /// A model at work on frames of one waveform.
 pub struct Judge(Kind);
 
+// There is one in a program: its size does not matter.
+#[allow(clippy::large_enum_variant)]
 enum Kind {
     Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm },
     Cfar(Box<PeopleCounter>),

@@ -286,7 +286,7 @@ fn circle_centre(points: &[Complex64]) -> Option<Complex64> {
         v3 += z.im * square;
     }
     let determinant = uu * vv - uv * uv;
-    if !(determinant > 1e-12 * (uu + vv).powi(2)) {
+    if determinant.is_nan() || determinant <= 1e-12 * (uu + vv).powi(2) {
         return None;
     }
     Some(mean + Complex64::new(u3 * vv - v3 * uv, v3 * uu - u3 * uv) * 0.5 / determinant)
@@ -376,7 +376,7 @@ mod tests {
     #[test]
     fn what_hardly_moves_is_measured_by_its_phase() {
         let at = |t: f64| {
-            let even = (t / waveform().frame_interval_s()).round() as u64 % 2 == 0;
+            let even = ((t / waveform().frame_interval_s()).round() as u64).is_multiple_of(2);
             0.5 + if even { 0.0 } else { 10e-6 } + 40e-6 * t / 10.0
         };
         let changes = seen(&frames(100, 200.0, at)).changes(0, (0.5 / waveform().range_step_m(64)).round() as usize);

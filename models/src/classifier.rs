@@ -19,6 +19,8 @@ pub struct Classifier {
     engine: Engine,
 }
 
+// There is one in a program: its size does not matter.
+#[allow(clippy::large_enum_variant)]
 enum Engine {
     Native {
         network: Network,

@@ -165,9 +165,9 @@ fn phase_noise_of_people_follows_their_delays() {
             let mut rate = vec![0f32; shape.samples];
             rates.add(&mut rng, &vec![1.0; shape.samples], &mut rate);
             let at = |n: usize| f64::from(echo[chirp * shape.samples + n]);
-            for n in 2..shape.samples - 2 {
+            for (n, rate) in rate.iter().enumerate().take(shape.samples - 2).skip(2) {
                 let slope = (8.0 * (at(n + 1) - at(n - 1)) - at(n + 2) + at(n - 2)) / 12.0;
-                let expected = f64::from(rate[n]) * slope / per_cycle;
+                let expected = f64::from(*rate) * slope / per_cycle;
                 let i = chirp * shape.samples + n;
                 // What people add to what phase noise adds; clutter in their shade is another's business.
                 let code = |frame: &radome_dsp::Frame| f64::from(frame.codes[i]);

@@ -38,6 +38,8 @@ struct Step {
     output: usize,
 }
 
+// A few dozen in a network, walked through in order.
+#[allow(clippy::large_enum_variant)]
 enum Kernel {
     Repeat {
         channels: usize,

@@ -356,10 +356,10 @@ impl Receiver {
             }
         }
         if let Some(PhaseNoise { level_dbc_per_hz, offset_hz }) = self.phase_noise {
-            if !(level_dbc_per_hz >= -300.0 && level_dbc_per_hz <= -20.0) {
+            if !(-300.0..=-20.0).contains(&level_dbc_per_hz) {
                 return fault("level_dbc_per_hz", level_dbc_per_hz.to_string(), "-300 to -20 dBc/Hz");
             }
-            if !(offset_hz >= 1.0 && offset_hz <= 1e9) {
+            if !(1.0..=1e9).contains(&offset_hz) {
                 return fault("offset_hz", offset_hz.to_string(), "1 to 1e9 Hz");
             }
         }
