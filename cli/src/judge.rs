@@ -6,6 +6,7 @@ use anyhow::Context;
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::people::PeopleCounter;
+use radome_dsp::rdm::SlowTime;
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, Waveform};
 use radome_models::Classifier;
 use radome_models::occupancy_filter::Smoothing;
@@ -84,6 +85,17 @@ impl Model {
         match self {
             Model::Network(classifier) => classifier.card().smoothing,
             Model::Cfar => CFAR_SMOOTHING,
+        }
+    }
+
+    /// Frames that a map is made of.
+    pub fn frames(&self) -> usize {
+        match self {
+            Model::Network(classifier) => match classifier.rdm_spec().slow_time {
+                SlowTime::Chirps => 1,
+                SlowTime::Frames { frames } => frames,
+            },
+            Model::Cfar => 1,
         }
     }
 

@@ -10,14 +10,15 @@
 //! | `auto` | the one board attached |
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
+use radome_driver::recording::{Extent, Recording};
 use radome_driver::{
-    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace,
-    RealTime, Reconnect, candidates,
+    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace, Player,
+    RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -33,8 +34,21 @@ pub struct SourceOptions {
     pub people: Option<usize>,
     /// Frames that a simulation ends after.
     pub frames: Option<u64>,
-    /// Times real time; `None` is as fast as it goes. Boards have their own pace.
+    /// Times real time; 0 is as fast as it goes, and so is `None` but for a tape. Boards have their own pace.
     pub speed: Option<f64>,
+    /// Whether a recording is to be a [`Tape`], by default at the pace at which it was taken.
+    pub as_tape: bool,
+}
+
+/// A recording that somebody plays, pauses and seeks.
+#[derive(Clone)]
+pub struct Tape {
+    /// Its keys.
+    pub transport: Transport,
+    /// Its first and last frame.
+    pub extent: Extent,
+    /// Where it lies.
+    pub path: PathBuf,
 }
 
 /// An opened source.
@@ -49,11 +63,13 @@ pub struct Source {
     pub board: Option<BoardIdentity>,
     /// What its chip was programmed with.
     pub registers: RegisterList,
+    /// The recording, where it is one that can be sought.
+    pub tape: Option<Tape>,
 }
 
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
-        Source { frames, is_live: false, description, board: None, registers: RegisterList::new() }
+        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), tape: None }
     }
 }
 
@@ -106,6 +122,9 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
+    if options.as_tape && path.extension().is_none_or(|e| e != "toml") {
+        return tape(path, options.speed.unwrap_or(1.0));
+    }
     let mut source = if path.extension().is_some_and(|e| e == "toml") {
         let scene = Scene::load(path)?;
         let simulate = SimulateOptions {
@@ -121,10 +140,20 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         let frames = radome_driver::recording::open(path)?;
         Source::without_board(frames, format!("recording {}", path.display()))
     };
-    if let Some(speed) = options.speed {
+    if let Some(speed) = options.speed.filter(|speed| *speed > 0.0) {
         source.frames = Box::new(RealTime::new(source.frames, speed));
     }
     Ok(source)
+}
+
+/// A recording to play; its board is the one that it was taken with.
+fn tape(path: &Path, speed: f64) -> anyhow::Result<Source> {
+    let recording = Recording::open(path)?;
+    let header = recording.header();
+    let Some(player) = Player::new(recording, speed)? else { bail!("{}: no frame", path.display()) };
+    let tape = Tape { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
+    let source = Source::without_board(Box::new(player), format!("recording {}", path.display()));
+    Ok(Source { board: header.board, registers: header.registers, tape: Some(tape), ..source })
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
@@ -147,7 +176,14 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
             let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
             let registers = stream.registers().clone();
-            Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
+            Ok(Source {
+                frames: Box::new(stream),
+                is_live: true,
+                description,
+                board: Some(identity),
+                registers,
+                tape: None,
+            })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {
@@ -168,7 +204,7 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     let description = format!("{} on {}", identity.name, board.path().display());
     let stream = board.start(&waveform)?.with_reconnect(Reconnect::default());
     let registers = stream.registers().clone();
-    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers })
+    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers, tape: None })
 }
 
 /// The only board that discovery finds.
@@ -189,15 +225,16 @@ fn the_one_board() -> anyhow::Result<Address> {
 
 /// The same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open_unstamped(inner, &SourceOptions { speed: None, ..options.clone() })?;
-    let pace = options.speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
+    let source = open_unstamped(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
+    let speed = options.speed.filter(|speed| *speed > 0.0);
+    let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
     let emulated = EmulatedSource::start(source.frames, EmulatorOptions { pace, ..Default::default() })?;
     let identity = emulated.identity().clone();
     let path = emulated.board().path().display().to_string();
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
-    let is_live = options.speed.is_some();
-    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers })
+    let is_live = speed.is_some();
+    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, tape: None })
 }
 
 /// A waveform by name (`paper`) or from a TOML file of a [`radome_dsp::WaveformRequest`].

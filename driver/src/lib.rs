@@ -1,7 +1,8 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
 //!
 //! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`BoardStream`], a recording
-//! ([`recording::open`]), either of them paced by [`RealTime`], and any source sent through an emulated board
+//! ([`recording::open`]), either of them paced by [`RealTime`], a recording played
+//! like a tape ([`Player`]), and any source sent through an emulated board
 //! ([`EmulatedSource`]). Parsing is a pure function over bytes beside its encoder ([`protocol`], [`chip`]); input and
 //! output wrap it ([`board`], [`emulator`]). The library never prints: it reports errors and `tracing` events.
 
@@ -9,6 +10,7 @@ pub mod board;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
+pub mod player;
 pub mod probe;
 pub mod protocol;
 pub mod recording;
@@ -22,6 +24,7 @@ pub use board::{
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};
+pub use player::{Player, Transport};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
 pub use recording::mcap::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};

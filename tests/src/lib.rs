@@ -1,5 +1,6 @@
 //! What the end-to-end tests share: the built program, its files, and its answers.
 
+pub mod browser;
 pub mod running;
 
 use std::path::{Path, PathBuf};

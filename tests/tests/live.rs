@@ -78,15 +78,22 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
         let (mut socket, _) = tungstenite::connect(format!("ws://{address}/stream")).expect("the page's stream");
         let (mut with, mut against) = (0, 0);
         while let Ok(message) = socket.read() {
+            if !message.is_binary() {
+                continue;
+            }
+            // The next picture comes when this one has been taken in.
+            let _ = socket.send(tungstenite::Message::text("{\"do\":\"seen\"}"));
             let bytes = message.into_data();
             let Some(length) = bytes.get(..4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]) as usize) else {
                 continue;
             };
             let head: Value = serde_json::from_slice(&bytes[4..4 + length]).expect("a header");
-            if head["answer"]["time_s"].as_f64().expect("a time") < 1.5 {
+            if head["answer"]["time_s"].as_f64().expect("a time") < 1.5 || head["parts"][0][0] != "map" {
                 continue;
             }
+            // The first part.
             let cells = &bytes[4 + length..];
+            let head = &head["map"];
             let range = head["range"].as_u64().expect("number") as usize;
             let doppler = head["doppler"].as_u64().expect("number") as usize;
             // The body, not the limbs: the strongest cell beyond the first metre.

@@ -34,9 +34,9 @@ pub struct Arguments {
     /// Stop after so many frames
     #[arg(long)]
     frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes
-    #[arg(long, default_value_t = 0.0)]
-    speed: f64,
+    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
+    #[arg(long)]
+    speed: Option<f64>,
     /// Seed of a simulation
     #[arg(long, default_value_t = 100_001)]
     seed: u64,
@@ -66,7 +66,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         seed: arguments.seed,
         people: arguments.people,
         frames: arguments.frames,
-        speed: (arguments.speed > 0.0).then_some(arguments.speed),
+        speed: arguments.speed,
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
@@ -88,7 +88,7 @@ pub struct Watch<'a> {
     pub people: Option<usize>,
     /// Frames to stop after.
     pub frames: Option<u64>,
-    /// Times real time.
+    /// Times real time; 0 is as fast as it goes. `None`: recordings at their own pace, all else as fast as it goes.
     pub speed: Option<f64>,
     /// JSON lines instead of a table.
     pub json: bool,
@@ -123,12 +123,16 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         people: watch.people,
         frames: watch.frames,
         speed: watch.speed,
+        as_tape: watch.view.is_wanted(),
     };
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
-    let page = view::Page::open(watch.view)?;
+    if let Some(tape) = &source.tape {
+        tape.transport.set_preroll_s(judge.memory_s());
+    }
+    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),

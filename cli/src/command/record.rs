@@ -47,6 +47,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         frames: arguments.frames,
         speed: (arguments.speed > 0.0).then_some(arguments.speed),
         people: None,
+        as_tape: false,
     };
     let source = source::open(&arguments.source, &options)?;
     eprintln!("{}", source.description);

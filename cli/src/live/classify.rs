@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
-use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 use serde::Serialize;
 
 use super::background::{Background, NOBODY_SEEN};
@@ -30,9 +30,10 @@ impl std::fmt::Display for Probabilities {
     }
 }
 
-impl From<Probabilities> for [f32; 3] {
-    fn from(Probabilities { empty, one, two }: Probabilities) -> Self {
-        [empty, one, two]
+impl Probabilities {
+    /// Of empty, one and two.
+    pub fn values(self) -> [f32; 3] {
+        [self.empty, self.one, self.two]
     }
 }
 
@@ -147,6 +148,11 @@ pub struct FrameClassifier {
     filter: OccupancyFilter,
     background: Option<Background>,
     people: PeopleCount,
+    delays: Delays,
+    smoothing: Smoothing,
+    /// Time over which the frames of a map are spread, s.
+    map_s: f64,
+    last_time_s: Option<f64>,
     health: Health,
     transition_frames: u64,
     all: Confusion,
@@ -160,11 +166,17 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
     pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
+        let smoothing = model.smoothing();
+        let map_s = model.frames() as f64 * waveform.frame_interval_s();
         Ok(FrameClassifier {
-            filter: OccupancyFilter::new(model.smoothing()),
+            filter: OccupancyFilter::new(smoothing),
             judge: model.judge(waveform)?,
             background: None,
             people: PeopleCount::new(delays.on_s, delays.off_s),
+            delays,
+            smoothing,
+            map_s,
+            last_time_s: None,
             health: Health::new(started),
             transition_frames: 0,
             all: Confusion::default(),
@@ -189,6 +201,11 @@ impl FrameClassifier {
         &self.health
     }
 
+    /// How far back an answer looks, s: the frames of a map, and as long as people stay.
+    pub fn memory_s(&self) -> f64 {
+        self.map_s + self.smoothing.dwell_s.min(10.0)
+    }
+
     /// Notes missing frames and forgets what must not reach across them.
     pub fn gap(&mut self, gap: &Gap) {
         self.health.lost(gap.reason, gap.frames);
@@ -197,10 +214,18 @@ impl FrameClassifier {
 
     /// Judges a frame that arrived at `arrived`.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
+        let time_s = frame.time_s();
+        if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
+            // A recording that was sought: what was known then says nothing of what comes before.
+            self.filter = OccupancyFilter::new(self.smoothing);
+            self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
+            self.judge.reset();
+        }
+        self.last_time_s = Some(time_s);
         let verdict = self.judge.frame(frame)?;
         let mut answer = Answer {
             sequence: frame.sequence,
-            time_s: frame.time_s(),
+            time_s,
             label: None,
             probabilities: None,
             frame_probabilities: None,

@@ -10,7 +10,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bound
 use radome_driver::{FrameResult, Recorder, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
-use super::classify::Summary;
+use super::classify::{Probabilities, Summary};
 use super::health::Health;
 use super::pipeline::{Delivery, Inlet, Item};
 use super::sink::{Moment, Sink};
@@ -28,8 +28,8 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
         time_ns: frame.time_ns,
         host_time_ns: frame.host_time_ns,
         label: answer.label,
-        probabilities: answer.probabilities.map(Into::into),
-        frame_probabilities: answer.frame_probabilities.map(Into::into),
+        probabilities: answer.probabilities.map(Probabilities::values),
+        frame_probabilities: answer.frame_probabilities.map(Probabilities::values),
         occupied: answer.occupied,
         people: answer.people as u8,
         latency_ns: (answer.latency_ms * 1e6) as u64,

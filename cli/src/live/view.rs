@@ -1,138 +1,226 @@
-//! The live page: the newest map and answer in a browser. It never slows the pipeline: it shows what is newest.
+//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, a tape's keys.
+//!
+//! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
+//! their own, at most thirty a second and only those that somebody looks at. [`server`] decides who may connect, [`control`]
+//! what a page may ask for, [`labels`] keeps the labels, [`partner`] the simulation that mirrors a recording.
+
+mod control;
+mod feed;
+mod labels;
+mod partner;
+mod server;
 
 use std::net::SocketAddr;
-use std::time::Duration;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
 
 use anyhow::Context;
-use axum::Router;
-use axum::body::Bytes;
-use axum::extract::State;
-use axum::extract::ws::{Message, WebSocket, WebSocketUpgrade};
-use axum::response::{Html, IntoResponse};
-use axum::routing::get;
-use radome_dsp::{Gap, Rdm};
-use serde::Serialize;
-use tokio::sync::watch;
+use radome_driver::BoardIdentity;
+use radome_dsp::{Gap, Waveform};
+use serde_json::json;
 
-use super::classify::Answer;
+use super::classify::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
+use crate::source::{Source, Tape};
+use feed::Feed;
+use labels::Keeper;
+use partner::Partner;
 
 /// Options of the page.
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Serve a live page on this machine
+    /// Serve a live page on this machine; recordings are then played at their own pace, and stay open at their end
     #[arg(long)]
     view: bool,
-    /// Address of the page
+    /// Address of the page; only this machine reaches the default
     #[arg(long, default_value = "127.0.0.1:8060")]
     listen: SocketAddr,
+    /// Another name by which browsers reach the page, such as radar.example:8060 behind a proxy
+    #[arg(long, value_name = "HOST")]
+    allow_host: Vec<String>,
+    /// Folder that `dataset pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
+    /// NAME.mcap
+    #[arg(long, value_name = "DIR")]
+    pair: Option<PathBuf>,
 }
 
-/// The page's server, on a thread of its own.
+impl Arguments {
+    /// Whether there is to be a page.
+    pub fn is_wanted(&self) -> bool {
+        self.view
+    }
+}
+
+/// What a page is told of the run when it comes.
+struct About {
+    description: String,
+    model: String,
+    waveform: Waveform,
+    board: Option<BoardIdentity>,
+    tape: Option<Tape>,
+    has_partner: bool,
+}
+
+impl About {
+    fn hello(&self) -> serde_json::Value {
+        let shape = self.waveform.shape();
+        let tape = self.tape.as_ref().map(|tape| {
+            let extent = tape.extent;
+            json!({
+                "first_s": extent.first.time_s(),
+                "last_s": extent.last.time_s(),
+                "first_sequence": extent.first.sequence,
+                "last_sequence": extent.last.sequence,
+            })
+        });
+        json!({ "hello": {
+            "version": env!("CARGO_PKG_VERSION"),
+            "source": self.description,
+            "model": self.model,
+            "rx": shape.rx,
+            "chirps": shape.chirps,
+            "samples": shape.samples,
+            "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
+            "frame_interval_s": self.waveform.frame_interval_s(),
+            "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
+            "tape": tape,
+            "partner": self.has_partner,
+        } })
+    }
+}
+
+/// What the server's tasks share.
+struct Shared {
+    about: About,
+    feed: Feed,
+    labels: Keeper,
+    doors: server::Doors,
+    /// What the run amounted to, once it is over.
+    over: Mutex<Option<serde_json::Value>>,
+}
+
+impl Shared {
+    fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
+        self.over.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The page, as far as the pipeline knows it.
 pub struct Page {
-    newest: watch::Sender<Bytes>,
-}
-
-/// What the browser gets before the cells of the map.
-#[derive(Serialize)]
-struct Header<'a> {
-    answer: &'a Answer,
-    doppler: usize,
-    range: usize,
-    range_step_m: f64,
-    velocity_step_m_per_s: f64,
-    /// dB of a cell is `low_db + cell * step_db`.
-    low_db: f32,
-    step_db: f32,
+    shared: Arc<Shared>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Page {
-    /// Starts serving if the page is wanted.
-    pub fn open(arguments: &Arguments) -> anyhow::Result<Option<Page>> {
+    /// Starts serving if the page is wanted. Labels of a live source go into `recording` at the end, once whoever writes it has
+    /// finished it.
+    pub fn open(
+        arguments: &Arguments,
+        source: &Source,
+        model: &Path,
+        recording: Option<&Path>,
+    ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
             return Ok(None);
         }
-        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let waveform = source.frames.waveform().clone();
+        let tape = source.tape.clone();
+        let partner = Partner::find(arguments.pair.as_deref(), tape.as_ref(), &waveform)?;
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("page")
+            .on_thread_start(yield_to_others)
+            .enable_all()
+            .build()
+            .context("cannot start the page's thread")?;
         let listener = runtime.block_on(tokio::net::TcpListener::bind(arguments.listen)).with_context(|| {
             format!(
                 "cannot serve the page on {}\n\nhint: choose another with --listen 127.0.0.1:PORT",
                 arguments.listen
             )
         })?;
-        eprintln!("live page: http://{}", listener.local_addr()?);
-        let (newest, receiver) = watch::channel(Bytes::new());
-        let router = Router::new()
-            .route("/", get(|| async { Html(include_str!("page.html")) }))
-            .route("/stream", get(stream))
-            .with_state(receiver);
-        std::thread::spawn(move || {
-            if let Err(error) = runtime.block_on(async { axum::serve(listener, router).await }) {
+        let address = listener.local_addr()?;
+        eprintln!("live page: http://{address}");
+        if !address.ip().is_loopback() {
+            eprintln!("whoever reaches {address} can watch and label");
+        }
+        let shared = Arc::new(Shared {
+            labels: Keeper::open(tape.as_ref(), recording, waveform.frame_interval_s())?,
+            feed: Feed::new(&waveform, tape.is_some()),
+            about: About {
+                description: source.description.clone(),
+                model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+                board: source.board.clone(),
+                has_partner: partner.is_some(),
+                waveform,
+                tape,
+            },
+            doors: server::Doors::new(address, &arguments.allow_host),
+            over: Mutex::new(None),
+        });
+        let mut threads = Vec::new();
+        let of = shared.clone();
+        threads.push(std::thread::Builder::new().name("page-maps".into()).spawn(move || {
+            yield_to_others();
+            of.feed.serve(partner);
+        })?);
+        let of = shared.clone();
+        threads.push(std::thread::Builder::new().name("page-labels".into()).spawn(move || of.labels.keep())?);
+        let of = shared.clone();
+        // Ends with the program: a browser that is slow to leave does not hold it up.
+        std::thread::Builder::new().name("page-server".into()).spawn(move || {
+            yield_to_others();
+            if let Err(error) = runtime.block_on(server::serve(listener, of)) {
                 tracing::error!("live page: {error}");
             }
-        });
-        Ok(Some(Page { newest }))
+        })?;
+        Ok(Some(Page { shared, threads }))
+    }
+}
+
+/// Behind the threads of the pipeline, wherever they want the same core: what pages do, and what is done to them, costs no frame.
+fn yield_to_others() {
+    // Linux keeps this for each thread. Where it does not, or may not, all are equal.
+    #[cfg(target_os = "linux")]
+    if let Err(error) = rustix::process::nice(10) {
+        tracing::debug!("the page's threads keep their priority: {error}");
     }
 }
 
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
-        if self.newest.receiver_count() > 0
-            && let Some(message) = message(moment.answer, moment.map)
+        // Frames before one that was sought only tell the network what came before.
+        if let Some(tape) = &self.shared.about.tape
+            && tape.transport.is_preroll(moment.answer.sequence)
         {
-            self.newest.send_replace(message);
+            return Ok(());
         }
+        self.shared.labels.at(moment.answer.time_s);
+        self.shared.feed.publish(moment);
         Ok(())
     }
 
-    fn gap(&mut self, _gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+    fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+        self.shared.feed.gap(gap);
         Ok(())
     }
-}
 
-/// Length of the header in four bytes, the header in JSON, then one byte a cell of the first channel, `[doppler][range]`.
-fn message(answer: &Answer, map: &Rdm) -> Option<Bytes> {
-    let cells = &map.db[..map.shape.doppler * map.shape.range];
-    // From just under the noise, and over 40 dB at least: an empty room is dark and does not flicker.
-    let mut finite: Vec<f32> = cells.iter().copied().filter(|v| v.is_finite()).collect();
-    let high_db = finite.iter().copied().fold(f32::MIN, f32::max);
-    let middle = finite.len() / 2;
-    let low_db = match finite.get(middle) {
-        Some(_) => *finite.select_nth_unstable_by(middle, f32::total_cmp).1 - 3.0,
-        None => 0.0,
-    };
-    let step_db = (high_db - low_db).max(40.0) / 254.0;
-    let header = Header {
-        answer,
-        doppler: map.shape.doppler,
-        range: map.shape.range,
-        range_step_m: map.range_step_m,
-        velocity_step_m_per_s: map.velocity_step_m_per_s,
-        low_db,
-        step_db,
-    };
-    let header = serde_json::to_vec(&header).ok()?;
-    let mut bytes = Vec::with_capacity(4 + header.len() + cells.len());
-    bytes.extend_from_slice(&(header.len() as u32).to_le_bytes());
-    bytes.extend_from_slice(&header);
-    // 255 marks what is no number.
-    bytes.extend(
-        cells.iter().map(|v| if v.is_finite() { ((v - low_db) / step_db).clamp(0.0, 254.0) as u8 } else { 255 }),
-    );
-    Some(bytes.into())
-}
-
-async fn stream(upgrade: WebSocketUpgrade, State(newest): State<watch::Receiver<Bytes>>) -> impl IntoResponse {
-    upgrade.on_upgrade(move |socket| send(socket, newest))
-}
-
-async fn send(mut socket: WebSocket, mut newest: watch::Receiver<Bytes>) {
-    while newest.changed().await.is_ok() {
-        let message = newest.borrow_and_update().clone();
-        if socket.send(Message::Binary(message)).await.is_err() {
-            return;
+    fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
+        if let Some(tape) = &self.shared.about.tape {
+            tape.transport.close();
         }
-        // Thirty pictures a second are enough for eyes.
-        tokio::time::sleep(Duration::from_millis(33)).await;
+        *self.shared.over() = Some(json!({ "over": summary }));
+        self.shared.feed.close();
+        self.shared.labels.close();
+        for thread in self.threads.drain(..) {
+            if thread.join().is_err() {
+                tracing::error!("a thread of the live page has failed");
+            }
+        }
+        // Pages hear that it is over.
+        server::wait_for_farewells(&self.shared);
+        self.shared.labels.last_word()
     }
 }

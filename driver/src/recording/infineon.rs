@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
 use super::vendor_config::read_waveform;
-use super::{RecordingError, first_index, read_text, time_ns};
+use super::{Extent, Position, RecordingError, first_index, read_text, time_ns};
 
 pub use writer::InfineonWriter;
 
@@ -118,6 +118,13 @@ impl InfineonReader {
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         let time_ns = time_ns(time_s);
         self.seek_frame(first_index(self.frames, |index| self.time_ns(index) >= time_ns))
+    }
+
+    /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
+    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
+        self.seek_frame(0)?;
+        let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
+        Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
     }
 
     fn read_next(&mut self, frame: &mut Frame) -> Result<SourceEvent, RecordingError> {

@@ -5,7 +5,7 @@
 //! | waveform, board, registers, format version | metadata record `radome` | JSON in string fields |
 //! | frames | channel `/radome/frames` | `radome.frame`, below |
 //! | gaps | channel `/radome/gaps` | JSON [`Gap`](radome_dsp::Gap) |
-//! | labels | channel `/radome/labels` | JSON [`LabelSpan`] |
+//! | labels | channel `/radome/labels` | JSON [`LabelSpan`], or a list of them that takes the place of all before it |
 //! | answers of a classifier, if one listened | channel `/radome/results`; [`Judge`] in the metadata | JSON [`FrameResult`] |
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
@@ -18,6 +18,7 @@
 
 mod append;
 mod index;
+mod label_list;
 mod lengths;
 mod reader;
 mod recorder;
@@ -26,6 +27,7 @@ mod repair;
 mod results;
 
 pub use append::append_labels;
+pub use label_list::set_labels;
 pub use reader::{McapReader, Results};
 pub use recorder::{Recorder, RecordingSummary};
 pub use repair::{Damage, RepairReport, repair};
@@ -36,6 +38,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::board::BoardIdentity;
 use crate::chip::RegisterList;
+use crate::recording::Position;
 
 /// Version of the format that is written, and the newest that is read.
 const FORMAT_VERSION: u32 = 1;
@@ -102,6 +105,16 @@ impl LabelSpan {
     }
 }
 
+/// Takes a message of the channel of labels: one more, or all of them anew.
+fn take_labels(message: &[u8], labels: &mut Vec<LabelSpan>) -> serde_json::Result<()> {
+    if message.first() == Some(&b'[') {
+        *labels = serde_json::from_slice(message)?;
+    } else {
+        labels.push(serde_json::from_slice(message)?);
+    }
+    Ok(())
+}
+
 fn encode_frame(frame: &Frame, out: &mut Vec<u8>) {
     out.clear();
     let flags = u8::from(frame.truth.is_some()) | u8::from(frame.temperature_millicelsius.is_some()) << 1;
@@ -151,13 +164,6 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     frame.truth = truth;
     frame.temperature_millicelsius = (flags & 2 != 0).then_some(temperature);
     Ok(())
-}
-
-/// Number and board time of a frame.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Position {
-    sequence: u64,
-    time_ns: u64,
 }
 
 /// Where a frame stands, without decoding it; `None` if it is shorter than a header.

@@ -21,6 +21,31 @@ pub use writer::{Format, RecordingWriter, WriteReport};
 use radome_dsp::{FrameSource, WaveformError};
 use thiserror::Error;
 
+/// Where a frame stands in its recording.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Position {
+    /// Its sequence number.
+    pub sequence: u64,
+    /// Its time on the frames' own clock, ns.
+    pub time_ns: u64,
+}
+
+impl Position {
+    /// Its time on the frames' own clock, s.
+    pub fn time_s(self) -> f64 {
+        self.time_ns as f64 * 1e-9
+    }
+}
+
+/// From where to where a recording goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Extent {
+    /// Its first frame.
+    pub first: Position,
+    /// Its last frame.
+    pub last: Position,
+}
+
 /// What can be wrong with a recording.
 #[derive(Debug, Error)]
 pub enum RecordingError {

@@ -6,10 +6,10 @@ use std::path::Path;
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-use super::RecordingError;
 use super::infineon::InfineonReader;
 use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
+use super::{Extent, RecordingError};
 
 /// An opened recording.
 #[derive(Debug)]
@@ -83,6 +83,16 @@ impl Recording {
             Recording::Mcap(reader) => reader.seek_time_s(time_s),
             Recording::Infineon(reader) => reader.seek_time_s(time_s),
             Recording::Text(reader) => reader.seek_time_s(time_s),
+        }
+    }
+
+    /// First and last frame that can be read, without reading what lies between; `None` if there is none. Reading then starts
+    /// anew.
+    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
+        match self {
+            Recording::Mcap(reader) => reader.extent(),
+            Recording::Infineon(reader) => reader.extent(),
+            Recording::Text(reader) => reader.extent(),
         }
     }
 

@@ -14,7 +14,7 @@ use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceError, SourceEvent, Wa
 use super::mcap::{FrameResult, LabelSpan, RecordingHeader};
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
-use super::{RecordingError, Tally, WriteReport, first_index, time_ns};
+use super::{Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
 
 /// Characters of a value: `0.123456`.
 const VALUE: usize = 8;
@@ -90,6 +90,13 @@ impl TextReader {
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         let time_ns = time_ns(time_s);
         self.seek_frame(first_index(self.whole_frames(), |index| self.time_ns(index) >= time_ns))
+    }
+
+    /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
+    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
+        self.seek_frame(0)?;
+        let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
+        Ok(self.whole_frames().checked_sub(1).map(|last| Extent { first: at(0), last: at(last) }))
     }
 
     fn time_ns(&self, index: u64) -> u64 {

@@ -117,7 +117,7 @@ impl Sink for LatestSink {
         newest.health.copy_from(moment.health);
         newest.judged = Some(Instant::now());
         let Some(probabilities) = answer.probabilities else { return Ok(()) };
-        let said = Said { probabilities: probabilities.into(), people: answer.people };
+        let said = Said { probabilities: probabilities.values(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);
         drop(newest);
         if is_change {

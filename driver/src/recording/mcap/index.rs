@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 
 use mcap::records::{Record, op};
 
-use super::Position;
 use super::lengths::parse_record;
 use super::records::{Next, RECORD_HEADER, Records, Topic};
-use crate::recording::RecordingError;
+use crate::recording::{Position, RecordingError};
 
 /// Footer record and magic: the end of every finished file.
 const FOOTER: u64 = RECORD_HEADER + 20 + 8;

@@ -8,8 +8,8 @@ use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 use super::index::Index;
 use super::records::{Next, Records, Topic, read_chunk, read_head};
-use super::{FrameResult, LabelSpan, Position, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position};
-use crate::recording::{RecordingError, first_index, time_ns};
+use super::{FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, take_labels};
+use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
 
 /// Reads a native recording as a [`FrameSource`].
 #[derive(Debug)]
@@ -96,9 +96,8 @@ impl McapReader {
         for chunk in self.index.chunks.iter().filter(|chunk| chunk.has_labels) {
             for (topic, data) in read_messages(&mut records, chunk.offset, &mut self.channels.clone())? {
                 if topic == Topic::Label {
-                    let label = serde_json::from_slice(&data)
+                    take_labels(&data, &mut labels)
                         .map_err(|e| records.corrupt(chunk.offset, format!("a label is malformed: {e}")))?;
-                    labels.push(label);
                 }
             }
         }
@@ -131,6 +130,33 @@ impl McapReader {
     /// [`Recording::seek_time_s`](crate::recording::Recording::seek_time_s).
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         self.seek(Place::Time { ns: time_ns(time_s) })
+    }
+
+    /// First and last frame: see [`Recording::extent`](crate::recording::Recording::extent).
+    pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
+        let count = self.index.chunks.len() as u64;
+        let mut first = None;
+        for chunk in 0..count {
+            first = self.first_position(chunk)?;
+            if first.is_some() {
+                break;
+            }
+        }
+        let mut last = None;
+        for chunk in self.index.chunks.iter().rev() {
+            let messages = match read_messages(&mut self.records, chunk.offset, &mut self.channels) {
+                Ok(messages) => messages,
+                Err(RecordingError::Corrupt { .. }) => continue,
+                Err(error) => return Err(error),
+            };
+            let mut frames = messages.iter().rev().filter(|(topic, _)| *topic == Topic::Frame);
+            last = frames.find_map(|(_, data)| frame_position(data));
+            if last.is_some() {
+                break;
+            }
+        }
+        self.seek(Place::Frame(0))?;
+        Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
     /// Goes behind the last frame that has not `reached` the place: by bisection over the chunks, of which one for each

@@ -107,7 +107,12 @@ impl Records {
             return Err(self.corrupt(at, format!("{opcode:#04x} is no MCAP record")));
         }
         if length > left - RECORD_HEADER {
-            return Ok(Next::CutShort);
+            // Unless it has grown since: labels are written behind the last frame.
+            self.length =
+                self.file.get_ref().metadata().map_err(RecordingError::io(&self.path, "cannot be read"))?.len();
+            if length > self.length.saturating_sub(at + RECORD_HEADER) {
+                return Ok(Next::CutShort);
+            }
         }
         if length > MAX_RECORD {
             return Err(self.corrupt(at, format!("a record of {length} bytes, expected at most {MAX_RECORD}")));

@@ -9,7 +9,7 @@ use radome_dsp::{Frame, Gap, GapReason};
 use super::lengths::parse_record;
 use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
-use super::{RecordingHeader, decode_frame};
+use super::{LabelSpan, RecordingHeader, decode_frame, take_labels};
 use crate::recording::{Format, RecordingError, RecordingWriter};
 
 /// A stretch of a file that cannot be read.
@@ -67,7 +67,8 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingErro
     let header = read_header_alone(&mut records)?;
     let writer = RecordingWriter::create(output, Format::Mcap, &header)?;
     let frame = Frame::zeroed(header.waveform.shape());
-    let mut repair = Repair { writer, header, frame, report: RepairReport::default(), expected: None, unread: None };
+    let report = RepairReport::default();
+    let mut repair = Repair { writer, header, frame, report, expected: None, unread: None, labels: Vec::new() };
     repair.copy(&mut records)?;
     repair.writer.finish()?;
     Ok(repair.report)
@@ -91,6 +92,8 @@ struct Repair {
     expected: Option<u64>,
     /// What could not be read since the last good frame.
     unread: Option<Unread>,
+    /// Labels so far; later ones may take the place of earlier ones.
+    labels: Vec<LabelSpan>,
 }
 
 impl Repair {
@@ -142,7 +145,9 @@ impl Repair {
             }
         }
         // What was lost at the end.
-        self.found(None)
+        self.found(None)?;
+        self.report.labels = self.labels.len() as u64;
+        self.labels.iter().try_for_each(|label| self.writer.label(label))
     }
 
     fn damaged(&mut self, damage: Damage) {
@@ -173,13 +178,11 @@ impl Repair {
                 }
                 Err(error) => self.damaged(malformed(format!("a gap is malformed: {error}"))),
             },
-            Topic::Label => match serde_json::from_slice(data) {
-                Ok(label) => {
-                    self.writer.label(&label)?;
-                    self.report.labels += 1;
+            Topic::Label => {
+                if let Err(error) = take_labels(data, &mut self.labels) {
+                    self.report.damage.push(malformed(format!("a label is malformed: {error}")));
                 }
-                Err(error) => self.report.damage.push(malformed(format!("a label is malformed: {error}"))),
-            },
+            }
             Topic::Result => match parse_result(data) {
                 Ok(_) if self.header.judge.is_none() => {
                     self.report.damage.push(malformed("a result, but the header names no judge".into()));

@@ -1,0 +1,120 @@
+//! What a page may ask for: one JSON object a message, checked here and nowhere else.
+
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_dsp::Occupancy;
+use serde::Deserialize;
+
+use super::Shared;
+use super::feed::{Look, PageId};
+use super::labels::Edit;
+
+/// Longest name of who labels, characters.
+const MOST_WHO: usize = 60;
+/// Fastest replay, times real time.
+const MOST_SPEED: f64 = 1000.0;
+
+/// A message of a page.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "do", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Command {
+    /// A picture has been taken in; the next may come.
+    Seen,
+    /// What this page wants to see.
+    Look(Look),
+    /// The recording goes on.
+    Play,
+    /// The recording stays.
+    Pause,
+    /// Times real time; 0 is as fast as it goes.
+    Speed { times: f64 },
+    /// To the first frame at or after a time.
+    Seek { time_s: f64 },
+    /// To a frame by its number.
+    SeekFrame { sequence: u64 },
+    /// So many frames on, or back.
+    Step { frames: i64 },
+    /// From the newest frame on it is so.
+    Label { occupancy: Occupancy, who: Option<String> },
+    /// From the newest frame on nobody says.
+    Stop,
+    /// New edges of a label.
+    Move { id: u64, start_s: f64, end_s: f64 },
+    /// Another class.
+    Relabel { id: u64, occupancy: Occupancy },
+    /// A label from nothing.
+    Add { start_s: f64, end_s: f64, occupancy: Occupancy, who: Option<String> },
+    /// A label goes.
+    Delete { id: u64 },
+    /// The last change of a label is taken back.
+    Undo,
+    /// And made again.
+    Redo,
+}
+
+/// Does what a page asks for; an error says why not.
+pub fn obey(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
+    let command: Command = serde_json::from_str(text).context("that is no message of this page")?;
+    let transport = || {
+        let tape = shared.about.tape.as_ref().context("only recordings can be sought, paused and stepped through")?;
+        anyhow::Ok(&tape.transport)
+    };
+    match command {
+        Command::Seen => shared.feed.seen(page),
+        Command::Look(look) => shared.feed.look(page, look)?,
+        Command::Play => {
+            let transport = transport()?;
+            if transport.playback().at_end {
+                shared.labels.before_jump();
+            }
+            transport.play();
+        }
+        Command::Pause => transport()?.pause(),
+        Command::Speed { times } => {
+            if !(0.0..=MOST_SPEED).contains(&times) {
+                bail!("a speed of {times} times, expected 0 to {MOST_SPEED}");
+            }
+            transport()?.set_speed(times);
+        }
+        Command::Seek { time_s } => {
+            let transport = transport()?;
+            if !time_s.is_finite() {
+                bail!("a time must be finite");
+            }
+            shared.labels.before_jump();
+            transport.seek_time_s(time_s);
+        }
+        Command::SeekFrame { sequence } => {
+            let transport = transport()?;
+            shared.labels.before_jump();
+            transport.seek_frame(sequence);
+        }
+        Command::Step { frames } => {
+            if !(-100..=100).contains(&frames) {
+                bail!("a step of {frames} frames, expected -100 to 100");
+            }
+            transport()?.step(frames);
+        }
+        Command::Label { occupancy, who } => shared.labels.edit(Edit::Press(occupancy, name(who)?))?,
+        Command::Stop => shared.labels.edit(Edit::Stop)?,
+        Command::Move { id, start_s, end_s } => shared.labels.edit(Edit::Move(id, start_s, end_s))?,
+        Command::Relabel { id, occupancy } => shared.labels.edit(Edit::Relabel(id, occupancy))?,
+        Command::Add { start_s, end_s, occupancy, who } => {
+            let mut label = LabelSpan::new(start_s, end_s, occupancy.name());
+            label.who = name(who)?;
+            shared.labels.edit(Edit::Add(label))?;
+        }
+        Command::Delete { id } => shared.labels.edit(Edit::Delete(id))?,
+        Command::Undo => shared.labels.edit(Edit::Undo)?,
+        Command::Redo => shared.labels.edit(Edit::Redo)?,
+    }
+    Ok(())
+}
+
+fn name(who: Option<String>) -> anyhow::Result<Option<String>> {
+    let Some(who) = who else { return Ok(None) };
+    if who.chars().count() > MOST_WHO || who.chars().any(char::is_control) {
+        bail!("a name of at most {MOST_WHO} characters is expected");
+    }
+    Ok(Some(who.trim().to_owned()).filter(|who| !who.is_empty()))
+}

@@ -1,0 +1,537 @@
+//! What pages see: the newest frame, and of it the maps that they ask for.
+//!
+//! Between the classifier and the pages stands a slot with the newest frame. A thread makes the maps: each kind once, however
+//! many pages look at it, and only for pages that have taken in the picture before.
+//!
+//! A picture is a message: length of the header in four bytes, little-endian; the header in JSON; the parts that it lists.
+//! Maps are one byte a cell, `[doppler][range]`, `low_db + step_db * byte`, 255 for what is no number; the noise floor f32 by
+//! range bin; chirps u16: one chirp, and over all chirps of the channel the least and the largest code of each sample.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use anyhow::bail;
+use axum::body::Bytes;
+use radome_dsp::rdm::{Channels, StaticRemoval};
+use radome_dsp::{Frame, Gap, MAX_CODE, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, noise_floor_db};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::sync::mpsc;
+
+use super::partner::Partner;
+use crate::live::classify::{Answer, Probabilities};
+use crate::live::sink::Moment;
+
+/// Pictures a second are enough for eyes.
+const SHORTEST_INTERVAL: Duration = Duration::from_millis(33);
+/// Pictures on their way to a page that has not said that it has taken them in.
+const MOST_UNSEEN: u32 = 2;
+/// A page that has said nothing for so long gets one nevertheless: it may not speak.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// Answers that a page gets when it comes: ten minutes of the paper's frames.
+const HISTORY: usize = 6_000;
+/// Frames over whose arrivals the rate is taken.
+const RATE_FRAMES: usize = 32;
+/// dB of one step of a cell's byte.
+const STEP_DB: f32 = 0.5;
+/// Doppler bins around zero that do not count as noise.
+const GUARD_BINS: usize = 3;
+/// The vendor's weight of the newest frame.
+const MTI_ALPHA: f64 = 0.8;
+
+/// Names a page.
+pub type PageId = u64;
+
+/// Which channel a map is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Channel {
+    /// The map that the network judges.
+    Network,
+    /// Mean power of all.
+    #[default]
+    Sum,
+    /// One receiver, 0-based.
+    Rx(usize),
+}
+
+/// How what stands still is taken out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Removal {
+    /// It is not.
+    None,
+    /// The mean over a frame's chirps.
+    #[default]
+    Mean,
+    /// The vendor's filter from frame to frame.
+    Mti,
+}
+
+/// What a page looks at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Look {
+    /// Channel of the map.
+    #[serde(default)]
+    channel: Channel,
+    /// What is taken out of it.
+    #[serde(default)]
+    removal: Removal,
+    /// Which chirp, if any.
+    #[serde(default)]
+    chirp: Option<usize>,
+    /// Whether the simulated partner too.
+    #[serde(default)]
+    partner: bool,
+}
+
+type Kind = (Channel, Removal);
+
+/// The newest frame and what was said of it.
+struct Newest {
+    answer: Answer,
+    frame: Arc<Frame>,
+    network_map: Rdm,
+    health: serde_json::Value,
+}
+
+/// What was said of one frame, for the tracks over time.
+#[derive(Debug, Clone, Copy)]
+struct Point {
+    sequence: u64,
+    time_s: f64,
+    probabilities: Option<Probabilities>,
+    label: Option<usize>,
+    occupied: bool,
+    truth: Option<(usize, bool)>,
+    /// Frames are missing before it.
+    after_gap: bool,
+}
+
+impl Point {
+    fn row(&self) -> serde_json::Value {
+        let p = self.probabilities.map(|p| p.values().map(|v| (v * 1e3).round() / 1e3));
+        json!([
+            self.sequence,
+            (self.time_s * 1e6).round() / 1e6,
+            p,
+            self.label,
+            u8::from(self.occupied),
+            self.truth.map(|(class, _)| class),
+            u8::from(self.truth.is_some_and(|(_, transition)| transition)),
+            u8::from(self.after_gap),
+        ])
+    }
+}
+
+struct PageState {
+    look: Look,
+    sender: mpsc::Sender<Bytes>,
+    unseen: u32,
+    sent_at: Instant,
+    /// Version that it was sent last, and how many answers it has.
+    version: u64,
+    told: u64,
+}
+
+#[derive(Default)]
+struct Slot {
+    newest: Option<Arc<Newest>>,
+    /// Counts frames and changes of what pages look at.
+    version: u64,
+    history: VecDeque<Point>,
+    /// Answers that have left the history, and those in it.
+    answers: u64,
+    after_gap: bool,
+    /// When those of a recording came that are shown: of one that is sought, others come too.
+    came: VecDeque<Instant>,
+    pages: BTreeMap<PageId, PageState>,
+    next_page: PageId,
+    closed: bool,
+}
+
+/// The newest frame, and who looks at it.
+pub struct Feed {
+    slot: Mutex<Slot>,
+    wake: Condvar,
+    waveform: Waveform,
+    is_tape: bool,
+}
+
+impl Feed {
+    /// Nothing has been seen yet.
+    pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
+        Feed { slot: Mutex::default(), wake: Condvar::new(), waveform: waveform.clone(), is_tape }
+    }
+
+    fn slot(&self) -> MutexGuard<'_, Slot> {
+        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes the newest frame: a few copies, and no wait for anybody but for those.
+    pub fn publish(&self, moment: &Moment) {
+        let answer = moment.answer;
+        let newest = Newest {
+            answer: answer.clone(),
+            frame: moment.frame.clone(),
+            network_map: moment.map.clone(),
+            health: strip(moment, self.rate(moment)),
+        };
+        let mut slot = self.slot();
+        let point = Point {
+            sequence: answer.sequence,
+            time_s: answer.time_s,
+            probabilities: answer.probabilities,
+            label: answer.label.map(|label| label.index()),
+            occupied: answer.occupied,
+            truth: answer.truth.map(|truth| (truth.index(), answer.transition == Some(true))),
+            after_gap: std::mem::take(&mut slot.after_gap),
+        };
+        if slot.history.len() == HISTORY {
+            slot.history.pop_front();
+        }
+        slot.history.push_back(point);
+        slot.answers += 1;
+        slot.version += 1;
+        let old = slot.newest.replace(Arc::new(newest));
+        drop(slot);
+        self.wake.notify_all();
+        drop(old);
+    }
+
+    /// Frames in a second, over the newest ones that are shown.
+    fn rate(&self, moment: &Moment) -> f64 {
+        if !self.is_tape {
+            return moment.health.frames_per_s();
+        }
+        let came = &mut self.slot().came;
+        if came.len() == RATE_FRAMES {
+            came.pop_front();
+        }
+        came.push_back(Instant::now());
+        let (Some(first), Some(last)) = (came.front(), came.back()) else { return 0.0 };
+        let span_s = last.duration_since(*first).as_secs_f64();
+        if span_s > 0.0 { (came.len() - 1) as f64 / span_s } else { 0.0 }
+    }
+
+    /// Frames are missing.
+    pub fn gap(&self, _gap: &Gap) {
+        self.slot().after_gap = true;
+    }
+
+    /// The run is over.
+    pub fn close(&self) {
+        self.slot().closed = true;
+        self.wake.notify_all();
+    }
+
+    /// A page comes; its pictures arrive at the receiver.
+    pub fn join(&self) -> (PageId, mpsc::Receiver<Bytes>) {
+        let (sender, receiver) = mpsc::channel(MOST_UNSEEN as usize + 1);
+        let mut slot = self.slot();
+        let id = slot.next_page;
+        slot.next_page += 1;
+        let told = slot.answers - slot.history.len() as u64;
+        let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told };
+        slot.pages.insert(id, page);
+        drop(slot);
+        self.wake.notify_all();
+        (id, receiver)
+    }
+
+    /// A page goes.
+    pub fn leave(&self, page: PageId) {
+        self.slot().pages.remove(&page);
+    }
+
+    /// Pages that look.
+    pub fn pages(&self) -> usize {
+        self.slot().pages.len()
+    }
+
+    /// A page has taken in a picture.
+    pub fn seen(&self, page: PageId) {
+        if let Some(page) = self.slot().pages.get_mut(&page) {
+            page.unseen = page.unseen.saturating_sub(1);
+        }
+        self.wake.notify_all();
+    }
+
+    /// A page wants to see something else.
+    pub fn look(&self, page: PageId, look: Look) -> anyhow::Result<()> {
+        let shape = self.waveform.shape();
+        if let Channel::Rx(rx) = look.channel
+            && rx >= shape.rx
+        {
+            bail!("channel {rx}, expected 0 to {}", shape.rx.saturating_sub(1));
+        }
+        if look.chirp.is_some_and(|chirp| chirp >= shape.chirps) {
+            bail!("no such chirp, expected 0 to {}", shape.chirps.saturating_sub(1));
+        }
+        let mut slot = self.slot();
+        slot.version += 1;
+        if let Some(page) = slot.pages.get_mut(&page) {
+            page.look = look;
+        }
+        drop(slot);
+        self.wake.notify_all();
+        Ok(())
+    }
+
+    /// Makes pictures until closed.
+    pub fn serve(&self, partner: Option<Partner>) {
+        let mut painters: BTreeMap<(bool, Kind), Painter> = BTreeMap::new();
+        let mut mirrored: Option<(u64, Frame)> = None;
+        let mut last = Instant::now();
+        loop {
+            let mut slot = self.slot();
+            let (newest, version) = loop {
+                if slot.closed {
+                    return;
+                }
+                let version = slot.version;
+                if let Some(newest) = slot.newest.clone()
+                    && slot.pages.values().any(|page| page.wants(version))
+                {
+                    break (newest, version);
+                }
+                // Not for ever: a page may be silent.
+                slot = self.wake.wait_timeout(slot, PATIENCE).unwrap_or_else(PoisonError::into_inner).0;
+            };
+            let early = SHORTEST_INTERVAL.saturating_sub(last.elapsed());
+            if !early.is_zero() {
+                drop(slot);
+                std::thread::sleep(early);
+                last = Instant::now() - SHORTEST_INTERVAL;
+                continue;
+            }
+            last = Instant::now();
+            let looks: Vec<(PageId, Look)> =
+                slot.pages.iter().filter(|(_, page)| page.wants(version)).map(|(id, page)| (*id, page.look)).collect();
+            let kinds: Vec<Kind> = slot.pages.values().map(|page| page.look.kind()).collect();
+            drop(slot);
+
+            // Work that nobody waits for but pages.
+            painters.retain(|(_, kind), _| kinds.contains(kind));
+            if let Some(partner) = partner.as_ref().filter(|_| looks.iter().any(|(_, look)| look.partner))
+                && mirrored.as_ref().is_none_or(|(sequence, _)| *sequence != newest.frame.sequence)
+            {
+                mirrored = partner.frame(&newest.frame).map(|frame| (newest.frame.sequence, frame));
+            }
+            let mut pictures: Vec<(PageId, Picture)> = Vec::new();
+            for (id, look) in looks {
+                pictures.push((id, self.picture(&newest, &look, mirrored.as_ref(), &mut painters)));
+            }
+
+            let mut slot = self.slot();
+            for (id, picture) in pictures {
+                let Slot { pages, history, answers, .. } = &mut *slot;
+                let Some(page) = pages.get_mut(&id) else { continue };
+                let missing = (*answers - page.told).min(history.len() as u64) as usize;
+                let points: Vec<_> = history.iter().skip(history.len() - missing).map(Point::row).collect();
+                let Some(message) = picture.message(points) else { continue };
+                // A page that takes nothing in keeps its place until the server gives it up.
+                if page.sender.try_send(message).is_ok() {
+                    page.told = *answers;
+                    page.unseen += 1;
+                }
+                page.version = version;
+                page.sent_at = Instant::now();
+            }
+        }
+    }
+
+    fn picture(
+        &self,
+        newest: &Newest,
+        look: &Look,
+        mirrored: Option<&(u64, Frame)>,
+        painters: &mut BTreeMap<(bool, Kind), Painter>,
+    ) -> Picture {
+        let mut picture = Picture {
+            header: json!({ "answer": newest.answer, "health": newest.health, "look": {
+                "channel": look.channel, "removal": look.removal,
+            } }),
+            parts: Vec::new(),
+        };
+        if look.channel == Channel::Network {
+            if newest.answer.warming_up.is_none() {
+                picture.map("map", "floor", &newest.network_map);
+            }
+        } else {
+            picture.painted("map", "floor", self.painter(false, look, painters), &newest.frame);
+        }
+        if let Some((_, frame)) = mirrored.filter(|(sequence, _)| look.partner && *sequence == newest.frame.sequence) {
+            // The network's map may span frames, of which the partner has one.
+            picture.painted("partner", "partner_floor", self.painter(true, look, painters), frame);
+        }
+        if let Some(chirp) = look.chirp {
+            picture.chirps(&newest.frame, look.channel, chirp);
+        }
+        picture
+    }
+
+    fn painter<'a>(
+        &self,
+        is_partner: bool,
+        look: &Look,
+        painters: &'a mut BTreeMap<(bool, Kind), Painter>,
+    ) -> Option<&'a mut Painter> {
+        match painters.entry((is_partner, look.kind())) {
+            std::collections::btree_map::Entry::Occupied(entry) => Some(entry.into_mut()),
+            std::collections::btree_map::Entry::Vacant(entry) => {
+                Painter::new(look.kind(), &self.waveform).map(|painter| entry.insert(painter))
+            }
+        }
+    }
+}
+
+impl Look {
+    fn kind(&self) -> Kind {
+        (self.channel, self.removal)
+    }
+}
+
+impl PageState {
+    fn wants(&self, version: u64) -> bool {
+        self.version < version && (self.unseen < MOST_UNSEEN || self.sent_at.elapsed() > PATIENCE)
+    }
+}
+
+/// How the run fares.
+fn strip(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
+    let health = moment.health;
+    let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();
+    json!({
+        "frames": health.frames,
+        "frames_per_s": frames_per_s,
+        "dropped": health.dropped_total(),
+        "dropped_by_reason": dropped,
+        "latency_p50_ms": health.latency.quantile_s(0.5) * 1e3,
+        "latency_p95_ms": health.latency.quantile_s(0.95) * 1e3,
+        "saturated_samples": health.saturated_samples,
+        "temperature_c": health.temperature_millicelsius.map(|t| f64::from(t) * 1e-3),
+        "running_s": health.started.elapsed().as_secs_f64(),
+    })
+}
+
+/// Makes maps of one kind. Frames that pages skip do not make it forget what stands still: it counts those that it gets.
+struct Painter {
+    processor: RdmProcessor,
+    map: Rdm,
+    samples: Vec<f32>,
+    count: u64,
+    /// The frame that the map is of.
+    made_of: Option<(u64, u64)>,
+}
+
+impl Painter {
+    fn new((channel, removal): Kind, waveform: &Waveform) -> Option<Self> {
+        let channels = match channel {
+            Channel::Rx(rx) => Channels::One(rx),
+            Channel::Sum | Channel::Network => Channels::IncoherentSum,
+        };
+        let static_removal = match removal {
+            Removal::None => StaticRemoval::None,
+            Removal::Mean => StaticRemoval::SlowTimeMean,
+            Removal::Mti => StaticRemoval::RecursiveMti { alpha: MTI_ALPHA },
+        };
+        let spec = RdmSpec { channels, static_removal, ..RdmSpec::default() };
+        let processor = RdmProcessor::new(&spec, waveform)
+            .inspect_err(|error| tracing::warn!("the page has no map: {error}"))
+            .ok()?;
+        let map = processor.empty_map();
+        Some(Painter { processor, map, samples: Vec::new(), count: 0, made_of: None })
+    }
+
+    fn paint(&mut self, frame: &Frame) -> Option<&Rdm> {
+        let of = (frame.sequence, frame.time_ns);
+        if self.made_of != Some(of) {
+            if self.made_of.is_some_and(|(sequence, _)| frame.sequence < sequence) {
+                self.processor.reset();
+            }
+            self.samples.clear();
+            self.samples.extend(frame.codes.iter().map(|code| f32::from(*code) * (1.0 / 2048.0) - 1.0));
+            self.count += 1;
+            match self.processor.process_samples(self.count, &self.samples, &mut self.map) {
+                Ok(MapStatus::Ready) => self.made_of = Some(of),
+                Ok(MapStatus::WarmingUp { .. }) | Err(_) => return None,
+            }
+        }
+        Some(&self.map)
+    }
+}
+
+/// A message in the making.
+struct Picture {
+    header: serde_json::Value,
+    parts: Vec<(&'static str, Vec<u8>)>,
+}
+
+impl Picture {
+    fn painted(&mut self, name: &'static str, floor: &'static str, painter: Option<&mut Painter>, frame: &Frame) {
+        if let Some(map) = painter.and_then(|painter| painter.paint(frame)) {
+            self.map(name, floor, map);
+        }
+    }
+
+    /// The first channel of a map, and its noise floor.
+    fn map(&mut self, name: &'static str, floor: &'static str, map: &Rdm) {
+        let cells = map.db.get(..map.shape.doppler * map.shape.range).unwrap_or(&[]);
+        let finite = || cells.iter().copied().filter(|v| v.is_finite());
+        let (low, high) = finite().fold((f32::MAX, f32::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        // What a byte can hold, from the top.
+        let low_db = if low > high { 0.0 } else { low.floor().max((high - 254.0 * STEP_DB).ceil()) };
+        self.header[name] = json!({
+            "doppler": map.shape.doppler,
+            "range": map.shape.range,
+            "range_step_m": map.range_step_m,
+            "velocity_step_m_per_s": map.velocity_step_m_per_s,
+            "low_db": low_db,
+            "step_db": STEP_DB,
+        });
+        let byte = |v: &f32| match v.is_finite() {
+            true => ((v - low_db) / STEP_DB).round().clamp(0.0, 254.0) as u8,
+            false => 255,
+        };
+        self.parts.push((name, cells.iter().map(byte).collect()));
+        let floor_db = noise_floor_db(map, 0, GUARD_BINS);
+        self.parts.push((floor, floor_db.iter().flat_map(|v| v.to_le_bytes()).collect()));
+    }
+
+    fn chirps(&mut self, frame: &Frame, channel: Channel, chirp: usize) {
+        let rx = if let Channel::Rx(rx) = channel { rx } else { 0 };
+        let samples = frame.shape.samples;
+        let (mut least, mut most) = (vec![u16::MAX; samples], vec![0u16; samples]);
+        for index in 0..frame.shape.chirps {
+            for ((code, least), most) in frame.chirp(rx, index).iter().zip(&mut least).zip(&mut most) {
+                *least = (*least).min(*code);
+                *most = (*most).max(*code);
+            }
+        }
+        let clipped = |rx: usize| {
+            let of = (0..frame.shape.chirps).flat_map(|chirp| frame.chirp(rx, chirp));
+            of.filter(|code| **code == 0 || **code >= MAX_CODE).count()
+        };
+        let clipped: Vec<usize> = (0..frame.shape.rx).map(clipped).collect();
+        self.header["chirps"] = json!({ "rx": rx, "chirp": chirp, "samples": samples, "clipped_by_rx": clipped });
+        let codes = frame.chirp(rx, chirp).iter().chain(&least).chain(&most);
+        self.parts.push(("chirps", codes.flat_map(|code| code.to_le_bytes()).collect()));
+    }
+
+    fn message(mut self, history: Vec<serde_json::Value>) -> Option<Bytes> {
+        self.header["history"] = history.into();
+        let lengths: Vec<_> = self.parts.iter().map(|(name, bytes)| json!([name, bytes.len()])).collect();
+        self.header["parts"] = lengths.into();
+        let header = serde_json::to_vec(&self.header).ok()?;
+        let mut message = Vec::with_capacity(4 + header.len() + self.parts.iter().map(|p| p.1.len()).sum::<usize>());
+        message.extend_from_slice(&u32::try_from(header.len()).ok()?.to_le_bytes());
+        message.extend_from_slice(&header);
+        for (_, bytes) in &self.parts {
+            message.extend_from_slice(bytes);
+        }
+        Some(message.into())
+    }
+}

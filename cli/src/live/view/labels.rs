@@ -1,0 +1,541 @@
+//! The labels that pages make: put down by keys while frames go by, moved at their edges, taken back; and where they are kept.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_driver::recording::span_check::check_spans;
+use radome_driver::recording::{Recording, mcap};
+use radome_dsp::Occupancy;
+use serde::Serialize;
+
+use crate::labels;
+use crate::source::Tape;
+
+/// More labels than anybody makes by hand.
+const MOST_SPANS: usize = 5_000;
+/// Changes that can be taken back.
+const MOST_UNDO: usize = 100;
+/// Shorter spans are slips of the hand, s.
+const SHORTEST_S: f64 = 1e-3;
+/// How often a label that grows is written to the disk.
+const GROWING_SAVED: Duration = Duration::from_secs(10);
+
+/// A label with a name that stays while it is edited.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Span {
+    /// Its name.
+    pub id: u64,
+    /// What it says.
+    #[serde(flatten)]
+    pub label: LabelSpan,
+}
+
+/// A label that still goes on.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Open {
+    /// Where it began, s.
+    pub start_s: f64,
+    /// What it says.
+    pub label: Occupancy,
+    #[serde(skip)]
+    who: Option<String>,
+    #[serde(skip)]
+    made_ns: Option<u64>,
+}
+
+/// Spans, changed one step at a time.
+#[derive(Debug, Default)]
+pub struct Book {
+    spans: Vec<Span>,
+    open: Option<Open>,
+    next_id: u64,
+    past: Vec<(Vec<Span>, Option<Open>)>,
+    future: Vec<(Vec<Span>, Option<Open>)>,
+    extent_s: Option<(f64, f64)>,
+    /// Counts changes.
+    revision: u64,
+}
+
+impl Book {
+    fn new(labels: Vec<LabelSpan>, extent_s: Option<(f64, f64)>) -> Self {
+        let spans: Vec<Span> = (0u64..).zip(labels).map(|(id, label)| Span { id, label }).collect();
+        Book { next_id: spans.len() as u64, spans, extent_s, ..Book::default() }
+    }
+
+    /// Before a change.
+    fn remember(&mut self) {
+        self.past.push((self.spans.clone(), self.open.clone()));
+        if self.past.len() > MOST_UNDO {
+            self.past.remove(0);
+        }
+        self.future.clear();
+        self.revision += 1;
+    }
+
+    /// From here on it is so, until somebody says otherwise. The same once more ends it.
+    fn press(&mut self, label: Occupancy, now_s: f64, who: Option<String>) {
+        self.remember();
+        let was = self.open.as_ref().map(|open| open.label);
+        self.end_open(now_s);
+        if was != Some(label) {
+            self.open = Some(Open { start_s: now_s, label, who, made_ns: now_ns() });
+        }
+    }
+
+    fn end_open(&mut self, end_s: f64) {
+        let Some(Open { start_s, label, who, made_ns }) = self.open.take() else { return };
+        self.paint(None, LabelSpan { who, made_ns, ..LabelSpan::new(start_s, end_s, label.name()) });
+    }
+
+    /// Puts a span down; others that name a class give way.
+    fn paint(&mut self, id: Option<u64>, span: LabelSpan) {
+        let (start_s, end_s) = match self.extent_s {
+            Some((first_s, last_s)) => (span.start_s.max(first_s), span.end_s.min(last_s)),
+            None => (span.start_s, span.end_s),
+        };
+        // The negated form also takes NaN.
+        if !(end_s - start_s >= SHORTEST_S) {
+            return;
+        }
+        if span.occupancy().is_some() {
+            for other in std::mem::take(&mut self.spans) {
+                let is_apart = other.label.end_s <= start_s || other.label.start_s >= end_s;
+                if Some(other.id) == id {
+                    continue;
+                }
+                if other.label.occupancy().is_none() || is_apart {
+                    self.spans.push(other);
+                    continue;
+                }
+                if start_s - other.label.start_s >= SHORTEST_S {
+                    let mut before = other.clone();
+                    before.label.end_s = start_s;
+                    self.spans.push(before);
+                }
+                if other.label.end_s - end_s >= SHORTEST_S {
+                    let mut after = other;
+                    after.label.start_s = end_s;
+                    // What is left on both sides is two labels.
+                    if self.spans.last().is_some_and(|last| last.id == after.id) {
+                        after.id = self.new_id();
+                    }
+                    self.spans.push(after);
+                }
+            }
+        }
+        let id = id.unwrap_or_else(|| self.new_id());
+        self.spans.retain(|span| span.id != id);
+        self.spans.push(Span { id, label: LabelSpan { start_s, end_s, ..span } });
+        self.spans.sort_by(|a, b| a.label.start_s.total_cmp(&b.label.start_s));
+    }
+
+    fn new_id(&mut self) -> u64 {
+        self.next_id += 1;
+        self.next_id - 1
+    }
+
+    /// Changes one span.
+    fn change(&mut self, id: u64, change: impl FnOnce(&mut LabelSpan)) -> anyhow::Result<()> {
+        let Some(span) = self.spans.iter().find(|span| span.id == id) else {
+            bail!("that label is no longer there");
+        };
+        let mut label = span.label.clone();
+        change(&mut label);
+        if !label.start_s.is_finite() || !label.end_s.is_finite() || label.end_s - label.start_s < SHORTEST_S {
+            bail!("a label from {} to {} s: it must end after its start", label.start_s, label.end_s);
+        }
+        check_spans(std::slice::from_ref(&label), self.extent_s)?;
+        label.made_ns = now_ns();
+        self.remember();
+        self.paint(Some(id), label);
+        Ok(())
+    }
+
+    fn add(&mut self, label: LabelSpan) -> anyhow::Result<()> {
+        if label.end_s - label.start_s < SHORTEST_S {
+            bail!("a label from {} to {} s: it must end after its start", label.start_s, label.end_s);
+        }
+        check_spans(std::slice::from_ref(&label), self.extent_s)?;
+        self.remember();
+        self.paint(None, label);
+        Ok(())
+    }
+
+    fn delete(&mut self, id: u64) -> anyhow::Result<()> {
+        if !self.spans.iter().any(|span| span.id == id) {
+            bail!("that label is no longer there");
+        }
+        self.remember();
+        self.spans.retain(|span| span.id != id);
+        Ok(())
+    }
+
+    fn undo(&mut self) -> anyhow::Result<()> {
+        let before = self.past.pop().context("nothing to take back")?;
+        self.future.push((std::mem::replace(&mut self.spans, before.0), std::mem::replace(&mut self.open, before.1)));
+        self.revision += 1;
+        Ok(())
+    }
+
+    fn redo(&mut self) -> anyhow::Result<()> {
+        let after = self.future.pop().context("nothing was taken back")?;
+        self.past.push((std::mem::replace(&mut self.spans, after.0), std::mem::replace(&mut self.open, after.1)));
+        self.revision += 1;
+        Ok(())
+    }
+
+    /// As they would be if the label that goes on ended here.
+    fn labels(&self, now_s: f64) -> Vec<LabelSpan> {
+        let mut ended = Book {
+            spans: self.spans.clone(),
+            open: self.open.clone(),
+            next_id: self.next_id,
+            extent_s: self.extent_s,
+            ..Book::default()
+        };
+        ended.end_open(now_s);
+        ended.spans.into_iter().map(|span| span.label).collect()
+    }
+}
+
+fn now_ns() -> Option<u64> {
+    SystemTime::now().duration_since(UNIX_EPOCH).ok().and_then(|since| u64::try_from(since.as_nanos()).ok())
+}
+
+/// What a page may do to labels.
+#[derive(Debug)]
+pub enum Edit {
+    /// A key: from here on.
+    Press(Occupancy, Option<String>),
+    /// Nobody says anything from here on.
+    Stop,
+    /// New edges, s.
+    Move(u64, f64, f64),
+    /// Another class.
+    Relabel(u64, Occupancy),
+    /// A span from nothing.
+    Add(LabelSpan),
+    /// Takes one away.
+    Delete(u64),
+    /// Takes the last change back.
+    Undo,
+    /// Makes it again.
+    Redo,
+}
+
+/// What pages are told of the labels.
+#[derive(Serialize)]
+struct Told<'a> {
+    spans: &'a [Span],
+    open: &'a Option<Open>,
+    can_undo: bool,
+    can_redo: bool,
+    /// Where they are kept, if anywhere.
+    place: Option<String>,
+    /// Whether what is shown is there.
+    saved: bool,
+    /// Where they will be at the end of the run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    later: Option<String>,
+    /// Why not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fault: Option<&'a str>,
+}
+
+/// Where labels are kept.
+#[derive(Debug, Clone)]
+enum Place {
+    /// In the recording's channel of labels.
+    Mcap(PathBuf),
+    /// In a file beside a recording that cannot hold any.
+    Beside { recording: PathBuf, file: PathBuf },
+}
+
+impl Place {
+    fn read(&self) -> anyhow::Result<Vec<LabelSpan>> {
+        match self {
+            Place::Mcap(recording) | Place::Beside { recording, .. } => labels::of(recording),
+        }
+    }
+
+    /// Writes the labels unless somebody else has changed those that are `known`; returns them as they now are.
+    fn write(&self, known: &[LabelSpan], spans: &[LabelSpan]) -> anyhow::Result<Vec<LabelSpan>> {
+        if self.read()? != known {
+            bail!(
+                "another program has changed the labels in {}\n\nhint: export yours, open the page anew, and import them",
+                self.name()
+            );
+        }
+        if known == spans {
+            return Ok(known.to_vec());
+        }
+        match self {
+            Place::Mcap(recording) => mcap::set_labels(recording, spans)?,
+            Place::Beside { file, .. } => labels::write(file, spans)?,
+        }
+        self.read()
+    }
+
+    fn name(&self) -> String {
+        let (Place::Mcap(path) | Place::Beside { file: path, .. }) = self;
+        path.display().to_string()
+    }
+}
+
+#[derive(Debug, Default)]
+struct State {
+    book: Book,
+    /// Changes that are on the disk.
+    saved: u64,
+    /// Labels as the disk has them.
+    known: Vec<LabelSpan>,
+    fault: Option<String>,
+    closed: bool,
+    /// Counts what pages have to be told.
+    told: u64,
+}
+
+/// Keeps the labels of a run.
+pub struct Keeper {
+    state: Mutex<State>,
+    changed: Condvar,
+    place: Option<Place>,
+    /// The recording that is being made, which takes labels when it is finished.
+    recording: Option<PathBuf>,
+    interval_s: f64,
+    /// Bits of the time of the newest frame, s.
+    now_s: AtomicU64,
+}
+
+impl Keeper {
+    /// With the labels that the recording has.
+    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, interval_s: f64) -> anyhow::Result<Self> {
+        let place = tape.map(|tape| -> anyhow::Result<Place> {
+            let recording = tape.path.clone();
+            Ok(match Recording::open(&recording)? {
+                Recording::Mcap(_) => Place::Mcap(recording),
+                _ => {
+                    let file = labels::file_beside(&recording).unwrap_or_else(|| labels::name_beside(&recording));
+                    Place::Beside { recording, file }
+                }
+            })
+        });
+        let place = place.transpose()?;
+        let known = place.as_ref().map_or(Ok(Vec::new()), Place::read)?;
+        let extent_s = tape.map(|tape| (tape.extent.first.time_s(), tape.extent.last.time_s() + interval_s));
+        let state = State { book: Book::new(known.clone(), extent_s), known, ..State::default() };
+        Ok(Keeper {
+            state: Mutex::new(state),
+            changed: Condvar::new(),
+            recording: recording.filter(|_| place.is_none()).map(Path::to_owned),
+            place,
+            interval_s,
+            now_s: AtomicU64::new(0f64.to_bits()),
+        })
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The newest frame is from this time, s. Waits for nobody.
+    pub fn at(&self, time_s: f64) {
+        self.now_s.store(time_s.to_bits(), Ordering::Relaxed);
+    }
+
+    fn now_s(&self) -> f64 {
+        f64::from_bits(self.now_s.load(Ordering::Relaxed))
+    }
+
+    /// Makes a change; why not otherwise.
+    pub fn edit(&self, edit: Edit) -> anyhow::Result<()> {
+        let now_s = self.now_s();
+        let mut state = self.state();
+        let book = &mut state.book;
+        if book.spans.len() >= MOST_SPANS && matches!(edit, Edit::Press(..) | Edit::Add(_)) {
+            bail!("there are {} labels already, more than can be made by hand", book.spans.len());
+        }
+        match edit {
+            Edit::Press(label, who) => book.press(label, now_s, who),
+            Edit::Stop => {
+                if book.open.is_some() {
+                    book.remember();
+                    book.end_open(now_s);
+                }
+            }
+            Edit::Move(id, start_s, end_s) => {
+                book.change(id, |label| (label.start_s, label.end_s) = (start_s, end_s))?;
+            }
+            Edit::Relabel(id, class) => book.change(id, |label| label.label = class.name().to_owned())?,
+            Edit::Add(label) => book.add(LabelSpan { made_ns: now_ns(), ..label })?,
+            Edit::Delete(id) => book.delete(id)?,
+            Edit::Undo => book.undo()?,
+            Edit::Redo => book.redo()?,
+        }
+        state.told += 1;
+        self.changed.notify_all();
+        Ok(())
+    }
+
+    /// Before the time jumps: a label that goes on ends behind the newest frame.
+    pub fn before_jump(&self) {
+        let end_s = self.now_s() + self.interval_s;
+        let mut state = self.state();
+        if state.book.open.is_some() {
+            state.book.remember();
+            state.book.end_open(end_s);
+            state.told += 1;
+            self.changed.notify_all();
+        }
+    }
+
+    /// Labels as they are now.
+    pub fn labels(&self) -> Vec<LabelSpan> {
+        self.state().book.labels(self.now_s() + self.interval_s)
+    }
+
+    /// Changes whenever [`told`](Self::told) does.
+    pub fn told_count(&self) -> u64 {
+        self.state().told
+    }
+
+    /// What pages are told.
+    pub fn told(&self) -> serde_json::Value {
+        let state = self.state();
+        let told = Told {
+            spans: &state.book.spans,
+            open: &state.book.open,
+            can_undo: !state.book.past.is_empty(),
+            can_redo: !state.book.future.is_empty(),
+            place: self.place.as_ref().map(Place::name),
+            saved: state.saved == state.book.revision,
+            later: self.recording.as_ref().map(|path| path.display().to_string()),
+            fault: state.fault.as_deref(),
+        };
+        serde_json::json!({ "labels": told })
+    }
+
+    /// Writes changes to the disk until closed; those that come in a row cost one write.
+    pub fn keep(&self) {
+        let Some(place) = &self.place else { return };
+        loop {
+            let mut state = self.state();
+            let mut has_grown = false;
+            while !state.closed && !has_grown && (state.saved == state.book.revision || state.fault.is_some()) {
+                let waited = self.changed.wait_timeout(state, GROWING_SAVED).unwrap_or_else(PoisonError::into_inner);
+                state = waited.0;
+                // Another change, or a while later: the fault may have passed.
+                state.fault = None;
+                has_grown = waited.1.timed_out() && state.book.open.is_some();
+            }
+            let closed = state.closed;
+            if !closed {
+                drop(state);
+                std::thread::sleep(Duration::from_millis(300));
+                state = self.state();
+            }
+            let (revision, known) = (state.book.revision, state.known.clone());
+            let labels = state.book.labels(self.now_s() + self.interval_s);
+            drop(state);
+            // The disk may be slow: nobody waits for it.
+            let written = if revision > 0 { place.write(&known, &labels) } else { Ok(known) };
+            let mut state = self.state();
+            match written {
+                Ok(known) => (state.saved, state.known, state.fault) = (revision, known, None),
+                Err(error) => {
+                    let said = crate::output::chain(&error);
+                    tracing::error!("labels: {said}");
+                    state.fault = Some(said);
+                }
+            }
+            state.told += 1;
+            if closed {
+                return;
+            }
+        }
+    }
+
+    /// No more changes; what there is goes to the disk.
+    pub fn close(&self) {
+        self.before_jump();
+        self.state().closed = true;
+        self.changed.notify_all();
+    }
+
+    /// Gives a recording that has been made its labels; says what could not be kept.
+    pub fn last_word(&self) -> anyhow::Result<()> {
+        let state = self.state();
+        if let Some(recording) = self.recording.as_ref().filter(|_| !state.book.spans.is_empty()) {
+            mcap::set_labels(recording, &state.book.labels(self.now_s()))
+                .with_context(|| format!("{} labels were not saved", state.book.spans.len()))?;
+            return Ok(());
+        }
+        if let Some(fault) = &state.fault {
+            bail!("labels were not saved: {fault}");
+        }
+        if self.place.is_none() && state.book.revision > 0 && !state.book.spans.is_empty() {
+            eprintln!("{} labels were made; they live in exports of the page alone", state.book.spans.len());
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spans(book: &Book) -> Vec<(f64, f64, &str)> {
+        book.spans.iter().map(|s| (s.label.start_s, s.label.end_s, s.label.label.as_str())).collect()
+    }
+
+    #[test]
+    fn keys_paint_spans_and_each_can_be_taken_back() {
+        let mut book = Book::new(vec![LabelSpan::new(0.0, 10.0, "empty")], Some((0.0, 20.0)));
+        book.press(Occupancy::One, 2.0, None);
+        book.press(Occupancy::Two, 4.0, None);
+        // The same again ends it.
+        book.press(Occupancy::Two, 6.0, None);
+        let painted = vec![(0.0, 2.0, "empty"), (2.0, 4.0, "one"), (4.0, 6.0, "two"), (6.0, 10.0, "empty")];
+        assert_eq!(spans(&book), painted);
+        let ids: std::collections::BTreeSet<u64> = book.spans.iter().map(|span| span.id).collect();
+        assert_eq!(ids.len(), 4, "each its own name");
+        for _ in 0..3 {
+            book.undo().expect("a change");
+        }
+        assert_eq!(spans(&book), [(0.0, 10.0, "empty")]);
+        assert!(book.open.is_none() && book.undo().is_err());
+        for _ in 0..3 {
+            book.redo().expect("taken back");
+        }
+        assert_eq!(spans(&book), painted);
+    }
+
+    #[test]
+    fn an_edge_pushes_its_neighbour_and_stays_within_the_recording() {
+        let labels = vec![LabelSpan::new(0.0, 4.0, "empty"), LabelSpan::new(4.0, 8.0, "one")];
+        let mut book = Book::new(labels, Some((0.0, 10.0)));
+        book.change(1, |label| label.start_s = 2.5).expect("an edit");
+        assert_eq!(spans(&book), [(0.0, 2.5, "empty"), (2.5, 8.0, "one")]);
+        assert!(book.change(1, |label| label.end_s = 11.0).is_err());
+        assert!(book.change(1, |label| label.end_s = 2.5).is_err());
+        assert!(book.change(1, |label| label.end_s = f64::NAN).is_err());
+        book.delete(0).expect("there");
+        assert!(book.delete(0).is_err());
+        assert_eq!(spans(&book), [(2.5, 8.0, "one")]);
+    }
+
+    #[test]
+    fn free_text_lies_over_anything() {
+        let mut book = Book::new(vec![LabelSpan::new(0.0, 4.0, "door open")], None);
+        book.press(Occupancy::One, 1.0, None);
+        let labels = book.labels(3.0);
+        assert_eq!(labels.len(), 2);
+        assert_eq!(spans(&book).len(), 1, "what goes on is not yet there");
+        book.end_open(0.5);
+        assert_eq!(spans(&book), [(0.0, 4.0, "door open")], "a label that ends before its start is none");
+    }
+}

@@ -1,0 +1,78 @@
+// The list of labels: where they are kept, and each of them with times that can be typed.
+
+import { clock } from './plot.js';
+
+const NAMES = ['empty', 'one', 'two'];
+
+export class LabelList {
+  constructor({ list, count, state, send, goTo, select }) {
+    Object.assign(this, { list, count, state, send, goTo, select, selected: null, rows: new Map() });
+  }
+
+  take({ spans, open, place, saved, later, fault }) {
+    this.count.textContent = `(${spans.length}${open ? ', one goes on' : ''})`;
+    this.state.className = fault || !saved && !place && !later ? 'unsaved' : '';
+    this.state.textContent = fault ? `not saved: ${fault}`
+      : place ? saved ? `saved in ${place}` : `saving in ${place} …`
+      : later ? `go into ${later} at the end of the run`
+      : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'press 0, 1 or 2 to label what you see';
+    const kept = new Map();
+    spans.forEach((span, index) => {
+      const row = this.rows.get(span.id) ?? this.row(span.id);
+      kept.set(span.id, row);
+      row.update(span);
+      if (this.list.children[index] !== row.element) this.list.insertBefore(row.element, this.list.children[index] ?? null);
+    });
+    for (const [id, row] of this.rows) if (!kept.has(id)) row.element.remove();
+    this.rows = kept;
+  }
+
+  mark(id) {
+    this.rows.get(this.selected)?.element.classList.remove('selected');
+    this.selected = id;
+    this.rows.get(id)?.element.classList.add('selected');
+  }
+
+  row(id) {
+    const element = document.createElement('li');
+    const make = (tag, attributes) => Object.assign(element.appendChild(document.createElement(tag)), attributes);
+    const go = make('button', { type: 'button', textContent: 'go to' });
+    const start = make('input', { type: 'number', step: 'any' });
+    element.append('to');
+    const end = make('input', { type: 'number', step: 'any' });
+    element.append('s');
+    const label = make('select');
+    for (const name of NAMES) label.add(new Option(name));
+    const who = make('span', {});
+    const remove = make('button', { type: 'button', textContent: 'delete' });
+    let span = null;
+    const move = () => {
+      const [a, b] = [start, end].map(input => Number(input.value));
+      if (start.value !== '' && end.value !== '' && (a !== span.start_s || b !== span.end_s)) this.send({ do: 'move', id, start_s: a, end_s: b });
+      else this.rows.get(id)?.update(span);
+    };
+    start.addEventListener('change', move);
+    end.addEventListener('change', move);
+    label.addEventListener('change', () => this.send({ do: 'relabel', id, occupancy: label.value }));
+    remove.addEventListener('click', () => this.send({ do: 'delete', id }));
+    go.addEventListener('click', () => this.goTo(span.start_s));
+    element.addEventListener('focusin', () => this.select(id));
+    const update = now => {
+      span = now;
+      element.dataset.label = span.label;
+      const isClass = NAMES.includes(span.label);
+      if (!isClass && label.options[0].value !== span.label) label.prepend(new Option(span.label));
+      label.value = span.label;
+      for (const [input, value, edge] of [[start, span.start_s, 'start'], [end, span.end_s, 'end']]) {
+        if (document.activeElement !== input || Number(input.value) !== value) input.value = Number(value.toFixed(6));
+        input.setAttribute('aria-label', `${edge} of ${span.label} at ${clock(span.start_s)}, seconds`);
+      }
+      label.setAttribute('aria-label', `class from ${clock(span.start_s)} to ${clock(span.end_s)}`);
+      remove.setAttribute('aria-label', `delete ${span.label} from ${clock(span.start_s)} to ${clock(span.end_s)}`);
+      go.setAttribute('aria-label', `go to ${clock(span.start_s)}`);
+      go.hidden = !this.goTo;
+      who.textContent = span.who ?? '';
+    };
+    return { element, update };
+  }
+}

@@ -1,0 +1,267 @@
+// The page: what comes over the link goes to the views, what hands do goes over the link.
+
+import { ChirpsView } from './chirps.js';
+import { DopplerView } from './doppler.js';
+import { HealthStrip } from './health.js';
+import { LabelList } from './labels.js';
+import { Link, floats, words } from './link.js';
+import { MapView } from './map.js';
+import { clock } from './plot.js';
+import { ProfileView } from './profile.js';
+import { History, Timeline } from './timeline.js';
+
+const $ = id => document.getElementById(id);
+const page = window.radome = { pictures: 0, header: null, hello: null, labels: null, playback: null, last: null };
+
+const map = new MapView($('map'), $('echo'), $('pointed'));
+const partner = new MapView($('partner'), $('partner-echo'), null);
+const profile = new ProfileView($('profile'));
+const doppler = new DopplerView($('doppler'));
+const chirps = new ChirpsView($('chirps'), $('clipped'));
+const health = new HealthStrip($('health'));
+const timeline = new Timeline($('timeline'), {
+  seek: time => seek(time),
+  move: (id, start_s, end_s) => send({ do: 'move', id, start_s, end_s }),
+  select: id => select(id),
+});
+const list = new LabelList({
+  list: $('labels-list'), count: $('labels-count'), state: $('labels-state'),
+  send: request => send(request), goTo: time => seek(time), select: id => select(id),
+});
+Object.assign(page, { map, partner, profile, doppler, chirps, timeline, send: request => send(request) });
+
+// ---- what comes
+
+const link = new Link({
+  picture({ header, parts }) {
+    page.pictures++;
+    page.header = header;
+    timeline.history.add(header.history);
+    health.take(header.health);
+    const { answer } = header, isNew = page.last !== answer.sequence;
+    page.last = answer.sequence;
+    timeline.now = answer.time_s;
+    timeline.draw();
+    say(answer);
+    if (header.map) {
+      const floor = floats(parts.floor);
+      map.take(header.map, parts.map, floor);
+      profile.take(header.map, parts.map, floor, map.hold);
+      if (isNew) doppler.take(header.map, parts.map, floor, answer.time_s);
+    } else {
+      map.none(answer.warming_up ? `the network’s map warms up: ${answer.warming_up}` : 'no map');
+      profile.none();
+    }
+    if (header.partner) {
+      partner.low = map.low ?? map.auto?.[0] ?? null;
+      partner.high = map.high ?? map.auto?.[1] ?? null;
+      partner.take(header.partner, parts.partner, floats(parts.partner_floor));
+    } else if (page.hello?.partner) partner.none('the pair has no partner for this frame');
+    if (header.chirps) chirps.take(header.chirps, words(parts.chirps), page.hello.sample_interval_s);
+    place();
+  },
+  news({ hello, labels, playback, doors, refused, over }) {
+    if (hello) greet(hello);
+    if (labels) {
+      page.labels = labels;
+      timeline.spans = labels.spans;
+      timeline.open = labels.open;
+      timeline.draw();
+      list.take(labels);
+      for (const button of document.querySelectorAll('#keys [data-label]')) button.setAttribute('aria-pressed', labels.open?.label === button.dataset.label);
+      $('stop').disabled = !labels.open;
+      $('undo').disabled = !labels.can_undo;
+      $('redo').disabled = !labels.can_redo;
+      if (labels.fault) notice(`Labels are not saved: ${labels.fault}`);
+    }
+    if (playback) {
+      page.playback = playback;
+      $('play').textContent = playback.playing ? 'Pause' : playback.at_end ? 'Play again' : 'Play';
+      const options = [...$('speed').options], known = options.find(option => Number(option.value) === playback.speed);
+      if (!known) $('speed').add(new Option(`${playback.speed}×`, playback.speed));
+      $('speed').value = playback.speed;
+      place();
+    }
+    if (doors) health.doors(doors);
+    if (refused) notice(refused);
+    if (over) notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
+  },
+  state(state) {
+    page.state = state;
+    $('status').textContent = { open: '', lost: 'no connection', over: 'the run is over' }[state];
+    if (state === 'open') look();
+  },
+});
+const send = request => link.send(request);
+
+function greet(hello) {
+  page.hello = hello;
+  // The program says anew what has been; it may be another run.
+  timeline.history = new History();
+  health.hello(hello);
+  timeline.tape = hello.tape;
+  timeline.interval = hello.frame_interval_s;
+  $('tape').hidden = !hello.tape;
+  if (!hello.tape) list.goTo = null;
+  else {
+    Object.assign($('seek'), { min: hello.tape.first_s, max: hello.tape.last_s });
+    Object.assign($('at'), { min: hello.tape.first_s, max: hello.tape.last_s });
+    if (hello.tape.last_s - hello.tape.first_s > 60 && !page.windowed) $('window').value = 60;
+  }
+  $('chirp').max = hello.chirps - 1;
+  $('partner-card').hidden = !hello.partner;
+  document.body.classList.toggle('with-partner', hello.partner);
+  const chosen = $('channel').value, options = [['"sum"', hello.rx > 1 ? 'mean of all' : 'receiver 1'], ['"network"', 'as the network sees it']];
+  if (hello.rx > 1) for (let rx = 0; rx < hello.rx; rx++) options.splice(1 + rx, 0, [JSON.stringify({ rx }), `receiver ${rx + 1}`]);
+  $('channel').replaceChildren(...options.map(([value, text]) => new Option(text, value)));
+  const wanted = chosen || localStorage.getItem('channel');
+  if (options.some(([value]) => value === wanted)) $('channel').value = wanted;
+  look();
+}
+
+const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
+function say(answer) {
+  const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : '–');
+  if ($('answer').value !== text) $('answer').value = text;
+  $('confidence').textContent = answer.probabilities && answer.label ? `${(100 * answer.probabilities[answer.label]).toFixed(0)} %` : '';
+  $('occupied').hidden = !answer.probabilities;
+  $('occupied').textContent = answer.occupied ? 'occupied' : 'not occupied';
+  $('occupied').classList.toggle('on', answer.occupied);
+  $('truth').textContent = answer.truth ? `truth: ${answer.truth}${answer.transition ? ', coming or going' : ''}` : '';
+  if (page.state === 'open') $('status').textContent = `frame ${answer.sequence} · ${clock(answer.time_s, 2)}`;
+}
+
+let seeking = false;
+function place() {
+  const tape = page.hello?.tape, answer = page.header?.answer;
+  if (!tape || !answer) return;
+  if (!seeking) $('seek').value = answer.time_s;
+  if (document.activeElement !== $('at')) $('at').value = answer.time_s.toFixed(2);
+  $('position').textContent = `of ${clock(tape.last_s)} · frame ${answer.sequence} of ${tape.last_sequence}`;
+  $('seek').setAttribute('aria-valuetext', `${clock(answer.time_s)}, frame ${answer.sequence}`);
+}
+
+let fading = 0;
+function notice(text) {
+  $('notice').textContent = text;
+  $('notice').hidden = false;
+  clearTimeout(fading);
+  fading = setTimeout(() => { $('notice').hidden = true; }, 8000);
+}
+
+// ---- what hands do
+
+function look() {
+  if (!page.hello) return;
+  const channel = JSON.parse($('channel').value || '"sum"');
+  $('removal').disabled = channel === 'network';
+  const chirp = $('chirps-card').open ? Math.max(0, Math.min(page.hello.chirps - 1, Math.round(Number($('chirp').value)) || 0)) : null;
+  send({ do: 'look', channel, removal: $('removal').value, chirp, partner: page.hello.partner && $('partner-on').checked });
+}
+
+/** The view shows something else: what was held of the old one means nothing. */
+function relook() {
+  localStorage.setItem('channel', $('channel').value);
+  localStorage.setItem('removal', $('removal').value);
+  for (const view of [map, partner, profile, doppler]) view.forget();
+  look();
+}
+
+/** A place in the recording. While a hand draws, one at a time: each costs the frames before it. */
+let sought = null, resting = 0;
+function seek(time_s) {
+  if (!page.hello?.tape || !Number.isFinite(time_s)) return;
+  sought = time_s;
+  if (resting) return;
+  const go = () => {
+    resting = 0;
+    if (sought === null) return;
+    send({ do: 'seek', time_s: sought });
+    sought = null;
+    resting = setTimeout(go, 200);
+  };
+  go();
+}
+
+function select(id) { timeline.selected = id; list.mark(id); timeline.draw(); }
+function who() { return $('who').value.trim() || null; }
+function label(occupancy) { send({ do: 'label', occupancy, who: who() }); }
+function play() { send({ do: page.playback?.playing ? 'pause' : 'play' }); }
+function step(frames) { send({ do: 'step', frames }); }
+
+/** The next of a select's options, or the one before. */
+function turn(element, by, round = false) {
+  const n = element.options.length, index = element.selectedIndex + by;
+  element.selectedIndex = round ? (index + n) % n : Math.max(0, Math.min(n - 1, index));
+  element.dispatchEvent(new Event('change'));
+}
+
+$('removal').value = localStorage.getItem('removal') ?? 'mean';
+$('who').value = localStorage.getItem('who') ?? '';
+$('who').addEventListener('change', () => localStorage.setItem('who', $('who').value));
+$('channel').addEventListener('change', relook);
+$('removal').addEventListener('change', relook);
+$('over-floor').addEventListener('change', () => { map.overFloor = partner.overFloor = $('over-floor').checked; map.forget(); partner.forget(); look(); });
+$('hold').addEventListener('change', () => { map.hold = partner.hold = $('hold').checked; look(); });
+$('hold-reset').addEventListener('click', () => { for (const view of [map, partner, profile]) view.forget(); look(); });
+for (const id of ['low', 'high']) $(id).addEventListener('input', () => { map[id] = $(id).value === '' ? null : Number($(id).value); map.draw(); });
+$('partner-on').addEventListener('change', look);
+$('chirps-card').addEventListener('toggle', look);
+$('chirp').addEventListener('input', look);
+$('whole').addEventListener('change', () => { chirps.whole = $('whole').checked; chirps.draw(); });
+$('window').addEventListener('change', () => { page.windowed = true; timeline.window = Number($('window').value); timeline.draw(); });
+$('play').addEventListener('click', play);
+$('step').addEventListener('click', () => step(1));
+$('step-back').addEventListener('click', () => step(-1));
+$('speed').addEventListener('change', () => send({ do: 'speed', times: Number($('speed').value) }));
+$('seek').addEventListener('input', () => { seeking = true; seek(Number($('seek').value)); });
+$('seek').addEventListener('change', () => { seeking = false; });
+$('at').addEventListener('change', () => seek(Number($('at').value)));
+for (const button of document.querySelectorAll('#keys [data-label]')) button.addEventListener('click', () => label(button.dataset.label));
+$('stop').addEventListener('click', () => send({ do: 'stop' }));
+$('undo').addEventListener('click', () => send({ do: 'undo' }));
+$('redo').addEventListener('click', () => send({ do: 'redo' }));
+$('help-open').addEventListener('click', () => $('help').showModal());
+
+// A select that was opened with a pointer gives the keys back.
+let pointed = false;
+addEventListener('pointerdown', () => { pointed = true; }, true);
+addEventListener('keydown', () => { pointed = false; }, true);
+document.addEventListener('change', event => { if (pointed && event.target.tagName === 'SELECT') event.target.blur(); });
+
+const toggle = id => { $(id).checked = !$(id).checked; $(id).dispatchEvent(new Event('change')); };
+const jump = seconds => { if (page.header) seek(page.header.answer.time_s + seconds); };
+const KEYS = {
+  '0': () => label('empty'), '1': () => label('one'), '2': () => label('two'),
+  e: () => send({ do: 'stop' }), u: () => send({ do: 'undo' }), U: () => send({ do: 'redo' }),
+  c: () => turn($('channel'), 1, true), s: () => turn($('removal'), 1, true),
+  h: () => toggle('hold'), x: () => $('hold-reset').click(), f: () => toggle('over-floor'),
+  r: () => { $('chirps-card').open = !$('chirps-card').open; }, l: () => { $('labels-card').open = !$('labels-card').open; },
+  '+': () => turn($('window'), -1), '=': () => turn($('window'), -1), '-': () => turn($('window'), 1),
+  '?': () => $('help').showModal(),
+};
+const TAPE = {
+  ' ': play, ArrowLeft: () => step(-1), ArrowRight: () => step(1), Home: () => seek(page.hello.tape.first_s), End: () => seek(page.hello.tape.last_s),
+  '[': () => turn($('speed'), -1), ']': () => turn($('speed'), 1),
+};
+addEventListener('keydown', event => {
+  if (event.ctrlKey || event.metaKey || event.altKey || $('help').open) return;
+  const { target } = event, tag = target.tagName;
+  const isTyping = tag === 'SELECT' || tag === 'INPUT' && !['checkbox', 'range'].includes(target.type);
+  if (isTyping) { if (event.key === 'Escape') target.blur(); return; }
+  // Controls keep their own keys.
+  if (event.key === ' ' && ['BUTTON', 'SUMMARY', 'INPUT', 'A'].includes(tag)) return;
+  if (tag === 'INPUT' && target.type === 'range' && /^(Arrow|Home|End|Page)/.test(event.key)) return;
+  let act = KEYS[event.key] ?? KEYS[event.shiftKey ? event.key : event.key.toLowerCase()];
+  if (page.hello?.tape) {
+    act ??= TAPE[event.key];
+    if (event.shiftKey && event.key === 'ArrowLeft') act = () => jump(-5);
+    if (event.shiftKey && event.key === 'ArrowRight') act = () => jump(5);
+  }
+  if (!act) return;
+  event.preventDefault();
+  if (event.repeat && !/Arrow/.test(event.key)) return;
+  act();
+});
+addEventListener('resize', () => { for (const view of [map, partner, profile, doppler, chirps, timeline]) view.draw(); });
+document.addEventListener('visibilitychange', () => { if (!document.hidden) for (const view of [map, partner, profile, doppler, chirps, timeline]) view.draw(); });

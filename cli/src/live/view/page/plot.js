@@ -1,0 +1,65 @@
+// What all plots share: colours, a canvas as fine as the screen, ticks.
+
+const VIRIDIS = [[68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99], [170, 220, 50], [253, 231, 37]];
+
+/** Colours of 0 to 254 as RGBA in one number; 255, what is no number, is magenta. */
+export const palette = new Uint32Array(256);
+for (let i = 0; i < 255; i++) {
+  const at = i / 254 * 8, k = Math.min(7, Math.floor(at)), f = at - k;
+  const [r, g, b] = VIRIDIS[k].map((c, n) => Math.round(c + f * (VIRIDIS[k + 1][n] - c)));
+  palette[i] = (255 << 24 | b << 16 | g << 8 | r) >>> 0;
+}
+palette[255] = 0xffff00ff;
+
+/** The theme's colours, read once for each theme. */
+export const theme = {};
+const read = () => {
+  const style = getComputedStyle(document.documentElement);
+  for (const name of ['ink', 'soft', 'paper', 'card', 'line', 'empty', 'one', 'two', 'alarm', 'mark']) theme[name] = style.getPropertyValue('--' + name).trim();
+};
+read();
+matchMedia('(prefers-color-scheme: dark)').addEventListener('change', read);
+
+/** A canvas's context in CSS pixels, cleared, and its size; none while it is not shown. */
+export function begin(canvas) {
+  const width = canvas.clientWidth, height = canvas.clientHeight, scale = devicePixelRatio || 1;
+  if (!width || !height) return null;
+  const [w, h] = [Math.round(width * scale), Math.round(height * scale)];
+  if (canvas.width !== w || canvas.height !== h) { canvas.width = w; canvas.height = h; }
+  const g = canvas.getContext('2d');
+  g.setTransform(scale, 0, 0, scale, 0, 0);
+  g.clearRect(0, 0, width, height);
+  g.font = '12px system-ui, sans-serif';
+  g.fillStyle = theme.ink;
+  return { g, width, height };
+}
+
+/** Round numbers between two values: [value, text]. */
+export function ticks(from, to, most = 7) {
+  if (!(to > from)) return [];
+  const raw = (to - from) / most, magnitude = 10 ** Math.floor(Math.log10(raw));
+  const step = [1, 2, 5, 10].map(s => s * magnitude).find(s => s >= raw * 0.999);
+  const digits = Math.max(0, Math.ceil(-Math.log10(step) - 1e-9));
+  const out = [];
+  for (let i = Math.ceil(from / step - 1e-9); i * step <= to + 1e-9 * step; i++) out.push([i * step, (i * step).toFixed(digits)]);
+  return out;
+}
+
+/** Minutes and seconds. */
+export function clock(time, digits = 1) {
+  const sign = time < 0 ? '-' : '', t = Math.abs(time), minutes = Math.floor(t / 60);
+  const seconds = (t - 60 * minutes).toFixed(digits);
+  return minutes ? `${sign}${minutes}:${seconds.padStart(digits ? digits + 3 : 2, '0')}` : `${sign}${seconds} s`;
+}
+
+/** Draws at the screen's pace, whatever comes faster; nothing while the page is hidden. */
+export function painter(draw, interval = 0) {
+  let asked = false, last = 0;
+  const paint = now => {
+    if (now - last < interval) { requestAnimationFrame(paint); return; }
+    asked = false;
+    last = now;
+    draw();
+  };
+  return () => { if (!asked) { asked = true; requestAnimationFrame(paint); } };
+}

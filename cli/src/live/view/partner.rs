@@ -1,0 +1,85 @@
+//! The simulated partner of a recording: the scene that `dataset pair` made of it, at the moment of the frame that is shown.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::{Frame, FrameSource, Waveform};
+use radome_models::dataset::{Domain, ManifestRow};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::source::Tape;
+
+/// A simulation beside a recording.
+pub struct Partner {
+    simulator: Simulator,
+    /// The mirror's time begins with the recording's first frame, s.
+    first_s: f64,
+    /// Last frame that has a partner.
+    last_sequence: u64,
+}
+
+impl Partner {
+    /// The partner in `folder`, or, without it, in the folder beside the recording that is named after it, if there is one.
+    pub fn find(folder: Option<&Path>, tape: Option<&Tape>, waveform: &Waveform) -> anyhow::Result<Option<Self>> {
+        let Some(tape) = tape else {
+            if folder.is_some() {
+                bail!("--pair is of a recording, and the source is none");
+            }
+            return Ok(None);
+        };
+        let folder = match folder {
+            Some(folder) => folder.to_owned(),
+            None => match beside(&tape.path) {
+                Some(folder) => folder,
+                None => return Ok(None),
+            },
+        };
+        let partner = Self::open(&folder, tape, waveform).with_context(|| {
+            format!("{} is no pair of {}\n\nhint: radome dataset pair makes one", folder.display(), tape.path.display())
+        })?;
+        eprintln!("simulated partner: {}", folder.display());
+        Ok(Some(partner))
+    }
+
+    fn open(folder: &Path, tape: &Tape, waveform: &Waveform) -> anyhow::Result<Self> {
+        let manifest = folder.join("manifest.jsonl");
+        let file = std::fs::File::open(&manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
+        let (mut seed, mut last_sequence, mut first_ns) = (None, None, None);
+        for line in BufReader::new(file).lines() {
+            let row: ManifestRow = serde_json::from_str(&line?).context("a row of the manifest is malformed")?;
+            if row.domain == Domain::Sim && row.pair.is_some() {
+                seed = seed.or(row.seed);
+                first_ns = first_ns.or(row.time_ns);
+                last_sequence = last_sequence.max(Some(row.frame));
+            }
+        }
+        let last_sequence = last_sequence.context("the dataset holds no mirror of a recording")?;
+        let scene = Scene::load(&folder.join("mirror.toml"))?;
+        let options = SimulateOptions { seed: seed.unwrap_or(1), ..SimulateOptions::default() };
+        let simulator = Simulator::new(&scene, options)?;
+        waveform.check_compatible(simulator.waveform())?;
+        if waveform.shape() != simulator.waveform().shape() {
+            bail!("the mirror's frames are {}, the recording's {}", simulator.waveform().shape(), waveform.shape());
+        }
+        let first = tape.extent.first;
+        if first_ns.is_some_and(|ns| ns < first.time_ns) || last_sequence > tape.extent.last.sequence {
+            bail!("its frames are not the recording's");
+        }
+        Ok(Partner { simulator, first_s: first.time_s(), last_sequence })
+    }
+
+    /// The simulated frame of the same moment; `None` where the pair ends before it.
+    pub fn frame(&self, frame: &Frame) -> Option<Frame> {
+        let start_s = (frame.time_s() - self.first_s).max(0.0);
+        (frame.sequence <= self.last_sequence).then(|| self.simulator.render_at(frame.sequence, start_s))
+    }
+}
+
+/// `NAME-pair` beside `NAME.mcap` or the folder `NAME`.
+fn beside(recording: &Path) -> Option<PathBuf> {
+    let mut name = recording.file_stem()?.to_owned();
+    name.push("-pair");
+    let folder = recording.with_file_name(name);
+    folder.join("mirror.toml").is_file().then_some(folder)
+}

@@ -1,0 +1,360 @@
+//! A recording played like a tape: paused, sought, stepped through and at any speed, by whoever holds its [`Transport`].
+
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+
+use crate::recording::{Extent, Position, Recording, RecordingError};
+
+/// Frames of a recording as its [`Transport`] asks for them. It has no end: behind the last frame it waits to be sought, until
+/// the transport is closed.
+///
+/// Frames come when they are due, as under [`RealTime`](crate::RealTime). After a seek the frame sought comes at once, also while
+/// paused, and before it, if asked for, frames of the time before, for those who keep state from frame to frame.
+pub struct Player {
+    recording: Recording,
+    extent: Extent,
+    transport: Transport,
+    /// What is due when: this frame time at this instant. Forgotten when somebody touches the transport.
+    clock: Option<(Instant, u64)>,
+    /// Number of the frame that was sought, while those before it come.
+    rolling_to: Option<u64>,
+}
+
+/// The keys of a [`Player`]. Clones press the same keys.
+#[derive(Debug, Clone)]
+pub struct Transport {
+    shared: Arc<(Mutex<State>, Condvar)>,
+}
+
+/// What a player does, and where it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Playback {
+    /// Whether frames come by themselves.
+    pub playing: bool,
+    /// Times real time; 0 is as fast as it goes.
+    pub speed: f64,
+    /// The frame that was handed out last.
+    pub position: Option<Position>,
+    /// Whether that was the last one.
+    pub at_end: bool,
+}
+
+#[derive(Debug)]
+struct State {
+    playback: Playback,
+    sought: Option<Place>,
+    /// Frames to step forwards, or backwards.
+    steps: i64,
+    closed: bool,
+    /// Whether the clock has to be read anew.
+    touched: bool,
+    preroll_s: f64,
+    /// Numbers of the frames that came before the one that was sought last.
+    preroll: std::ops::Range<u64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Place {
+    Time(f64),
+    Frame(u64),
+}
+
+/// What the transport asks for next.
+enum Task {
+    Close,
+    Seek(Place),
+    Step,
+    StepBack,
+    Play,
+    Roll,
+}
+
+impl Transport {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.shared.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn order(&self, order: impl FnOnce(&mut State)) {
+        let mut state = self.state();
+        order(&mut state);
+        state.touched = true;
+        self.shared.1.notify_all();
+    }
+
+    /// What the player does, and where it is.
+    pub fn playback(&self) -> Playback {
+        self.state().playback
+    }
+
+    /// Goes on; from the start if it is at the end.
+    pub fn play(&self) {
+        self.order(|state| {
+            if state.playback.at_end && state.sought.is_none() {
+                state.sought = Some(Place::Frame(0));
+            }
+            state.playback.playing = true;
+        });
+    }
+
+    /// Stays where it is.
+    pub fn pause(&self) {
+        self.order(|state| state.playback.playing = false);
+    }
+
+    /// Times real time; what is no number above 0 is as fast as it goes.
+    pub fn set_speed(&self, speed: f64) {
+        self.order(|state| state.playback.speed = normal(speed));
+    }
+
+    /// Goes to the first frame at or after this time on the frames' own clock, s, or to the last one.
+    pub fn seek_time_s(&self, time_s: f64) {
+        self.order(|state| (state.sought, state.steps) = (Some(Place::Time(time_s)), 0));
+    }
+
+    /// Goes to the first frame with this number or a later one, or to the last one.
+    pub fn seek_frame(&self, sequence: u64) {
+        self.order(|state| (state.sought, state.steps) = (Some(Place::Frame(sequence)), 0));
+    }
+
+    /// So many frames on, or back; stays there.
+    pub fn step(&self, frames: i64) {
+        self.order(|state| {
+            state.playback.playing = false;
+            // Nobody presses a key a thousand times.
+            state.steps = state.steps.saturating_add(frames).clamp(-1000, 1000);
+        });
+    }
+
+    /// How much comes before a frame that is sought, s.
+    pub fn set_preroll_s(&self, preroll_s: f64) {
+        self.state().preroll_s = preroll_s;
+    }
+
+    /// Whether a frame comes only because it is before the one that was sought.
+    pub fn is_preroll(&self, sequence: u64) -> bool {
+        self.state().preroll.contains(&sequence)
+    }
+
+    /// Ends the stream of frames.
+    pub fn close(&self) {
+        self.order(|state| state.closed = true);
+    }
+}
+
+fn normal(speed: f64) -> f64 {
+    if speed.is_finite() && speed > 0.0 { speed } else { 0.0 }
+}
+
+impl Player {
+    /// A player at the start of a recording, that plays; `None` if the recording has no frame.
+    pub fn new(mut recording: Recording, speed: f64) -> Result<Option<Self>, RecordingError> {
+        let Some(extent) = recording.extent()? else { return Ok(None) };
+        let playback = Playback { playing: true, speed: normal(speed), position: None, at_end: false };
+        let state =
+            State { playback, sought: None, steps: 0, closed: false, touched: false, preroll_s: 0.0, preroll: 0..0 };
+        let transport = Transport { shared: Arc::new((Mutex::new(state), Condvar::new())) };
+        Ok(Some(Player { recording, extent, transport, clock: None, rolling_to: None }))
+    }
+
+    /// First and last frame.
+    pub fn extent(&self) -> Extent {
+        self.extent
+    }
+
+    /// Its keys.
+    pub fn transport(&self) -> Transport {
+        self.transport.clone()
+    }
+
+    /// Waits until there is something to do.
+    fn task(&mut self) -> Task {
+        let mut state = self.transport.state();
+        loop {
+            if std::mem::take(&mut state.touched) {
+                self.clock = None;
+            }
+            if state.closed {
+                return Task::Close;
+            }
+            if let Some(place) = state.sought.take() {
+                return Task::Seek(place);
+            }
+            match state.steps {
+                ..=-1 => {
+                    state.steps += 1;
+                    return Task::StepBack;
+                }
+                _ if self.rolling_to.is_some() => return Task::Roll,
+                1.. => {
+                    state.steps -= 1;
+                    return Task::Step;
+                }
+                0 if state.playback.playing && !state.playback.at_end => return Task::Play,
+                0 => {}
+            }
+            state = self.transport.shared.1.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn next_of_recording(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        let event = self.recording.next_frame(frame)?;
+        if event == SourceEvent::End {
+            let playback = &mut self.transport.state().playback;
+            (playback.at_end, playback.playing) = (true, false);
+        }
+        Ok(event)
+    }
+
+    /// The next frame, whatever gaps are before it; `None` behind the last one.
+    fn frame_alone(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+        loop {
+            match self.next_of_recording(frame)? {
+                SourceEvent::Frame => return Ok(Some(position(frame))),
+                SourceEvent::Gap(_) => {}
+                SourceEvent::End => return Ok(None),
+            }
+        }
+    }
+
+    /// Reads the frame at a place.
+    fn find(&mut self, place: Place, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+        let Extent { first, last } = self.extent;
+        match place {
+            Place::Time(time_s) if time_s >= last.time_s() => self.recording.seek_frame(last.sequence)?,
+            // The negated form also takes NaN.
+            Place::Time(time_s) if !(time_s > first.time_s()) => self.recording.seek_frame(first.sequence)?,
+            Place::Time(time_s) => self.recording.seek_time_s(time_s)?,
+            Place::Frame(sequence) => self.recording.seek_frame(sequence.min(last.sequence))?,
+        }
+        self.transport.state().playback.at_end = false;
+        self.frame_alone(frame)
+    }
+
+    /// Reads the frame at a place, or the first one of those that are to come before it.
+    fn seek(&mut self, place: Place, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+        let Some(found) = self.find(place, frame)? else { return Ok(None) };
+        let preroll_s = self.transport.state().preroll_s;
+        if preroll_s > 0.0 {
+            self.find(Place::Time(found.time_s() - preroll_s), frame)?;
+        }
+        // A clock that has started again leads elsewhere.
+        if frame.sequence > found.sequence {
+            self.find(Place::Frame(found.sequence), frame)?;
+        }
+        let mut state = self.transport.state();
+        state.preroll = frame.sequence..found.sequence;
+        state.playback.position = Some(found);
+        self.rolling_to = (frame.sequence < found.sequence).then_some(found.sequence);
+        Ok(Some(position(frame)))
+    }
+
+    /// The last frame before the one that was handed out last; the first one if there is none before it.
+    fn step_back(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
+        let now = self.transport.state().playback.position.map_or(0, |position| position.sequence);
+        let mut back = 1;
+        loop {
+            let from = now.saturating_sub(back).max(self.extent.first.sequence);
+            let Some(mut found) = self.find(Place::Frame(from), frame)? else { return Ok(None) };
+            if found.sequence < now || from <= self.extent.first.sequence {
+                // Numbers may be missing between: the last one before.
+                while let Some(next) = self.frame_alone(frame)?.filter(|next| next.sequence < now) {
+                    found = next;
+                }
+                return self.seek(Place::Frame(found.sequence), frame);
+            }
+            back *= 2;
+        }
+    }
+
+    /// Waits until a frame is due. `false` if the transport has asked for something else meanwhile, and the frame is to be
+    /// forgotten.
+    fn wait_for(&mut self, frame: &Frame) -> bool {
+        let mut state = self.transport.state();
+        let last_ns = state.playback.position.map_or(frame.time_ns, |position| position.time_ns);
+        loop {
+            if std::mem::take(&mut state.touched) {
+                self.clock = None;
+            }
+            if state.closed || state.sought.is_some() || state.steps < 0 {
+                return false;
+            }
+            if state.steps > 0 {
+                state.steps -= 1;
+                return true;
+            }
+            let condition = &self.transport.shared.1;
+            if !state.playback.playing {
+                state = condition.wait(state).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            }
+            if state.playback.speed == 0.0 {
+                return true;
+            }
+            let now = Instant::now();
+            let (since, since_ns) = *self.clock.get_or_insert((now, last_ns.min(frame.time_ns)));
+            let Some(elapsed_ns) = frame.time_ns.checked_sub(since_ns) else {
+                // The clock of the recording has started again.
+                self.clock = Some((now, frame.time_ns));
+                return true;
+            };
+            let due = Duration::try_from_secs_f64(elapsed_ns as f64 * 1e-9 / state.playback.speed);
+            let due = due.unwrap_or(Duration::MAX);
+            let left = due.saturating_sub(now - since);
+            if left.is_zero() {
+                // Who has fallen behind by much does not hurry after it.
+                if (now - since).saturating_sub(due) > Duration::from_secs(1) {
+                    self.clock = Some((now, frame.time_ns));
+                }
+                return true;
+            }
+            let waited = condition.wait_timeout(state, left.min(Duration::from_secs(3600)));
+            state = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+    }
+}
+
+fn position(frame: &Frame) -> Position {
+    Position { sequence: frame.sequence, time_ns: frame.time_ns }
+}
+
+impl FrameSource for Player {
+    fn waveform(&self) -> &Waveform {
+        self.recording.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        loop {
+            let found = match self.task() {
+                Task::Close => return Ok(SourceEvent::End),
+                Task::Seek(place) => self.seek(place, frame)?,
+                Task::Step => {
+                    self.frame_alone(frame)?.inspect(|found| self.transport.state().playback.position = Some(*found))
+                }
+                Task::StepBack => self.step_back(frame)?,
+                Task::Roll => {
+                    let found = self.frame_alone(frame)?;
+                    self.rolling_to = self.rolling_to.filter(|to| found.is_some_and(|found| found.sequence < *to));
+                    found
+                }
+                Task::Play => match self.next_of_recording(frame)? {
+                    SourceEvent::Frame => self.wait_for(frame).then(|| {
+                        let found = position(frame);
+                        self.transport.state().playback.position = Some(found);
+                        found
+                    }),
+                    SourceEvent::Gap(gap) => return Ok(SourceEvent::Gap(gap)),
+                    SourceEvent::End => None,
+                },
+            };
+            if found.is_some() {
+                return Ok(SourceEvent::Frame);
+            }
+        }
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        self.recording.frame_count()
+    }
+}

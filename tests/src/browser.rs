@@ -1,0 +1,282 @@
+//! Headless Chromium, driven over the DevTools protocol: <https://chromedevtools.github.io/devtools-protocol>.
+
+use std::io::{BufRead, BufReader};
+use std::net::TcpStream;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tungstenite::stream::MaybeTlsStream;
+use tungstenite::{Message, WebSocket};
+
+/// Longest wait for anything: machines are slow at times.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A page in a browser of its own, closed when dropped.
+pub struct Browser {
+    child: Child,
+    socket: WebSocket<MaybeTlsStream<TcpStream>>,
+    session: String,
+    next_id: u64,
+    /// Errors that scripts of the page threw or logged.
+    pub faults: Vec<String>,
+    _profile: tempfile::TempDir,
+}
+
+impl Browser {
+    /// Opens a page; `None`, with a word on stderr, where there is no Chromium.
+    ///
+    /// # Panics
+    /// If Chromium is there and does not do what it is asked for; so do all other methods.
+    #[allow(clippy::print_stderr)]
+    pub fn open(url: &str, width: u32, height: u32) -> Option<Browser> {
+        let program = std::env::var_os("RADOME_CHROMIUM").unwrap_or_else(|| "chromium".into());
+        let profile = tempfile::tempdir().expect("a folder");
+        let spawned = Command::new(program)
+            .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+            .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+            .args(["--disable-dev-shm-usage", "--enable-precise-memory-info", "--js-flags=--expose-gc"])
+            .args(["--remote-debugging-port=0", "--remote-allow-origins=*"])
+            .arg(format!("--user-data-dir={}", profile.path().display()))
+            .arg("about:blank")
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn();
+        let Ok(mut child) = spawned else {
+            eprintln!("skipped: no chromium; tests/run installs it, RADOME_CHROMIUM names another");
+            return None;
+        };
+        let mut said = BufReader::new(child.stderr.take().expect("piped")).lines();
+        let endpoint = said
+            .by_ref()
+            .map_while(Result::ok)
+            .find_map(|line| line.strip_prefix("DevTools listening on ").map(str::to_owned))
+            .expect("Chromium starts and names its DevTools");
+        // What it says from then on must go somewhere.
+        std::thread::spawn(move || said.count());
+        let (socket, _) = tungstenite::connect(endpoint).expect("DevTools");
+        if let MaybeTlsStream::Plain(stream) = socket.get_ref() {
+            stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        }
+        let mut browser =
+            Browser { child, socket, session: String::new(), next_id: 0, faults: Vec::new(), _profile: profile };
+        let target = browser.call("Target.createTarget", json!({ "url": "about:blank" }));
+        let attach = json!({ "targetId": target["targetId"], "flatten": true });
+        browser.session = browser.call("Target.attachToTarget", attach)["sessionId"].as_str().expect("one").to_owned();
+        browser.call("Page.enable", json!({}));
+        browser.call("Runtime.enable", json!({}));
+        browser.call("Log.enable", json!({}));
+        browser.resize(width, height, 1.0);
+        browser.call("Page.navigate", json!({ "url": url }));
+        Some(browser)
+    }
+
+    /// One method of the protocol.
+    pub fn call(&mut self, method: &str, parameters: Value) -> Value {
+        self.next_id += 1;
+        let id = self.next_id;
+        let mut message = json!({ "id": id, "method": method, "params": parameters });
+        if !self.session.is_empty() && !method.starts_with("Target.") && !method.starts_with("Browser.") {
+            message["sessionId"] = self.session.clone().into();
+        }
+        self.socket.send(Message::text(message.to_string())).expect("Chromium listens");
+        loop {
+            let answer = self.socket.read().expect("Chromium answers");
+            let Ok(text) = answer.to_text() else { continue };
+            let Ok(answer) = serde_json::from_str::<Value>(text) else { continue };
+            match answer["method"].as_str() {
+                Some("Runtime.exceptionThrown") => {
+                    self.faults.push(answer["params"]["exceptionDetails"].to_string());
+                }
+                Some("Log.entryAdded") if answer["params"]["entry"]["level"] == "error" => {
+                    self.faults.push(answer["params"]["entry"].to_string());
+                }
+                _ => {}
+            }
+            if answer["id"] == id {
+                assert!(answer.get("error").is_none(), "{method}: {answer}");
+                return answer["result"].clone();
+            }
+        }
+    }
+
+    /// Size of the page, CSS pixels, and how many of the screen's are one.
+    pub fn resize(&mut self, width: u32, height: u32, scale: f64) {
+        let metrics = json!({ "width": width, "height": height, "deviceScaleFactor": scale, "mobile": width < 600 });
+        self.call("Emulation.setDeviceMetricsOverride", metrics);
+    }
+
+    /// Value of an expression in the page.
+    pub fn evaluate(&mut self, expression: &str) -> Value {
+        let parameters = json!({ "expression": expression, "returnByValue": true, "awaitPromise": true });
+        let result = self.call("Runtime.evaluate", parameters);
+        assert!(result.get("exceptionDetails").is_none(), "{expression}: {result}");
+        result["result"]["value"].clone()
+    }
+
+    /// Waits until an expression holds.
+    pub fn wait_until(&mut self, expression: &str) {
+        let end = Instant::now() + PATIENCE;
+        while self.evaluate(&format!("Boolean({expression})")) != Value::Bool(true) {
+            let header = "JSON.stringify([radome.header?.answer, radome.labels, radome.playback, radome.state])";
+            assert!(Instant::now() < end, "never: {expression}; {}", self.evaluate(header));
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Presses a key: a character, or a name such as `ArrowLeft`.
+    pub fn key(&mut self, key: &str) {
+        let code = match key {
+            " " => 32,
+            "Tab" => 9,
+            "Enter" => 13,
+            "Escape" => 27,
+            "End" => 35,
+            "Home" => 36,
+            "ArrowLeft" => 37,
+            "ArrowUp" => 38,
+            "ArrowRight" => 39,
+            "ArrowDown" => 40,
+            _ => 0,
+        };
+        let mut down = json!({ "type": "keyDown", "key": key, "windowsVirtualKeyCode": code });
+        if key.chars().count() == 1 || key == "Enter" {
+            down["text"] = if key == "Enter" { "\r".into() } else { key.into() };
+        }
+        self.call("Input.dispatchKeyEvent", down);
+        self.call("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": key, "windowsVirtualKeyCode": code }));
+    }
+
+    /// Presses at one place of the page, moves to another, lets go.
+    pub fn drag(&mut self, from: (f64, f64), to: (f64, f64)) {
+        let mut mouse = |kind: &str, (x, y): (f64, f64), buttons: u32| {
+            self.call(
+                "Input.dispatchMouseEvent",
+                json!({ "type": kind, "x": x, "y": y, "button": "left", "buttons": buttons, "clickCount": 1 }),
+            );
+        };
+        mouse("mouseMoved", from, 0);
+        mouse("mousePressed", from, 1);
+        mouse("mouseMoved", (0.5 * (from.0 + to.0), 0.5 * (from.1 + to.1)), 1);
+        mouse("mouseMoved", to, 1);
+        mouse("mouseReleased", to, 0);
+    }
+
+    /// A picture of what is seen, as PNG.
+    pub fn screenshot(&mut self, path: &Path) {
+        let picture = self.call("Page.captureScreenshot", json!({ "format": "png" }));
+        let text = picture["data"].as_str().expect("base64");
+        std::fs::write(path, base64(text)).expect("writable");
+    }
+
+    /// Bytes of the page's JavaScript objects, after collecting those that nobody needs.
+    pub fn heap_bytes(&mut self) -> f64 {
+        self.call("HeapProfiler.collectGarbage", json!({}));
+        self.call("Runtime.getHeapUsage", json!({}))["usedSize"].as_f64().expect("bytes")
+    }
+
+    /// Process id of the browser.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+}
+
+impl Drop for Browser {
+    fn drop(&mut self) {
+        let close = json!({ "id": u32::MAX, "method": "Browser.close" });
+        let asked = self.socket.send(Message::text(close.to_string())).is_ok();
+        let end = Instant::now() + Duration::from_secs(10);
+        while asked && Instant::now() < end && matches!(self.child.try_wait(), Ok(None)) {
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn base64(text: &str) -> Vec<u8> {
+    let value = |c: u8| match c {
+        b'A'..=b'Z' => c - b'A',
+        b'a'..=b'z' => c - b'a' + 26,
+        b'0'..=b'9' => c - b'0' + 52,
+        b'+' => 62,
+        _ => 63,
+    };
+    let digits: Vec<u8> = text.bytes().filter(|c| *c != b'=').map(value).collect();
+    digits
+        .chunks(4)
+        .flat_map(|four| {
+            let bits = four.iter().fold(0u32, |bits, d| bits << 6 | u32::from(*d)) << (6 * (4 - four.len()));
+            bits.to_be_bytes().into_iter().skip(1).take(four.len() - 1).collect::<Vec<u8>>()
+        })
+        .collect()
+}
+
+/// A run of the program with a page, stopped when dropped.
+pub struct Served {
+    child: Child,
+    /// Address of the page: `127.0.0.1:PORT`.
+    pub address: String,
+}
+
+impl Served {
+    /// Starts a command that has everything but `--view`.
+    ///
+    /// # Panics
+    /// If it serves no page.
+    pub fn start(command: &mut Command) -> Served {
+        let mut child =
+            command.args(["--view", "--listen", "127.0.0.1:0"]).stderr(Stdio::piped()).spawn().expect("starts");
+        let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
+        let mut said = String::new();
+        let address = lines.by_ref().map_while(Result::ok).find_map(|line| {
+            said += &line;
+            line.strip_prefix("live page: http://").map(str::to_owned)
+        });
+        std::thread::spawn(move || lines.count());
+        Served { child, address: address.unwrap_or_else(|| panic!("no address: {said}")) }
+    }
+
+    /// Where browsers find it.
+    pub fn url(&self) -> String {
+        format!("http://{}/", self.address)
+    }
+
+    /// Process id.
+    pub fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Asks for an orderly end, waits for it and says whether it was one.
+    ///
+    /// # Panics
+    /// If it does not end.
+    pub fn stop(mut self) -> bool {
+        let _ = Command::new("kill").arg("-INT").arg(self.child.id().to_string()).status();
+        let end = Instant::now() + PATIENCE;
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child") {
+                return status.success();
+            }
+            assert!(Instant::now() < end, "does not end");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+
+    /// Waits for its own end.
+    ///
+    /// # Panics
+    /// If it cannot be waited for.
+    pub fn wait(mut self) -> bool {
+        self.child.wait().expect("a child").success()
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
