@@ -223,8 +223,9 @@ impl Player {
         let Extent { first, last } = self.extent;
         match place {
             Place::Time(time_s) if time_s >= last.time_s() => self.recording.seek_frame(last.sequence)?,
-            // The negated form also takes NaN.
-            Place::Time(time_s) if !(time_s > first.time_s()) => self.recording.seek_frame(first.sequence)?,
+            Place::Time(time_s) if time_s.is_nan() || time_s <= first.time_s() => {
+                self.recording.seek_frame(first.sequence)?
+            }
             Place::Time(time_s) => self.recording.seek_time_s(time_s)?,
             Place::Frame(sequence) => self.recording.seek_frame(sequence.min(last.sequence))?,
         }

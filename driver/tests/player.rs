@@ -172,7 +172,7 @@ fn labels_set_in_place_leave_all_else_alone_and_every_reader_finds_them() {
     assert_eq!(count, 30);
     // The format's own library.
     let summary = mcap::Summary::read(&after).expect("reads").expect("a summary");
-    let statistics = summary.stats.expect("statistics");
+    let statistics = summary.stats.clone().expect("statistics");
     assert_eq!(statistics.chunk_count as usize, summary.chunk_indexes.len());
     let messages: Vec<_> = mcap::MessageStream::new(&after).expect("opens").map(|m| m.expect("a message")).collect();
     assert_eq!(messages.len() as u64, statistics.message_count);

@@ -63,7 +63,18 @@ fn who_walks_away_has_positive_velocity_on_the_page() {
         let scene = folder.path().join("walk.toml");
         std::fs::write(&scene, format!("{head}{people}")).expect("writable");
         let mut child = radome()
-            .args(["demo", "--frames", "60", "--speed", "0.5", "--json", "--view", "--listen", "127.0.0.1:0", "--scene"])
+            .args([
+                "demo",
+                "--frames",
+                "60",
+                "--speed",
+                "0.5",
+                "--json",
+                "--view",
+                "--listen",
+                "127.0.0.1:0",
+                "--scene",
+            ])
             .arg(&scene)
             .stdout(Stdio::null())
             .stderr(Stdio::piped())

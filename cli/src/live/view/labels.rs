@@ -97,8 +97,7 @@ impl Book {
             Some((first_s, last_s)) => (span.start_s.max(first_s), span.end_s.min(last_s)),
             None => (span.start_s, span.end_s),
         };
-        // The negated form also takes NaN.
-        if !(end_s - start_s >= SHORTEST_S) {
+        if (end_s - start_s).is_nan() || end_s - start_s < SHORTEST_S {
             return;
         }
         if span.occupancy().is_some() {
