@@ -256,7 +256,7 @@ fn pictures() {
     browser.evaluate("radome.send({do: 'pause'})");
     browser.evaluate("radome.send({do: 'seek_frame', sequence: 269})");
     browser.wait_until("radome.header.answer.sequence === 269");
-    for (start_s, end_s, occupancy) in [(0.0, 5.6, "empty"), (5.6, 6.9, "one"), (6.9, 13.0, "two"), (13.0, 21.2, "one")]
+    for (start_s, end_s, occupancy) in [(0.0, 2.3, "empty"), (2.3, 3.5, "one"), (3.5, 14.1, "two"), (14.1, 15.2, "one")]
     {
         label(&mut browser, start_s, end_s, occupancy);
     }
