@@ -9,6 +9,7 @@ use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
 use radome_models::dataset::{Split, SplitSpec};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 
 /// Newest format of the file.
 const FORMAT: u32 = 1;
@@ -139,10 +140,13 @@ fn map_of_networks() -> RdmSpec {
 }
 
 fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<RdmSpec, D::Error> {
-    let given = toml::Table::deserialize(deserializer)?;
-    let mut all = toml::Table::try_from(map_of_networks()).map_err(D::Error::custom)?;
+    // Not a TOML table: a build's plan holds its spec as JSON, whose nulls that has no place for.
+    let given = serde_json::Map::deserialize(deserializer)?;
+    let Value::Object(mut all) = serde_json::to_value(map_of_networks()).map_err(D::Error::custom)? else {
+        return Err(D::Error::custom("a map is a table"));
+    };
     all.extend(given);
-    all.try_into().map_err(D::Error::custom)
+    serde_json::from_value(Value::Object(all)).map_err(D::Error::custom)
 }
 
 fn one() -> u64 {
@@ -207,6 +211,9 @@ mod tests {
         assert_eq!(read("format = 1").expect("valid").map, map_of_networks());
         let some = read("format = 1\n[map]\nchannels = { one = 0 }").expect("valid").map;
         assert_eq!(some, RdmSpec { channels: Channels::One(0), ..map_of_networks() });
+        let spec = read("format = 1\n[map]\nchannels = { one = 2 }").expect("valid");
+        let kept = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(serde_json::from_str::<BuildSpec>(&kept).expect("a plan's spec"), spec);
         let error = read("format = 1\n[map]\nchannel = 1").expect_err("no such key").to_string();
         assert!(error.contains("channel"), "{error}");
     }
