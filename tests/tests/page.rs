@@ -226,9 +226,9 @@ fn a_simulated_partner_stands_beside_its_recording() {
     assert!(browser.faults.is_empty(), "{:?}", browser.faults);
 }
 
-/// Pictures for the README: `RADOME_PICTURES=docs cargo test --release -p radome-tests --test page -- --ignored pictures`.
+/// Pictures for the README.
 #[test]
-#[ignore = "makes files"]
+#[ignore = "makes files: RADOME_PICTURES=docs cargo test --release --workspace --test page -- --ignored pictures"]
 fn pictures() {
     let Some(to) = std::env::var_os("RADOME_PICTURES").map(|to| radome_tests::root().join(to)) else { return };
     let folder = tempfile::tempdir().expect("a folder");
@@ -540,7 +540,7 @@ fn memory_bytes(id: u32) -> f64 {
 
 /// `tests/long page`: a page that stays open at ten times real time, `RADOME_PAGE_S` seconds of it.
 #[test]
-#[ignore = "takes half an hour"]
+#[ignore = "takes half an hour: tests/long page"]
 #[allow(clippy::print_stderr)]
 fn hours_of_frames_leave_no_trace_in_memory() {
     let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
