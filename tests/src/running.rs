@@ -1,7 +1,9 @@
 //! A program that runs while a test looks at it.
 
 use std::io::{BufRead, BufReader, Read};
+use std::net::TcpListener;
 use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -27,6 +29,11 @@ impl Lines {
     /// A copy of them.
     pub fn all(&self) -> Vec<String> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn last(&self, count: usize) -> Vec<String> {
+        let all = self.all();
+        all[all.len().saturating_sub(count)..].to_vec()
     }
 
     /// The first for which `pick` finds something, from line `from` on; waits for it.
@@ -119,8 +126,36 @@ impl Running {
 }
 
 impl Drop for Running {
+    /// Where a test has failed, what its programs said last may tell why.
+    #[allow(clippy::print_stderr)]
     fn drop(&mut self) {
+        let ended = self.child.try_wait();
         let _ = self.child.kill();
         let _ = self.child.wait();
+        if std::thread::panicking() {
+            eprintln!("process {}, {ended:?} when the test failed, last said:", self.id());
+            for line in self.stdout.last(5).iter().chain(&self.stderr.last(20)) {
+                eprintln!("    {line}");
+            }
+        }
     }
+}
+
+/// A port that nothing listens on, and that neither a test of this process nor an outgoing connection will take meanwhile: those
+/// that the kernel hands out lie above 32768.
+///
+/// # Panics
+/// If there is none.
+pub fn free_port() -> u16 {
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    const PORTS: std::ops::Range<u16> = 20_000..32_000;
+    let first = (std::process::id() % u32::from(PORTS.end - PORTS.start)) as u16;
+    for _ in PORTS {
+        let offset = first.wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed)) % (PORTS.end - PORTS.start);
+        let port = PORTS.start + offset;
+        if TcpListener::bind(("127.0.0.1", port)).is_ok() {
+            return port;
+        }
+    }
+    panic!("no port of {PORTS:?} is free")
 }

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_tests::running::{Running, wait_for};
+use radome_tests::running::{Running, free_port, wait_for};
 use radome_tests::{fixture, json_lines, radome};
 use serde_json::Value;
 
@@ -39,8 +39,9 @@ impl Broker {
     fn start(&mut self) {
         let mut command = Command::new(program("mosquitto").expect("there"));
         let settings = self.folder.path().join("mosquitto.conf");
-        self.process = Some(Running::start(command.arg("-c").arg(settings)));
+        let process = self.process.insert(Running::start(command.arg("-c").arg(settings)));
         wait_for("the broker", || TcpStream::connect(("127.0.0.1", self.port)).ok());
+        assert!(process.is_running(), "something else listens on port {}", self.port);
     }
 
     fn url(&self) -> String {
@@ -50,7 +51,9 @@ impl Broker {
     /// All messages, from those that are retained on.
     fn listen(&self) -> Running {
         let mut command = Command::new(program("mosquitto_sub").expect("there"));
-        Running::start(command.args(["-p", &self.port.to_string(), "-v", "-t", "#"]))
+        let hub = Running::start(command.args(["-p", &self.port.to_string(), "-d", "-v", "-t", "#"]));
+        hub.stdout.find(0, "the subscription", |line| line.contains("SUBACK").then_some(()));
+        hub
     }
 
     fn publish(&self, topic: &str, options: &[&str]) {
@@ -64,10 +67,6 @@ fn program(name: &str) -> Option<PathBuf> {
     let path = std::env::var("PATH").unwrap_or_default();
     let mut folders = path.split(':').chain(["/usr/sbin", "/usr/local/sbin"]);
     folders.find_map(|folder| Some(Path::new(folder).join(name)).filter(|program| program.exists()))
-}
-
-fn free_port() -> u16 {
-    TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a free port").port()
 }
 
 /// The corridor through an emulated board, at its own pace, until stopped.
