@@ -133,7 +133,7 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
             frames: options.frames,
             ..Default::default()
         };
-        let simulator = Simulator::new(&scene, simulate)?;
+        let simulator = Simulator::new(&scene, simulate)?.on_own_threads()?;
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
         Source::without_board(Box::new(simulator), description)
     } else {

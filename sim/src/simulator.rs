@@ -5,6 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
+use rayon::{ThreadPool, ThreadPoolBuilder};
 use thiserror::Error;
 
 use crate::render::Renderer;
@@ -100,8 +101,8 @@ pub struct FrameReport {
     pub clipped: usize,
 }
 
-/// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, from the first frame asked for until it is
-/// dropped or told to [`seek`](Simulator::seek).
+/// Frames of a scene. A stream is rendered a few frames ahead on rayon's threads, or [its own](Simulator::on_own_threads), from
+/// the first frame asked for until it is dropped or told to [`seek`](Simulator::seek).
 #[derive(Debug)]
 pub struct Simulator {
     inner: Arc<Renderer>,
@@ -111,6 +112,8 @@ pub struct Simulator {
     ahead: VecDeque<Ahead<(Frame, FrameReport)>>,
     spare: Vec<Frame>,
     last_report: Option<FrameReport>,
+    /// Where they are made, if not on the threads that all share.
+    pool: Option<Arc<ThreadPool>>,
 }
 
 impl Clone for Simulator {
@@ -122,6 +125,7 @@ impl Clone for Simulator {
             ahead: VecDeque::new(),
             spare: Vec::new(),
             last_report: None,
+            pool: self.pool.clone(),
         }
     }
 }
@@ -141,7 +145,20 @@ impl Simulator {
         }
         let scene = scene.drawn(options.seed).map_err(|error| SimError::Scene { reason: error.to_string() })?;
         let inner = Renderer::new(&scene, options);
-        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead: VecDeque::new(), spare: Vec::new(), last_report: None })
+        let (ahead, spare) = (VecDeque::new(), Vec::new());
+        Ok(Simulator { inner: Arc::new(inner), next: 0, ahead, spare, last_report: None, pool: None })
+    }
+
+    /// The stream is rendered on threads of its own, as many as rayon has: where it stands in for a board, who judges its frames
+    /// must not queue behind the next ones.
+    ///
+    /// # Errors
+    /// If the system gives no threads.
+    pub fn on_own_threads(mut self) -> std::io::Result<Self> {
+        let pool = ThreadPoolBuilder::new().num_threads(rayon::current_num_threads());
+        let pool = pool.thread_name(|i| format!("simulator-{i}")).build().map_err(std::io::Error::other)?;
+        self.pool = Some(Arc::new(pool));
+        Ok(self)
     }
 
     /// One frame, whichever came before.
@@ -217,12 +234,14 @@ impl Simulator {
 
     /// Has enough frames under way to keep all threads busy while one is looked at.
     fn look_ahead(&mut self) {
-        let most = 2 * rayon::current_num_threads().max(1) as u64;
+        let pool = self.pool.as_deref();
+        let threads = pool.map_or_else(rayon::current_num_threads, ThreadPool::current_num_threads);
+        let most = 2 * threads.max(1) as u64;
         let left = self.inner.options.frames.map_or(u64::MAX, |n| n.saturating_sub(self.next));
         for i in self.ahead.len() as u64..most.min(left) {
             let (inner, index) = (Arc::clone(&self.inner), self.next.saturating_add(i));
             let mut frame = self.spare.pop().unwrap_or_else(|| Frame::zeroed(self.waveform().shape()));
-            self.ahead.push_back(Ahead::new(move || {
+            self.ahead.push_back(Ahead::new(pool, move || {
                 let report = inner.render_into(index, &mut frame);
                 (frame, report)
             }));

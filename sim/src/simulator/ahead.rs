@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, TryRecvError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rayon::Yield;
+use rayon::{ThreadPool, Yield};
 
 /// Something being made; dropped, it is not begun any more, or ends unseen.
 #[derive(Debug)]
@@ -17,17 +17,21 @@ pub(super) struct Ahead<T> {
 }
 
 impl<T: Send + 'static> Ahead<T> {
-    /// Queues the making of something, first come first served.
-    pub(super) fn new(make: impl FnOnce() -> T + Send + 'static) -> Self {
+    /// Queues the making of something, first come first served, on the threads of a pool, or on those that all share.
+    pub(super) fn new(pool: Option<&ThreadPool>, make: impl FnOnce() -> T + Send + 'static) -> Self {
         let (send, result) = sync_channel(1);
         let unwanted = Arc::new(AtomicBool::new(false));
         let stop = Arc::clone(&unwanted);
-        rayon::spawn_fifo(move || {
+        let job = move || {
             if !stop.load(Ordering::Relaxed) {
                 // A panic is the asker's: unwinding here would end the process. Who no longer listens misses nothing.
                 let _ = send.send(catch_unwind(AssertUnwindSafe(make)));
             }
-        });
+        };
+        match pool {
+            Some(pool) => pool.spawn_fifo(job),
+            None => rayon::spawn_fifo(job),
+        }
         Ahead { result: Mutex::new(result), unwanted }
     }
 
@@ -63,7 +67,7 @@ mod tests {
 
     #[test]
     fn things_arrive_inside_and_outside_of_a_pool_of_one() {
-        let make = || (0..5).map(|i| Ahead::new(move || i)).collect::<Vec<_>>();
+        let make = || (0..5).map(|i| Ahead::new(None, move || i)).collect::<Vec<_>>();
         let wait = |all: Vec<Ahead<i32>>| all.into_iter().map(Ahead::wait).collect::<Vec<_>>();
         let expected: Vec<_> = (0..5).map(Some).collect();
         assert_eq!(wait(make()), expected);
@@ -78,7 +82,7 @@ mod tests {
 
     #[test]
     fn a_panic_reaches_who_waits() {
-        let made = Ahead::new(|| -> i32 { std::panic::resume_unwind(Box::new("no")) });
+        let made = Ahead::new(None, || -> i32 { std::panic::resume_unwind(Box::new("no")) });
         let caught = catch_unwind(AssertUnwindSafe(|| made.wait()));
         assert_eq!(caught.expect_err("panics").downcast_ref::<&str>(), Some(&"no"));
     }
@@ -90,8 +94,8 @@ mod tests {
         pool.install(|| {
             let mark = Arc::clone(&begun);
             // The pool's only thread is here, so nothing else has begun.
-            drop(Ahead::new(move || mark.store(true, Ordering::Relaxed)));
-            Ahead::new(|| ()).wait();
+            drop(Ahead::new(None, move || mark.store(true, Ordering::Relaxed)));
+            Ahead::new(None, || ()).wait();
         });
         assert!(!begun.load(Ordering::Relaxed));
     }
