@@ -3,11 +3,16 @@
 //!
 //! A wall gives a share of the power that falls on it back by Lambert's law (Degli-Esposti, Fuschini, Vitucci and Falciasecca,
 //! IEEE Transactions on Antennas and Propagation 55(1), 2007, section II: the square of their scattering coefficient S, for which
-//! they and others measured 0.2 to 0.4 and more). Here it is made of points with random phases, which stay where they are; the
-//! ways antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that their delays and
-//! rates are those of the geometry. A segment scatters in all directions what falls on it, as a convex body does on average
-//! over its directions: `|Gamma|^2 S / 4` for the surface S (Cauchy). Two diffuse legs in one path are left out: they carry the
-//! square of what is little.
+//! they and others measured 0.2 to 0.4 and more), besides what it mirrors. Here it is made of points with random phases, which
+//! stay where they are; the ways antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that
+//! their delays and rates are those of the geometry. A segment scatters in all directions what falls on it, as a convex body does
+//! on average over its directions: `|Gamma|^2 S / 4` for the surface S (Cauchy). For the ways by a point both there and back as
+//! many pairs of points stand as there are points.
+//!
+//! Between antenna and point may lie more walls: what a room returns after many of them dies away exponentially with delay
+//! (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation Magazine 49(2), 2007).
+//! Of all ways by n walls, image antennas stand for those that are mirrored at each of few; the points stand for the others. A
+//! point is the end of a random walk from wall to wall by Lambert's law, which carries what the walls leave of it.
 
 use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
 
@@ -15,6 +20,7 @@ use glam::DVec3;
 use num_complex::Complex64;
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use rand::Rng;
+use rand::seq::SliceRandom;
 
 use crate::echo::{Snapshot, inside_room};
 use crate::field::image::{BoxRoom, Element, Wall};
@@ -30,28 +36,81 @@ const LEAST_LEG_M: f64 = 0.3;
 /// Paths weaker than this over the threshold of a path alone are not heard even together.
 const HEARD: f64 = 0.1;
 
+/// How a room throws back in all directions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Diffuse {
+    /// Share of the power that falls on a wall.
+    pub share: f64,
+    /// Points.
+    pub points: usize,
+    /// Walls that a walk from an antenna to a point meets at most, its own included.
+    pub bounces: u32,
+    /// Up to so many walls, image antennas stand for what is mirrored at each.
+    pub mirrored: u32,
+}
+
 /// A point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
     position: DVec3,
     /// Into the room.
     normal: DVec3,
-    /// Transmitter to point: length, m, and what of a unit field the point throws out, times m, but for the cosine on its way
-    /// out.
+    /// Transmitter to point, by whatever walls: length, m, and what of a unit field the point throws out, times m, but for the
+    /// cosine on its way out.
     there: (f64, f64),
     /// The same for the way from the point to each receiver.
     back: Vec<(f64, f64)>,
     phase: Complex64,
+    /// Number of the point by which what came by this one goes back.
+    partner: usize,
 }
 
-/// So many points of a room, which throw back `share` of what falls on its walls.
-pub fn wall_points(
-    room: &BoxRoom,
-    (share, count): (f64, usize),
-    tx: &Element,
-    rx: &[Element],
-    seed: u64,
-) -> Vec<WallPoint> {
+/// A place on a wall of a room.
+#[derive(Clone, Copy)]
+struct Place {
+    wall: usize,
+    position: DVec3,
+    normal: DVec3,
+}
+
+impl Place {
+    fn new(wall: usize, position: DVec3) -> Self {
+        let normal = DVec3::AXES[wall / 2] * if wall % 2 == 0 { 1.0 } else { -1.0 };
+        Place { wall, position, normal }
+    }
+
+    /// Where in a room what leaves here by Lambert's law falls, and the cosine of the angle at which it does.
+    fn thrown(&self, size_m: DVec3, rng: &mut impl Rng) -> (Self, f64) {
+        // A point of the unit sphere about the tip of the normal.
+        let z: f64 = rng.random_range(-1.0..1.0);
+        let (sin, cos) = rng.random_range(0.0..TAU).sin_cos();
+        let ring = (1.0 - z * z).max(0.0).sqrt();
+        let towards = self.normal + DVec3::new(ring * cos, ring * sin, z);
+        let direction = towards.try_normalize().unwrap_or(self.normal);
+        let (mut nearest_m, mut wall) = (f64::INFINITY, self.wall ^ 1);
+        for axis in (0..3).filter(|&axis| direction[axis] != 0.0) {
+            let is_high = direction[axis] > 0.0;
+            let to = if is_high { size_m[axis] } else { 0.0 };
+            let distance_m = (to - self.position[axis]) / direction[axis];
+            let hit = 2 * axis + usize::from(is_high);
+            if hit != self.wall && distance_m < nearest_m {
+                (nearest_m, wall) = (distance_m, hit);
+            }
+        }
+        let there = Place::new(wall, (self.position + nearest_m * direction).clamp(DVec3::ZERO, size_m));
+        (there, -direction.dot(there.normal))
+    }
+}
+
+/// Number of walls of a walk and how many walks there are for each such: half meet one, a quarter two, and so on. `at` is 0 to 1.
+fn bounces(at: f64, most: u32) -> (u32, f64) {
+    let count = (1..most).find(|&n| at < 1.0 - 0.5f64.powi(n as i32)).unwrap_or(most.max(1));
+    (count, 2f64.powi(count.min(most.saturating_sub(1)) as i32))
+}
+
+/// The points of a room.
+pub fn wall_points(room: &BoxRoom, diffuse: Diffuse, tx: &Element, rx: &[Element], seed: u64) -> Vec<WallPoint> {
+    let Diffuse { share, points: count, .. } = diffuse;
     let size = room.size_m.to_array();
     let area = |wall: usize| match room.walls.get(wall) {
         Some(Wall::Open) | None => 0.0,
@@ -74,21 +133,76 @@ pub fn wall_points(
         let wall = wall.unwrap_or(5);
         let mut position = [0, 1, 2].map(|axis| size[axis] * rng.random::<f64>());
         position[wall / 2] = if wall % 2 == 0 { 0.0 } else { size[wall / 2] };
-        let position = DVec3::from_array(position);
-        let normal = DVec3::AXES[wall / 2] * if wall % 2 == 0 { 1.0 } else { -1.0 };
+        let first = Place::new(wall, DVec3::from_array(position));
+        let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
+        let walk = Walk::from(first, room, diffuse, tx.position, index, seed);
         // Lambert: of the power density S on dA goes `share S dA cos_in cos_out / (pi r^2)` out.
         let leg = |element: &Element| {
-            let offset = position - element.position;
+            let offset = first.position - element.position;
             let length_m = offset.length().max(LEAST_LEG_M);
             let direction = offset / length_m;
-            let cosine = (-direction.dot(normal)).max(0.0);
+            let cosine = (-direction.dot(first.normal)).max(0.0);
             let gain = element.pattern.field(element.radar_from_world * direction);
-            (length_m, gain * (share * whole / count as f64 * cosine / PI).sqrt() / length_m)
+            let thrown = gain * (walk.left * whole / count as f64 * cosine / PI).sqrt() / length_m;
+            (length_m + walk.length_m, thrown)
         };
-        let phase = Complex64::from_polar(1.0, rng.random_range(0.0..TAU));
-        points.push(WallPoint { position, normal, there: leg(tx), back: rx.iter().map(leg).collect(), phase });
+        let Place { position, normal, .. } = walk.end;
+        let back = rx.iter().map(leg).collect();
+        points.push(WallPoint { position, normal, there: leg(tx), back, phase, partner: index });
+    }
+    // Everyone with another, in one ring.
+    let mut ring: Vec<usize> = (0..count).collect();
+    ring.shuffle(&mut rng);
+    for (place, &index) in ring.iter().enumerate() {
+        let partner = ring.get((place + 1) % count).copied();
+        if let Some((point, partner)) = points.get_mut(index).zip(partner) {
+            point.partner = partner;
+        }
     }
     points
+}
+
+/// What a walk from wall to wall has come to.
+struct Walk {
+    end: Place,
+    /// From its first wall on.
+    length_m: f64,
+    /// Of the power that fell on the first wall, what the last one throws in all directions, times the walks for which it stands.
+    left: f64,
+}
+
+impl Walk {
+    fn from(first: Place, room: &BoxRoom, diffuse: Diffuse, from: DVec3, index: usize, seed: u64) -> Self {
+        let mut rng = generator(seed, Purpose::WallWalks, [index as u64, 0]);
+        // Walks of each number of walls from all over the room: multiples of the golden ratio fall everywhere.
+        let at = (index as f64 + 0.5) * 0.618_033_988_749_894_9;
+        let (count, weight) = bounces(at.fract(), diffuse.bounces);
+        // A wall gives no more than it gets: what it throws in all directions it does not mirror.
+        let mirrored_at = |place: &Place, cosine: f64| match room.walls.get(place.wall) {
+            None | Some(Wall::Open) => None,
+            Some(wall) => {
+                let reflection = wall.reflection(room.wavenumber_per_m, cosine.clamp(1e-3, 1.0));
+                let mean = 0.5 * (reflection.te.norm_sqr() + reflection.tm.norm_sqr());
+                Some(mean.min(1.0 - diffuse.share))
+            }
+        };
+        let cosine = (from - first.position).normalize_or_zero().dot(first.normal);
+        let (mut end, mut length_m) = (first, 0.0);
+        // Of all that fell on the first wall: what was mirrored at every wall, and what left it in whatever way.
+        let mut mirrored = mirrored_at(&first, cosine).unwrap_or(0.0);
+        let mut all = mirrored + diffuse.share;
+        for _ in 1..count {
+            let (next, cosine) = end.thrown(room.size_m, &mut rng);
+            length_m += next.position.distance(end.position);
+            end = next;
+            // What comes to an opening is gone.
+            let here = mirrored_at(&end, cosine);
+            mirrored *= here.unwrap_or(0.0);
+            all *= here.map_or(0.0, |here| here + diffuse.share);
+        }
+        let by_images = if count <= diffuse.mirrored { mirrored } else { 0.0 };
+        Walk { end, length_m, left: weight * (all - by_images) }
+    }
 }
 
 /// Surface of an ellipsoid, m^2 (Knud Thomsen's formula, good to 1 %).
@@ -108,54 +222,80 @@ pub fn add(
     receivers: &mut [Stretches],
 ) {
     let own: Vec<&Snapshot> = at_ends.iter().filter_map(|people| people.get(me)).collect();
-    let share = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
     let least = HEARD * stage.threshold_lsb;
     for (rx, (receiver, out)) in stage.rx.iter().zip(receivers).enumerate() {
         for segment in 0..own.first().map_or(0, |snapshot| snapshot.body.len()) {
+            let mut add = |there: End, back: End, phase: Complex64| {
+                let path = |now: &&Snapshot| key(stage, rx, now, segment, [there, back], phase);
+                let keys: Vec<(Key, Bend)> = own.iter().map(path).collect();
+                if keys.iter().all(|(key, _)| key.amplitude.norm() < least) {
+                    return;
+                }
+                for (place, ends) in keys.windows(2).enumerate() {
+                    out.push(halvings, place, Stretch::between(&ends[0], &ends[1], stretch_s));
+                }
+            };
             for point in &stage.wall_points {
-                let back = point.back.get(rx).copied().unwrap_or_default();
-                for (antenna, leg) in [(receiver, point.there), (&stage.tx, back)] {
-                    let keys: Vec<(Key, Bend)> =
-                        own.iter().map(|now| key(stage, rx, now, segment, share, point, leg, antenna)).collect();
-                    if keys.iter().all(|(key, _)| key.amplitude.norm() < least) {
-                        continue;
-                    }
-                    for (place, ends) in keys.windows(2).enumerate() {
-                        out.push(halvings, place, Stretch::between(&ends[0], &ends[1], stretch_s));
-                    }
+                let there = End::Point(point, point.there);
+                let back = |point: &'_ WallPoint| point.back.get(rx).copied().unwrap_or_default();
+                add(there, End::Antenna(receiver), point.phase);
+                add(End::Antenna(&stage.tx), End::Point(point, back(point)), point.phase);
+                if let Some(partner) = stage.wall_points.get(point.partner) {
+                    // One pair of as many as there are points.
+                    let weight = (stage.wall_points.len() as f64).sqrt();
+                    add(there, End::Point(partner, back(partner)), weight * point.phase * partner.phase);
                 }
             }
         }
     }
 }
 
-/// The path by way of a wall's point, whose `leg` to one antenna is known, and a segment to the other `antenna`.
-#[allow(clippy::too_many_arguments)]
-fn key(
-    stage: &Stage,
-    rx: usize,
-    now: &Snapshot,
-    segment: usize,
-    share: f64,
-    point: &WallPoint,
-    (leg_m, thrown): (f64, f64),
-    antenna: &Element,
-) -> (Key, Bend) {
+/// From where a segment is lit, or where its echo goes.
+#[derive(Clone, Copy)]
+enum End<'a> {
+    Antenna(&'a Element),
+    /// With its leg to an antenna.
+    Point(&'a WallPoint, (f64, f64)),
+}
+
+impl End<'_> {
+    fn position(&self) -> DVec3 {
+        match self {
+            End::Antenna(antenna) => antenna.position,
+            End::Point(point, _) => point.position,
+        }
+    }
+
+    /// Length behind it, m, and field that it sends in a direction, times m.
+    fn sends(&self, direction: DVec3) -> (f64, f64) {
+        match self {
+            End::Antenna(antenna) => (0.0, antenna.pattern.field(antenna.radar_from_world * direction)),
+            End::Point(point, (leg_m, thrown)) => (*leg_m, thrown * direction.dot(point.normal).max(0.0).sqrt()),
+        }
+    }
+}
+
+/// The path by way of a segment from one end to the other.
+fn key(stage: &Stage, rx: usize, now: &Snapshot, segment: usize, ends: [End<'_>; 2], phase: Complex64) -> (Key, Bend) {
     let (centre, velocity, acceleration) = now.centre(segment);
-    let (from_wall, to_antenna) = (centre - point.position, antenna.position - centre);
-    let (wall_m, antenna_m) = (from_wall.length(), to_antenna.length());
-    let (from, to) = (from_wall / wall_m.max(1e-9), to_antenna / antenna_m.max(1e-9));
-    let delay_s = (leg_m + wall_m + antenna_m) / SPEED_OF_LIGHT_M_PER_S;
-    let along = from - to;
+    let (mut length_m, mut field, mut along) = (0.0, 1.0, DVec3::ZERO);
+    for end in ends {
+        let offset = centre - end.position();
+        let distance_m = offset.length();
+        let direction = offset / distance_m.max(1e-9);
+        let (behind_m, sent) = end.sends(direction);
+        length_m += behind_m + distance_m;
+        field *= sent / distance_m.max(LEAST_LEG_M);
+        along += direction;
+    }
+    let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
     let delay_rate = along.dot(velocity) / SPEED_OF_LIGHT_M_PER_S;
     let aperture = stage.wavelength_m / (4.0 * PI);
-    let scattered = now.body.get(segment).map_or(0.0, |e| (share * surface_m2(e) / (16.0 * PI)).sqrt());
-    let gain = antenna.pattern.field(antenna.radar_from_world * -to);
-    let out = from.dot(point.normal).max(0.0).sqrt();
+    let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
+    let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
     // Of what is thrown in all directions an antenna takes one polarisation.
-    let strength = thrown * out * gain * aperture * scattered * FRAC_1_SQRT_2 * inside_room(stage, centre)
-        / (wall_m.max(LEAST_LEG_M) * antenna_m.max(LEAST_LEG_M));
-    let amplitude = stage.at_adc(rx, point.phase * strength, stage.chirp.beat_hz(delay_s, delay_rate));
+    let strength = field * aperture * scattered * FRAC_1_SQRT_2 * inside_room(stage, centre);
+    let amplitude = stage.at_adc(rx, phase * strength, stage.chirp.beat_hz(delay_s, delay_rate));
     let bend = Bend { delay: [along.dot(acceleration) / SPEED_OF_LIGHT_M_PER_S, 0.0], ..Bend::default() };
     (Key { delay_s, delay_rate, amplitude }, bend)
 }
@@ -204,7 +344,7 @@ mod tests {
         }
         const SEEDS: u64 = 3000;
         let drawn: f64 = (0..SEEDS)
-            .flat_map(|seed| wall_points(&room, (share, 32), &antenna, &[], seed))
+            .flat_map(|seed| wall_points(&room, one_wall(share), &antenna, &[], seed))
             .map(|point| {
                 let on = place - point.position;
                 point.there.1.powi(2) * on.normalize().dot(point.normal).max(0.0) / on.length_squared()
@@ -212,7 +352,59 @@ mod tests {
             .sum();
         let ratio = drawn / SEEDS as f64 / exact;
         assert!((ratio - 1.0).abs() < 0.03, "{ratio}");
-        assert!(wall_points(&room, (0.0, 32), &antenna, &[antenna], 1).is_empty());
+        assert!(wall_points(&room, one_wall(0.0), &antenna, &[antenna], 1).is_empty());
+    }
+
+    fn one_wall(share: f64) -> Diffuse {
+        Diffuse { share, points: 32, bounces: 1, mirrored: 2 }
+    }
+
+    fn walks(diffuse: Diffuse, walls: [Wall; 6]) -> (BoxRoom, Vec<Walk>) {
+        let room = BoxRoom { size_m: DVec3::new(6.0, 3.5, 2.5), walls, wavenumber_per_m: 1257.0, transmission: false };
+        let from = DVec3::new(0.3, 1.6, 1.5);
+        // Lambert's walk falls equally often on equal parts of the walls, so it may begin at any.
+        let mut rng = generator(7, Purpose::WallPoints, [0, 0]);
+        let begin = |index: usize| {
+            let mut place = Place::new(4, DVec3::new(rng.random_range(0.0..6.0), rng.random_range(0.0..3.5), 0.0));
+            for _ in 0..8 {
+                place = place.thrown(room.size_m, &mut rng).0;
+            }
+            Walk::from(place, &room, diffuse, from, index, 7)
+        };
+        let walks = (0..20_000).map(begin).collect();
+        (room, walks)
+    }
+
+    /// Between two walls lies on average 4 V / S, whatever the room's shape (Kosten, Acustica 10, 1960): the way of a diffuse
+    /// field.
+    #[test]
+    fn walls_are_a_mean_free_path_apart() {
+        let diffuse = Diffuse { share: 0.1, points: 1, bounces: 2, mirrored: 2 };
+        let (room, walks) = walks(diffuse, [Wall::Conductor; 6]);
+        let second: Vec<f64> = walks.iter().map(|walk| walk.length_m).filter(|length_m| *length_m > 0.0).collect();
+        let mean = second.iter().sum::<f64>() / second.len() as f64;
+        let DVec3 { x, y, z } = room.size_m;
+        let exact = 4.0 * x * y * z / (2.0 * (x * y + y * z + z * x));
+        assert!((second.len() as f64 / walks.len() as f64 - 0.5).abs() < 0.001);
+        assert!((mean / exact - 1.0).abs() < 0.02, "{mean} {exact}");
+    }
+
+    /// Conductors lose nothing: by any number of walls all comes through, less what images stand for; by openings, nothing.
+    #[test]
+    fn walks_carry_what_walls_leave_and_images_do_not() {
+        let mean = |diffuse, walls| {
+            let (_, walks) = walks(diffuse, walls);
+            walks.iter().map(|walk| walk.left).sum::<f64>() / walks.len() as f64
+        };
+        let diffuse = Diffuse { share: 0.1, points: 1, bounces: 6, mirrored: 0 };
+        let none = mean(diffuse, [Wall::Conductor; 6]);
+        assert!((none / 6.0 - 1.0).abs() < 0.01, "{none}");
+        let two = mean(Diffuse { mirrored: 2, ..diffuse }, [Wall::Conductor; 6]);
+        assert!((two / (0.1 + (1.0 - 0.9 * 0.9) + 4.0) - 1.0).abs() < 0.01, "{two}");
+        let open = mean(diffuse, [Wall::Open; 6]);
+        assert!((open / 0.1 - 1.0).abs() < 0.01, "{open}");
+        let one = mean(Diffuse { bounces: 1, mirrored: 2, ..diffuse }, [Wall::Conductor; 6]);
+        assert!((one - 0.1).abs() < 1e-12, "{one}");
     }
 
     /// A sphere is its own average; of a needle nothing is left but its side.

@@ -36,6 +36,8 @@ pub enum Purpose {
     PhaseNoise,
     /// When echoes step, and by how much.
     ClutterStep,
+    /// Ways from wall to wall.
+    WallWalks,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

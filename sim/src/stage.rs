@@ -6,7 +6,7 @@ use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
 use rand::Rng;
 
 use crate::chirp::Chirp;
-use crate::diffuse::{WallPoint, wall_points};
+use crate::diffuse::{Diffuse, WallPoint, wall_points};
 use crate::field::image::{BoxRoom, Element, ImageIndex, images, order};
 use crate::random::{Purpose, generator};
 use crate::receiver::budget::{Filters, lsb_per_unit_amplitude};
@@ -101,7 +101,12 @@ impl Stage {
             static_paths: Vec::new(),
             threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
         };
-        let diffuse = (scene.file().room.diffuse_share, scene.file().room.diffuse_points as usize);
+        let diffuse = Diffuse {
+            share: scene.file().room.diffuse_share,
+            points: scene.file().room.diffuse_points as usize,
+            bounces: scene.file().room.diffuse_bounces,
+            mirrored: max_body,
+        };
         stage.wall_points = wall_points(&stage.room, diffuse, &stage.tx, &stage.rx, seed);
         stage.add_walls(scene.file().room.max_reflections);
         stage.add_furniture(scene, seed);

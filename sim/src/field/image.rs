@@ -33,7 +33,8 @@ pub enum Wall {
 }
 
 impl Wall {
-    fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+    /// What it mirrors.
+    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
         match *self {
             Wall::Slab { permittivity, thickness_m } => {
                 fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection

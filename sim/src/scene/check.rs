@@ -132,6 +132,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     within("max_body_reflections", f64::from(room.max_body_reflections), 0.0, 3.0, "reflections")?;
     within("diffuse_share", room.diffuse_share, 0.0, 0.5, "of the power")?;
     within("diffuse_points", f64::from(room.diffuse_points), 1.0, 1024.0, "points")?;
+    within("diffuse_bounces", f64::from(room.diffuse_bounces), 1.0, 16.0, "walls")?;
     for (_, surface) in surfaces(room) {
         within("thickness_m", surface.thickness_m, 0.0, 10.0, "m")?;
     }

@@ -85,6 +85,10 @@ pub struct RoomFile {
     /// noise is; in long rooms that takes more. Default 32, at most 1024.
     #[serde(default = "thirty_two")]
     pub diffuse_points: u32,
+    /// Walls that a way by such a point meets at most between antenna and person. Each leaves what it mirrors and its diffuse
+    /// share: a room returns the more, and the longer, the harder its walls. Default 1, at most 16.
+    #[serde(default = "one")]
+    pub diffuse_bounces: u32,
     /// Surface at x = 0.
     #[serde(default)]
     pub x_low: SurfaceFile,
@@ -524,6 +528,9 @@ impl Default for DeskFile {
 
 fn two() -> u32 {
     2
+}
+fn one() -> u32 {
+    1
 }
 fn thirty_two() -> u32 {
     32
