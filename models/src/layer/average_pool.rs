@@ -3,9 +3,13 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Feature;
+use super::crew::for_each_chunk;
+use super::level::dispatch;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::{Feature, KernelLevel};
 
+/// Channels that are added up at once.
+const LANES: usize = 16;
 const NAME: &str = "adaptive_average_pool";
 
 /// Means over bins: `[batch][row][column][channel]` to `[batch][channel * rows * columns]`, flattened channel-first as
@@ -56,24 +60,50 @@ impl AveragePool {
 
     /// Fills in the means.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
-        let bins = self.rows * self.columns;
-        result.par_chunks_exact_mut(channels * bins).zip(input.par_chunks_exact(rows * columns * channels)).for_each(
-            |(out, map)| {
-                let mut sums = vec![0.0f32; channels];
-                self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
-                    sums.fill(0.0);
-                    for row in top..bottom {
-                        let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
-                        for cell in cells.chunks_exact(channels) {
-                            sums.iter_mut().zip(cell).for_each(|(s, &v)| *s += v);
-                        }
-                    }
-                    for (channel, &sum) in sums.iter().enumerate() {
-                        out[channel * bins + index] = sum * weight;
-                    }
-                });
-            },
-        );
+        let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
+        for_each_chunk(result, channels * bins, |index, out| {
+            let map = &input[index * rows * columns * channels..][..rows * columns * channels];
+            let mut sums = vec![0.0f32; channels];
+            self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
+                sums.fill(0.0);
+                for row in top..bottom {
+                    add_cells(
+                        level,
+                        &map[(row * columns + left) * channels..(row * columns + right) * channels],
+                        &mut sums,
+                    );
+                }
+                for (channel, &sum) in sums.iter().enumerate() {
+                    out[channel * bins + index] = sum * weight;
+                }
+            });
+        });
+    }
+}
+
+dispatch! {
+    /// Adds cells of as many channels as there are sums. Nothing is multiplied: the same bits at every level.
+    fn add_cells(cells: &[f32], sums: &mut [f32]) = add_cells_generic
+}
+
+#[inline(always)]
+fn add_cells_generic<const FUSED: bool>(cells: &[f32], sums: &mut [f32]) {
+    let channels = sums.len();
+    for first in (0..channels).step_by(LANES) {
+        // Sixteen sums stay in registers while cells go by.
+        if let Some(sums) = sums[first..].first_chunk_mut::<LANES>() {
+            let mut of_lanes = *sums;
+            for cell in cells.chunks_exact(channels) {
+                if let Some(values) = cell[first..].first_chunk::<LANES>() {
+                    of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
+                }
+            }
+            *sums = of_lanes;
+        } else {
+            for cell in cells.chunks_exact(channels) {
+                sums[first..].iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
+            }
+        }
     }
 }
 

@@ -1,7 +1,10 @@
 //! Convolution of every channel by itself. Channels are contiguous, so they are the lanes.
 
+use std::cell::RefCell;
+
 use rayon::prelude::*;
 
+use super::crew::for_each_task;
 use super::sweep::Sweep;
 use super::tile::{ChannelTile, Shared, TapTile, Tiles, part};
 
@@ -60,11 +63,7 @@ pub(super) fn run(
             unsafe { tiles.channel_tile(rows.len(), &tile) };
         }
     };
-    if tasks == 1 {
-        task(&mut Scratch::default(), 0);
-    } else {
-        (0..tasks).into_par_iter().for_each_init(Scratch::default, task);
-    }
+    for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
 /// Gradient `[channel][tap]` of the weights, where `gradient` belongs to what `sweep` computes from `source`: summed by
@@ -122,4 +121,8 @@ pub(super) fn weight_gradient(sweep: &Sweep, source: &[f32], gradient: &[f32], t
 struct Scratch {
     addresses: Vec<*const f32>,
     targets: Vec<*mut f32>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }

@@ -23,6 +23,7 @@ mod batch_norm;
 mod circuit;
 mod conv2d;
 mod conv_relu_pool;
+mod crew;
 mod cross_entropy;
 mod depthwise;
 mod drop_samples;
@@ -56,6 +57,7 @@ pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch
 pub use circuit::{circuit, circuit_of, circuit_of_call};
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};
 pub use conv2d::{ConvGeometry, conv2d};
+pub(crate) use crew::{Crew, for_each_chunk};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
 pub use drop_samples::drop_samples;
