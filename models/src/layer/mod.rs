@@ -48,6 +48,8 @@ mod tile;
 mod trigonometric;
 mod vector;
 mod weight_gradient;
+mod window;
+mod winograd;
 
 pub use activation::{Activation, activation, add_relu};
 pub use average_pool::adaptive_average_pool;
