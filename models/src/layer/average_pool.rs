@@ -58,20 +58,19 @@ impl AveragePool {
         }
     }
 
-    /// Fills in the means.
+    /// Fills in the means. Channels that are added up at once are a task, where no others are left.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
         let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
-        for_each_chunk(result, channels * bins, |index, out| {
-            let map = &input[index * rows * columns * channels..][..rows * columns * channels];
-            let mut sums = vec![0.0f32; channels];
+        let group = if channels.is_multiple_of(LANES) { LANES } else { channels };
+        for_each_chunk(result, group * bins, |index, out| {
+            let (image, first) = (index / (channels / group), index % (channels / group) * group);
+            let map = &input[image * rows * columns * channels..][..rows * columns * channels];
+            let mut sums = vec![0.0f32; group];
             self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
                 sums.fill(0.0);
                 for row in top..bottom {
-                    add_cells(
-                        level,
-                        &map[(row * columns + left) * channels..(row * columns + right) * channels],
-                        &mut sums,
-                    );
+                    let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
+                    add_cells(level, cells, channels, first, &mut sums);
                 }
                 for (channel, &sum) in sums.iter().enumerate() {
                     out[channel * bins + index] = sum * weight;
@@ -82,28 +81,24 @@ impl AveragePool {
 }
 
 dispatch! {
-    /// Adds cells of as many channels as there are sums. Nothing is multiplied: the same bits at every level.
-    fn add_cells(cells: &[f32], sums: &mut [f32]) = add_cells_generic
+    /// Adds the channels from `first` on of cells of `channels`. Nothing is multiplied: the same bits at every level.
+    fn add_cells(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) = add_cells_generic
 }
 
 #[inline(always)]
-fn add_cells_generic<const FUSED: bool>(cells: &[f32], sums: &mut [f32]) {
-    let channels = sums.len();
-    for first in (0..channels).step_by(LANES) {
-        // Sixteen sums stay in registers while cells go by.
-        if let Some(sums) = sums[first..].first_chunk_mut::<LANES>() {
-            let mut of_lanes = *sums;
-            for cell in cells.chunks_exact(channels) {
-                if let Some(values) = cell[first..].first_chunk::<LANES>() {
-                    of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
-                }
-            }
-            *sums = of_lanes;
-        } else {
-            for cell in cells.chunks_exact(channels) {
-                sums[first..].iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
-            }
+fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
+    let cells = cells.chunks_exact(channels);
+    if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
+        // They stay in registers while cells go by.
+        let mut of_lanes = *sums;
+        for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
+            of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
         }
+        *sums = of_lanes;
+        return;
+    }
+    for cell in cells {
+        sums.iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
     }
 }
 

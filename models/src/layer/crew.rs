@@ -172,7 +172,7 @@ impl Board {
                 {
                     board.work(job);
                 }
-                (done, since, turns) = (round, Instant::now(), 0u32);
+                (done, since, turns) = (round, Instant::now(), 0);
             } else {
                 // Never to the system: on a busy machine it would be back when the run is over.
                 std::hint::spin_loop();

@@ -8,8 +8,10 @@ use super::crew::for_each_task;
 use super::sweep::Sweep;
 use super::tile::{ChannelTile, Shared, TapTile, Tiles, part};
 
-/// Cells that a task takes.
-const CELLS_PER_TASK: usize = 256;
+/// Cells that a task takes at most, and at least if there are more.
+const CELLS_PER_TASK: [usize; 2] = [256, 16];
+/// Tasks that a map is cut into at least, where it can be.
+const TASKS: usize = 8;
 
 /// Weights `[channel][tap]` to `[tap][channel]`.
 pub(super) fn tap_first(weight: &[f32], taps: usize) -> Vec<f32> {
@@ -39,7 +41,8 @@ pub(super) fn run(
     assert!(sweep.taps.iter().all(|t| (t.index as usize + 1) * channels <= weight.len()));
     let indices: Vec<u32> = sweep.taps.iter().map(|t| t.index).collect();
     let zeros = vec![0.0f32; channels];
-    let tasks = cells.div_ceil(CELLS_PER_TASK);
+    let [most, least] = CELLS_PER_TASK;
+    let tasks = cells.div_ceil(most).max(cells.div_ceil(least).min(TASKS));
     let shared = Shared::new(target);
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);

@@ -10,7 +10,8 @@
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
 //!   [`scale_channels`], [`dropout`], [`activation`]: what the larger networks are made of. Dense products read maps where
 //!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
-//! - [`PreparedConv`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used again.
+//! - [`PreparedConv`], [`PreparedBlock`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
+//!   again; 3x3 convolutions go by windows of cells (`winograd.rs`), and threads stay awake from layer to layer (`crew.rs`).
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of

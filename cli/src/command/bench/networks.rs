@@ -123,7 +123,7 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
             let Some(milliseconds) = times.iter().copied().reduce(f64::min) else { continue };
             points.push(Point {
                 stage,
-                way: peer.name,
+                way: peer.name.clone(),
                 milliseconds,
                 error: None,
                 error_unit: "of logits",
@@ -160,7 +160,7 @@ type Run = Box<dyn FnMut() -> anyhow::Result<()>>;
 /// Milliseconds of each of `repeats` runs, behind one that does not count: what `networks.py` does.
 fn times(repeats: usize, run: &mut Run) -> anyhow::Result<Vec<f64>> {
     run()?;
-    let timed = |_| {
+    let timed = |_| -> anyhow::Result<f64> {
         let began = Instant::now();
         run()?;
         Ok(1e3 * began.elapsed().as_secs_f64())
@@ -190,10 +190,9 @@ fn compare(
         };
         let mut run = ours(&spec, &folder)?;
         let python = arguments.python.as_deref();
-        let onnx = [None, (what == "infer").then_some(folder.as_path())];
         let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);
-        let mut peers: Vec<Peer> =
-            onnx[..if what == "infer" { 2 } else { 1 }].iter().filter_map(|onnx| start(*onnx)).collect();
+        let in_onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
+        let mut peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
         let mut of_peers = vec![Vec::new(); peers.len() + 1];
         for _ in 0..arguments.turns.max(1) {
             of_peers[0].extend(times(repeats, &mut run)?);
