@@ -14,10 +14,9 @@ use rayon::prelude::*;
 
 /// How long a helper waits for work before it goes back among rayon's threads.
 const LINGER: Duration = Duration::from_micros(300);
-/// Turns of waiting before a helper looks at the clock.
-const TURNS: u32 = 64;
-/// Turns for which a leader waits for helpers at their last tasks before it offers them its processor.
-const PATIENCE: u32 = 1 << 12;
+/// Turns of waiting, some ten nanoseconds each, before a thread offers its processor to others: longer than from step to step, for
+/// on a busy machine it may be back when the run is over, and no longer, for who is waited for may be in want of this very one.
+const PATIENCE: u32 = 1 << 11;
 
 thread_local! {
     /// The crew that this thread leads.
@@ -104,8 +103,7 @@ impl Crew {
                 self.0.round.0.fetch_add(1, Ordering::SeqCst);
                 let mut turns = 0;
                 while self.0.inside.0.load(Ordering::SeqCst) != 0 {
-                    turns += 1;
-                    if turns < PATIENCE { std::hint::spin_loop() } else { std::thread::yield_now() }
+                    wait(&mut turns);
                 }
             }
         }
@@ -174,15 +172,19 @@ impl Board {
                 }
                 (done, since, turns) = (round, Instant::now(), 0);
             } else {
-                // Never to the system: on a busy machine it would be back when the run is over.
-                std::hint::spin_loop();
-                turns += 1;
-                if turns.is_multiple_of(TURNS) && since.elapsed() > LINGER {
+                wait(&mut turns);
+                if turns > PATIENCE && since.elapsed() > LINGER {
                     return;
                 }
             }
         }
     }
+}
+
+/// One turn of waiting for another thread.
+fn wait(turns: &mut u32) {
+    *turns = turns.saturating_add(1);
+    if *turns <= PATIENCE { std::hint::spin_loop() } else { std::thread::yield_now() }
 }
 
 #[cfg(test)]
