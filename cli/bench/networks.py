@@ -1,11 +1,12 @@
 """PyTorch and onnxruntime doing what `radome bench train` and `radome bench infer` do, on as many threads.
 
-    python3 cli/bench/networks.py train [--threads 2] [--batch 32] [--repeats 7] [NETWORK...]
-    python3 cli/bench/networks.py infer [--threads 2] [--onnx DIR] [--repeats 30] [NETWORK...]
+    python3 cli/bench/networks.py train [--threads 2] [--batch 32] [--repeats 7] [--turns] [NETWORK...]
+    python3 cli/bench/networks.py infer [--threads 2] [--onnx DIR] [--repeats 30] [--turns] [NETWORK...]
 
-Prints a JSON object a line: model, peer, batch, threads, milliseconds (the least of the repeats). DIR holds what
-`radome export` wrote, NETWORK.onnx. Needs torch, torchvision and, for --onnx, onnxruntime and numpy; `radome bench` calls it
-where they are.
+Prints a JSON object a line: model, peer, batch, threads, milliseconds (of each repeat, behind one that does not count), a line a
+network. With --turns each network is prepared, says so by an empty line, and is then run again for each line of standard input:
+so programs take turns. DIR holds what `radome export` wrote, NETWORK.onnx. Needs torch, torchvision and, for --onnx, onnxruntime
+and numpy; `radome bench` calls it where they are.
 """
 
 import argparse
@@ -82,18 +83,26 @@ def build(name):
     return network
 
 
-def least(repeats, run):
+def times(repeats, run):
     run()
-    times = []
+    milliseconds = []
     for _ in range(repeats):
         began = time.perf_counter()
         run()
-        times.append(time.perf_counter() - began)
-    return 1e3 * min(times)
+        milliseconds.append(1e3 * (time.perf_counter() - began))
+    return milliseconds
 
 
-def row(model, peer, batch, threads, milliseconds):
-    print(json.dumps({"model": model, "peer": peer, "batch": batch, "threads": threads, "milliseconds": milliseconds}), flush=True)
+def rows(arguments, model, peer, batch, run):
+    def turn():
+        row = {"model": model, "peer": peer, "batch": batch, "threads": arguments.threads}
+        print(json.dumps(row | {"milliseconds": times(arguments.repeats, run)}), flush=True)
+
+    if not arguments.turns:
+        return turn()
+    print(flush=True)
+    for _ in sys.stdin:
+        turn()
 
 
 def train(arguments):
@@ -112,7 +121,7 @@ def train(arguments):
             loss(network(maps), labels).backward()
             adam.step()
 
-        row(name, "pytorch", arguments.batch, arguments.threads, least(arguments.repeats, step))
+        rows(arguments, name, "pytorch", arguments.batch, step)
 
 
 def infer(arguments):
@@ -128,8 +137,7 @@ def infer(arguments):
             of = session.get_inputs()[0]
             shape = [size if isinstance(size, int) else arguments.batch for size in of.shape]
             maps = numpy.random.default_rng(1).standard_normal(shape, numpy.float32)
-            milliseconds = least(arguments.repeats, lambda: session.run(None, {of.name: maps}))
-            row(name, "onnxruntime", shape[0], arguments.threads, milliseconds)
+            rows(arguments, name, "onnxruntime", shape[0], lambda: session.run(None, {of.name: maps}))
         return
     import torch
 
@@ -137,7 +145,7 @@ def infer(arguments):
     for name in arguments.networks:
         network, maps = build(name).eval(), torch.randn(arguments.batch, 1, 128, 128)
         with torch.inference_mode():
-            row(name, "pytorch", arguments.batch, arguments.threads, least(arguments.repeats, lambda: network(maps)))
+            rows(arguments, name, "pytorch", arguments.batch, lambda: network(maps))
 
 
 def main():
@@ -148,6 +156,7 @@ def main():
     parser.add_argument("--batch", type=int)
     parser.add_argument("--repeats", type=int)
     parser.add_argument("--onnx", metavar="DIR")
+    parser.add_argument("--turns", action="store_true")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.networks if name not in NETWORKS]
     if unknown:

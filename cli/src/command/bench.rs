@@ -1,6 +1,7 @@
 mod circuit;
 mod kept_dense;
 mod networks;
+mod peer;
 mod people;
 mod point;
 mod rdm;

@@ -3,9 +3,13 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Feature;
+use super::crew::for_each_chunk;
+use super::level::dispatch;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::{Feature, KernelLevel};
 
+/// Channels that are added up at once.
+const LANES: usize = 16;
 const NAME: &str = "adaptive_average_pool";
 
 /// Means over bins: `[batch][row][column][channel]` to `[batch][channel * rows * columns]`, flattened channel-first as
@@ -54,26 +58,47 @@ impl AveragePool {
         }
     }
 
-    /// Fills in the means.
+    /// Fills in the means. Channels that are added up at once are a task, where no others are left.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
-        let bins = self.rows * self.columns;
-        result.par_chunks_exact_mut(channels * bins).zip(input.par_chunks_exact(rows * columns * channels)).for_each(
-            |(out, map)| {
-                let mut sums = vec![0.0f32; channels];
-                self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
-                    sums.fill(0.0);
-                    for row in top..bottom {
-                        let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
-                        for cell in cells.chunks_exact(channels) {
-                            sums.iter_mut().zip(cell).for_each(|(s, &v)| *s += v);
-                        }
-                    }
-                    for (channel, &sum) in sums.iter().enumerate() {
-                        out[channel * bins + index] = sum * weight;
-                    }
-                });
-            },
-        );
+        let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
+        let group = if channels.is_multiple_of(LANES) { LANES } else { channels };
+        for_each_chunk(result, group * bins, |index, out| {
+            let (image, first) = (index / (channels / group), index % (channels / group) * group);
+            let map = &input[image * rows * columns * channels..][..rows * columns * channels];
+            let mut sums = vec![0.0f32; group];
+            self.for_each_bin(rows, columns, |index, (top, bottom), (left, right), weight| {
+                sums.fill(0.0);
+                for row in top..bottom {
+                    let cells = &map[(row * columns + left) * channels..(row * columns + right) * channels];
+                    add_cells(level, cells, channels, first, &mut sums);
+                }
+                for (channel, &sum) in sums.iter().enumerate() {
+                    out[channel * bins + index] = sum * weight;
+                }
+            });
+        });
+    }
+}
+
+dispatch! {
+    /// Adds the channels from `first` on of cells of `channels`. Nothing is multiplied: the same bits at every level.
+    fn add_cells(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) = add_cells_generic
+}
+
+#[inline(always)]
+fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
+    let cells = cells.chunks_exact(channels);
+    if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
+        // They stay in registers while cells go by.
+        let mut of_lanes = *sums;
+        for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
+            of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
+        }
+        *sums = of_lanes;
+        return;
+    }
+    for cell in cells {
+        sums.iter_mut().zip(&cell[first..]).for_each(|(s, &v)| *s += v);
     }
 }
 

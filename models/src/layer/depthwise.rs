@@ -1,12 +1,17 @@
 //! Convolution of every channel by itself. Channels are contiguous, so they are the lanes.
 
+use std::cell::RefCell;
+
 use rayon::prelude::*;
 
+use super::crew::for_each_task;
 use super::sweep::Sweep;
 use super::tile::{ChannelTile, Shared, TapTile, Tiles, part};
 
-/// Cells that a task takes.
-const CELLS_PER_TASK: usize = 256;
+/// Cells that a task takes at most, and at least if there are more.
+const CELLS_PER_TASK: [usize; 2] = [256, 16];
+/// Tasks that a map is cut into at least, where it can be.
+const TASKS: usize = 8;
 
 /// Weights `[channel][tap]` to `[tap][channel]`.
 pub(super) fn tap_first(weight: &[f32], taps: usize) -> Vec<f32> {
@@ -36,7 +41,8 @@ pub(super) fn run(
     assert!(sweep.taps.iter().all(|t| (t.index as usize + 1) * channels <= weight.len()));
     let indices: Vec<u32> = sweep.taps.iter().map(|t| t.index).collect();
     let zeros = vec![0.0f32; channels];
-    let tasks = cells.div_ceil(CELLS_PER_TASK);
+    let [most, least] = CELLS_PER_TASK;
+    let tasks = cells.div_ceil(most).max(cells.div_ceil(least).min(TASKS));
     let shared = Shared::new(target);
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);
@@ -60,11 +66,7 @@ pub(super) fn run(
             unsafe { tiles.channel_tile(rows.len(), &tile) };
         }
     };
-    if tasks == 1 {
-        task(&mut Scratch::default(), 0);
-    } else {
-        (0..tasks).into_par_iter().for_each_init(Scratch::default, task);
-    }
+    for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
 /// Gradient `[channel][tap]` of the weights, where `gradient` belongs to what `sweep` computes from `source`: summed by
@@ -122,4 +124,8 @@ pub(super) fn weight_gradient(sweep: &Sweep, source: &[f32], gradient: &[f32], t
 struct Scratch {
     addresses: Vec<*const f32>,
     targets: Vec<*mut f32>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }

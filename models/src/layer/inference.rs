@@ -1,13 +1,18 @@
 //! Convolutions prepared once and run often, without a graph of gradients: what inference is made of.
 
-use candle_core::{Error, Result};
-use rayon::prelude::*;
-
 use super::activation::{Activation, CHUNK, add_in_place, in_place};
 use super::conv2d::{ConvGeometry, ConvSizes};
+use super::crew::for_each_chunk;
 use super::packed::{Packed, Side};
 use super::tile::Tiles;
+use super::winograd::{Finish, Winograd};
 use super::{KernelLevel, depthwise};
+use candle_core::{Error, Result};
+
+/// Inputs from which on windows of cells are worth their transforms.
+const FEW_CHANNELS: usize = 8;
+/// Weights up to which they are: there are 16 for nine, and to fetch more of them takes longer than the sums that are saved.
+const MOST_TRANSFORMED: usize = 1 << 16;
 
 /// Maps `[batch][row][column][channel]` in a buffer that keeps its memory from one use to the next.
 #[derive(Debug, Clone, Default)]
@@ -65,6 +70,7 @@ pub struct PreparedConv {
 
 enum Weight {
     Dense(Packed),
+    Winograd(Winograd),
     Depthwise(Vec<f32>),
 }
 
@@ -110,10 +116,16 @@ impl PreparedConv {
         for (o, kernel) in folded.chunks_exact_mut(inputs * rows * columns).enumerate() {
             kernel.iter_mut().for_each(|w| *w *= scale(o));
         }
-        let bias =
+        let bias: Vec<f32> =
             (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
         let tiles = Tiles::new(level);
-        let weight = if geometry.groups > 1 {
+        let in_windows = [rows, columns] == [3, 3]
+            && geometry == ConvGeometry::dense(1, 1)
+            && inputs >= FEW_CHANNELS
+            && inputs * outputs <= MOST_TRANSFORMED;
+        let weight = if in_windows {
+            Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
+        } else if geometry.groups > 1 {
             Weight::Depthwise(depthwise::tap_first(&folded, rows * columns))
         } else {
             Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
@@ -141,12 +153,25 @@ impl PreparedConv {
             Weight::Depthwise(weight) => {
                 depthwise::run(&sweep, &input.values, weight, Some(&self.bias), &mut output.values, self.tiles);
             }
+            Weight::Winograd(winograd) => {
+                let [batch, rows, columns, _] = input.dims;
+                let rectified = self.activation == Activation::Relu;
+                let whole = rectified || self.activation == Activation::None;
+                let residual = residual.filter(|_| whole).map(|residual| residual.values.as_slice());
+                let finish = Finish::Cells { residual, rectified };
+                winograd.run(&input.values, [batch, rows, columns], finish, &mut output.values);
+                if whole {
+                    return Ok(());
+                }
+            }
         }
         if let Some(residual) = residual {
-            let parts = output.values.par_chunks_mut(CHUNK).zip(residual.values.par_chunks(CHUNK));
-            parts.for_each(|(values, residual)| add_in_place(self.level, self.activation, values, residual));
+            for_each_chunk(&mut output.values, CHUNK, |index, values| {
+                let residual = &residual.values[index * CHUNK..][..values.len()];
+                add_in_place(self.level, self.activation, values, residual);
+            });
         } else if self.activation != Activation::None {
-            output.values.par_chunks_mut(CHUNK).for_each(|values| in_place(self.level, self.activation, values));
+            for_each_chunk(&mut output.values, CHUNK, |_, values| in_place(self.level, self.activation, values));
         }
         Ok(())
     }

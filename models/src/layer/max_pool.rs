@@ -5,6 +5,7 @@ use std::sync::OnceLock;
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
+use super::crew::for_each_chunk;
 use super::level::dispatch;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 use super::{Feature, KernelLevel};
@@ -99,9 +100,30 @@ impl Feature {
         let pool = MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() };
         let (batch, sizes) = pool.sizes(&self.dims())?;
         output.reshape([batch, sizes.output[0], sizes.output[1], sizes.channels]);
-        let mut winners = vec![0; output.values().len()];
-        pool.run(&sizes, self.values(), output.values_mut(), &mut winners);
+        let map = sizes.input[0] * sizes.input[1] * sizes.channels;
+        for_each_chunk(output.values_mut(), sizes.output[1] * sizes.channels, |index, line| {
+            let (image, row) = (index / sizes.output[0], index % sizes.output[0]);
+            let input = &self.values()[image * map..(image + 1) * map];
+            for (column, best) in line.chunks_exact_mut(sizes.channels).enumerate() {
+                best.fill(f32::NEG_INFINITY);
+                for (_, cell) in pool.window(&sizes, row, column) {
+                    keep_larger(pool.level, &input[cell * sizes.channels..][..sizes.channels], best);
+                }
+            }
+        });
         Ok(())
+    }
+}
+
+dispatch! {
+    /// Replaces values by larger ones; a NaN counts as larger than all, and stays.
+    fn keep_larger(values: &[f32], best: &mut [f32]) = keep_larger_generic
+}
+
+#[inline(always)]
+fn keep_larger_generic<const FUSED: bool>(values: &[f32], best: &mut [f32]) {
+    for (best, &value) in best.iter_mut().zip(values) {
+        *best = if (value > *best) | value.is_nan() { value } else { *best };
     }
 }
 

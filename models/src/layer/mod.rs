@@ -10,7 +10,8 @@
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
 //!   [`scale_channels`], [`dropout`], [`activation`]: what the larger networks are made of. Dense products read maps where
 //!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
-//! - [`PreparedConv`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used again.
+//! - [`PreparedConv`], [`PreparedBlock`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
+//!   again; 3x3 convolutions go by windows of cells (`winograd.rs`), and threads stay awake from layer to layer (`crew.rs`).
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
@@ -23,6 +24,7 @@ mod batch_norm;
 mod circuit;
 mod conv2d;
 mod conv_relu_pool;
+mod crew;
 mod cross_entropy;
 mod depthwise;
 mod drop_samples;
@@ -47,6 +49,8 @@ mod tile;
 mod trigonometric;
 mod vector;
 mod weight_gradient;
+mod window;
+mod winograd;
 
 pub use activation::{Activation, activation, add_relu};
 pub use average_pool::adaptive_average_pool;
@@ -56,6 +60,7 @@ pub use batch_norm::{BatchNormConstants, BatchNormMode, RunningStatistics, batch
 pub use circuit::{circuit, circuit_of, circuit_of_call};
 pub use conv_relu_pool::{InputGradient, conv_relu_pool};
 pub use conv2d::{ConvGeometry, conv2d};
+pub(crate) use crew::{Crew, for_each_chunk};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
 pub use drop_samples::drop_samples;

@@ -4,6 +4,7 @@ use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::Feature;
+use super::crew::for_each_chunk;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 const NAME: &str = "scale_channels";
@@ -40,9 +41,9 @@ impl Feature {
         if batch != b || channels != c || rows * columns * channels == 0 {
             candle_core::bail!("{NAME}: expected a scale [{batch}, 1, 1, {channels}], got {:?}", scale.dims());
         }
-        let maps = self.values_mut().par_chunks_exact_mut(rows * columns * channels);
-        maps.zip(scale.values().par_chunks_exact(channels)).for_each(|(map, scale)| {
-            for cell in map.chunks_exact_mut(channels) {
+        for_each_chunk(self.values_mut(), columns * channels, |index, row| {
+            let scale = &scale.values()[index / rows * channels..][..channels];
+            for cell in row.chunks_exact_mut(channels) {
                 cell.iter_mut().zip(scale).for_each(|(v, &s)| *v *= s);
             }
         });

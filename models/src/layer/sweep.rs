@@ -1,7 +1,8 @@
 //! A dense product over all cells of a grid: convolution forwards, its input's gradient, and the linear layer.
 
-use rayon::prelude::*;
+use std::cell::RefCell;
 
+use super::crew::for_each_task;
 use super::packed::Packed;
 use super::tile::{RowTile, Shared, part};
 
@@ -224,17 +225,13 @@ impl Sweep {
         let panels = weights.panels();
         let panel_tasks = TASKS.div_ceil(row_tasks).min(panels);
         let shared = Shared::new(target);
-        let task = |scratch: &mut Scratch, index: usize| {
+        for_each_task(row_tasks * panel_tasks, |index| {
             let cells = part(cells, row_tasks, index / panel_tasks);
             let panels = part(panels, panel_tasks, index % panel_tasks);
-            self.task(scratch, cells, panels, source, weights, start.as_deref(), &zeros, shared);
-        };
-        let tasks = row_tasks * panel_tasks;
-        if tasks == 1 {
-            task(&mut Scratch::default(), 0);
-        } else {
-            (0..tasks).into_par_iter().for_each_init(Scratch::default, task);
-        }
+            SCRATCH.with_borrow_mut(|scratch| {
+                self.task(scratch, cells, panels, source, weights, start.as_deref(), &zeros, shared);
+            });
+        });
     }
 
     #[allow(clippy::too_many_arguments)]
@@ -299,4 +296,8 @@ struct Scratch {
     addresses: Vec<*const f32>,
     targets: Vec<*mut f32>,
     patches: Vec<f32>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
 }

@@ -276,9 +276,15 @@ macro_rules! kernels {
     };
 }
 
-kernels!(plain_rows, plain_outer, plain_channels, plain_taps, Plain, , 1 2 3 4 5 6);
+kernels!(
+    plain_rows, plain_outer, plain_channels, plain_taps, Plain, , 1 2 3 4 5 6
+);
 #[cfg(target_arch = "x86_64")]
-kernels!(avx2_rows, avx2_outer, avx2_channels, avx2_taps, Avx2, #[target_feature(enable = "avx2,fma")], 1 2 3 4 5 6);
+kernels!(
+    avx2_rows, avx2_outer, avx2_channels, avx2_taps, Avx2,
+    #[target_feature(enable = "avx2,fma")],
+    1 2 3 4 5 6
+);
 #[cfg(target_arch = "x86_64")]
 kernels!(
     avx512_rows, avx512_outer, avx512_channels, avx512_taps, Avx512,
@@ -289,7 +295,7 @@ kernels!(
 /// Sizes of the tiles of one kernel level, and its kernels.
 #[derive(Clone, Copy)]
 pub(super) struct Tiles {
-    level: KernelLevel,
+    pub level: KernelLevel,
     /// Values in a vector.
     pub lanes: usize,
     /// Most rows of a tile.

@@ -19,6 +19,9 @@ pub(super) trait Vector: Copy {
     /// Writes the first `count` lanes only.
     unsafe fn store_first(self, to: *mut f32, count: usize);
     unsafe fn add(self, other: Self) -> Self;
+    unsafe fn subtract(self, other: Self) -> Self;
+    /// The larger value of each lane; `other`'s if one of them is a NaN.
+    unsafe fn larger(self, other: Self) -> Self;
     /// `self * factor + sum`.
     unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self;
 }
@@ -66,6 +69,16 @@ impl Vector for Plain {
     #[inline(always)]
     unsafe fn add(self, other: Self) -> Self {
         Plain(std::array::from_fn(|k| self.0[k] + other.0[k]))
+    }
+
+    #[inline(always)]
+    unsafe fn subtract(self, other: Self) -> Self {
+        Plain(std::array::from_fn(|k| self.0[k] - other.0[k]))
+    }
+
+    #[inline(always)]
+    unsafe fn larger(self, other: Self) -> Self {
+        Plain(std::array::from_fn(|k| if self.0[k] > other.0[k] { self.0[k] } else { other.0[k] }))
     }
 
     #[inline(always)]
@@ -132,6 +145,16 @@ mod x86 {
         }
 
         #[inline(always)]
+        unsafe fn subtract(self, other: Self) -> Self {
+            Avx2(unsafe { _mm256_sub_ps(self.0, other.0) })
+        }
+
+        #[inline(always)]
+        unsafe fn larger(self, other: Self) -> Self {
+            Avx2(unsafe { _mm256_max_ps(self.0, other.0) })
+        }
+
+        #[inline(always)]
         unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self {
             Avx2(unsafe { _mm256_fmadd_ps(self.0, factor.0, sum.0) })
         }
@@ -179,6 +202,16 @@ mod x86 {
         #[inline(always)]
         unsafe fn add(self, other: Self) -> Self {
             Avx512(unsafe { _mm512_add_ps(self.0, other.0) })
+        }
+
+        #[inline(always)]
+        unsafe fn subtract(self, other: Self) -> Self {
+            Avx512(unsafe { _mm512_sub_ps(self.0, other.0) })
+        }
+
+        #[inline(always)]
+        unsafe fn larger(self, other: Self) -> Self {
+            Avx512(unsafe { _mm512_max_ps(self.0, other.0) })
         }
 
         #[inline(always)]

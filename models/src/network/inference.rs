@@ -11,8 +11,8 @@ use rayon::prelude::*;
 use super::graph::{INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, squashed,
-    trigonometric_features,
+    Activation, Affine, ConvGeometry, Crew, Feature, KernelLevel, PreparedBlock, PreparedConv, for_each_chunk,
+    squashed, trigonometric_features,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
@@ -28,6 +28,7 @@ pub struct Inference {
     /// Results of the steps. A buffer is used again once everybody has read it.
     buffers: Vec<Feature>,
     output: usize,
+    crew: Crew,
 }
 
 /// A layer, or several that are one: the buffers that it reads, and the one that it writes.
@@ -110,7 +111,17 @@ impl Inference {
     }
 
     /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`.
-    pub fn logits(&mut self, maps: &[f32], [batch, range, doppler]: [usize; 3]) -> Result<&[f32]> {
+    pub fn logits(&mut self, maps: &[f32], shape: [usize; 3]) -> Result<&[f32]> {
+        self.logits_step_by_step(maps, shape, |_| ())
+    }
+
+    /// [`Inference::logits`] that calls `after` behind each step, with its name: to see what they take.
+    pub fn logits_step_by_step(
+        &mut self,
+        maps: &[f32],
+        [batch, range, doppler]: [usize; 3],
+        mut after: impl FnMut(&str),
+    ) -> Result<&[f32]> {
         if batch * range * doppler != maps.len() || maps.is_empty() {
             bail!("expected {batch} maps of {range} x {doppler} bins, got {} values", maps.len());
         }
@@ -118,13 +129,13 @@ impl Inference {
             input.reshape([batch, range, doppler, 1]);
             input.values_mut().copy_from_slice(maps);
         }
-        // Among the threads from beginning to end: to go there and back for every step costs more than some steps.
-        let Inference { steps, buffers, output } = self;
-        rayon::scope(|_| {
+        let Inference { steps, buffers, output, crew } = self;
+        crew.lead(|| {
             steps.iter().try_for_each(|step| {
                 let mut output = std::mem::take(&mut buffers[step.output]);
                 let done = step.run(buffers, &mut output);
                 buffers[step.output] = output;
+                after(&step.name);
                 done.map_err(|error| error.context(step.name.clone()))
             })
         })?;
@@ -158,7 +169,7 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
         buffer_of[index + 1] = step.output;
         free.extend(done.into_iter().filter(|&buffer| buffer != step.output));
     }
-    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output] }
+    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], crew: Crew::default() }
 }
 
 /// Steps as they are found.
@@ -405,9 +416,10 @@ impl Step {
                     bail!("expected equal shapes, got {:?} and {:?}", output.dims(), other.dims());
                 }
                 let function = if *rectified { Activation::Relu } else { Activation::None };
-                let chunks = output.values_mut().par_chunks_mut(CHUNK).zip(other.values().par_chunks(CHUNK));
-                chunks
-                    .for_each(|(to, from)| to.iter_mut().zip(from).for_each(|(x, y)| *x = activate(function, *x + y)));
+                for_each_chunk(output.values_mut(), CHUNK, |index, values| {
+                    let other = &other.values()[index * CHUNK..];
+                    values.iter_mut().zip(other).for_each(|(x, y)| *x = activate(function, *x + y));
+                });
             }
             Kernel::Activate(function) => {
                 output.values_mut().iter_mut().for_each(|x| *x = activate(*function, *x));

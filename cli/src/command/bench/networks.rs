@@ -1,16 +1,16 @@
 //! `radome bench train` and `radome bench infer`: networks beside PyTorch and onnxruntime in the same run.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use radome_models::layer::KernelLevel;
 use radome_models::network::{Inference, Network};
 use radome_models::train::Trainer;
 use radome_models::{NetworkSpec, onnx};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
+use super::peer::Peer;
 use super::point::{Point, least_ms};
 use crate::output;
 
@@ -37,9 +37,12 @@ pub struct Arguments {
     /// Threads, ours and the peers'
     #[arg(long, default_value_t = 2)]
     threads: usize,
-    /// Runs of which the least counts
+    /// Runs of a turn, behind one that does not count
     #[arg(long)]
     repeats: Option<usize>,
+    /// Turns that ours and the peers take one after the other
+    #[arg(long, default_value_t = 5)]
+    turns: usize,
     /// Python with torch, torchvision and onnxruntime; `python3` if not given, and nothing beside ours if it has none
     #[arg(long)]
     python: Option<PathBuf>,
@@ -48,15 +51,20 @@ pub struct Arguments {
     json: bool,
 }
 
-/// One network by one program.
-#[derive(Serialize, Deserialize, Clone)]
+/// One network by one program: the least and the median of all runs of all turns.
+#[derive(Serialize)]
 struct Row {
     model: String,
     peer: String,
     batch: usize,
     threads: usize,
     milliseconds: f64,
+    median_milliseconds: f64,
 }
+
+/// One after the other as often as `turns` says, so that whatever else the machine does meets all of them. What one program's
+/// threads do when there is nothing to do, they do in the pause behind its turn and not in the next one's.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// A training step: forward, backward, Adam.
 pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
@@ -66,7 +74,7 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
         // learnt by heart would make later steps cheaper.
         let mut trainer = Trainer::new(spec, 1, 0.0, KernelLevel::detect())?;
         let (maps, labels) = Trainer::made_up_maps(batch, SIZE, SIZE)?;
-        least(repeats, || Ok(trainer.step(&maps, &labels).map(|_| ())?))
+        Ok(Box::new(move || Ok(trainer.step(&maps, &labels).map(|_| ())?)))
     })
 }
 
@@ -108,24 +116,20 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
                 is_peer: false,
             });
         }
-        let arguments = Arguments {
-            networks: Vec::new(),
-            batch: None,
-            threads: rayon::current_num_threads(),
-            repeats: None,
-            python: python.map(Path::to_owned),
-            json: false,
-        };
-        let mut rows = peers(&arguments, "infer", name, 1, ROUNDS, None);
-        rows.extend(peers(&arguments, "infer", name, 1, ROUNDS, Some(&folder)));
-        points.extend(rows.into_iter().map(|row| Point {
-            stage,
-            way: row.peer,
-            milliseconds: row.milliseconds,
-            error: None,
-            error_unit: "of logits",
-            is_peer: true,
-        }));
+        let threads = rayon::current_num_threads();
+        for onnx in [None, Some(folder.as_path())] {
+            let Some(mut peer) = Peer::start(python, "infer", name, threads, 1, ROUNDS, onnx) else { continue };
+            let times = peer.turn();
+            let Some(milliseconds) = times.iter().copied().reduce(f64::min) else { continue };
+            points.push(Point {
+                stage,
+                way: peer.name.clone(),
+                milliseconds,
+                error: None,
+                error_unit: "of logits",
+                is_peer: true,
+            });
+        }
     }
     std::fs::remove_dir_all(&folder)?;
     Ok(points)
@@ -140,7 +144,7 @@ pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
         std::fs::write(folder.join(format!("{name}.onnx")), onnx::export_network(&network, SIZE, SIZE)?)?;
         let maps: Vec<f32> = Trainer::made_up_maps(batch, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
         let mut inference = Inference::new(&network)?;
-        least(repeats, || Ok(inference.logits(&maps, [batch, SIZE, SIZE]).map(|_| ())?))
+        Ok(Box::new(move || Ok(inference.logits(&maps, [batch, SIZE, SIZE]).map(|_| ())?)))
     })
 }
 
@@ -150,15 +154,18 @@ fn named(spec: &NetworkSpec) -> anyhow::Result<String> {
     found.context("a network without a name")
 }
 
-fn least(repeats: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
+/// Runs one network of ours once.
+type Run = Box<dyn FnMut() -> anyhow::Result<()>>;
+
+/// Milliseconds of each of `repeats` runs, behind one that does not count: what `networks.py` does.
+fn times(repeats: usize, run: &mut Run) -> anyhow::Result<Vec<f64>> {
     run()?;
-    let mut least = f64::INFINITY;
-    for _ in 0..repeats {
+    let timed = |_| -> anyhow::Result<f64> {
         let began = Instant::now();
         run()?;
-        least = least.min(1e3 * began.elapsed().as_secs_f64());
-    }
-    Ok(least)
+        Ok(1e3 * began.elapsed().as_secs_f64())
+    };
+    (0..repeats).map(timed).collect()
 }
 
 fn compare(
@@ -166,7 +173,7 @@ fn compare(
     what: &str,
     batch: usize,
     repeats: usize,
-    ours: &dyn Fn(&NetworkSpec, &Path) -> anyhow::Result<f64>,
+    ours: &dyn Fn(&NetworkSpec, &Path) -> anyhow::Result<Run>,
 ) -> anyhow::Result<()> {
     let names: Vec<String> = match arguments.networks.as_slice() {
         [] => NETWORKS.map(str::to_owned).to_vec(),
@@ -181,25 +188,44 @@ fn compare(
         let Some(spec) = NetworkSpec::named(name) else {
             bail!("there is no network '{name}'\n\nhint: `radome models` lists them");
         };
-        let mut of_network = vec![Row {
-            model: name.clone(),
-            peer: "radome".to_owned(),
-            batch,
-            threads,
-            milliseconds: ours(&spec, &folder)?,
-        }];
-        // Beside each of ours its peers, so that whatever else the machine does meets both.
-        of_network.extend(peers(arguments, what, name, batch, repeats, None));
-        if what == "infer" {
-            of_network.extend(peers(arguments, what, name, batch, repeats, Some(&folder)));
+        let mut run = ours(&spec, &folder)?;
+        let python = arguments.python.as_deref();
+        let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);
+        let in_onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
+        let mut peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
+        let mut of_peers = vec![Vec::new(); peers.len() + 1];
+        for _ in 0..arguments.turns.max(1) {
+            of_peers[0].extend(times(repeats, &mut run)?);
+            std::thread::sleep(PAUSE);
+            for (peer, times) in peers.iter_mut().zip(&mut of_peers[1..]) {
+                times.extend(peer.turn());
+                std::thread::sleep(PAUSE);
+            }
+        }
+        let names = std::iter::once("radome").chain(peers.iter().map(|peer| peer.name.as_str()));
+        let mut of_network = Vec::new();
+        for (peer, mut times) in names.zip(of_peers) {
+            times.sort_by(f64::total_cmp);
+            let (Some(&milliseconds), Some(&median_milliseconds)) = (times.first(), times.get(times.len() / 2)) else {
+                continue;
+            };
+            let (model, peer) = (name.clone(), peer.to_owned());
+            of_network.push(Row { model, peer, batch, threads, milliseconds, median_milliseconds });
         }
         if !arguments.json {
-            let own = of_network.first().map_or(f64::NAN, |row| row.milliseconds);
+            let own = of_network.first().map_or([f64::NAN; 2], |row| [row.milliseconds, row.median_milliseconds]);
             for row in &of_network {
-                let ratio = own / row.milliseconds;
+                let ratios = [own[0] / row.milliseconds, own[1] / row.median_milliseconds];
                 output::text_line(&format!(
-                    "{:18} {:12} batch {:2} {} threads {:9.2} ms   ours is {ratio:.2} of it",
-                    row.model, row.peer, row.batch, row.threads, row.milliseconds
+                    "{:18} {:12} batch {:2} {} threads: least {:8.3} ms, median {:8.3} ms; ours is {:.2} and {:.2} of it",
+                    row.model,
+                    row.peer,
+                    row.batch,
+                    row.threads,
+                    row.milliseconds,
+                    row.median_milliseconds,
+                    ratios[0],
+                    ratios[1]
                 ))?;
             }
         }
@@ -207,22 +233,4 @@ fn compare(
     }
     std::fs::remove_dir_all(&folder)?;
     if arguments.json { output::json_line(&rows) } else { Ok(()) }
-}
-
-/// What the script of the peers says, or nothing where it cannot run.
-fn peers(arguments: &Arguments, what: &str, name: &str, batch: usize, repeats: usize, onnx: Option<&Path>) -> Vec<Row> {
-    let python = arguments.python.clone().unwrap_or_else(|| PathBuf::from("python3"));
-    let mut command = Command::new(python);
-    command.args(["cli/bench/networks.py", what, name, "--threads", &arguments.threads.to_string()]);
-    command.args(["--batch", &batch.to_string(), "--repeats", &repeats.to_string()]);
-    if let Some(folder) = onnx {
-        command.arg("--onnx").arg(folder);
-    }
-    let Ok(output) = command.output() else { return Vec::new() };
-    if !output.status.success() {
-        let said = String::from_utf8_lossy(&output.stderr);
-        eprintln!("no peer for {name}: {}", said.lines().last().unwrap_or("it failed without a word"));
-    }
-    let said = String::from_utf8_lossy(&output.stdout);
-    said.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
 }

@@ -129,8 +129,95 @@ fn a_prepared_convolution_is_the_layers_in_a_row() {
     }
 }
 
+/// `[sample][row][column][channel]` to `[sample][channel][row][column]`.
+fn channel_first(values: &[f32], channels: usize, cells: usize) -> Vec<f64> {
+    let samples = values.chunks_exact(channels * cells);
+    samples.flat_map(|s| (0..channels * cells).map(move |k| f64::from(s[k % cells * channels + k / cells]))).collect()
+}
+
+/// Windows of two by two cells, at all levels: odd sizes, maps smaller than a window, channels that fill no vector, several panels,
+/// more windows than a task takes.
+#[test]
+fn convolutions_by_windows_agree_with_the_reference() {
+    for (batch, rows, columns, inputs, outputs) in
+        [(2, 5, 7, 9, 5), (3, 2, 3, 16, 33), (1, 1, 1, 20, 3), (1, 1, 6, 8, 16), (1, 23, 30, 16, 32), (2, 8, 8, 40, 70)]
+    {
+        let (x, w, b) =
+            (random(batch * rows * columns * inputs, "x"), random(outputs * inputs * 9, "w"), random(outputs, "b"));
+        let plain: Vec<f64> = channel_first(&x, inputs, rows * columns)
+            .chunks_exact(inputs * rows * columns)
+            .flat_map(|s| reference::conv3x3(s, rows, columns, &to_f64(&w), &to_f64(&b)))
+            .collect();
+        let pooled = reference::max_pool2(&reference::relu(&plain), rows, columns);
+        let input = Feature::new([batch, rows, columns, inputs], x).expect("feature");
+        let mut output = Feature::new([1, 1, 1, 9000], vec![f32::NAN; 9000]).expect("feature");
+        for level in levels() {
+            let case = format!("{rows} x {columns}, {inputs} to {outputs} at {level:?}");
+            for act in [Activation::None, Activation::Relu] {
+                let geometry = ConvGeometry::dense(1, 1);
+                let conv = PreparedConv::new(&w, [outputs, inputs, 3, 3], Some(&b), None, geometry, act, level);
+                conv.expect("prepare").run(&input, None, &mut output).expect("run");
+                let want = if act == Activation::None { plain.clone() } else { reference::relu(&plain) };
+                let got: Vec<f32> =
+                    channel_first(output.values(), outputs, rows * columns).iter().map(|&v| v as f32).collect();
+                close(&case, &got, &want, 1e-6);
+            }
+            if rows >= 2 && columns >= 2 {
+                let block = PreparedBlock::new(&w, [outputs, inputs], Some(&b), None, level).expect("prepare");
+                block.run(&input, &mut output).expect("run");
+                let cells = rows / 2 * (columns / 2);
+                let got: Vec<f32> = channel_first(output.values(), outputs, cells).iter().map(|&v| v as f32).collect();
+                close(&case, &got, &pooled, 1e-6);
+            }
+        }
+    }
+}
+
+/// The first block of a network, whose input has one channel.
+#[test]
+fn a_prepared_block_of_one_channel_agrees_with_the_reference() {
+    for (batch, rows, columns, outputs) in [(2, 8, 6, 16), (1, 7, 5, 20), (3, 2, 3, 3), (1, 30, 21, 32)] {
+        let (x, w, b) = (random(batch * rows * columns, "x"), random(outputs * 9, "w"), random(outputs, "b"));
+        let want: Vec<f64> = to_f64(&x)
+            .chunks_exact(rows * columns)
+            .flat_map(|s| {
+                let plain = reference::conv3x3(s, rows, columns, &to_f64(&w), &to_f64(&b));
+                reference::max_pool2(&reference::relu(&plain), rows, columns)
+            })
+            .collect();
+        let input = Feature::new([batch, rows, columns, 1], x).expect("feature");
+        for level in levels() {
+            let mut output = Feature::default();
+            let block = PreparedBlock::new(&w, [outputs, 1], Some(&b), None, level).expect("prepare");
+            block.run(&input, &mut output).expect("run");
+            let cells = rows / 2 * (columns / 2);
+            let got: Vec<f32> = channel_first(output.values(), outputs, cells).iter().map(|&v| v as f32).collect();
+            close(&format!("{rows} x {columns} to {outputs} at {level:?}"), &got, &want, 1e-6);
+        }
+    }
+}
+
 mod hard_cases {
     use super::*;
+
+    /// In whichever cell of a window it is.
+    #[test]
+    fn a_nan_comes_out_of_a_prepared_block() {
+        for level in levels() {
+            for inputs in [1, 9] {
+                let block =
+                    PreparedBlock::new(&random(3 * 9 * inputs, "w"), [3, inputs], None, None, level).expect("prepare");
+                for cell in 0..64 {
+                    let mut x = random(64 * inputs, "x");
+                    x[cell * inputs] = f32::NAN;
+                    let mut output = Feature::default();
+                    block.run(&Feature::new([1, 8, 8, inputs], x).expect("feature"), &mut output).expect("run");
+                    let window = cell / 16 * 4 + cell % 8 / 2;
+                    assert!(output.values()[window * 3..][..3].iter().all(|v| v.is_nan()), "{level:?} {inputs} {cell}");
+                }
+            }
+        }
+    }
 
     #[test]
     fn any_number_of_threads_gives_the_same_bits() {

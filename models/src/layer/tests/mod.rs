@@ -151,8 +151,15 @@ fn pooling_passes_the_whole_gradient_to_the_winner() {
 
 #[test]
 fn adaptive_average_pool_agrees_with_the_reference_and_with_finite_differences() {
-    for (rows, columns, to) in [(32, 32, (2, 15)), (7, 20, (2, 15)), (3, 5, (2, 15)), (4, 4, (4, 4))] {
-        let (batch, channels) = (2, 3);
+    for (rows, columns, channels, to) in [
+        (32, 32, 3, (2, 15)),
+        (7, 20, 3, (2, 15)),
+        (3, 5, 3, (2, 15)),
+        (4, 4, 3, (4, 4)),
+        (5, 6, 32, (2, 3)),
+        (3, 3, 21, (1, 1)),
+    ] {
+        let batch = 2;
         let x = random(batch * channels * rows * columns, "x");
         let upstream = random(batch * channels * to.0 * to.1, "g");
         let gd = to_f64(&upstream);

@@ -1,0 +1,76 @@
+//! Another program that runs the same network, through `cli/bench/networks.py`.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+use serde::Deserialize;
+
+/// A network in another program, prepared and waiting for its turns.
+pub struct Peer {
+    /// What it is called; empty before its first turn.
+    pub name: String,
+    child: Child,
+    /// A line is a turn.
+    input: Option<ChildStdin>,
+    output: BufReader<ChildStdout>,
+}
+
+#[derive(Deserialize)]
+struct Turn {
+    peer: String,
+    milliseconds: Vec<f64>,
+}
+
+impl Peer {
+    /// Prepares a network in PyTorch, or in onnxruntime if there is a folder with its file. `None` where that cannot be done, which
+    /// is said unless there is no Python at all.
+    pub fn start(
+        python: Option<&Path>,
+        what: &str,
+        network: &str,
+        threads: usize,
+        batch: usize,
+        repeats: usize,
+        onnx: Option<&Path>,
+    ) -> Option<Self> {
+        let mut command = Command::new(python.map_or_else(|| PathBuf::from("python3"), Path::to_owned));
+        command.args(["cli/bench/networks.py", what, network, "--turns", "--threads", &threads.to_string()]);
+        command.args(["--batch", &batch.to_string(), "--repeats", &repeats.to_string()]);
+        if let Some(folder) = onnx {
+            command.arg("--onnx").arg(folder);
+        }
+        let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().ok()?;
+        let (input, output) = (child.stdin.take(), child.stdout.take()?);
+        let mut peer = Peer { name: String::new(), child, input, output: BufReader::new(output) };
+        let mut ready = String::new();
+        if peer.output.read_line(&mut ready).is_ok_and(|length| length > 0) {
+            return Some(peer);
+        }
+        let stderr = peer.child.stderr.take().map(BufReader::new);
+        let said = stderr.and_then(|stderr| stderr.lines().map_while(Result::ok).last());
+        eprintln!("no peer for {network}: {}", said.as_deref().unwrap_or("it failed without a word"));
+        None
+    }
+
+    /// Milliseconds of each run of a turn; none if it failed.
+    pub fn turn(&mut self) -> Vec<f64> {
+        let mut line = String::new();
+        let asked =
+            self.input.as_mut().is_some_and(|input| input.write_all(b"\n").and_then(|()| input.flush()).is_ok());
+        if !asked || self.output.read_line(&mut line).is_err() {
+            return Vec::new();
+        }
+        let Ok(turn) = serde_json::from_str::<Turn>(&line) else { return Vec::new() };
+        self.name = turn.peer;
+        turn.milliseconds
+    }
+}
+
+impl Drop for Peer {
+    fn drop(&mut self) {
+        // At the end of its input it leaves.
+        drop(self.input.take());
+        let _ = self.child.wait();
+    }
+}

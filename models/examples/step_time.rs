@@ -1,0 +1,57 @@
+//! Microseconds of each step of a prepared network on one map of 128 x 128: median and least of some runs.
+//!
+//! `RAYON_NUM_THREADS=2 cargo run --release -p radome-models --example step_time [NETWORK [RUNS [LEVEL]]]`
+#![allow(clippy::print_stdout)]
+
+use std::time::Instant;
+
+use candle_core::{Result, bail};
+use radome_models::NetworkSpec;
+use radome_models::layer::KernelLevel;
+use radome_models::network::{Inference, Network};
+use radome_models::train::Trainer;
+
+#[global_allocator]
+static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
+
+const SIZE: usize = 128;
+
+fn main() -> Result<()> {
+    let mut arguments = std::env::args().skip(1);
+    let name = arguments.next().unwrap_or_else(|| "hqnn".to_owned());
+    let runs = arguments.next().and_then(|runs| runs.parse().ok()).unwrap_or(1000);
+    let level = match arguments.next().as_deref() {
+        Some("portable") => KernelLevel::Portable,
+        Some("avx2") => KernelLevel::Avx2,
+        _ => KernelLevel::detect(),
+    };
+    let Some(spec) = NetworkSpec::named(&name) else { bail!("there is no network '{name}'") };
+    let network = Network::initialise(&spec, 1, 0, level)?;
+    let mut inference = Inference::new(&network)?;
+    let maps: Vec<f32> = Trainer::made_up_maps(1, SIZE, SIZE)?.0.flatten_all()?.to_vec1()?;
+    // Of each step, and of the whole run.
+    let mut times: Vec<(String, Vec<f64>)> = Vec::new();
+    for _ in 0..runs {
+        let mut step = 0;
+        let mut add = |name: &str, seconds: f64| {
+            if times.len() <= step {
+                times.push((name.to_owned(), Vec::new()));
+            }
+            times[step].1.push(1e6 * seconds);
+            step += 1;
+        };
+        let began = Instant::now();
+        let mut last = began;
+        inference.logits_step_by_step(&maps, [1, SIZE, SIZE], |name| {
+            let now = Instant::now();
+            add(name, (now - last).as_secs_f64());
+            last = now;
+        })?;
+        add("all", began.elapsed().as_secs_f64());
+    }
+    for (name, times) in &mut times {
+        times.sort_by(f64::total_cmp);
+        println!("{name:40} {:8.1} {:8.1}", times[times.len() / 2], times[0]);
+    }
+    Ok(())
+}
