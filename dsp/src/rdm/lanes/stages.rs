@@ -321,11 +321,6 @@ impl<const L: usize, V: Vector<L>, const REMOVES_MEAN: bool> Source<L, V> for Sl
     }
 }
 
-#[inline(always)]
-fn power<const L: usize, V: Vector<L>>(x: Complex<V>) -> V {
-    x.im.mul_add(x.im, x.re * x.re)
-}
-
 /// Power where the FFT leaves it.
 struct PowerSink<'a, V> {
     powers: &'a mut [V],
