@@ -10,7 +10,7 @@ use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
-use crate::live::recorder::RecorderSink;
+use crate::live::recorder::{RecorderSink, label_line};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -132,7 +132,9 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     if let Some(tape) = &source.tape {
         tape.transport.set_preroll_s(judge.memory_s());
     }
-    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
+    // Before anything is written: a page that cannot be served leaves files as they are.
+    let (label_sender, labels) = label_line();
+    let page = view::Page::open(watch.view, &source, watch.model, watch.output.map(|path| (path, label_sender)))?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
@@ -147,7 +149,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let recorder = match watch.output {
         Some(path) => {
             let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
-            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy))?)
+            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy), labels)?)
         }
         None => None,
     };
