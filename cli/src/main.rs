@@ -16,6 +16,7 @@ mod source;
 use std::process::ExitCode;
 
 use clap::Parser;
+use tracing_subscriber::prelude::*;
 
 /// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
 #[global_allocator]
@@ -33,7 +34,11 @@ struct Arguments {
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    start_log(arguments.verbose);
+    let wire = match &arguments.command {
+        command::Command::Doctor(doctor) => doctor.wire_log(),
+        _ => None,
+    };
+    start_log(arguments.verbose, wire);
     match command::run(arguments.command) {
         Ok(()) => ExitCode::SUCCESS,
         // Whoever read our output has had enough: that is no failure.
@@ -45,9 +50,10 @@ fn main() -> ExitCode {
     }
 }
 
-fn start_log(verbose: u8) {
+fn start_log(verbose: u8, wire: Option<&command::WireLog>) {
     let level = ["warn", "info", "debug"][usize::from(verbose.min(2))];
     let filter = tracing_subscriber::EnvFilter::try_from_env("RADOME_LOG")
         .unwrap_or_else(|_| tracing_subscriber::EnvFilter::new(level));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).without_time().init();
+    let talk = tracing_subscriber::fmt::layer().with_writer(std::io::stderr).without_time().with_filter(filter);
+    tracing_subscriber::registry().with(talk).with(wire.map(command::WireLog::layer)).init();
 }

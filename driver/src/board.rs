@@ -10,6 +10,7 @@ mod lines;
 mod link;
 mod reconnect;
 mod stream;
+pub mod wire;
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -267,6 +267,28 @@ fn native_recording_gives_everything_back() {
     assert_eq!(reader.next_frame(&mut frame).expect("end"), SourceEvent::End);
 }
 
+/// All labels anew while frames go on: in the file at once, with the frames before them, whatever comes after.
+#[test]
+fn labels_given_while_recording_are_in_the_file_when_the_call_returns() {
+    let folder = tempfile::tempdir().expect("folder");
+    let path = folder.path().join("a.mcap");
+    let mut source = truthful(7);
+    let mut recorder = Recorder::create(&path, &RecordingHeader::new(source.waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    let lists = [vec![label("one", 0.0)], vec![label("one", 0.0), label("two", 1.0)], vec![]];
+    for list in lists.iter().cycle().take(5) {
+        source.next_frame(&mut frame).expect("frame");
+        recorder.frame(&frame).expect("records");
+        recorder.set_labels(list).expect("records");
+        let mut reader = McapReader::open(&path).expect("opens");
+        assert_eq!(&reader.labels().expect("labels"), list);
+        assert_eq!(readable(&mut reader).0, frame.sequence + 1);
+    }
+    let summary = recorder.finish().expect("finishes");
+    assert_eq!((summary.frames, summary.labels), (5, 2));
+    assert_eq!(McapReader::open(&path).expect("opens").labels().expect("labels"), lists[1]);
+}
+
 #[test]
 fn the_same_frames_give_the_same_bytes() {
     let folder = tempfile::tempdir().expect("folder");

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Output, Stdio};
 
-use radome_tests::{fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome};
 
 const FRAMES: usize = 60;
 
@@ -142,4 +142,32 @@ mod hard_cases {
         let said = String::from_utf8_lossy(&output.stderr);
         assert!(output.status.code() == Some(2) && said.contains("no such kind"), "{said}");
     }
+}
+
+/// Nobody has told the board a waveform, and the detector needs none of its own.
+#[test]
+fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
+    let (mut board, port) = emulate(&fixture("scenes/corridor.toml"), &[]);
+    // Who opens it resets its chip.
+    drop(radome_driver::Board::open(Path::new(&port)).expect("a board"));
+    let live = |model: &str, more: &[&str]| {
+        let mut command = radome();
+        command.args(["live", &format!("serial:{port}"), "--frames", "5", "--json", "--model", model]).args(more);
+        command
+    };
+    let said = failure(&mut live("cfar", &[]));
+    assert!(said.contains("not been told a waveform") && said.contains("--waveform"), "{said}");
+
+    // The model's waveform and the one named cannot both be: the board is not even opened.
+    let (model, other) = (fixture("models/paper-hqnn.safetensors"), fixture("models/desk-hqnn.safetensors"));
+    let (model, other) = (model.display().to_string(), other.display().to_string());
+    let said = failure(&mut live(&model, &["--waveform", &other]));
+    assert!(said.contains(&model) && said.contains(&other) && said.contains("hint: leave --waveform away"), "{said}");
+
+    for (model, waveform) in [("cfar", "paper"), ("cfar", &model), (&model, "paper")] {
+        let lines = json_lines(&mut live(model, &["--waveform", waveform]));
+        assert_eq!(lines.last().expect("a summary")["summary"]["frames"], 5, "{model} {waveform}");
+    }
+    let _ = board.kill();
+    let _ = board.wait();
 }

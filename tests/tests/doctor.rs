@@ -52,6 +52,7 @@ fn a_source_that_works_is_examined_and_packed() {
         "registers.txt",
         "frames.mcap",
         "model.json",
+        "wire.txt",
     ] {
         let mut part = Vec::new();
         archive.by_name(name).unwrap_or_else(|e| panic!("{name}: {e}")).read_to_end(&mut part).expect("whole");
@@ -63,10 +64,45 @@ fn a_source_that_works_is_examined_and_packed() {
                 json_lines(radome().arg("convert").arg(&path).arg(folder.path().join("copy.mcap")).arg("--json"));
             assert_eq!(report[0]["frames"], 20);
         }
+        if name == "wire.txt" {
+            wire_is_bytes_with_times_and_directions(&String::from_utf8(part.clone()).expect("text"));
+        }
         everything.extend(part);
     }
     let has = |secret: &str| everything.windows(secret.len()).any(|bytes| bytes == secret.as_bytes());
     assert!(!has("hunter2"), "a secret leaves the house");
+}
+
+/// Requests and answers of the emulated board, and of its frames the headers.
+fn wire_is_bytes_with_times_and_directions(text: &str) {
+    assert!(text.len() < 100_000, "{} bytes", text.len());
+    let (mut last_s, mut sent, mut received, mut pieces) = (0.0, Vec::new(), Vec::new(), 0);
+    for line in text.lines().filter(|line| !line.starts_with("...")) {
+        let (seconds, rest) = line.trim_start().split_once(' ').unwrap_or_else(|| panic!("{line}"));
+        let seconds: f64 = seconds.parse().unwrap_or_else(|e| panic!("{line}: {e}"));
+        assert!(seconds >= last_s, "{line}");
+        last_s = seconds;
+        let (mark, shown) = rest.split_once(' ').unwrap_or_else(|| panic!("{line}"));
+        let (hex, more) = shown.split_once(" and ").unwrap_or((shown, "0 bytes"));
+        let bytes = || -> Vec<u8> {
+            hex.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap_or_else(|e| panic!("{line}: {e}"))).collect()
+        };
+        match mark {
+            "opened" => assert!(shown.starts_with("/dev/"), "{line}"),
+            ">" => sent.push(bytes()),
+            // Strata: pieces of frames begin with a byte from 0xD0 on and have a header of six.
+            "<" if bytes()[0] >= 0xD0 => {
+                assert!(bytes().len() == 6 && more.ends_with(" bytes"), "{line}");
+                pieces += 1;
+            }
+            "<" => received.push(bytes()),
+            _ => panic!("{line}"),
+        }
+    }
+    assert!(text.contains("opened /dev/") && sent.len() > 10 && pieces > 20, "{text}");
+    // Answers begin with the code of their request.
+    let codes = |messages: &[Vec<u8>]| messages.iter().map(|bytes| bytes[0]).collect::<Vec<u8>>();
+    assert_eq!(codes(&received), codes(&sent));
 }
 
 #[test]
@@ -78,8 +114,13 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     assert_eq!(named(&checks, "model")["verdict"], "fail");
     assert!(said.contains("failed"), "{said}");
 
-    let (checks, _) = failing(doctor().arg("serial:/dev/no-such-port"));
+    let bundle = folder.path().join("report.zip");
+    let (checks, _) = failing(doctor().arg("serial:/dev/no-such-port").arg("--bundle").arg(&bundle));
     assert!(named(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
+    let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(&bundle).expect("packed"))).expect("an archive");
+    let mut wire = String::new();
+    archive.by_name("wire.txt").expect("packed").read_to_string(&mut wire).expect("text");
+    assert!(wire.trim_end().ends_with("opened /dev/no-such-port"), "{wire}");
 
     let closed = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port");
     let (checks, said) = failing(doctor().args(["--mqtt", &format!("mqtt://u:hunter2@{closed}")]));

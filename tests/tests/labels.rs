@@ -1,6 +1,13 @@
 //! Labels go into a recording and come out of it in the formats of other tools; frames stay as they are.
 
+use std::path::Path;
+use std::process::Stdio;
+
+use radome_tests::browser::{PATIENCE, Served};
+use radome_tests::running::wait_for;
 use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+use tungstenite::Message;
 
 #[test]
 fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
@@ -31,4 +38,58 @@ fn labels_travel_through_a_recording_and_leave_its_frames_alone() {
     std::fs::write(path("bad.txt"), "0.5\tempty\n").expect("writable");
     let said = failure(radome().arg("labels").arg(path("run.mcap")).arg("--import").arg(path("bad.txt")));
     assert!(said.contains("bad.txt") && said.contains("line 1"), "{said}");
+}
+
+/// Labels of a recording, whatever state it is in.
+fn spans(recording: &Path) -> Vec<Value> {
+    match json_lines(radome().arg("labels").arg(recording).arg("--json")).remove(0) {
+        Value::Array(spans) => spans,
+        other => panic!("{other}"),
+    }
+}
+
+/// What the page says is saved is in the file, and outlives a program that has no time to end it.
+#[test]
+fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let made = folder.path().join("made.mcap");
+    let source = format!("emulated:{}", fixture("scenes/desk.toml").display());
+    let served = Served::start(
+        radome().args(["live", &source, "--model", "cfar", "--speed", "1", "-o"]).arg(&made).stdout(Stdio::null()),
+    );
+    let (mut socket, _) = tungstenite::connect(format!("ws://{}/stream", served.address)).expect("a page");
+    if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    }
+    // Until the first frame is seen: labels begin at the newest one.
+    while !socket.read().expect("a message").is_binary() {}
+    for (key, ended) in [("one", 0), ("two", 1), ("empty", 2)] {
+        // Frames go by, so that the label before has a length.
+        let before = spans(&made).last().map_or(0.0, |span| span["end_s"].as_f64().expect("a time"));
+        wait_for("a label that grows in the file", || {
+            (ended == 0 || spans(&made).last()?["end_s"].as_f64()? > before).then_some(())
+        });
+        socket.send(Message::text(format!("{{\"do\":\"label\",\"occupancy\":\"{key}\"}}"))).expect("sent");
+        loop {
+            let Message::Text(text) = socket.read().expect("a message") else { continue };
+            let said: Value = serde_json::from_str(&text).expect("JSON");
+            let labels = &said["labels"];
+            let is_there = labels["open"]["label"] == key && labels["spans"].as_array().map(Vec::len) == Some(ended);
+            if is_there && labels["saved"] == true {
+                assert_eq!(labels["place"], made.display().to_string());
+                break;
+            }
+        }
+    }
+    // By a signal that nobody can catch.
+    drop(served);
+    let killed = spans(&made);
+    let names: Vec<&str> = killed.iter().filter_map(|span| span["label"].as_str()).collect();
+    assert!(names == ["one", "two", "empty"] || names == ["one", "two"], "{killed:?}");
+    for pair in killed.windows(2) {
+        assert_eq!(pair[0]["end_s"], pair[1]["start_s"]);
+    }
+    let repaired = folder.path().join("repaired.mcap");
+    json_lines(radome().arg("repair").arg(&made).arg("-o").arg(&repaired).arg("--json"));
+    assert_eq!(spans(&repaired), killed);
 }

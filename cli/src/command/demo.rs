@@ -34,6 +34,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     super::live::watch(&super::live::Watch {
         source: &format!("emulated:{}", scene.display()),
         model: &model,
+        waveform: None,
         seed: arguments.seed,
         people: None,
         frames: Some(arguments.frames),

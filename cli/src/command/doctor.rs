@@ -2,6 +2,7 @@
 
 mod bundle;
 mod checks;
+mod wire;
 
 use std::path::PathBuf;
 
@@ -10,6 +11,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use crate::output;
+pub use wire::WireLog;
 
 /// `radome doctor`
 #[derive(clap::Args)]
@@ -26,12 +28,23 @@ pub struct Arguments {
     /// Folder that recordings are to go to: room, speed, permission
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
-    /// Pack what a bug report needs into this archive: answers, board, registers, frames, log; no names, logins or networks
+    /// Pack what a bug report needs into this archive: answers, board, registers, frames, what was said on the
+    /// wire; no names, logins or networks
     #[arg(long, value_name = "FILE.zip")]
     bundle: Option<PathBuf>,
     /// One object a check
     #[arg(long)]
     json: bool,
+    /// What is said on the wire meanwhile.
+    #[arg(skip)]
+    wire: WireLog,
+}
+
+impl Arguments {
+    /// Where what is said on the wire is to go, if anybody will read it.
+    pub fn wire_log(&self) -> Option<&WireLog> {
+        self.bundle.as_ref().map(|_| &self.wire)
+    }
 }
 
 /// How a check went.
@@ -111,7 +124,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     checks::disk(&arguments.record_to, waveform.as_ref()).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
-        bundle::write(path, &report.checks, examined.as_ref(), arguments.model.as_deref())?;
+        bundle::write(path, &report.checks, examined.as_ref(), arguments.model.as_deref(), &arguments.wire)?;
         eprintln!("{}: look at it before it is sent anywhere", path.display());
     }
     let count = |verdict: Verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();

@@ -1,8 +1,9 @@
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use anyhow::bail;
+use anyhow::{Context, bail};
 use radome_driver::RecordingHeader;
+use radome_dsp::Waveform;
 
 use crate::files;
 use crate::judge::Model;
@@ -10,7 +11,7 @@ use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
-use crate::live::recorder::RecorderSink;
+use crate::live::recorder::{RecorderSink, label_line};
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
@@ -25,6 +26,9 @@ pub struct Arguments {
     /// Model file, which names the waveform that a board is programmed with; or cfar, the classical detector, for any waveform
     #[arg(long)]
     model: PathBuf,
+    /// Waveform to program a board with, for a model that names none (cfar): `paper`, a .toml file, or a model file
+    #[arg(long)]
+    waveform: Option<String>,
     /// Record frames and answers to this MCAP file
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
@@ -63,6 +67,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     watch(&Watch {
         source: &arguments.source,
         model: &arguments.model,
+        waveform: arguments.waveform.as_deref(),
         seed: arguments.seed,
         people: arguments.people,
         frames: arguments.frames,
@@ -82,6 +87,8 @@ pub struct Watch<'a> {
     pub source: &'a str,
     /// Model file.
     pub model: &'a Path,
+    /// Waveform to program a board with, if not the model's.
+    pub waveform: Option<&'a str>,
     /// Seed of a simulation.
     pub seed: u64,
     /// People that a simulation is forced to have.
@@ -118,7 +125,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let named = model.named(watch.model, watch.delays)?;
     let background = watch.background.map(|path| Background::load(path, &named)).transpose()?;
     let options = SourceOptions {
-        waveform: model.waveform().cloned(),
+        waveform: waveform(watch, &model)?,
         seed: watch.seed,
         people: watch.people,
         frames: watch.frames,
@@ -132,7 +139,9 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     if let Some(tape) = &source.tape {
         tape.transport.set_preroll_s(judge.memory_s());
     }
-    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
+    // Before anything is written: a page that cannot be served leaves files as they are.
+    let (label_sender, labels) = label_line();
+    let page = view::Page::open(watch.view, &source, watch.model, watch.output.map(|path| (path, label_sender)))?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
@@ -147,7 +156,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let recorder = match watch.output {
         Some(path) => {
             let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
-            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy))?)
+            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy), labels)?)
         }
         None => None,
     };
@@ -165,6 +174,22 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     reader.stop();
     drop(home);
     outcome.map(drop)
+}
+
+/// What a board is to be programmed with: what is named, if the model can judge it, or what the model was made for.
+fn waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
+    let Some(named) = watch.waveform else { return Ok(model.waveform().cloned()) };
+    let waveform = source::waveform(named)?;
+    if let Some(needed) = model.waveform() {
+        waveform.check_compatible(needed).with_context(|| {
+            format!(
+                "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; --model \
+                 cfar takes any",
+                watch.model.display()
+            )
+        })?;
+    }
+    Ok(Some(waveform))
 }
 
 fn is_same(a: &Path, b: &Path) -> bool {

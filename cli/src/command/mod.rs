@@ -28,6 +28,7 @@ mod study;
 mod train;
 
 use clap::Subcommand;
+pub use doctor::WireLog;
 
 /// What the program can do.
 #[derive(Subcommand)]

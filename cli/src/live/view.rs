@@ -22,6 +22,7 @@ use serde_json::json;
 
 use super::classify::Summary;
 use super::health::Health;
+use super::recorder::LabelSender;
 use super::sink::{Moment, Sink};
 use crate::source::{Source, Tape};
 use feed::Feed;
@@ -114,13 +115,13 @@ pub struct Page {
 }
 
 impl Page {
-    /// Starts serving if the page is wanted. Labels of a live source go into `recording` at the end, once whoever writes it has
-    /// finished it.
+    /// Starts serving if the page is wanted. Labels of a source that is no recording itself go to whoever writes `recording` as
+    /// they are made.
     pub fn open(
         arguments: &Arguments,
         source: &Source,
         model: &Path,
-        recording: Option<&Path>,
+        recording: Option<(&Path, LabelSender)>,
     ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
             return Ok(None);

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Address, Board, BoardError, DeepcraftBoard, LineStream, link};
+use super::{Address, Board, BoardError, DeepcraftBoard, LineStream, link, wire};
 
 const BAUD_RATE: u32 = 921_600;
 /// How long a board that talks by itself may take to begin.
@@ -38,8 +38,10 @@ impl Detected {
             link::read_more(path, &mut port, &mut heard)?;
         }
         if is_text(&heard) {
+            wire::received(&heard);
             return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
         }
+        wire::measured(heard.len());
         drop(port);
         // The request of the one that is asked first keeps the other waiting for the rest of a longer one; that board's
         // client knows how to get over it.

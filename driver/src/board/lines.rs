@@ -10,7 +10,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent, W
 use serialport::TTYPort;
 
 use super::reconnect::{Losses, Outage, Reconnect};
-use super::{BoardError, link};
+use super::{BoardError, link, wire};
 use crate::protocol::ascii::{self, Line, LineParser};
 use crate::protocol::fifo;
 
@@ -157,6 +157,7 @@ impl LineStream {
             match port.read(&mut self.buffer) {
                 Ok(0) => return Err(lost(ErrorKind::UnexpectedEof.into())),
                 Ok(count) => {
+                    wire::measured(count);
                     self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
                 }
                 Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}

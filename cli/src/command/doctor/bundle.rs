@@ -10,13 +10,19 @@ use serde::Serialize;
 use serde_json::json;
 use zip::write::SimpleFileOptions;
 
-use super::Check;
 use super::checks::Examined;
+use super::{Check, WireLog};
 use crate::files;
 
 /// Writes the archive, whole or not at all. Nothing is packed that names the user, the machine or a network: what is there is
 /// what this program found out about radar, disk and clock.
-pub fn write(path: &Path, checks: &[Check], examined: Option<&Examined>, model: Option<&Path>) -> anyhow::Result<()> {
+pub fn write(
+    path: &Path,
+    checks: &[Check],
+    examined: Option<&Examined>,
+    model: Option<&Path>,
+    wire: &WireLog,
+) -> anyhow::Result<()> {
     files::check_parent(path)?;
     let mut parts: Vec<(&str, Vec<u8>)> = vec![
         ("README.txt", README.as_bytes().to_vec()),
@@ -31,6 +37,7 @@ pub fn write(path: &Path, checks: &[Check], examined: Option<&Examined>, model: 
             }))?,
         ),
         ("devices.json", pretty(&radome_driver::candidates())?),
+        ("wire.txt", wire.text().into_bytes()),
     ];
     if let Some(seen) = examined {
         parts.push((
@@ -57,7 +64,8 @@ pub fn write(path: &Path, checks: &[Check], examined: Option<&Examined>, model: 
 
 const README: &str = "What `radome doctor --bundle` found: checks.json what was checked, program.json which program, devices.json what is
 attached, source.json the board and its waveform, registers.txt what its chip was told (address, value), frames.mcap its first frames
-as raw codes, model.json the model's card without its numbers. Frames show whether somebody moves before the radar.
+as raw codes, model.json the model's card without its numbers, wire.txt what was said to boards (>) and by them (<): seconds, then the
+first bytes of each message in hexadecimal, of measurements the headers. Frames show whether somebody moves before the radar.
 ";
 
 fn pretty(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {

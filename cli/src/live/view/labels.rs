@@ -13,6 +13,7 @@ use radome_dsp::Occupancy;
 use serde::Serialize;
 
 use crate::labels;
+use crate::live::recorder::LabelSender;
 use crate::source::Tape;
 
 /// More labels than anybody makes by hand.
@@ -21,8 +22,12 @@ const MOST_SPANS: usize = 5_000;
 const MOST_UNDO: usize = 100;
 /// Shorter spans are slips of the hand, s.
 const SHORTEST_S: f64 = 1e-3;
-/// How often a label that grows is written to the disk.
+/// How often a label that grows is written to the disk, and how often to a recording that is being made: what is lost if this
+/// program is killed is not more than of its frames.
 const GROWING_SAVED: Duration = Duration::from_secs(10);
+const GROWING_RECORDED: Duration = Duration::from_millis(500);
+/// Changes in a row that cost one write.
+const IN_A_ROW: Duration = Duration::from_millis(300);
 
 /// A label with a name that stays while it is edited.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -238,9 +243,6 @@ struct Told<'a> {
     place: Option<String>,
     /// Whether what is shown is there.
     saved: bool,
-    /// Where they will be at the end of the run.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    later: Option<String>,
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
@@ -253,17 +255,24 @@ enum Place {
     Mcap(PathBuf),
     /// In a file beside a recording that cannot hold any.
     Beside { recording: PathBuf, file: PathBuf },
+    /// In a recording that is being made, by way of its recorder; once it is finished, in its channel of labels.
+    Made { recording: PathBuf, line: LabelSender },
 }
 
 impl Place {
     fn read(&self) -> anyhow::Result<Vec<LabelSpan>> {
         match self {
             Place::Mcap(recording) | Place::Beside { recording, .. } => labels::of(recording),
+            Place::Made { .. } => Ok(Vec::new()),
         }
     }
 
     /// Writes the labels unless somebody else has changed those that are `known`; returns them as they now are.
     fn write(&self, known: &[LabelSpan], spans: &[LabelSpan]) -> anyhow::Result<Vec<LabelSpan>> {
+        if let Place::Made { line, .. } = self {
+            line.write(spans);
+            return Ok(spans.to_vec());
+        }
         if self.read()? != known {
             bail!(
                 "another program has changed the labels in {}\n\nhint: export yours, open the page anew, and import them",
@@ -276,12 +285,13 @@ impl Place {
         match self {
             Place::Mcap(recording) => mcap::set_labels(recording, spans)?,
             Place::Beside { file, .. } => labels::write(file, spans)?,
+            Place::Made { .. } => {}
         }
         self.read()
     }
 
     fn name(&self) -> String {
-        let (Place::Mcap(path) | Place::Beside { file: path, .. }) = self;
+        let (Place::Mcap(path) | Place::Beside { file: path, .. } | Place::Made { recording: path, .. }) = self;
         path.display().to_string()
     }
 }
@@ -304,16 +314,15 @@ pub struct Keeper {
     state: Mutex<State>,
     changed: Condvar,
     place: Option<Place>,
-    /// The recording that is being made, which takes labels when it is finished.
-    recording: Option<PathBuf>,
     interval_s: f64,
     /// Bits of the time of the newest frame, s.
     now_s: AtomicU64,
 }
 
 impl Keeper {
-    /// With the labels that the recording has.
-    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, interval_s: f64) -> anyhow::Result<Self> {
+    /// With the labels that the recording has; labels of what is no recording go into the one that is being made.
+    pub fn open(tape: Option<&Tape>, recording: Option<(&Path, LabelSender)>, interval_s: f64) -> anyhow::Result<Self> {
+        let made = recording.map(|(path, line)| Place::Made { recording: path.to_owned(), line });
         let place = tape.map(|tape| -> anyhow::Result<Place> {
             let recording = tape.path.clone();
             Ok(match Recording::open(&recording)? {
@@ -324,14 +333,13 @@ impl Keeper {
                 }
             })
         });
-        let place = place.transpose()?;
+        let place = place.transpose()?.or(made);
         let known = place.as_ref().map_or(Ok(Vec::new()), Place::read)?;
         let extent_s = tape.map(|tape| (tape.extent.first.time_s(), tape.extent.last.time_s() + interval_s));
         let state = State { book: Book::new(known.clone(), extent_s), known, ..State::default() };
         Ok(Keeper {
             state: Mutex::new(state),
             changed: Condvar::new(),
-            recording: recording.filter(|_| place.is_none()).map(Path::to_owned),
             place,
             interval_s,
             now_s: AtomicU64::new(0f64.to_bits()),
@@ -413,7 +421,6 @@ impl Keeper {
             can_redo: !state.book.future.is_empty(),
             place: self.place.as_ref().map(Place::name),
             saved: state.saved == state.book.revision,
-            later: self.recording.as_ref().map(|path| path.display().to_string()),
             fault: state.fault.as_deref(),
         };
         serde_json::json!({ "labels": told })
@@ -422,11 +429,12 @@ impl Keeper {
     /// Writes changes to the disk until closed; those that come in a row cost one write.
     pub fn keep(&self) {
         let Some(place) = &self.place else { return };
+        let growing = if matches!(place, Place::Made { .. }) { GROWING_RECORDED } else { GROWING_SAVED };
         loop {
             let mut state = self.state();
             let mut has_grown = false;
             while !state.closed && !has_grown && (state.saved == state.book.revision || state.fault.is_some()) {
-                let waited = self.changed.wait_timeout(state, GROWING_SAVED).unwrap_or_else(PoisonError::into_inner);
+                let waited = self.changed.wait_timeout(state, growing).unwrap_or_else(PoisonError::into_inner);
                 state = waited.0;
                 // Another change, or a while later: the fault may have passed.
                 state.fault = None;
@@ -435,7 +443,7 @@ impl Keeper {
             let closed = state.closed;
             if !closed {
                 drop(state);
-                std::thread::sleep(Duration::from_millis(300));
+                std::thread::sleep(IN_A_ROW);
                 state = self.state();
             }
             let (revision, known) = (state.book.revision, state.known.clone());
@@ -469,7 +477,7 @@ impl Keeper {
     /// Gives a recording that has been made its labels; says what could not be kept.
     pub fn last_word(&self) -> anyhow::Result<()> {
         let state = self.state();
-        if let Some(recording) = self.recording.as_ref().filter(|_| !state.book.spans.is_empty()) {
+        if let Some(Place::Made { recording, .. }) = self.place.as_ref().filter(|_| state.book.revision > 0) {
             mcap::set_labels(recording, &state.book.labels(self.now_s()))
                 .with_context(|| format!("{} labels were not saved", state.book.spans.len()))?;
             return Ok(());

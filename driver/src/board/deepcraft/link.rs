@@ -9,6 +9,7 @@ use serialport::{SerialPort, TTYPort};
 
 use super::{BoardError, DeepcraftError};
 use crate::board::link::{open_port, read_within};
+use crate::board::wire;
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
@@ -73,6 +74,7 @@ impl Link {
     }
 
     fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
+        wire::sent(bytes);
         self.port.set_timeout(ANSWER).map_err(|e| self.lost(e.into()))?;
         self.port.write_all(bytes).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
@@ -168,7 +170,14 @@ impl Link {
         let mut parser = MessageParser::new(MAX_RESPONSE);
         loop {
             while let Some(message) = parser.next_message() {
-                let Ok(Ok(response)) = message.map(Response::decode) else { return Ok(None) };
+                let Some((message, response)) = message.ok().and_then(|m| Some((m, Response::decode(m).ok()?))) else {
+                    wire::damaged();
+                    return Ok(None);
+                };
+                match &response.answer {
+                    Some(Answer::Data(_)) => wire::measured(message.len()),
+                    _ => wire::received(message),
+                }
                 if let Some(accepted) = response.answer.and_then(&mut accept) {
                     return Ok(Some(accepted));
                 }

@@ -8,6 +8,7 @@ use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Wavefo
 use super::order::Order;
 use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
 use crate::board::reconnect::{Losses, Outage, Reconnect};
+use crate::board::wire;
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
     CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
@@ -233,6 +234,7 @@ impl DeepcraftStream {
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let bytes = board.link.receive(timeout.min(longest))?;
         if !bytes.is_empty() {
+            wire::measured(bytes.len());
             self.last_byte = Instant::now();
             self.parser.push(bytes);
             return Ok(());

@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::BoardError;
+use super::super::{BoardError, wire};
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::protocol::strata::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
 use crate::protocol::strata::{BoardEvent, Request, RequestKind, Status};
-use crate::usb::{self, Endpoints, OpenError, TransferError, UsbAddress};
+use crate::usb::{self, Endpoints, OpenError, Setup, TransferError, UsbAddress};
 
 /// Ids of a board whose firmware was built for this.
 const USB_ID: (u16, u16) = (0x058B, 0x0252);
@@ -35,6 +35,7 @@ impl Bulk {
     /// Opens the device. Also gives how to find it when it has been plugged in anew.
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
         let path = address.name();
+        wire::opened(&path.display());
         let (endpoints, settled) = usb::open(USB_ID, address).map_err(|e| match e {
             OpenError::Absent => BoardError::Absent { path },
             OpenError::Ambiguous(found) => {
@@ -78,13 +79,13 @@ impl Bulk {
         let mut payload = vec![0; MAX_CONTROL];
         let answered = match request.kind {
             RequestKind::Write => {
-                self.endpoints.control_out(&setup, &request.payload)?;
+                self.control_out(&setup, &request.payload)?;
                 return Ok((self.last_error()?, Vec::new()));
             }
-            RequestKind::Read => self.endpoints.control_in(&setup, &mut payload),
+            RequestKind::Read => self.control_in(&setup, &mut payload),
             RequestKind::Transfer => {
-                self.endpoints.control_out(&setup, &request.payload)?;
-                self.endpoints.control_in(&answer_setup(request), &mut payload)
+                self.control_out(&setup, &request.payload)?;
+                self.control_in(&answer_setup(request), &mut payload)
             }
         };
         match answered {
@@ -101,9 +102,22 @@ impl Bulk {
         }
     }
 
+    fn control_out(&mut self, setup: &Setup, data: &[u8]) -> Result<(), TransferError> {
+        wire::sent(setup);
+        wire::sent(data);
+        self.endpoints.control_out(setup, data).inspect_err(|error| wire::failed(error))
+    }
+
+    fn control_in(&mut self, setup: &Setup, buffer: &mut [u8]) -> Result<usize, TransferError> {
+        wire::sent(setup);
+        let count = self.endpoints.control_in(setup, buffer).inspect_err(|error| wire::failed(error))?;
+        wire::received(buffer.get(..count).unwrap_or(&[]));
+        Ok(count)
+    }
+
     fn last_error(&mut self) -> Result<Status, Failure> {
         let mut answer = [0; LastError::LENGTH];
-        let count = self.endpoints.control_in(&LastError::request().header(), &mut answer)?;
+        let count = self.control_in(&LastError::request().header(), &mut answer)?;
         let error = answer.get(..count).and_then(LastError::decode).ok_or(Failure::NoAnswer)?;
         Ok(error.status)
     }

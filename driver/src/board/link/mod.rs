@@ -6,7 +6,7 @@ mod serial;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use super::{Address, BoardError};
+use super::{Address, BoardError, wire};
 use crate::protocol::strata::{Command, Framing, Packet, Protocol, Request, Status};
 use bulk::Bulk;
 use serial::Serial;
@@ -87,10 +87,16 @@ impl Link {
 
     /// The next packet among the bytes received; answers that nobody waits for are passed over.
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
-        match &mut self.carrier {
+        let incoming = match &mut self.carrier {
             Carrier::Serial(serial) => serial.next_incoming(),
             Carrier::Bulk(bulk) => bulk.next_incoming(),
+        };
+        match &incoming {
+            Some(Incoming::Packet(packet)) => wire::packet(packet),
+            Some(Incoming::Damaged) => wire::damaged(),
+            None => {}
         }
+        incoming
     }
 
     /// Sends a request and waits for its answer. When this returns from stopping the data, no packet sent before is left.

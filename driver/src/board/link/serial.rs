@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use serialport::{SerialPort, TTYPort};
 
-use super::super::BoardError;
+use super::super::{BoardError, wire};
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
 use crate::protocol::strata::{BoardEvent, BoardParser, Request, Status};
 
@@ -26,6 +26,7 @@ pub(super) struct Serial {
 /// Opens a serial port for this program alone.
 pub(in crate::board) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort, BoardError> {
     let name = path.to_string_lossy();
+    wire::opened(&path.display());
     serialport::new(name, baud_rate).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
         // The crate says so of a port that another program holds; one that is not there is an `Io` error.
         let is_held = e.kind() == serialport::ErrorKind::NoDevice;
@@ -120,13 +121,16 @@ impl Serial {
     /// Data packets that come before the answer are dropped.
     pub fn request(&mut self, request: &Request) -> Result<(Status, Vec<u8>), Failure> {
         self.port.set_timeout(ANSWER_TIMEOUT).map_err(|e| Failure::Lost(e.into()))?;
-        self.port.write_all(&request.encode()).map_err(|e| match e.kind() {
+        let message = request.encode();
+        wire::sent(&message);
+        self.port.write_all(&message).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => Failure::NoAnswer,
             _ => Failure::Lost(e),
         })?;
         let deadline = Instant::now() + ANSWER_TIMEOUT;
         loop {
             while let Some(event) = self.parser.next_event() {
+                wire::event(&event);
                 if let BoardEvent::Response(response) = event
                     && response.kind_code == request.kind_code()
                 {
@@ -135,6 +139,7 @@ impl Serial {
             }
             let left = deadline.saturating_duration_since(Instant::now());
             if left.is_zero() {
+                wire::failed(&ErrorKind::TimedOut);
                 return Err(Failure::NoAnswer);
             }
             self.receive(left.min(Duration::from_millis(50)))?;

@@ -78,14 +78,18 @@ impl<'a> Packet<'a> {
     pub fn encode_as(&self, framing: Framing, out: &mut Vec<u8>) {
         let payload = self.payload.get(..framing.max_packet_payload()).unwrap_or(self.payload);
         let start = out.len();
-        out.extend([self.flags.code(), self.channel]);
-        out.extend(self.counter.to_le_bytes());
-        out.extend((payload.len() as u16).to_le_bytes());
+        out.extend(Packet { payload, ..*self }.header_bytes());
         out.extend(payload);
         if framing == Framing::Serial {
             let crc = crc16(out.get(start..).unwrap_or(&[]));
             out.extend(crc.to_be_bytes());
         }
+    }
+
+    /// The header on the wire.
+    pub fn header_bytes(&self) -> [u8; Packet::HEADER_LENGTH] {
+        let ([c0, c1], [l0, l1]) = (self.counter.to_le_bytes(), (self.payload.len() as u16).to_le_bytes());
+        [self.flags.code(), self.channel, c0, c1, l0, l1]
     }
 
     /// Flags and payload length from a header, if it is one.

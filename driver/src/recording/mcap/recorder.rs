@@ -227,6 +227,17 @@ impl Recorder {
         Ok(())
     }
 
+    /// Makes these the labels in place of those it has, as a chunk of their own: they survive whatever happens to this process
+    /// next, and so do the frames so far.
+    pub fn set_labels(&mut self, labels: &[LabelSpan]) -> Result<(), RecordingError> {
+        let json =
+            serde_json::to_vec(labels).map_err(|e| failed(&self.path, "cannot be written")(McapError::Io(e.into())))?;
+        self.flush()?;
+        self.write(2, None, &json)?;
+        self.summary.labels = labels.len() as u64;
+        self.end_chunk()
+    }
+
     /// Adds what was said about a frame; the recording must have been created with a judge.
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         if self.channels.len() < 4 {

@@ -1,4 +1,4 @@
-//! Codes to power: the range stage and the Doppler stage of one channel.
+//! Codes to cells: the range stage and the Doppler stage of one channel.
 
 use std::f64::consts::TAU;
 
@@ -6,6 +6,12 @@ use super::fft::{Complex, Plan, Sink, Source};
 use super::vector::Vector;
 use super::{Input, Output};
 use crate::rdm::chain::ChainPlan;
+
+/// Range bins that go through the Doppler stage before their cells are written.
+///
+/// Rows of a map lie a power of two apart, so that lines of the cache in one column compete for a few of its sets. Whole rows, or
+/// long pieces of them, are written faster than a column at a time.
+const BINS_AT_ONCE: usize = 128;
 
 /// How bin `k` follows from the FFT `Z` of `z[n] = x[2n] + j x[2n+1]`, of length `n`:
 /// `2 X[k] = (Z[k] + Z*[n-k]) - j W (Z[k] - Z*[n-k])` with `W = exp(-j pi k / n) = cos - j sin`, hence
@@ -41,13 +47,17 @@ pub(super) struct Stages<const L: usize, V> {
     untangling: Vec<Untangling>,
     doppler_window: Vec<f32>,
     doppler_plan: Plan,
-    /// First cell of the map's row in which each Doppler position belongs.
-    row_start_of_position: Vec<usize>,
+    /// Doppler position that belongs in each row of the map.
+    position_of_row: Vec<usize>,
     /// `L` chirps, `[pair]` of codes or `[sample]`.
     transposed: Vec<V>,
     buffer: Vec<Complex<V>>,
+    /// `L` bins of `L` chirps on their way into `matrix`: kept here, they need not be set to zero each time.
+    untangled: Vec<Complex<V>>,
     /// `[range / L][chirp]`, padded with zeros to the Doppler FFT and then to `tile_length`.
     matrix: Vec<Complex<V>>,
+    /// `[bins at once / L][doppler position]`
+    powers: Vec<V>,
 }
 
 impl<const L: usize, V: Vector<L>> Stages<L, V> {
@@ -74,10 +84,9 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             })
             .collect();
         let doppler_plan = Plan::new(doppler);
-        let mut row_start_of_position = vec![0; doppler];
-        for (bin, position) in doppler_plan.position_of_bin().into_iter().enumerate() {
-            row_start_of_position[position] = (bin + doppler / 2) % doppler * range;
-        }
+        // Zero Doppler in the middle.
+        let mut position_of_row = doppler_plan.position_of_bin();
+        position_of_row.rotate_left(doppler / 2);
         let mut doppler_window: Vec<f32> = plan.doppler_window.iter().map(|w| *w as f32).collect();
         doppler_window.resize(doppler, 0.0);
         let tile_length = doppler + L;
@@ -98,10 +107,12 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             untangling,
             doppler_window,
             doppler_plan,
-            row_start_of_position,
+            position_of_row,
             transposed: vec![V::splat(0.0); 2 * range],
             buffer: vec![zero; range.max(doppler)],
+            untangled: vec![zero; L],
             matrix: vec![zero; range / L * tile_length],
+            powers: vec![V::splat(0.0); range.min(BINS_AT_ONCE) / L * doppler],
         }
     }
 
@@ -122,11 +133,13 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
             self.untangle(first);
         }
         let mut is_finite = true;
-        for tile in 0..self.range / L {
-            is_finite &= match self.removes_slow_time_mean {
-                false => self.doppler_transform::<false>(tile, output, cells),
-                true => self.doppler_transform::<true>(tile, output, cells),
+        for first_bin in (0..self.range).step_by(BINS_AT_ONCE) {
+            let is_group_finite = match self.removes_slow_time_mean {
+                false => self.doppler_transforms::<false>(first_bin),
+                true => self.doppler_transforms::<true>(first_bin),
             };
+            self.write_rows(first_bin, output, is_group_finite, cells);
+            is_finite &= is_group_finite;
         }
         is_finite
     }
@@ -177,14 +190,20 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         for (tile, bins) in self.untangling.as_chunks::<L>().0.iter().enumerate() {
             let start = tile * self.tile_length + first_chirp;
             let target = &mut self.matrix[start..start + L];
-            let (mut re, mut im) = ([V::splat(0.0); L], [V::splat(0.0); L]);
+            let untangled = &mut self.untangled[..L];
             for i in 0..L {
                 let bin = bins[i];
                 let (own, mirror) = (z[bin.own], z[bin.mirror]);
                 let (minus, plus) = (V::splat(bin.one_minus_sin), V::splat(bin.one_plus_sin));
                 let cos = V::splat(bin.cos);
-                re[i] = own.re.mul_add(minus, mirror.re.mul_add(plus, (own.im + mirror.im) * cos));
-                im[i] = own.im.mul_add(minus, mirror.im.neg_mul_add(plus, (mirror.re - own.re) * cos));
+                untangled[i] = Complex {
+                    re: own.re.mul_add(minus, mirror.re.mul_add(plus, (own.im + mirror.im) * cos)),
+                    im: own.im.mul_add(minus, mirror.im.neg_mul_add(plus, (mirror.re - own.re) * cos)),
+                };
+            }
+            let (mut re, mut im) = ([V::splat(0.0); L], [V::splat(0.0); L]);
+            for i in 0..L {
+                (re[i], im[i]) = (untangled[i].re, untangled[i].im);
             }
             let (re, im) = (V::transpose(re), V::transpose(im));
             for i in 0..L {
@@ -193,43 +212,59 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         }
     }
 
-    /// Static removal, window, Doppler FFT and power of `L` range bins; whether all of it is finite.
+    /// Static removal, window, Doppler FFT and power of the range bins from `first_bin` on; whether all of it is finite.
     #[inline(always)]
-    fn doppler_transform<const REMOVES_MEAN: bool>(&mut self, tile: usize, output: Output, cells: &mut [f32]) -> bool {
-        let rows = &self.matrix[tile * self.tile_length..tile * self.tile_length + self.doppler];
-        let mut mean = Complex { re: V::splat(0.0), im: V::splat(0.0) };
-        if REMOVES_MEAN {
-            // Four sums at a time: one would wait for each addition.
-            let mut sums = [mean; 4];
-            for four in rows[..self.chirps].as_chunks::<4>().0 {
-                for (sum, x) in sums.iter_mut().zip(four) {
-                    *sum = *sum + *x;
+    fn doppler_transforms<const REMOVES_MEAN: bool>(&mut self, first_bin: usize) -> bool {
+        let buffer = &mut self.buffer[..self.doppler];
+        let tiles = self.matrix.chunks_exact(self.tile_length).skip(first_bin / L);
+        let mut total = V::splat(0.0);
+        for (rows, powers) in tiles.zip(self.powers.chunks_exact_mut(self.doppler)) {
+            let rows = &rows[..self.doppler];
+            let mut mean = Complex { re: V::splat(0.0), im: V::splat(0.0) };
+            if REMOVES_MEAN {
+                // Four sums at a time: one would wait for each addition.
+                let mut sums = [mean; 4];
+                for four in rows[..self.chirps].as_chunks::<4>().0 {
+                    for (sum, x) in sums.iter_mut().zip(four) {
+                        *sum = *sum + *x;
+                    }
                 }
+                let sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
+                let share = V::splat((1.0 / self.chirps as f64) as f32);
+                mean = Complex { re: sum.re * share, im: sum.im * share };
             }
-            let sum = (sums[0] + sums[1]) + (sums[2] + sums[3]);
-            let share = V::splat((1.0 / self.chirps as f64) as f32);
-            mean = Complex { re: sum.re * share, im: sum.im * share };
+            let source = SlowTimeSource::<V, REMOVES_MEAN> { rows, window: &self.doppler_window[..self.doppler], mean };
+            let mut sink = PowerSink { powers, total };
+            self.doppler_plan.transform(&source, buffer, &mut sink);
+            total = sink.total;
         }
-        let source = SlowTimeSource::<V, REMOVES_MEAN> { rows, window: &self.doppler_window[..self.doppler], mean };
-        let (row_starts, buffer) = (&self.row_start_of_position[..], &mut self.buffer[..self.doppler]);
-        let (first_bin, total) = (tile * L, V::splat(0.0));
+        total.is_finite()
+    }
+
+    /// Cells of `powers` in the rows of the map, from `first_bin` on.
+    #[inline(always)]
+    fn write_rows(&self, first_bin: usize, output: Output, is_finite: bool, cells: &mut [f32]) {
         match output {
+            // Logarithms that guard make of NaN and infinity what they are, and take longer.
+            Output::Decibels { floor_power } if is_finite => {
+                let floor_power = V::splat(floor_power);
+                self.write(first_bin, cells, |power, _| power.finite_to_db(floor_power));
+            }
             Output::Decibels { floor_power } => {
                 let floor_power = V::splat(floor_power);
-                let mut sink = DecibelSink::<V, false> { row_starts, cells, first_bin, floor_power, total };
-                self.doppler_plan.transform(&source, buffer, &mut sink);
-                let is_finite = sink.total.is_finite();
-                if !is_finite {
-                    // What is no number has been made one: once more, with a look at each.
-                    let mut sink = DecibelSink::<V, true> { row_starts, cells, first_bin, floor_power, total };
-                    self.doppler_plan.transform(&source, buffer, &mut sink);
-                }
-                is_finite
+                self.write(first_bin, cells, |power, _| power.to_db(floor_power));
             }
-            Output::Power { adds } => {
-                let mut sink = PowerSink { row_starts, cells, first_bin, adds, total };
-                self.doppler_plan.transform(&source, buffer, &mut sink);
-                sink.total.is_finite()
+            Output::Power { adds: false } => self.write(first_bin, cells, |power, _| power),
+            Output::Power { adds: true } => self.write(first_bin, cells, |power, before| power + V::load(before)),
+        }
+    }
+
+    #[inline(always)]
+    fn write(&self, first_bin: usize, cells: &mut [f32], cell: impl Fn(V, &[f32]) -> V) {
+        for (row, position) in cells.chunks_exact_mut(self.range).zip(&self.position_of_row) {
+            let powers = self.powers.chunks_exact(self.doppler);
+            for (cells, powers) in row[first_bin..].chunks_exact_mut(L).zip(powers) {
+                cell(powers[*position], cells).store(cells);
             }
         }
     }
@@ -286,48 +321,18 @@ impl<const L: usize, V: Vector<L>, const REMOVES_MEAN: bool> Source<L, V> for Sl
     }
 }
 
-#[inline(always)]
-fn power<const L: usize, V: Vector<L>>(x: Complex<V>) -> V {
-    x.im.mul_add(x.im, x.re * x.re)
-}
-
-/// Decibels into the rows of the map, zero Doppler in the middle; what is not finite stays so if it guards.
-struct DecibelSink<'a, V, const GUARDS: bool> {
-    row_starts: &'a [usize],
-    cells: &'a mut [f32],
-    first_bin: usize,
-    floor_power: V,
-    /// Sum of all powers: finite only if they are.
-    total: V,
-}
-
-impl<const L: usize, V: Vector<L>, const GUARDS: bool> Sink<L, V> for DecibelSink<'_, V, GUARDS> {
-    #[inline(always)]
-    fn put(&mut self, position: usize, value: Complex<V>) {
-        let start = self.row_starts[position] + self.first_bin;
-        let power = power(value);
-        self.total = self.total + power;
-        let db = if GUARDS { power.to_db(self.floor_power) } else { power.finite_to_db(self.floor_power) };
-        db.store(&mut self.cells[start..start + L]);
-    }
-}
-
-/// Power into the rows of the map, or added to what is there.
+/// Power where the FFT leaves it.
 struct PowerSink<'a, V> {
-    row_starts: &'a [usize],
-    cells: &'a mut [f32],
-    first_bin: usize,
-    adds: bool,
+    powers: &'a mut [V],
+    /// Sum of all powers: finite only if they are.
     total: V,
 }
 
 impl<const L: usize, V: Vector<L>> Sink<L, V> for PowerSink<'_, V> {
     #[inline(always)]
     fn put(&mut self, position: usize, value: Complex<V>) {
-        let start = self.row_starts[position] + self.first_bin;
-        let cells = &mut self.cells[start..start + L];
-        let power = power(value);
+        let power = value.im.mul_add(value.im, value.re * value.re);
         self.total = self.total + power;
-        if self.adds { power + V::load(cells) } else { power }.store(cells);
+        self.powers[position] = power;
     }
 }

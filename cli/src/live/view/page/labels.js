@@ -9,12 +9,11 @@ export class LabelList {
     Object.assign(this, { list, count, state, send, goTo, select, selected: null, rows: new Map() });
   }
 
-  take({ spans, open, place, saved, later, fault }) {
+  take({ spans, open, place, saved, fault }) {
     this.count.textContent = `(${spans.length}${open ? ', one goes on' : ''})`;
-    this.state.className = fault || !saved && !place && !later ? 'unsaved' : '';
+    this.state.className = fault || !saved && !place ? 'unsaved' : '';
     this.state.textContent = fault ? `not saved: ${fault}`
       : place ? saved ? `saved in ${place}` : `saving in ${place} …`
-      : later ? `go into ${later} at the end of the run`
       : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'press 0, 1 or 2 to label what you see';
     const kept = new Map();
     spans.forEach((span, index) => {

@@ -1,0 +1,108 @@
+//! What is said to boards and by them while the doctor asks, for the bundle.
+
+use std::fmt::{self, Write};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+use radome_driver::board::wire::TARGET;
+use tracing::field::{Field, Visit};
+use tracing::{Event, Subscriber};
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::Context;
+use tracing_subscriber::registry::LookupSpan;
+
+/// Lines kept from the beginning, where boards say who they are and are programmed, and of the end, where something may have failed.
+const FIRST: usize = 400;
+const LAST: usize = 200;
+
+/// Keeps what the driver says of the wire, where it is given to the log.
+#[derive(Debug, Clone)]
+pub struct WireLog {
+    began: Instant,
+    lines: Arc<Mutex<Lines>>,
+}
+
+#[derive(Debug, Default)]
+struct Lines {
+    first: Vec<String>,
+    last: std::collections::VecDeque<String>,
+    left_out: usize,
+}
+
+impl Default for WireLog {
+    fn default() -> Self {
+        WireLog { began: Instant::now(), lines: Arc::default() }
+    }
+}
+
+impl WireLog {
+    /// To be added to the log.
+    pub fn layer<S: Subscriber + for<'a> LookupSpan<'a>>(&self) -> impl Layer<S> + use<S> {
+        self.clone().with_filter(Targets::new().with_target(TARGET, LevelFilter::TRACE))
+    }
+
+    /// Lines of seconds, direction and bytes.
+    pub fn text(&self) -> String {
+        let lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut text = lines.first.concat();
+        if lines.left_out > 0 {
+            text += &format!("... {} lines left out\n", lines.left_out);
+        }
+        text.extend(lines.last.iter().map(String::as_str));
+        text
+    }
+}
+
+impl Lines {
+    fn push(&mut self, line: String) {
+        if self.first.len() < FIRST {
+            return self.first.push(line);
+        }
+        if self.last.len() == LAST {
+            self.last.pop_front();
+            self.left_out += 1;
+        }
+        self.last.push_back(line);
+    }
+}
+
+impl<S: Subscriber> Layer<S> for WireLog {
+    fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
+        let mut line = format!("{:10.4}", self.began.elapsed().as_secs_f64());
+        event.record(&mut Words(&mut line));
+        line.push('\n');
+        self.lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
+    }
+}
+
+/// The one field of an event, behind a mark of its direction.
+struct Words<'a>(&'a mut String);
+
+impl Visit for Words<'_> {
+    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
+        let mark = match field.name() {
+            "sent" => ">",
+            "received" => "<",
+            name => name,
+        };
+        // Writing to a string does not fail.
+        let _ = write!(self.0, " {mark} {value:?}");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_talk_keeps_its_beginning_and_its_end() {
+        let mut lines = Lines::default();
+        (0..FIRST + LAST + 5).for_each(|i| lines.push(format!("{i}\n")));
+        let log = WireLog { lines: Arc::new(Mutex::new(lines)), ..WireLog::default() };
+        let text = log.text();
+        assert!(text.starts_with("0\n1\n") && text.ends_with(&format!("{}\n", FIRST + LAST + 4)), "{text}");
+        assert_eq!(text.lines().count(), FIRST + LAST + 1);
+        assert!(text.contains(&format!("{}\n... 5 lines left out\n{}\n", FIRST - 1, FIRST + 5)), "{text}");
+    }
+}
