@@ -533,9 +533,9 @@ impl Renderer {
         let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights, false)).collect();
         let by_delay = phase.map(|phase| self.by_delay(rx, phase, clutter, scratch));
         // The same phase in all receivers.
+        let mut phase_rng = generator(self.options.seed, Purpose::PhaseNoise, [index, 0]);
         // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
         let people = self.options.people.map_or(0, |people| people as u64 + 1) << 32;
-        let mut phase_rng = generator(self.options.seed, Purpose::PhaseNoise, [index, people]);
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, people | rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();

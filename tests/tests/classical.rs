@@ -8,7 +8,7 @@ use serde_json::Value;
 fn simulate(folder: &Path, scene: &str, people: usize) -> String {
     let path = folder.join(format!("{scene}-{people}.mcap"));
     let people = people.to_string();
-    let args = ["simulate", "--people", &people, "--seed", "300001", "--frames", "150", "--json", "-o"];
+    let args = ["simulate", "--people", &people, "--seed", "300001", "--frames", "200", "--json", "-o"];
     json_lines(radome().args(args).arg(&path).arg(fixture(&format!("scenes/{scene}.toml"))));
     path.display().to_string()
 }
