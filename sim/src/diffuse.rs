@@ -225,9 +225,9 @@ pub fn add(
     let least = HEARD * stage.threshold_lsb;
     for (rx, (receiver, out)) in stage.rx.iter().zip(receivers).enumerate() {
         for segment in 0..own.first().map_or(0, |snapshot| snapshot.body.len()) {
+            let lit: Vec<Scatterer> = own.iter().map(|now| Scatterer::new(stage, now, segment)).collect();
             let mut add = |there: End, back: End, phase: Complex64| {
-                let path = |now: &&Snapshot| key(stage, rx, now, segment, [there, back], phase);
-                let keys: Vec<(Key, Bend)> = own.iter().map(path).collect();
+                let keys: Vec<(Key, Bend)> = lit.iter().map(|lit| key(stage, rx, lit, [there, back], phase)).collect();
                 if keys.iter().all(|(key, _)| key.amplitude.norm() < least) {
                     return;
                 }
@@ -275,9 +275,29 @@ impl End<'_> {
     }
 }
 
+/// A segment at a time.
+struct Scatterer {
+    centre: DVec3,
+    velocity: DVec3,
+    acceleration: DVec3,
+    /// Field that it scatters in all directions of a unit field, times m.
+    scattered: f64,
+    /// 1 in the room, 0 outside.
+    inside: f64,
+}
+
+impl Scatterer {
+    fn new(stage: &Stage, now: &Snapshot, segment: usize) -> Self {
+        let (centre, velocity, acceleration) = now.centre(segment);
+        let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
+        let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
+        Scatterer { centre, velocity, acceleration, scattered, inside: inside_room(stage, centre) }
+    }
+}
+
 /// The path by way of a segment from one end to the other.
-fn key(stage: &Stage, rx: usize, now: &Snapshot, segment: usize, ends: [End<'_>; 2], phase: Complex64) -> (Key, Bend) {
-    let (centre, velocity, acceleration) = now.centre(segment);
+fn key(stage: &Stage, rx: usize, lit: &Scatterer, ends: [End<'_>; 2], phase: Complex64) -> (Key, Bend) {
+    let Scatterer { centre, velocity, acceleration, scattered, inside } = *lit;
     let (mut length_m, mut field, mut along) = (0.0, 1.0, DVec3::ZERO);
     for end in ends {
         let offset = centre - end.position();
@@ -291,10 +311,8 @@ fn key(stage: &Stage, rx: usize, now: &Snapshot, segment: usize, ends: [End<'_>;
     let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
     let delay_rate = along.dot(velocity) / SPEED_OF_LIGHT_M_PER_S;
     let aperture = stage.wavelength_m / (4.0 * PI);
-    let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
-    let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
     // Of what is thrown in all directions an antenna takes one polarisation.
-    let strength = field * aperture * scattered * FRAC_1_SQRT_2 * inside_room(stage, centre);
+    let strength = field * aperture * scattered * FRAC_1_SQRT_2 * inside;
     let amplitude = stage.at_adc(rx, phase * strength, stage.chirp.beat_hz(delay_s, delay_rate));
     let bend = Bend { delay: [along.dot(acceleration) / SPEED_OF_LIGHT_M_PER_S, 0.0], ..Bend::default() };
     (Key { delay_s, delay_rate, amplitude }, bend)
