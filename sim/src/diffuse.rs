@@ -75,7 +75,7 @@ struct Place {
 
 impl Place {
     fn new(wall: usize, position: DVec3) -> Self {
-        let normal = DVec3::AXES[wall / 2] * if wall % 2 == 0 { 1.0 } else { -1.0 };
+        let normal = DVec3::AXES[wall / 2] * if wall.is_multiple_of(2) { 1.0 } else { -1.0 };
         Place { wall, position, normal }
     }
 
