@@ -10,7 +10,7 @@
 //! - [`conv2d`] (dense, pointwise, depthwise), [`batch_norm`] with its activation, [`max_pool2d`], [`add_relu`],
 //!   [`scale_channels`], [`dropout`], [`activation`]: what the larger networks are made of. Dense products read maps where
 //!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
-//! - [`PreparedConv`], [`PreparedBlock`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
+//! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
 //!   again; 3x3 convolutions go by windows of cells (`winograd.rs`), and threads stay awake from layer to layer (`crew.rs`).
 //! - [`backward`]: candle's backward pass without its copies.
 //!
@@ -37,6 +37,7 @@ mod max_pool;
 mod operation;
 mod packed;
 mod prepared_block;
+mod prepared_dense;
 pub mod reference;
 mod scale_channels;
 mod squash;
@@ -70,6 +71,7 @@ pub use level::KernelLevel;
 pub use linear::linear;
 pub use max_pool::max_pool2d;
 pub use prepared_block::PreparedBlock;
+pub use prepared_dense::PreparedDense;
 pub use scale_channels::scale_channels;
 pub use squash::squash;
 pub(crate) use squash::squashed;

@@ -11,16 +11,16 @@ use rayon::prelude::*;
 use super::graph::{INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Crew, Feature, KernelLevel, PreparedBlock, PreparedConv, for_each_chunk,
-    squashed, trigonometric_features,
+    Activation, Affine, ConvGeometry, Crew, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
+    for_each_chunk, squashed, trigonometric_features,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
 /// Values that one task of a step without sums passes over.
 const CHUNK: usize = 1 << 14;
 
-/// Weights of a dense layer up to which plain loops beat cutting it into tiles.
-const SMALL: usize = 1 << 13;
+/// Weights of a dense layer up to which it is summed in f64, on one thread; those of the HQNN are no larger.
+const MOST_EXACT: usize = 1 << 17;
 
 /// A network ready to run.
 pub struct Inference {
@@ -48,12 +48,7 @@ enum Kernel {
     Block(PreparedBlock),
     /// Convolution or dense layer; a second input is added before the activation.
     Convolution(PreparedConv),
-    /// A small dense layer, weights `[input][output]`.
-    Dense {
-        weight: Vec<f32>,
-        bias: Vec<f32>,
-        activation: Activation,
-    },
+    Dense(PreparedDense),
     Activate(Activation),
     MaxPool {
         kernel: usize,
@@ -316,13 +311,13 @@ impl Plan<'_> {
             return Ok(());
         }
         if let Layer::Linear { inputs: i, outputs } = node.layer
-            && i * outputs <= SMALL
+            && i * outputs <= MOST_EXACT
             && affine.is_none()
             && inputs.len() == 1
+            && let Some(bias) = &bias
         {
-            let transposed = (0..i * outputs).map(|k| weight[k % outputs * i + k / outputs]).collect();
-            let dense = Kernel::Dense { weight: transposed, bias: bias.unwrap_or_default(), activation };
-            self.push(node, dense, inputs, &values);
+            let dense = PreparedDense::new(&weight, [outputs, i], bias, activation, level)?;
+            self.push(node, Kernel::Dense(dense), inputs, &values);
             return Ok(());
         }
         let convolution = PreparedConv::new(&weight, dims, bias.as_deref(), affine, geometry, activation, level)?;
@@ -386,20 +381,7 @@ impl Step {
         match &self.kernel {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
-            Kernel::Dense { weight, bias, activation } => {
-                if weight.len() != width * bias.len() {
-                    bail!("expected {} values, got {width}", weight.len() / bias.len().max(1));
-                }
-                output.reshape([batch, 1, 1, bias.len()]);
-                let rows = output.values_mut().chunks_exact_mut(bias.len()).zip(input(0)?.values().chunks_exact(width));
-                for (row, input) in rows {
-                    row.copy_from_slice(bias);
-                    for (&x, weight) in input.iter().zip(weight.chunks_exact(bias.len())) {
-                        row.iter_mut().zip(weight).for_each(|(sum, w)| *sum += x * w);
-                    }
-                    row.iter_mut().for_each(|x| *x = activate(*activation, *x));
-                }
-            }
+            Kernel::Dense(dense) => dense.run(input(0)?, output)?,
             &Kernel::Repeat { channels } => {
                 output.reshape([batch, rows, columns, channels]);
                 let cells = output.values_mut().chunks_exact_mut(channels);

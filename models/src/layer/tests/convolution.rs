@@ -284,3 +284,29 @@ mod hard_cases {
         }
     }
 }
+
+/// Nothing is lost before the one rounding of a sum: sums of large numbers that nearly cancel come out to the last bit, alike at
+/// every level.
+#[test]
+fn dense_layers_round_once() {
+    for [batch, inputs, outputs] in [[1, 960, 64], [3, 64, 2], [2, 7, 33], [1, 1, 1]] {
+        let (x, w, b) = (random(batch * inputs, "x"), random(outputs * inputs, "w"), random(outputs, "b"));
+        let x: Vec<f32> = x.iter().map(|x| 1000.0 + x).collect();
+        let input = Feature::new([batch, 1, 1, inputs], x.clone()).expect("feature");
+        for level in levels() {
+            let dense = PreparedDense::new(&w, [outputs, inputs], &b, Activation::Relu, level).expect("prepare");
+            let mut output = Feature::default();
+            dense.run(&input, &mut output).expect("run");
+            assert_eq!(output.dims(), [batch, 1, 1, outputs]);
+            for (k, &found) in output.values().iter().enumerate() {
+                let (row, o) = (k / outputs, k % outputs);
+                let products = x[row * inputs..][..inputs].iter().zip(&w[o * inputs..]);
+                let sum = products.fold(f64::from(b[o]), |sum, (&x, &w)| sum + f64::from(x) * f64::from(w));
+                assert_eq!(found, (sum as f32).max(0.0), "{batch} {inputs} {outputs} {level:?}");
+            }
+            let wrong = Feature::new([1, 1, 1, inputs + 1], vec![0.0; inputs + 1]).expect("feature");
+            assert!(dense.run(&wrong, &mut output).expect_err("too wide").to_string().contains("expected input"));
+        }
+    }
+    assert!(PreparedDense::new(&[1.0], [1, 1], &[], Activation::None, KernelLevel::detect()).is_err());
+}
