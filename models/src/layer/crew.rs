@@ -12,6 +12,8 @@ use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 
+use super::apart::Places;
+
 /// How long a helper waits for work before it goes back among rayon's threads.
 const LINGER: Duration = Duration::from_micros(300);
 /// Turns of waiting, some ten nanoseconds each, before a thread offers its processor to others: longer than from step to step, for
@@ -60,6 +62,9 @@ struct Board {
     inside: Line<AtomicUsize>,
     /// Helpers that are there or on their way.
     enlisted: Line<AtomicUsize>,
+    /// Helpers that are there.
+    arrived: Line<AtomicUsize>,
+    places: Places,
     job: UnsafeCell<Option<Job>>,
 }
 
@@ -110,7 +115,12 @@ impl Crew {
         let board = &self.0;
         // There is one job at a time: tasks within tasks are rayon's.
         let _before = Led(LED.take());
-        Board::enlist(board);
+        if Board::enlist(board) {
+            board.places.lead();
+        } else if board.arrived.0.load(Ordering::Relaxed) == 0 && board.enlisted.0.load(Ordering::Relaxed) > 0 {
+            // A helper that is on its way since the last job may be waiting for this very processor: see `apart.rs`.
+            std::thread::yield_now();
+        }
         // SAFETY: of the lifetime only, which ends behind `Open`: it waits until nobody looks at the job any more.
         let task = unsafe { std::mem::transmute::<*const (dyn Fn(usize) + Sync), *const (dyn Fn(usize) + Sync)>(task) };
         let job = Job { count, task };
@@ -124,15 +134,16 @@ impl Crew {
 }
 
 impl Board {
-    /// Calls a helper if one is missing; that one calls the next.
-    fn enlist(board: &Arc<Board>) {
+    /// Calls a helper if one is missing, and tells so; that one calls the next.
+    fn enlist(board: &Arc<Board>) -> bool {
         let there = board.enlisted.0.load(Ordering::Relaxed);
-        if there + 1 < rayon::current_num_threads()
-            && board.enlisted.0.compare_exchange(there, there + 1, Ordering::Relaxed, Ordering::Relaxed).is_ok()
-        {
+        let is_missing = there + 1 < rayon::current_num_threads()
+            && board.enlisted.0.compare_exchange(there, there + 1, Ordering::Relaxed, Ordering::Relaxed).is_ok();
+        if is_missing {
             let board = board.clone();
             rayon::spawn(move || Board::help(&board));
         }
+        is_missing
     }
 
     fn work(&self, job: Job) {
@@ -156,6 +167,9 @@ impl Board {
             }
         }
         let _enlisted = Leave(&board.enlisted.0);
+        board.arrived.0.fetch_add(1, Ordering::Relaxed);
+        let _arrived = Leave(&board.arrived.0);
+        let _place = board.places.help();
         Board::enlist(board);
         let (mut done, mut since, mut turns) = (0, Instant::now(), 0u32);
         loop {

@@ -18,6 +18,7 @@
 //! threads. [`mod@reference`] holds the slow obvious versions.
 
 mod activation;
+mod apart;
 mod average_pool;
 mod backward;
 mod batch_norm;
