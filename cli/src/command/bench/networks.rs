@@ -188,28 +188,35 @@ fn compare(
         let Some(spec) = NetworkSpec::named(name) else {
             bail!("there is no network '{name}'\n\nhint: `radome models` lists them");
         };
-        let mut run = ours(&spec, &folder)?;
+        // What the circuit costs shows beside the same network with a linear head, which takes its turns too.
+        let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };
+        let mut own = vec![("radome".to_owned(), ours(&spec, &folder)?)];
+        if let Some(spec) = &linear {
+            own.push(("linear head".to_owned(), ours(spec, &folder)?));
+        }
         let python = arguments.python.as_deref();
         let start = |onnx| Peer::start(python, what, name, threads, batch, repeats, onnx);
         let in_onnxruntime = if what == "infer" { start(Some(folder.as_path())) } else { None };
         let mut peers: Vec<Peer> = start(None).into_iter().chain(in_onnxruntime).collect();
-        let mut of_peers = vec![Vec::new(); peers.len() + 1];
+        let (mut of_own, mut of_peers) = (vec![Vec::new(); own.len()], vec![Vec::new(); peers.len()]);
         for _ in 0..arguments.turns.max(1) {
-            of_peers[0].extend(times(repeats, &mut run)?);
-            std::thread::sleep(PAUSE);
-            for (peer, times) in peers.iter_mut().zip(&mut of_peers[1..]) {
-                times.extend(peer.turn());
+            for ((_, run), found) in own.iter_mut().zip(&mut of_own) {
+                found.extend(times(repeats, run)?);
+                std::thread::sleep(PAUSE);
+            }
+            for (peer, found) in peers.iter_mut().zip(&mut of_peers) {
+                found.extend(peer.turn());
                 std::thread::sleep(PAUSE);
             }
         }
-        let names = std::iter::once("radome").chain(peers.iter().map(|peer| peer.name.as_str()));
+        let names = own.iter().map(|(name, _)| name).chain(peers.iter().map(|peer| &peer.name));
         let mut of_network = Vec::new();
-        for (peer, mut times) in names.zip(of_peers) {
+        for (peer, mut times) in names.zip(of_own.into_iter().chain(of_peers)) {
             times.sort_by(f64::total_cmp);
             let (Some(&milliseconds), Some(&median_milliseconds)) = (times.first(), times.get(times.len() / 2)) else {
                 continue;
             };
-            let (model, peer) = (name.clone(), peer.to_owned());
+            let (model, peer) = (name.clone(), peer.clone());
             of_network.push(Row { model, peer, batch, threads, milliseconds, median_milliseconds });
         }
         if !arguments.json {
