@@ -1,0 +1,89 @@
+//! Frames become maps without allocation: counted by the allocator of this test program, by thread.
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
+use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
+}
+
+fn count() {
+    // A thread that is ending has no counter any more; nobody asks for it then.
+    let _ = ALLOCATIONS.try_with(|counter| counter.set(counter.get() + 1));
+}
+
+// SAFETY: every call goes on to the system's allocator unchanged; counting does not allocate.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise about `layout` is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: `pointer` came from `System` with this `layout`.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: `pointer` came from `System` with this `layout`; the promise about `size` is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+#[test]
+fn no_chain_allocates_once_it_is_planned() {
+    let waveform = |chirps: usize, samples: usize| {
+        let request = WaveformRequest {
+            samples_per_chirp: samples,
+            chirps_per_frame: chirps,
+            frame_interval_s: 0.2,
+            ..WaveformRequest::paper()
+        };
+        Waveform::realise(request).expect("valid")
+    };
+    let base = RdmSpec::default();
+    let specs = [
+        base,
+        RdmSpec::paper(),
+        RdmSpec { channels: Channels::IncoherentSum, static_removal: StaticRemoval::SlowTimeMean, ..base },
+        RdmSpec { static_removal: StaticRemoval::RecursiveMti { alpha: 0.6 }, chirp_mean_removal: true, ..base },
+        RdmSpec { slow_time: SlowTime::Frames { frames: 8 }, ..base },
+    ];
+    // Sizes of the lane kernel, and such as go through the library.
+    for waveform in [waveform(128, 256), waveform(32, 64), waveform(20, 100)] {
+        for spec in specs {
+            for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+                let mut processor = RdmProcessor::with_kernel(&spec, &waveform, level).expect("spec fits");
+                let (mut map, mut frame) = (processor.empty_map(), Frame::zeroed(waveform.shape()));
+                let mut make = |sequences: std::ops::Range<u64>| {
+                    for sequence in sequences {
+                        frame.sequence = sequence;
+                        frame
+                            .codes
+                            .iter_mut()
+                            .enumerate()
+                            .for_each(|(i, code)| *code = (i as u64 * sequence % 4096) as u16);
+                        processor.process(&frame, &mut map).expect("frame fits");
+                    }
+                };
+                make(0..10);
+                let before = ALLOCATIONS.get();
+                assert!(before > 0, "the allocator counts");
+                // With a jump in between, after which everything begins anew.
+                make(10..20);
+                make(30..40);
+                assert_eq!(ALLOCATIONS.get() - before, 0, "{level}, {}, {spec:?}", waveform.shape());
+            }
+        }
+    }
+}
