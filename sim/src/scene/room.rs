@@ -6,8 +6,9 @@
 //! a convex body turned at random, a quarter of its area, times what its material reflects. Its shape, mirror reflections in its
 //! faces, and its shadow are not modelled; nor is what lies outside the box.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use glam::DVec3;
 use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform};
@@ -45,6 +46,12 @@ const WALLS: [(&str, usize, bool); 6] = [
     ("ceiling", 2, true),
 ];
 
+/// Whether nothing has been said yet of a material in a wall: a dataset draws the same walls thousands of times.
+fn is_news(material: &str, wall: &str) -> bool {
+    static SAID: Mutex<BTreeSet<[String; 2]>> = Mutex::new(BTreeSet::new());
+    SAID.lock().unwrap_or_else(PoisonError::into_inner).insert([material.to_owned(), wall.to_owned()])
+}
+
 /// What the six surfaces do to waves. Warns of materials whose constants are for another band.
 pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], Fault> {
     let mut walls = [Wall::Open; 6];
@@ -56,7 +63,7 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
             (None, own) => own.and_then(|m| m.band_ghz).unwrap_or([0.0, f64::INFINITY]),
         };
         let ghz = waveform.centre_frequency_hz() * 1e-9;
-        if !(low..=high).contains(&ghz) {
+        if !(low..=high).contains(&ghz) && is_news(&surface.material, key) {
             tracing::warn!(
                 material = surface.material,
                 wall = key,
