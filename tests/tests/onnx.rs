@@ -8,7 +8,8 @@ use radome_tests::{failure, fixture, json_lines, radome};
 use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
-const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("hall-hqnn", "hall")];
+const MODELS: [(&str, &str); 4] =
+    [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("desk-doppler-net", "desk"), ("hall-hqnn", "hall")];
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
     let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));
@@ -63,7 +64,7 @@ fn exported_models_answer_as_the_models() {
         if !is_installed(&onnx) {
             return;
         }
-        let recording = folder.path().join(format!("{scene}.mcap"));
+        let recording = folder.path().join(format!("{model}.mcap"));
         let scene = fixture(&format!("scenes/{scene}.toml"));
         let made = radome()
             .arg("simulate")
