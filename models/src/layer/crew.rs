@@ -7,7 +7,7 @@
 
 use std::cell::{Cell, UnsafeCell};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
@@ -64,6 +64,8 @@ struct Board {
     enlisted: Line<AtomicUsize>,
     /// Helpers that are there.
     arrived: Line<AtomicUsize>,
+    /// Whether the leader has called a helper and has not made way for it yet.
+    awaits: AtomicBool,
     places: Places,
     job: UnsafeCell<Option<Job>>,
 }
@@ -117,8 +119,10 @@ impl Crew {
         let _before = Led(LED.take());
         if Board::enlist(board) {
             board.places.lead();
-        } else if board.arrived.0.load(Ordering::Relaxed) == 0 && board.enlisted.0.load(Ordering::Relaxed) > 0 {
-            // A helper that is on its way since the last job may be waiting for this very processor: see `apart.rs`.
+            board.awaits.store(true, Ordering::Relaxed);
+        } else if board.awaits.swap(false, Ordering::Relaxed) && board.arrived.0.load(Ordering::Relaxed) == 0 {
+            // The helper that was called for the job before may be waiting for this very processor: see `apart.rs`. Once, for on a
+            // busy machine others come first each time.
             std::thread::yield_now();
         }
         // SAFETY: of the lifetime only, which ends behind `Open`: it waits until nobody looks at the job any more.
