@@ -29,7 +29,7 @@ use crate::scene::Scene;
 use crate::scene::file::BodyFile;
 use crate::shadow;
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
-use crate::stage::{Stage, threshold_lsb};
+use crate::stage::{Stage, drift_phases, threshold_lsb};
 use crate::synthesis::{CHIRPS, ChirpGrids, Grid, SynthesisScratch, Synthesiser, Tone};
 
 /// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
@@ -467,7 +467,9 @@ impl Renderer {
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 0]);
         let mut normal = || -> f64 { StandardNormal.sample(&mut rng) };
         let steps = self.clutter_steps(index);
+        // Half of the power of jitter and drift is common to all echoes, half each one's own.
         let half = constants.phase_jitter_rad * 0.5f64.sqrt();
+        let half_drift = constants.phase_drift_rad_per_10s * 0.5f64.sqrt();
         let common = half * normal();
         let jitter: Vec<Complex64> = self
             .stage
@@ -483,13 +485,14 @@ impl Renderer {
             .zip(snapshots)
             .map(|(&t, people)| {
                 let columns: Vec<_> = people.iter().map(|p| p.column).collect();
+                let common = drift(t, &self.stage.common_drift);
                 let paths = self.stage.static_paths.iter().zip(&jitter);
                 paths
                     .enumerate()
                     .map(|(i, (path, jitter))| {
                         let shade = shadow::along(&path.polyline, &columns, self.stage.wavelength_m);
                         let step = steps.get(i).copied().unwrap_or_default();
-                        let turn = drift(t, &path.drift) * constants.phase_drift_rad_per_10s + step;
+                        let turn = half_drift * (common + drift(t, &path.drift)) + step;
                         jitter * Complex64::from_polar(shade, turn)
                     })
                     .collect()
@@ -643,8 +646,7 @@ impl Renderer {
         let t = self.start_s(index);
         let mut rng = generator(self.options.seed, Purpose::FrameJitter, [index, 1 + rx as u64]);
         let (a, b): (f64, f64) = (StandardNormal.sample(&mut rng), StandardNormal.sample(&mut rng));
-        let mut rng = generator(self.options.seed, Purpose::Drift, [rx as u64, 1]);
-        let phases = std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU));
+        let phases = drift_phases(self.options.seed, [rx as u64, 1]);
         let dc = self.stage.channels.get(rx).map_or(2048.0, |c| c.dc_code);
         // There and back between the limits.
         let limit = receiver.drift.dc_limit_lsb.max(1e-9);

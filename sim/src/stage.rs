@@ -21,7 +21,7 @@ pub struct StaticPath {
     pub tones: Vec<(f64, f64, Complex64)>,
     /// Corners of the path, radar to radar, for shadows.
     pub polyline: Vec<DVec3>,
-    /// Phases of its slow drift, rad.
+    /// Phases of its own slow drift, rad.
     pub drift: [f64; 3],
 }
 
@@ -50,6 +50,8 @@ pub struct Stage {
     pub wall_points: Vec<WallPoint>,
     /// What stands still.
     pub static_paths: Vec<StaticPath>,
+    /// Phases of the slow drift that all of it shares, rad.
+    pub common_drift: [f64; 3],
     /// Paths weaker than this at the ADC cannot be seen in any map, LSB.
     pub threshold_lsb: f64,
 }
@@ -61,6 +63,12 @@ pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -
     let least = density.iter().copied().fold(f64::INFINITY, f64::min).max(1e-3);
     let cells = (waveform.request.samples_per_chirp * waveform.request.chirps_per_frame) as f64;
     2.0 * (least / cells).sqrt() * 10f64.powf(-0.05 * margin_db)
+}
+
+/// Where a slow drift's waves begin, rad.
+pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
+    let mut rng = generator(seed, Purpose::Drift, of);
+    std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU))
 }
 
 impl Stage {
@@ -99,6 +107,7 @@ impl Stage {
             body_pairs,
             wall_points: Vec::new(),
             static_paths: Vec::new(),
+            common_drift: drift_phases(seed, [0, 2]),
             threshold_lsb: threshold_lsb(receiver, waveform, margin_db),
         };
         let diffuse = Diffuse {
@@ -111,8 +120,7 @@ impl Stage {
         stage.add_walls(scene.file().room.max_reflections);
         stage.add_furniture(scene, seed);
         for (i, path) in stage.static_paths.iter_mut().enumerate() {
-            let mut rng = generator(seed, Purpose::Drift, [i as u64, 0]);
-            path.drift = std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU));
+            path.drift = drift_phases(seed, [i as u64, 0]);
         }
         stage
     }

@@ -92,6 +92,49 @@ fn clutter_jitters_and_drifts_as_measured() {
     assert!((-30.0..-8.0).contains(&jittering) && resting < -50.0, "{jittering} dB, at rest {resting} dB");
 }
 
+/// Half of the power of what echoes drift by is the chip's and so common to all of them: two posts, 400 boards, ten seconds.
+#[test]
+fn half_of_the_drift_is_common_to_all_echoes() {
+    let post = |x: f64| {
+        format!(
+            "[[furniture]]\nname = \"post\"\nposition_m = [{x}, 9.99, 1.19]\nsize_m = [0.02, 0.02, 0.02]\npoints = 1\n"
+        ) + "cross_section_dbsm = 0.0\n"
+    };
+    let scene = parse(
+        &hall(&(post(4.0) + &post(6.0) + "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n"))
+            .replace("phase_drift_rad_per_10s = 0.0", "phase_drift_rad_per_10s = 0.3"),
+    );
+    let n = scene.waveform().request.samples_per_chirp;
+    let phase_rad = |frame: &radome_dsp::Frame, range_m: f64| {
+        let bin = (range_m / scene.waveform().range_step_m(n)).round();
+        let chirps = scene.waveform().request.chirps_per_frame;
+        let (mut re, mut im) = (0.0, 0.0);
+        for (i, code) in frame.codes.iter().take(chirps * n).enumerate() {
+            let turn = std::f64::consts::TAU * (i % n) as f64 / n as f64;
+            let x = f64::from(*code) * (0.5 - 0.5 * turn.cos());
+            re += x * (bin * turn).cos();
+            im -= x * (bin * turn).sin();
+        }
+        im.atan2(re)
+    };
+    let (mut squares, mut product) = ([0.0; 2], 0.0);
+    const BOARDS: u64 = 400;
+    for seed in 0..BOARDS {
+        let simulator = simulator(&scene, seed, Some(0));
+        let [before, after] = [0, 100].map(|index| simulator.render(index));
+        let changes = [3.0, 5.0].map(|range_m| {
+            let turned = phase_rad(&after, range_m) - phase_rad(&before, range_m);
+            turned - std::f64::consts::TAU * (turned / std::f64::consts::TAU).round()
+        });
+        squares.iter_mut().zip(changes).for_each(|(square, change)| *square += change * change);
+        product += changes[0] * changes[1];
+    }
+    let typical = squares.map(|square| (square / BOARDS as f64).sqrt());
+    assert!(typical.iter().all(|rad| (0.2..0.4).contains(rad)), "{typical:?} rad");
+    let correlation = product / (squares[0] * squares[1]).sqrt();
+    assert!((correlation - 0.5).abs() < 0.15, "{correlation}");
+}
+
 /// Steps come about as often as asked, about as large, and nothing changes in between.
 #[test]
 fn clutter_steps_now_and_then() {

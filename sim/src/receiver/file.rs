@@ -171,8 +171,9 @@ pub struct Transient {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClutterDrift {
-    /// Standard deviation of an echo's phase from frame to frame, rad. Default 0.03. Half of its power is common to all
-    /// echoes of a frame.
+    /// Standard deviation of an echo's phase from frame to frame, rad. Default 0.03. Of this and of the drift half of the power
+    /// is common to all echoes: were each echo's its own, those that share a range bin would beat by more than 4 % of their
+    /// amplitude.
     pub phase_jitter_rad: f64,
     /// Typical change of an echo's phase over ten seconds, rad. Default 0.3.
     pub phase_drift_rad_per_10s: f64,
