@@ -52,6 +52,12 @@ impl RxMask {
         (1..=3).filter(|a| self.0 & (1 << (a - 1)) != 0).collect()
     }
 
+    /// The enabled antennas up to the one with this index among them, 0-based; all of them if there is none.
+    pub fn up_to(self, index: usize) -> Self {
+        let beyond = self.antennas().into_iter().skip(index + 1);
+        RxMask(beyond.fold(self.0, |mask, antenna| mask & !(1 << (antenna - 1))))
+    }
+
     /// How many receivers are enabled.
     pub fn count(self) -> usize {
         self.0.count_ones() as usize
@@ -409,6 +415,13 @@ mod tests {
         let w = Waveform::realise(request).expect("valid");
         assert!((w.range_resolution_m() - 0.0299).abs() < 5e-5, "{}", w.range_resolution_m());
         assert!((w.max_range_m() - 0.957).abs() < 1e-3, "{}", w.max_range_m());
+    }
+
+    #[test]
+    fn antennas_are_enabled_up_to_one() {
+        let some = RxMask::from_antennas(&[1, 3]).expect("antennas");
+        assert_eq!([0, 1, 5].map(|index| some.up_to(index).antennas()), [vec![1], vec![1, 3], vec![1, 3]]);
+        assert_eq!(RxMask::ALL.up_to(1).antennas(), [1, 2]);
     }
 
     #[test]

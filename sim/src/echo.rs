@@ -98,7 +98,7 @@ pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(I
     let body = motion.body(time_s);
     let centre = body[CHEST].centre;
     let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-    let lsb = stage.lsb.iter().copied().fold(0.0, f64::max) * aperture * BODY_BOUND_M;
+    let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
     let reach = |index: ImageIndex| {
         let i = stage.room.illuminate(&stage.tx, index, centre);
         (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)

@@ -160,7 +160,8 @@ impl Tracer<'_> {
         let middle = self.trace(count / 2, 1, first.place);
         let last = self.trace(count, 1, middle.place);
         let least = self.demand.heard_lsb * self.demand.heard_lsb;
-        let is_heard = |met: &Met<Key>| met.keys.iter().any(|key| key.amplitude.norm_sqr() > least);
+        // Receivers are so close together that the first stands for all, here and in `cut`.
+        let is_heard = |met: &Met<Key>| met.keys.first().is_some_and(|key| key.amplitude.norm_sqr() > least);
         if is_heard(&first) || is_heard(&middle) || is_heard(&last) {
             let (first, last) = (self.bent(0, &first), self.bent(count, &last));
             let stretches = self.cut(0, 0, &first, &middle, &last);
@@ -195,7 +196,6 @@ impl Tracer<'_> {
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
         let instants = [1, 2, 3].map(instant);
         let quarters = [self.trace(instants[0], 1, first.place), self.trace(instants[2], 1, last.place)];
-        // Receivers are so close together that one stands for all.
         let stretch = stretches.first();
         let between = [(0.25, &quarters[0]), (0.5, middle), (0.75, &quarters[1])];
         let (mut missed_lsb, mut loudest_lsb) = (0.0f64, 0.0f64);

@@ -138,8 +138,10 @@ impl Stage {
         (self.chirp.phase_cycles(delay_s), beat_hz / self.chirp.sample_rate_hz, self.at_adc(rx, amplitude, beat_hz))
     }
 
+    /// Receivers are so close together that the first stands for all: what it hears, and every draw, is the same whoever else
+    /// listens.
     fn keep(&mut self, tones: Vec<(f64, f64, Complex64)>, polyline: Vec<DVec3>) {
-        if tones.iter().any(|t| t.2.norm() > self.threshold_lsb) {
+        if tones.first().is_some_and(|t| t.2.norm() > self.threshold_lsb) {
             self.static_paths.push(StaticPath { tones, polyline, drift: [0.0; 3] });
         }
     }

@@ -135,6 +135,39 @@ fn half_of_the_drift_is_common_to_all_echoes() {
     assert!((correlation - 0.5).abs() < 0.15, "{correlation}");
 }
 
+/// Datasets whose maps are of one receiver are simulated without those behind it: what it hears is the same to the bit.
+#[test]
+fn a_receiver_hears_the_same_whoever_else_listens() {
+    for (name, people) in [("corridor", 2), ("room", 1), ("bathroom", 1)] {
+        let all = scene(name);
+        for last in 0..all.waveform().shape().rx {
+            let some = all.clone().with_receivers(all.waveform().request.rx_antennas.up_to(last));
+            assert_eq!(some.waveform().shape().rx, last + 1);
+            let (of_all, of_some) = (simulator(&all, 5, Some(people)), simulator(&some, 5, Some(people)));
+            for index in [0, 60, 90, 120] {
+                let (all, some) = (of_all.render(index), of_some.render(index));
+                assert_eq!((all.truth, some.shape), (some.truth, of_some.scene().waveform().shape()));
+                assert!(all.codes[..some.codes.len()] == some.codes, "{name}, {last} of the receivers, frame {index}");
+            }
+        }
+    }
+}
+
+/// Skins are looked at from the middle of all antennas: that of fewer lies elsewhere, by millimetres.
+#[test]
+fn a_receiver_hears_the_same_of_skins_within_their_tolerance() {
+    let all = scene("corridor-mesh");
+    let one = all.clone().with_receivers(all.waveform().request.rx_antennas.up_to(0));
+    let (of_all, of_one) = (simulator(&all, 5, Some(1)), simulator(&one, 5, Some(1)));
+    for index in [40, 60] {
+        let (all, one) = (of_all.echo_samples(index), of_one.echo_samples(index));
+        let power = |x: &mut dyn Iterator<Item = f32>| x.map(|x| f64::from(x).powi(2)).sum::<f64>();
+        let (echo, difference) =
+            (power(&mut one.iter().copied()), power(&mut one.iter().zip(&all).map(|(one, all)| one - all)));
+        assert!(echo > 0.0 && difference < 1e-3 * echo, "frame {index}: {:.1} dB", 10.0 * (difference / echo).log10());
+    }
+}
+
 /// Steps come about as often as asked, about as large, and nothing changes in between.
 #[test]
 fn clutter_steps_now_and_then() {

@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use glam::{DMat3, DVec3};
-use radome_dsp::{SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
+use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
 use thiserror::Error;
 
 use crate::actor::motion::Steps;
@@ -216,6 +216,7 @@ impl Scene {
             },
             reason: reason.to_string(),
         })?;
+        let scene = scene.with_receivers(self.waveform.request.rx_antennas);
         let scene = match self.body {
             Some(body) => scene.with_body(body),
             None => scene,
@@ -302,6 +303,14 @@ impl Scene {
     pub fn with_receiver(mut self, receiver: Receiver) -> Self {
         self.given = Some(receiver.clone());
         self.receiver = receiver;
+        self
+    }
+
+    /// The same scene with other receive antennas enabled. What one of them hears of ellipsoids does not depend on those behind
+    /// it, to the bit; skins are looked at from the middle of all antennas, which is exact to far less than their tolerance.
+    pub fn with_receivers(mut self, rx_antennas: RxMask) -> Self {
+        self.file.waveform.rx_antennas = rx_antennas;
+        self.waveform.request.rx_antennas = rx_antennas;
         self
     }
 

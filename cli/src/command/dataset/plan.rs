@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use anyhow::{Context, bail};
 use radome_driver::recording::Recording;
+use radome_dsp::rdm::Channels;
 use radome_dsp::{FrameSource, KernelLevel, Occupancy};
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
@@ -137,8 +138,13 @@ impl List<'_> {
                 Body::Mesh => BodyFile::Mesh,
             });
         }
-        let scene = Arc::new(scene);
         self.check_waveform(&path.display().to_string(), scene.waveform())?;
+        if let Channels::One(index) = self.spec.map.channels {
+            // What no map shows need not be simulated.
+            let receivers = scene.waveform().request.rx_antennas.up_to(index);
+            scene = scene.with_receivers(receivers);
+        }
+        let scene = Arc::new(scene);
         self.prints.scene(&source.scene)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let forced: Vec<Option<usize>> =

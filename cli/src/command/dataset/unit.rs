@@ -33,13 +33,14 @@ impl std::error::Error for Interrupted {}
 /// Makes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are rendered on all
 /// threads; the bytes are the same either way.
 pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::Result<()> {
-    let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, &plan.header.waveform, plan.kernel)?;
     let mut sink = Sink { writer: DatasetWriter::create(folder, &plan.header)?, unit, made: 0 };
     match &unit.source {
         UnitSource::Run { scene, seed, people, frames, tolerance_db } => {
             let mut options =
                 SimulateOptions { seed: *seed, people: *people, frames: Some(*frames), ..Default::default() };
             options.tolerance_db = tolerance_db.unwrap_or(options.tolerance_db);
+            // Receivers that no map shows are not simulated.
+            let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, scene.waveform(), plan.kernel)?;
             run(scene, options, &plan.header.rdm_spec, processor, parallel, &mut sink)?;
         }
         UnitSource::Recording { path, label, label_file } => {
