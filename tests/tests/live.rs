@@ -21,7 +21,7 @@ fn demo_counts_people_through_the_emulated_board() {
     }
     let summary = &summary["summary"];
     assert_eq!((&summary["frames"], &summary["dropped"]), (&Value::from(200), &Value::from(0)));
-    // The median over twenty unseen seeds is 0.949; this one reaches 0.953.
+    // The median over twenty unseen seeds is 0.956; this one reaches 0.953.
     assert!(summary["balanced_accuracy"].as_f64().expect("number") >= 0.90, "{summary}");
     assert!(summary["latency_ms"]["p50"].is_number() && summary["latency_ms"]["p99"].is_number());
 }
