@@ -3,7 +3,7 @@
 use radome_tests::{failure, fixture, json_lines, radome};
 
 #[test]
-fn noise_of_simulated_halls_is_that_of_real_frames() {
+fn noise_and_clutter_of_simulated_halls_are_those_of_real_frames() {
     let folder = tempfile::tempdir().expect("a folder");
     let spec = std::fs::read_to_string(fixture("datasets/hall.toml")).expect("a spec");
     let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
@@ -30,6 +30,11 @@ fn noise_of_simulated_halls_is_that_of_real_frames() {
     assert!(found("one.moving_energy_db") > 17.0);
     // Clutter is seen in frames, which a dataset does not hold.
     assert!(row("clutter.level_lsb")["found"].is_null());
+    let with_frames = json_lines(&mut stats(&["--frames", scene.to_str().expect("a path")])).remove(0);
+    for key in ["clutter.level_lsb", "clutter.phase_jitter_rad", "clutter.drift_rad", "clutter.amplitude_jitter"] {
+        let clutter = with_frames.as_array().expect("a list").iter().find(|row| row["key"] == key).expect("a row");
+        assert_eq!(clutter["holds"], true, "{clutter}");
+    }
     let measured = folder.path().join("measured.toml");
     std::fs::write(&measured, "[[feature]]\nkey = \"one.peak_db\"\n").expect("writable");
     let said = failure(&mut stats(&["--measured", measured.to_str().expect("a path")]));
