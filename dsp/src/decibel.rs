@@ -12,6 +12,11 @@ pub fn power_to_db(power: &mut [f32], floor_power: f32) {
     power_to_db_at(KernelLevel::detect(), power, floor_power);
 }
 
+/// The same, to the same bits on every machine: what is learned from must not depend on where.
+pub fn power_to_db_portable(power: &mut [f32], floor_power: f32) {
+    convert::<false>(power, floor_power);
+}
+
 /// The same at a level of kernel, which must be available; returns how many values are NaN or infinite.
 pub(crate) fn power_to_db_at(level: KernelLevel, power: &mut [f32], floor_power: f32) -> u32 {
     match level {

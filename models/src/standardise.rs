@@ -5,6 +5,7 @@
 //! (paper.md section 4); this does not.
 
 use radome_dsp::Occupancy;
+use radome_dsp::decibel::power_to_db_portable;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -36,6 +37,8 @@ impl MapReference {
         let MapReference::OverNoise { skip_range_bins } = self else { return };
         /// `10 / ln 10`.
         const DB: f32 = 4.342_944_8;
+        /// 347 dB over noise, natural.
+        const MOST: f32 = 80.0;
         let mut sorted = Vec::with_capacity(doppler);
         for (bin, row) in cells.chunks_exact_mut(doppler.max(1)).enumerate() {
             if bin < skip_range_bins {
@@ -46,10 +49,12 @@ impl MapReference {
             sorted.extend_from_slice(row);
             let (_, &mut quartile_db, _) = sorted.select_nth_unstable_by(row.len() / 4, f32::total_cmp);
             let noise_db = quartile_db - DB * (4.0f32 / 3.0).ln().ln();
-            for cell in row {
+            for cell in row.iter_mut() {
                 let x = (*cell - noise_db) / DB;
-                *cell = DB * (x.max(0.0) + (-x.abs()).exp().ln_1p());
+                // Finite however far above noise; what is not a number stays none.
+                *cell = 1.0 + if x > MOST { MOST } else { x }.exp();
             }
+            power_to_db_portable(row, 1.0);
         }
     }
 
