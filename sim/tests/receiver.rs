@@ -3,6 +3,7 @@
 mod common;
 
 use common::{hall, parse, scene, simulator};
+use radome_dsp::Frame;
 use radome_dsp::slow_time::SlowTime;
 use radome_sim::random::{Purpose, generator};
 use radome_sim::receiver::phase_noise::PhaseRates;
@@ -24,27 +25,35 @@ fn wall(clutter: &str, receiver: &str) -> Scene {
     parse(&text)
 }
 
+/// What a frame's mean chirp has in the range bin at a distance (Hann's window): amplitude, and phase in rad.
+fn echo_at(scene: &Scene, frame: &Frame, range_m: f64) -> (f64, f64) {
+    let n = scene.waveform().request.samples_per_chirp;
+    let bin = (range_m / scene.waveform().range_step_m(n)).round();
+    let chirps = scene.waveform().request.chirps_per_frame;
+    let (mut re, mut im) = (0.0f64, 0.0f64);
+    for (i, code) in frame.codes.iter().take(chirps * n).enumerate() {
+        let turn = std::f64::consts::TAU * (i % n) as f64 / n as f64;
+        let x = f64::from(*code) * (0.5 - 0.5 * turn.cos());
+        re += x * (bin * turn).cos();
+        im -= x * (bin * turn).sin();
+    }
+    (re.hypot(im), im.atan2(re))
+}
+
+/// An angle within half a turn of zero.
+fn within_half_a_turn(angle_rad: f64) -> f64 {
+    angle_rad - std::f64::consts::TAU * (angle_rad / std::f64::consts::TAU).round()
+}
+
 /// Phase (rad, turning on) and amplitude of the wall's range bin in frame after frame of its mean chirp.
 fn series(scene: &Scene, seed: u64, frames: u64) -> Vec<(f64, f64)> {
     let simulator = simulator(scene, seed, Some(0));
-    let n = scene.waveform().request.samples_per_chirp;
-    let bin = (2.4 / scene.waveform().range_step_m(n)).round();
     let (mut last, mut turned, mut all) = (0.0, 0.0, Vec::new());
     for index in 0..frames {
-        let frame = simulator.render(index);
-        let chirps = scene.waveform().request.chirps_per_frame;
-        let (mut re, mut im) = (0.0, 0.0);
-        for (i, code) in frame.codes.iter().take(chirps * n).enumerate() {
-            let turn = std::f64::consts::TAU * (i % n) as f64 / n as f64;
-            let x = f64::from(*code) * (0.5 - 0.5 * turn.cos());
-            re += x * (bin * turn).cos();
-            im -= x * (bin * turn).sin();
-        }
-        let angle = im.atan2(re);
-        let step: f64 = angle - last;
-        turned += step - std::f64::consts::TAU * (step / std::f64::consts::TAU).round();
+        let (amplitude, angle) = echo_at(scene, &simulator.render(index), 2.4);
+        turned += within_half_a_turn(angle - last);
         last = angle;
-        all.push((turned, re.hypot(im)));
+        all.push((turned, amplitude));
     }
     all
 }
@@ -104,27 +113,14 @@ fn half_of_the_drift_is_common_to_all_echoes() {
         &hall(&(post(4.0) + &post(6.0) + "[people.desk]\nmax_people = 0\nobjects_probability = 0.0\n"))
             .replace("phase_drift_rad_per_10s = 0.0", "phase_drift_rad_per_10s = 0.3"),
     );
-    let n = scene.waveform().request.samples_per_chirp;
-    let phase_rad = |frame: &radome_dsp::Frame, range_m: f64| {
-        let bin = (range_m / scene.waveform().range_step_m(n)).round();
-        let chirps = scene.waveform().request.chirps_per_frame;
-        let (mut re, mut im) = (0.0, 0.0);
-        for (i, code) in frame.codes.iter().take(chirps * n).enumerate() {
-            let turn = std::f64::consts::TAU * (i % n) as f64 / n as f64;
-            let x = f64::from(*code) * (0.5 - 0.5 * turn.cos());
-            re += x * (bin * turn).cos();
-            im -= x * (bin * turn).sin();
-        }
-        im.atan2(re)
-    };
     let (mut squares, mut product) = ([0.0; 2], 0.0);
     const BOARDS: u64 = 400;
     for seed in 0..BOARDS {
         let simulator = simulator(&scene, seed, Some(0));
         let [before, after] = [0, 100].map(|index| simulator.render(index));
         let changes = [3.0, 5.0].map(|range_m| {
-            let turned = phase_rad(&after, range_m) - phase_rad(&before, range_m);
-            turned - std::f64::consts::TAU * (turned / std::f64::consts::TAU).round()
+            let [before, after] = [&before, &after].map(|frame| echo_at(&scene, frame, range_m).1);
+            within_half_a_turn(after - before)
         });
         squares.iter_mut().zip(changes).for_each(|(square, change)| *square += change * change);
         product += changes[0] * changes[1];
