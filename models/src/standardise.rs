@@ -51,8 +51,9 @@ impl MapReference {
             let noise_db = quartile_db - DB * (4.0f32 / 3.0).ln().ln();
             for cell in row.iter_mut() {
                 let x = (*cell - noise_db) / DB;
-                // Finite however far above noise; what is not a number stays none.
-                *cell = 1.0 + if x > MOST { MOST } else { x }.exp();
+                // Not `f32::min`, which would hide what is not a number.
+                let x = if x > MOST { MOST } else { x };
+                *cell = 1.0 + x.exp();
             }
             power_to_db_portable(row, 1.0);
         }
@@ -189,6 +190,23 @@ mod tests {
         let variance = all.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / all.len() as f64;
         let s = Standardisation::measure(MapReference::Absolute, maps.iter().map(Vec::as_slice)).expect("spread");
         assert!((s.mean_db - mean).abs() < 1e-12 && (s.sigma_db - variance.sqrt()).abs() < 1e-12);
+    }
+
+    /// The definition in f64 beside it, from far below the noise to far above.
+    #[test]
+    fn over_noise_is_its_definition() {
+        let mut row: Vec<f32> = (0..128).map(|i| -160.0 + 1.7 * i as f32).collect();
+        let given = row.clone();
+        MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut row, 128);
+        let noise_db = f64::from(given[32]) - 10.0 * (4.0f64 / 3.0).ln().log10();
+        for (given, got) in given.iter().zip(&row) {
+            let expected = 10.0 * (1.0 + 10f64.powf(0.1 * (f64::from(*given) - noise_db))).log10();
+            assert!((f64::from(*got) - expected).abs() < 5e-5, "{got} for {expected}");
+        }
+        let mut broken = given;
+        broken[100] = f32::NAN;
+        MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut broken, 128);
+        assert!(broken[100].is_nan() && broken[99].is_finite());
     }
 
     /// Exponential noise of any level and colour reads the same, an echo 20 dB above it reads 20 dB, and what stands on the
