@@ -4,11 +4,13 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod command;
+mod exit;
 mod files;
 mod judge;
 mod labels;
 mod live;
 mod output;
+mod panics;
 mod plot;
 mod shard;
 mod source;
@@ -23,7 +25,7 @@ use tracing_subscriber::prelude::*;
 static ALLOCATOR: radome_models::LargeBlocks = radome_models::LargeBlocks::new();
 
 #[derive(Parser)]
-#[command(name = "radome", version, about, propagate_version = true, max_term_width = 100)]
+#[command(name = "radome", version, about, propagate_version = true, max_term_width = 100, after_help = exit::HELP)]
 struct Arguments {
     /// More talk on stderr: -v for what happens, -vv for every detail
     #[arg(short, long, global = true, action = clap::ArgAction::Count)]
@@ -33,21 +35,15 @@ struct Arguments {
 }
 
 fn main() -> ExitCode {
+    panics::remember_places();
     let arguments = Arguments::parse();
     let wire = match &arguments.command {
         command::Command::Doctor(doctor) => doctor.wire_log(),
         _ => None,
     };
     start_log(arguments.verbose, wire);
-    match command::run(arguments.command) {
-        Ok(()) => ExitCode::SUCCESS,
-        // Whoever read our output has had enough: that is no failure.
-        Err(error) if output::is_closed_pipe(&error) => ExitCode::SUCCESS,
-        Err(error) => {
-            eprintln!("error: {}", output::chain(&error));
-            ExitCode::FAILURE
-        }
-    }
+    let outcome = panics::caught(|| command::run(arguments.command));
+    exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
 }
 
 fn start_log(verbose: u8, wire: Option<&command::WireLog>) {

@@ -15,17 +15,31 @@ pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
 
 /// Writes a line of text, at once.
 pub fn text_line(line: &str) -> anyhow::Result<()> {
-    let mut stdout = std::io::stdout().lock();
-    writeln!(stdout, "{line}")?;
-    stdout.flush()?;
-    Ok(())
+    text(&format!("{line}\n"))
 }
 
+/// Writes text, at once. All that goes to stdout goes through here.
+pub fn text(text: &str) -> anyhow::Result<()> {
+    let mut stdout = std::io::stdout().lock();
+    match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Err(StdoutClosed.into()),
+        written => written.context("cannot write to stdout"),
+    }
+}
+
+/// Nobody reads stdout any more. The one error that ends a command without a message and with status 0.
+#[derive(Debug, thiserror::Error)]
+#[error("stdout was closed")]
+pub struct StdoutClosed;
+
 /// Whether an error only says that nobody reads stdout any more.
-pub fn is_closed_pipe(error: &anyhow::Error) -> bool {
-    error
-        .chain()
-        .any(|cause| cause.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == std::io::ErrorKind::BrokenPipe))
+pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
+    error.is::<StdoutClosed>()
+}
+
+/// Takes a closed stdout for success: for what is said when the work is done.
+pub fn unless_closed(said: anyhow::Result<()>) -> anyhow::Result<()> {
+    said.or_else(|error| if is_closed_stdout(&error) { Ok(()) } else { Err(error) })
 }
 
 /// An error with its causes, each said once, and hints moved to the end.

@@ -11,7 +11,7 @@
 //! | `emulated:SOURCE` | the same frames through a full emulated board on a pty |
 
 use std::path::{Path, PathBuf};
-use std::time::{SystemTime, UNIX_EPOCH};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
@@ -22,6 +22,8 @@ use radome_driver::{
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use crate::panics::Guarded;
 
 /// What to do with a source beyond its name.
 #[derive(Debug, Clone, Default)]
@@ -38,6 +40,15 @@ pub struct SourceOptions {
     pub speed: Option<f64>,
     /// Whether a recording is to be a [`Tape`], by default at the pace at which it was taken.
     pub as_tape: bool,
+    /// How long a board that is lost is looked for, if not as long as by default.
+    pub give_up_after: Option<Duration>,
+}
+
+impl SourceOptions {
+    fn reconnect(&self) -> Reconnect {
+        let default = Reconnect::default();
+        Reconnect { give_up_after: self.give_up_after.unwrap_or(default.give_up_after), ..default }
+    }
 }
 
 /// A recording that somebody plays, pauses and seeks.
@@ -73,13 +84,13 @@ impl Source {
     }
 }
 
-/// Opens a SOURCE.
+/// Opens a SOURCE. A panic below it is an error of its frames.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open_unstamped(spec, options)?;
-    Ok(match source.is_live {
-        true => Source { frames: Box::new(Stamped(source.frames)), ..source },
-        false => source,
-    })
+    let mut source = open_unstamped(spec, options)?;
+    if source.is_live {
+        source.frames = Box::new(Stamped(source.frames));
+    }
+    Ok(Source { frames: Box::new(Guarded::new(source.frames)), ..source })
 }
 
 /// Frames of a board with the host's time, where the board's own driver gives none.
@@ -174,7 +185,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             let identity = board.identity().clone();
             let description = format!("{} on {}", identity.name, address);
             // Boards are bumped and cables pulled: what is lost meanwhile is a gap.
-            let stream = board.start(waveform)?.with_reconnect(Reconnect::default());
+            let stream = board.start(waveform)?.with_reconnect(options.reconnect());
             let registers = stream.registers().clone();
             Ok(Source {
                 frames: Box::new(stream),
@@ -188,7 +199,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
         Detected::Lines(stream) => {
             let description = format!("ESP32 on {address}");
-            let stream = Box::new(stream.with_reconnect(Reconnect::default()));
+            let stream = Box::new(stream.with_reconnect(options.reconnect()));
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })
         }
     }
@@ -202,7 +213,7 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     };
     let identity = board.identity().clone();
     let description = format!("{} on {}", identity.name, board.path().display());
-    let stream = board.start(&waveform)?.with_reconnect(Reconnect::default());
+    let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
     let registers = stream.registers().clone();
     Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers, tape: None })
 }
@@ -228,13 +239,20 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let source = open_unstamped(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
-    let emulated = EmulatedSource::start(source.frames, EmulatorOptions { pace, ..Default::default() })?;
+    let emulated =
+        EmulatedSource::start(Box::new(Guarded::new(source.frames)), EmulatorOptions { pace, ..Default::default() })?;
     let identity = emulated.identity().clone();
     let path = emulated.board().path().display().to_string();
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
     let is_live = speed.is_some();
     Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, tape: None })
+}
+
+/// Seconds, as an argument.
+pub fn seconds(text: &str) -> Result<Duration, String> {
+    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
+    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
 /// A waveform by name (`paper`) or from a TOML file of a [`radome_dsp::WaveformRequest`].

@@ -1,5 +1,6 @@
 use std::path::PathBuf;
 
+use crate::exit::Ended;
 use crate::files;
 
 /// `radome demo`
@@ -28,7 +29,7 @@ pub struct Arguments {
 }
 
 /// The main job with nothing attached.
-pub fn run(arguments: Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
     let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
     let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;
     super::live::watch(&super::live::Watch {
@@ -45,5 +46,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         output: None,
         background: None,
         home: &Default::default(),
+        allow_loss: false,
+        give_up_after: None,
     })
 }

@@ -97,12 +97,29 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output::text_line(&path)?;
     }
     eprintln!("an emulated board with {description}; Ctrl-C stops it");
-    while !output::interrupted() {
+    let mut failure: Option<anyhow::Error> = None;
+    let mut look_for_failure = || {
+        if let Some(error) = board.take_failure() {
+            let error = anyhow::Error::from_boxed(error).context("the emulated board has no more to send");
+            eprintln!("error: {}", output::chain(&error));
+            failure.get_or_insert(error);
+        }
+    };
+    // A board whose source has failed still answers, and is stopped by whoever started it.
+    while !output::interrupted() && board.is_served() {
         std::thread::sleep(Duration::from_millis(100));
+        look_for_failure();
     }
+    look_for_failure();
+    let (is_served, counts) = (board.is_served(), board.counts());
     // Dropping it stops it.
     drop(board);
-    Ok(())
+    eprintln!("{} packets sent, {} FIFO overflows", counts.packets, counts.overflows);
+    match failure {
+        Some(error) => Err(error),
+        None if is_served => Ok(()),
+        None => bail!("the emulated board has ended by itself"),
+    }
 }
 
 /// Says each reset of the probe's target, until the probe fails or the program is stopped.

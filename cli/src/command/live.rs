@@ -1,10 +1,12 @@
 use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
 use radome_driver::RecordingHeader;
 use radome_dsp::Waveform;
 
+use crate::exit::Ended;
 use crate::files;
 use crate::judge::Model;
 use crate::live::background::Background;
@@ -20,6 +22,11 @@ use crate::source::{self, SourceOptions};
 
 /// `radome live`
 #[derive(clap::Args)]
+#[command(
+    after_help = "Exit status: 0 if all went well, 3 if frames are missing in the recording of -o (0 with --allow-loss), 1 if the \
+                        source, the recording or the program failed. A recording that fails, as on a full disk, is said at once and \
+                        marked unfinished; answers go on without it, and the status is 1 at the end."
+)]
 pub struct Arguments {
     /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
     source: String,
@@ -32,6 +39,12 @@ pub struct Arguments {
     /// Record frames and answers to this MCAP file
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
+    /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
+    #[arg(long)]
+    allow_loss: bool,
+    /// Seconds for which a board that is lost is looked for
+    #[arg(long, hide = true, value_parser = source::seconds)]
+    give_up_after_s: Option<Duration>,
     /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
@@ -63,7 +76,7 @@ pub struct Arguments {
 }
 
 /// Online classification of any source.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     watch(&Watch {
         source: &arguments.source,
         model: &arguments.model,
@@ -78,6 +91,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output: arguments.output.as_deref(),
         background: arguments.background.as_deref(),
         home: &arguments.home,
+        allow_loss: arguments.allow_loss,
+        give_up_after: arguments.give_up_after_s,
     })
 }
 
@@ -109,10 +124,15 @@ pub struct Watch<'a> {
     pub background: Option<&'a Path>,
     /// Who else is told.
     pub home: &'a home::Arguments,
+    /// Whether gaps in the recording count as success.
+    pub allow_loss: bool,
+    /// How long a board that is lost is looked for, if not as long as by default.
+    pub give_up_after: Option<Duration>,
 }
 
-/// Watches a source until it ends, is stopped, or has given enough frames.
-pub fn watch(watch: &Watch) -> anyhow::Result<()> {
+/// Watches a source until it ends, is stopped, or has given enough frames. Frames that are missing are in the summary; only in a
+/// recording do they count as lost.
+pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
     if let Some(path) = watch.output {
@@ -131,6 +151,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         frames: watch.frames,
         speed: watch.speed,
         as_tape: watch.view.is_wanted(),
+        give_up_after: watch.give_up_after,
     };
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
@@ -149,6 +170,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         judge: Some(named),
     };
     let mut home = Home::open(watch.home, &header, started)?;
+    let screen = Screen::new(watch.json)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
@@ -163,17 +185,23 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
     let reader = pipeline.start(source.frames, watch.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
     let mut sinks: Vec<Box<dyn Sink>> = home.take_sinks();
+    let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
     if let Some(recorder) = recorder {
         sinks.push(Box::new(recorder));
     }
     if let Some(page) = page {
         sinks.push(Box::new(page));
     }
-    sinks.push(Box::new(Screen::new(watch.json)));
+    sinks.push(Box::new(screen));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
     drop(home);
-    outcome.map(drop)
+    outcome?;
+    let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !watch.allow_loss;
+    if is_lost {
+        eprintln!("frames are missing in the recording; --allow-loss takes that for success");
+    }
+    Ok(Ended::with_loss(is_lost))
 }
 
 /// What a board is to be programmed with: what is named, if the model can judge it, or what the model was made for.

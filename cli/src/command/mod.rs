@@ -30,6 +30,8 @@ mod train;
 use clap::Subcommand;
 pub use doctor::WireLog;
 
+use crate::exit::Ended;
+
 /// What the program can do.
 #[derive(Subcommand)]
 pub enum Command {
@@ -90,18 +92,18 @@ pub enum Command {
 }
 
 /// Runs a command.
-pub fn run(command: Command) -> anyhow::Result<()> {
-    match command {
-        Command::Demo(arguments) => demo::run(arguments),
+pub fn run(command: Command) -> anyhow::Result<Ended> {
+    let done: anyhow::Result<()> = match command {
+        Command::Demo(arguments) => return demo::run(arguments),
         Command::Devices(arguments) => devices::run(&arguments),
         Command::Doctor(arguments) => doctor::run(&arguments),
         Command::Config(arguments) => config::run(&arguments),
-        Command::Record(arguments) => record::run(&arguments),
-        Command::Live(arguments) => live::run(&arguments),
+        Command::Record(arguments) => return record::run(&arguments),
+        Command::Live(arguments) => return live::run(&arguments),
         Command::Background(arguments) => background::run(&arguments),
         Command::Emulate(arguments) => emulate::run(&arguments),
         Command::Convert(arguments) => convert::run(&arguments),
-        Command::Repair(arguments) => repair::run(&arguments),
+        Command::Repair(arguments) => return repair::run(&arguments),
         Command::Results(arguments) => results::run(&arguments),
         Command::Labels(arguments) => labels::run(&arguments),
         Command::Rcs(arguments) => rcs::run(&arguments),
@@ -119,5 +121,6 @@ pub fn run(command: Command) -> anyhow::Result<()> {
         Command::Bench(arguments) => bench::run(&arguments),
         Command::Completions(arguments) => manual::completions(&arguments),
         Command::Man(arguments) => manual::man(&arguments),
-    }
+    };
+    done.map(|()| Ended::Done)
 }

@@ -1,16 +1,23 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::bail;
+use anyhow::{Context, bail};
+use crossbeam::channel::RecvTimeoutError;
 use radome_driver::recording::mcap::{Recorder, RecordingHeader};
+use radome_dsp::Gap;
 use serde_json::json;
 
-use crate::live::pipeline::{Item, Pipeline, Policy};
+use crate::exit::Ended;
+use crate::live::pipeline::{Failure, Inlet, Item, Pipeline, Policy};
 use crate::source::{self, SourceOptions};
 use crate::{files, output};
 
 /// `radome record`
 #[derive(clap::Args)]
+#[command(
+    after_help = "Exit status: 0 if every frame is there, 3 if frames are missing (0 with --allow-loss), 1 if the source, the disk \
+                        or the program failed. Whatever ended it, the file holds what was captured."
+)]
 pub struct Arguments {
     /// serial:PORT, auto, emulated:SOURCE, or anything else that frames come from
     source: String,
@@ -29,16 +36,22 @@ pub struct Arguments {
     /// Seed of a simulation
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Fail if more frames than this were lost
+    /// Fail, with exit status 1, if more frames than this were lost
     #[arg(long)]
     max_dropped: Option<u64>,
+    /// End with exit status 0 although frames were lost, instead of with 3
+    #[arg(long)]
+    allow_loss: bool,
+    /// Seconds for which a board that is lost is looked for
+    #[arg(long, hide = true, value_parser = source::seconds)]
+    give_up_after_s: Option<Duration>,
     /// One object at the end
     #[arg(long)]
     json: bool,
 }
 
 /// Captures every frame, or stops and says why it cannot.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     files::check_parent(&arguments.output)?;
     let options = SourceOptions {
@@ -48,6 +61,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         speed: (arguments.speed > 0.0).then_some(arguments.speed),
         people: None,
         as_tape: false,
+        give_up_after: arguments.give_up_after_s,
     };
     let source = source::open(&arguments.source, &options)?;
     eprintln!("{}", source.description);
@@ -57,53 +71,194 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         registers: source.registers.clone(),
         judge: None,
     };
-    let mut recorder = Recorder::create(&arguments.output, &header)?;
+    let recorder = Recorder::create(&arguments.output, &header)?;
     let bar = output::progress(arguments.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
     let reader = pipeline.start(source.frames, arguments.frames);
-    let (mut frames, mut dropped) = (0u64, 0u64);
-    let mut unflushed = false;
-    let end = loop {
-        if output::interrupted() {
-            break Ok(());
+    let (tally, end) = capture(&inlet, recorder, &bar);
+    reader.stop();
+    bar.finish_and_clear();
+    let Tally { frames, dropped, gaps } = tally;
+    let file = arguments.output.display().to_string();
+    let said = match arguments.json {
+        true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
+        false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped")),
+    };
+    end?;
+    output::unless_closed(said)?;
+    if let Some(most) = arguments.max_dropped.filter(|most| dropped > *most) {
+        bail!("{dropped} frames were lost, at most {most} allowed");
+    }
+    if gaps > 0 && !arguments.allow_loss {
+        eprintln!("the recording has {gaps} gaps; --allow-loss takes that for success");
+    }
+    Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
+}
+
+/// What has been recorded, and what could not be.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+struct Tally {
+    frames: u64,
+    /// Frames that are known to be lost.
+    dropped: u64,
+    gaps: u64,
+}
+
+impl Tally {
+    /// Writes a gap, counts it and says it.
+    fn gap(&mut self, recorder: &mut Recorder, gap: &Gap) -> anyhow::Result<()> {
+        recorder.gap(gap)?;
+        self.gaps += 1;
+        self.dropped = self.dropped.saturating_add(gap.frames);
+        match gap.frames {
+            0 => eprintln!("frames lost from {} on: {}", gap.first_sequence, gap.reason.name()),
+            frames => eprintln!("{frames} frames lost from {}: {}", gap.first_sequence, gap.reason.name()),
         }
-        let Ok(delivery) = inlet.receiver.recv_timeout(Duration::from_millis(200)) else {
-            // A board that has gone silent may never come back: what it said is safe.
-            if std::mem::take(&mut unflushed) {
-                recorder.flush()?;
+        Ok(())
+    }
+}
+
+/// Records until the source ends or fails, the disk fails, or the user stops it.
+///
+/// The file is finished unless the disk has failed, or the source by a panic: then it stays marked unfinished. A board that was
+/// lost for good leaves a gap at the end, of nobody knows how many frames.
+fn capture(inlet: &Inlet, mut recorder: Recorder, bar: &indicatif::ProgressBar) -> (Tally, anyhow::Result<()>) {
+    let mut tally = Tally::default();
+    let end = match write_all(inlet, &mut recorder, &mut tally, bar) {
+        // The first cause is the one to be told: to finish the file would fail again.
+        Err(error) => {
+            drop(recorder);
+            Err(error.context(format!("the recording ended after {} frames", tally.frames)))
+        }
+        Ok(Some(failure)) if failure.is_panic() => Err(failure.into()),
+        Ok(failure) => {
+            let finished = recorder.finish().context("the recording is marked unfinished");
+            match (failure, finished) {
+                (None, finished) => finished.map(drop),
+                (Some(failure), Ok(_)) => Err(failure.into()),
+                (Some(failure), Err(error)) => {
+                    eprintln!("error: {}", output::chain(&error));
+                    Err(failure.into())
+                }
             }
-            continue;
+        }
+    };
+    (tally, end)
+}
+
+/// Writes what comes; gives why the source failed, if it did.
+fn write_all(
+    inlet: &Inlet,
+    recorder: &mut Recorder,
+    tally: &mut Tally,
+    bar: &indicatif::ProgressBar,
+) -> anyhow::Result<Option<Failure>> {
+    let mut is_unflushed = false;
+    let mut next_sequence = 0;
+    while !output::interrupted() {
+        let delivery = match inlet.receiver.recv_timeout(Duration::from_millis(200)) {
+            Ok(delivery) => delivery,
+            Err(RecvTimeoutError::Timeout) => {
+                // A board that has gone silent may never come back: what it said is safe.
+                if std::mem::take(&mut is_unflushed) {
+                    recorder.flush()?;
+                }
+                continue;
+            }
+            Err(RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
         };
         match delivery.item {
             Item::Frame(frame) => {
                 recorder.frame(&frame)?;
-                frames += 1;
-                unflushed = true;
+                tally.frames += 1;
+                next_sequence = frame.sequence.saturating_add(1);
+                is_unflushed = true;
                 bar.inc(1);
             }
-            Item::Gap(gap) => {
-                recorder.gap(&gap)?;
-                dropped += gap.frames;
-                eprintln!("{} frames lost from {}: {}", gap.frames, gap.first_sequence, gap.reason.name());
+            Item::Gap(missing) => {
+                tally.gap(recorder, &missing)?;
+                next_sequence = missing.first_sequence.saturating_add(missing.frames);
             }
-            Item::End(end) => break end,
+            Item::End(end) => {
+                let failure = end.err();
+                if let Some(missing) = failure.as_ref().and_then(|failure| failure.gap(next_sequence)) {
+                    tally.gap(recorder, &missing)?;
+                }
+                return Ok(failure);
+            }
         }
-    };
-    reader.stop();
-    // What has been captured is made whole whatever ended it.
-    recorder.finish()?;
-    bar.finish_and_clear();
-    end.map_err(anyhow::Error::from_boxed)?;
-    let file = arguments.output.display().to_string();
-    if arguments.json {
-        output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped }))?;
-    } else {
-        output::text_line(&format!("{file}: {frames} frames, {dropped} dropped"))?;
     }
-    if let Some(most) = arguments.max_dropped.filter(|most| dropped > *most) {
-        bail!("{dropped} frames were lost, at most {most} allowed");
+    Ok(None)
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_driver::chip::RegisterList;
+    use radome_driver::{BoardError, McapReader};
+    use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+
+    use super::*;
+    use crate::panics::tests::Panicking;
+
+    /// Three frames, and then this error.
+    struct Failing(Box<Panicking>, u64, fn() -> SourceError);
+
+    impl FrameSource for Failing {
+        fn waveform(&self) -> &Waveform {
+            self.0.waveform()
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            if self.1 == 3 {
+                return Err((self.2)());
+            }
+            self.1 += 1;
+            self.0.next_frame(frame)
+        }
     }
-    Ok(())
+
+    /// Records what a source gives; without a source the pipeline has gone. What was captured, the error, and whether the
+    /// recording is marked finished.
+    fn captured(source: Option<Box<dyn FrameSource>>) -> (Tally, Option<String>, bool) {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("run.mcap");
+        let waveform = Panicking::after(0).waveform().clone();
+        let header = RecordingHeader { waveform, board: None, registers: RegisterList::new(), judge: None };
+        let recorder = Recorder::create(&path, &header).expect("a file");
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("recorder", 4, Policy::Wait);
+        let _reader = source.map(|source| pipeline.start(source, None));
+        let (tally, end) = capture(&inlet, recorder, &indicatif::ProgressBar::hidden());
+        let is_finished = McapReader::open(&path).expect("a file that opens").is_complete();
+        (tally, end.err().map(|error| output::chain(&error)), is_finished)
+    }
+
+    #[test]
+    fn a_source_that_fails_leaves_a_finished_recording_and_its_error() {
+        let damaged = Failing(Panicking::after(9), 0, || "chunk 3 is damaged".into());
+        let (tally, error, is_finished) = captured(Some(Box::new(damaged)));
+        assert_eq!(tally, Tally { frames: 3, ..Tally::default() });
+        assert_eq!((error.as_deref(), is_finished), (Some("chunk 3 is damaged"), true));
+        // Of a board that was lost nobody knows what it would have sent.
+        let lost = Failing(Panicking::after(9), 0, || BoardError::Stopped.into());
+        let (tally, error, is_finished) = captured(Some(Box::new(lost)));
+        assert_eq!(tally, Tally { frames: 3, dropped: 0, gaps: 1 });
+        assert!(error.is_some_and(|error| error.contains("stopped")) && is_finished);
+    }
+
+    #[test]
+    fn a_source_that_panics_leaves_an_unfinished_recording_and_its_place() {
+        let (tally, error, is_finished) = captured(Some(Panicking::after(3)));
+        let error = error.expect("an error");
+        assert!(error.contains("panics.rs:") && error.contains("frame 3 cannot be made"), "{error}");
+        assert_eq!((tally.frames, is_finished), (3, false));
+    }
+
+    #[test]
+    fn a_source_that_has_gone_without_a_word_is_an_error_and_no_silence() {
+        let (_, error, is_finished) = captured(None);
+        assert!(error.is_some_and(|error| error.contains("without a word")) && !is_finished);
+    }
 }

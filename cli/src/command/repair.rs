@@ -3,6 +3,7 @@ use std::path::PathBuf;
 use radome_driver::recording::mcap;
 use serde_json::json;
 
+use crate::exit::Ended;
 use crate::{files, output};
 
 /// `radome repair`
@@ -19,7 +20,10 @@ pub struct Arguments {
 }
 
 /// Writes what can be read of a recording to a new one and says what is lost.
-pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+///
+/// A recording that was never finished counts as lost only where bytes of it cannot be read: what its recorder had in its hands
+/// when it was killed was never in the file.
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     files::check_parent(&arguments.output)?;
     let report = mcap::repair(&arguments.file, &arguments.output)?;
     if !report.was_finished {
@@ -38,7 +42,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let file = arguments.output.display().to_string();
     if arguments.json {
         let lost = |gap: &radome_dsp::Gap| json!({ "first_sequence": gap.first_sequence, "frames": gap.frames });
-        return output::json_line(&json!({
+        output::unless_closed(output::json_line(&json!({
             "file": file,
             "frames": report.frames,
             "labels": report.labels,
@@ -48,12 +52,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "lost_bytes": report.bytes_lost(),
             "lost_from": report.lost.iter().map(lost).collect::<Vec<_>>(),
             "was_finished": report.was_finished,
-        }));
+        })))?;
+    } else {
+        output::unless_closed(output::text_line(&format!(
+            "{file}: {} frames saved, {} known to be lost, {} bytes unreadable",
+            report.frames,
+            report.frames_lost(),
+            report.bytes_lost()
+        )))?;
     }
-    output::text_line(&format!(
-        "{file}: {} frames saved, {} known to be lost, {} bytes unreadable",
-        report.frames,
-        report.frames_lost(),
-        report.bytes_lost()
-    ))
+    Ok(Ended::with_loss(!report.damage.is_empty() || !report.lost.is_empty()))
 }

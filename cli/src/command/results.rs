@@ -52,7 +52,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             files::write_atomically(path, |file| write_csv(file, wanted))
         }
         None if arguments.json => wanted.try_for_each(|result| output::json_line(&result?)),
-        None => write_csv(&mut std::io::BufWriter::new(std::io::stdout().lock()), wanted),
+        None => {
+            output::text_line(HEAD)?;
+            wanted.try_for_each(|result| output::text_line(&csv_line(&result?)))
+        }
     }
 }
 

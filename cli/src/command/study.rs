@@ -1,3 +1,4 @@
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -63,26 +64,27 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&maps)?;
     let Shard { index, count } = arguments.shard;
     let study = Study::open(&spec, &dataset, folder, (index, count))?;
-    if !arguments.report_only {
-        work(&study, arguments.json)?;
-    }
-    let report = study.report()?;
-    write(&report, folder)?;
-    if arguments.json {
-        return output::json_line(&report);
-    }
-    output::text_line(&report.markdown())?;
-    if report.done < report.planned {
+    let worked = if arguments.report_only { Ok(()) } else { work(&study, arguments.json) };
+    // What is done is reported, whatever ended the work.
+    let reported = study.report().map_err(anyhow::Error::from);
+    let reported = reported.and_then(|report| write(&report, folder).map(|()| report));
+    if let Ok(report) = &reported
+        && report.done < report.planned
+    {
         eprintln!("{} of {} trainings are done; the same command carries on", report.done, report.planned);
     }
-    Ok(())
+    worked?;
+    let report = reported?;
+    if arguments.json { output::json_line(&report) } else { output::text_line(&report.markdown()) }
 }
 
 fn work(study: &Study, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let bar = output::progress(0, "study");
-    let mut trouble = None;
-    study.run(&|| !output::interrupted(), &mut |progress| match progress {
+    // Who reads no more of it wants no more of it.
+    let trouble = RefCell::new(None);
+    let goes_on = || !output::interrupted() && trouble.borrow().is_none();
+    let worked = study.run(&goes_on, &mut |progress| match progress {
         Progress::Job(job, index, count) => {
             bar.set_length(count as u64);
             bar.set_position(index as u64 - 1);
@@ -92,14 +94,13 @@ fn work(study: &Study, json: bool) -> anyhow::Result<()> {
         Progress::Done(outcome) => {
             bar.inc(1);
             let said = bar.suspend(|| if json { output::json_line(outcome) } else { told(outcome) });
-            trouble = trouble.take().or(said.err());
+            let mut trouble = trouble.borrow_mut();
+            *trouble = trouble.take().or(said.err());
         }
-    })?;
+    });
     bar.finish_and_clear();
-    match trouble {
-        Some(error) => Err(error),
-        None => Ok(()),
-    }
+    worked?;
+    trouble.into_inner().map_or(Ok(()), Err)
 }
 
 fn told(outcome: &Outcome) -> anyhow::Result<()> {

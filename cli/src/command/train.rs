@@ -95,15 +95,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             bar.suspend(|| output::text_line(&line))
         };
         trouble = trouble.take().or(said.err());
+    });
+    let outcome = outcome.inspect_err(|_| {
+        bar.finish_and_clear();
+        if checkpoint.exists() {
+            eprintln!("the epochs so far are in {}; the same command carries on", checkpoint.display());
+        }
     })?;
     bar.finish_and_clear();
-    if let Some(error) = trouble {
-        return Err(error);
-    }
     for warning in &outcome.warnings {
         eprintln!("warning: {warning}");
     }
+    // What could not be told costs no model.
     outcome.model.save(&arguments.output)?;
+    if let Some(error) = trouble {
+        return Err(error);
+    }
     let file = arguments.output.display().to_string();
     if arguments.json {
         return output::json_line(&json!({ "model": file, "training": outcome.model.card.training }));

@@ -12,9 +12,10 @@ use serde::Serialize;
 use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
-use super::pipeline::{Inlet, Item};
+use super::pipeline::{Failure, Inlet, Item};
 use super::sink::{Moment, Sink};
 use crate::judge::{Judge, Model, Verdict};
+use crate::{output, panics};
 
 /// Probabilities of the classes by name.
 #[derive(Debug, Clone, Copy, Serialize)]
@@ -303,19 +304,36 @@ impl FrameClassifier {
 }
 
 /// Runs until the stream ends: hands every answer and gap to the sinks in their order, and at the end the summary, which it
-/// also returns.
+/// also returns. A panic of the judge or of a sink is an error, and the other sinks are ended all the same.
+///
+/// # Errors
+/// The first one of the stream, the judge and the sinks; others are written to stderr. A closed stdout, which ends the run too,
+/// is given only where nothing else went wrong.
 pub fn run(
     inlet: &Inlet,
     judge: &mut FrameClassifier,
     patience: Duration,
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<Summary> {
-    let outcome = judge_all(inlet, judge, patience, sinks);
+    let mut ends = vec![guarded(|| judge_all(inlet, judge, patience, sinks))];
     let summary = judge.summary();
     // Whatever ended the run, what sinks hold is made whole.
-    let mut ends = sinks.iter_mut().map(|sink| sink.end(&summary)).collect::<Vec<_>>().into_iter();
-    outcome.and_then(|()| ends.try_for_each(|end| end))?;
-    Ok(summary)
+    ends.extend(sinks.iter_mut().map(|sink| guarded(|| sink.end(&summary))));
+    let (closed, failed): (Vec<_>, Vec<_>) =
+        ends.into_iter().filter_map(Result::err).partition(output::is_closed_stdout);
+    let mut failed = failed.into_iter();
+    let first = failed.next();
+    for error in failed {
+        eprintln!("error: {}", output::chain(&error));
+    }
+    match first.or(closed.into_iter().next()) {
+        Some(error) => Err(error),
+        None => Ok(summary),
+    }
+}
+
+fn guarded(work: impl FnOnce() -> anyhow::Result<()>) -> anyhow::Result<()> {
+    panics::caught(work).unwrap_or_else(|panicked| Err(panicked.into()))
 }
 
 fn judge_all(
@@ -325,11 +343,11 @@ fn judge_all(
     sinks: &mut [Box<dyn Sink>],
 ) -> anyhow::Result<()> {
     let mut missed = Missed { inlet, noted: 0, next_sequence: 0 };
-    while !crate::output::interrupted() {
+    while !output::interrupted() {
         let delivery = match inlet.receiver.recv_timeout(patience) {
             Ok(delivery) => delivery,
             Err(crossbeam::channel::RecvTimeoutError::Timeout) => continue,
-            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => break,
+            Err(crossbeam::channel::RecvTimeoutError::Disconnected) => return Err(Failure::without_a_word().into()),
         };
         match delivery.item {
             Item::Frame(frame) => {
@@ -343,7 +361,7 @@ fn judge_all(
             Item::Gap(gap) => tell_gap(&gap, judge, sinks)?,
             Item::End(end) => {
                 missed.note(u64::MAX, judge, sinks)?;
-                return end.map_err(anyhow::Error::from_boxed);
+                return end.map_err(anyhow::Error::from);
             }
         }
     }
@@ -372,5 +390,91 @@ impl Missed<'_> {
             tell_gap(&Gap { first_sequence, frames, reason: GapReason::QueueFull }, judge, sinks)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::rc::Rc;
+
+    use radome_dsp::{SourceEvent, WaveformRequest};
+
+    use super::*;
+    use crate::live::pipeline::{Pipeline, Policy};
+
+    fn waveform() -> Waveform {
+        Waveform::realise(WaveformRequest::paper()).expect("a valid waveform")
+    }
+
+    fn judge() -> FrameClassifier {
+        FrameClassifier::new(Model::Cfar, &waveform(), Delays::default(), Instant::now()).expect("a judge")
+    }
+
+    struct Middle(Waveform);
+
+    impl radome_dsp::FrameSource for Middle {
+        fn waveform(&self) -> &Waveform {
+            &self.0
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, radome_dsp::SourceError> {
+            frame.codes.fill(2048);
+            frame.sequence += 1;
+            Ok(SourceEvent::Frame)
+        }
+    }
+
+    /// Does with an answer what it is told to, and counts its ends.
+    struct Told(fn() -> anyhow::Result<()>, Rc<Cell<usize>>);
+
+    impl Sink for Told {
+        fn answer(&mut self, _moment: &Moment) -> anyhow::Result<()> {
+            (self.0)()
+        }
+
+        fn gap(&mut self, _gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+            Ok(())
+        }
+
+        fn end(&mut self, _summary: &Summary) -> anyhow::Result<()> {
+            self.1.set(self.1.get() + 1);
+            Ok(())
+        }
+    }
+
+    /// Runs three frames with a sink that does this; gives the error, and how many sinks were ended.
+    fn run_with(answer: fn() -> anyhow::Result<()>) -> (anyhow::Error, usize) {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
+        let _reader = pipeline.start(Box::new(Middle(waveform())), Some(3));
+        let ends = Rc::new(Cell::new(0));
+        let mut sinks: Vec<Box<dyn Sink>> =
+            vec![Box::new(Told(|| Ok(()), ends.clone())), Box::new(Told(answer, ends.clone()))];
+        let error = run(&inlet, &mut judge(), Duration::from_millis(10), &mut sinks).expect_err("an error");
+        (error, ends.get())
+    }
+
+    #[test]
+    fn a_source_that_has_gone_without_a_word_is_an_error() {
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("classifier", 4, Policy::Wait);
+        drop(pipeline);
+        let error = run(&inlet, &mut judge(), Duration::from_secs(600), &mut []).expect_err("no end was told");
+        assert!(error.to_string().contains("without a word"), "{error}");
+    }
+
+    #[test]
+    fn a_panic_of_a_sink_is_an_error_and_all_sinks_are_ended() {
+        let (error, ended) = run_with(|| panic!("no room on the screen"));
+        assert!(error.to_string().contains("no room on the screen"), "{error}");
+        assert_eq!(ended, 2);
+    }
+
+    #[test]
+    fn a_closed_stdout_ends_the_run_as_such() {
+        let (error, ended) = run_with(|| Err(output::StdoutClosed.into()));
+        assert!(output::is_closed_stdout(&error), "{error}");
+        assert_eq!(ended, 2);
     }
 }

@@ -1,12 +1,16 @@
 //! A reader thread that hands reference-counted frames from a pool to consumers, each with its own policy.
 
-use std::sync::Arc;
+use std::error::Error;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, TrySendError, bounded};
-use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent};
+use radome_driver::BoardError;
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent};
+
+use crate::panics::{Panicked, caught};
 
 /// What a consumer receives.
 pub enum Item {
@@ -14,8 +18,51 @@ pub enum Item {
     Frame(Arc<Frame>),
     /// Frames are missing here.
     Gap(Gap),
-    /// The last item.
-    End(Result<(), SourceError>),
+    /// The last item; every consumer is told the same.
+    End(End),
+}
+
+/// How a stream of frames ended.
+pub type End = Result<(), Failure>;
+
+/// Why a source failed. Consumers share it.
+#[derive(Debug, Clone)]
+pub struct Failure(Arc<dyn Error + Send + Sync>);
+
+impl std::fmt::Display for Failure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        std::fmt::Display::fmt(&self.0, f)
+    }
+}
+
+impl Error for Failure {
+    fn source(&self) -> Option<&(dyn Error + 'static)> {
+        self.0.source()
+    }
+}
+
+impl From<SourceError> for Failure {
+    fn from(error: SourceError) -> Self {
+        Failure(error.into())
+    }
+}
+
+impl Failure {
+    /// A source that ended without saying how.
+    pub fn without_a_word() -> Self {
+        SourceError::from("the source ended without a word; what came last may be missing").into()
+    }
+
+    /// Whether the source panicked. What it gave before is not vouched for: its recording stays marked unfinished.
+    pub fn is_panic(&self) -> bool {
+        self.0.is::<Panicked>()
+    }
+
+    /// The hole that a board leaves at the end of a recording when it is lost for good: nobody knows how many frames.
+    pub fn gap(&self, first_sequence: u64) -> Option<Gap> {
+        let is_board = self.0.is::<BoardError>();
+        is_board.then_some(Gap { first_sequence, frames: 0, reason: GapReason::Disconnected })
+    }
 }
 
 /// An item and when the host had it.
@@ -44,6 +91,7 @@ struct Outlet {
     /// The other end, to take the oldest from; only held to drop, so that a consumer that goes away is noticed.
     oldest: Option<Receiver<Delivery>>,
     missed: Arc<AtomicU64>,
+    end: Arc<OnceLock<End>>,
 }
 
 /// The consumer's end of a queue.
@@ -52,6 +100,8 @@ pub struct Inlet {
     pub receiver: Receiver<Delivery>,
     /// Frames dropped because this consumer was too slow.
     pub missed: Arc<AtomicU64>,
+    /// How the stream ended: set before any consumer is told.
+    pub end: Arc<OnceLock<End>>,
 }
 
 /// Consumers to be, before the reader starts.
@@ -74,10 +124,10 @@ impl Pipeline {
     /// Adds a consumer with a queue of `capacity` items.
     pub fn consumer(&mut self, name: &'static str, capacity: usize, policy: Policy) -> Inlet {
         let (sender, receiver) = bounded(capacity);
-        let missed = Arc::new(AtomicU64::new(0));
+        let (missed, end) = (Arc::new(AtomicU64::new(0)), Arc::new(OnceLock::new()));
         let oldest = matches!(policy, Policy::DropOldest).then(|| receiver.clone());
-        self.outlets.push(Outlet { name, policy, sender, oldest, missed: missed.clone() });
-        Inlet { receiver, missed }
+        self.outlets.push(Outlet { name, policy, sender, oldest, missed: missed.clone(), end: end.clone() });
+        Inlet { receiver, missed, end }
     }
 
     /// Starts reading. `limit` ends the stream after so many frames.
@@ -86,12 +136,14 @@ impl Pipeline {
         let told = stop.clone();
         let outlets = self.outlets;
         let thread = std::thread::spawn(move || {
-            let end = read(source, &outlets, limit, &told);
-            // An error can be shown once; the first consumer that takes it does so.
-            let mut end = Some(end);
+            let end: End = match caught(|| read(source, &outlets, limit, &told)) {
+                Ok(end) => end.map_err(Failure::from),
+                Err(panicked) => Err(SourceError::from(panicked).into()),
+            };
             for outlet in &outlets {
-                outlet.finish(end.take().unwrap_or(Ok(())));
+                let _ = outlet.end.set(end.clone());
             }
+            outlets.iter().for_each(|outlet| outlet.finish(end.clone()));
         });
         Reader { stop, thread: Some(thread) }
     }
@@ -162,7 +214,7 @@ fn read(
 
 impl Outlet {
     /// The last item; a consumer that has not come back for it in ten seconds is not waited for.
-    fn finish(&self, end: Result<(), SourceError>) {
+    fn finish(&self, end: End) {
         let delivery = Delivery { item: Item::End(end), arrived: Instant::now() };
         if self.oldest.is_some() {
             let _ = self.send(delivery);
@@ -207,7 +259,7 @@ impl Outlet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use radome_dsp::{GapReason, Waveform, WaveformRequest};
+    use radome_dsp::{Waveform, WaveformRequest};
 
     struct Counter {
         waveform: Waveform,
@@ -310,6 +362,7 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+        use crate::panics::tests::Panicking;
 
         struct Broken(Waveform);
 
@@ -323,7 +376,7 @@ mod tests {
         }
 
         #[test]
-        fn a_source_that_fails_is_heard_by_the_first_consumer_and_ends_the_others() {
+        fn a_source_that_fails_is_heard_by_every_consumer() {
             let mut pipeline = Pipeline::new();
             let first = pipeline.consumer("first", 1, Policy::Wait);
             let second = pipeline.consumer("second", 1, Policy::DropOldest);
@@ -334,7 +387,44 @@ mod tests {
                 _ => panic!("an item before the end"),
             };
             assert_eq!(end(&first), Err("chunk 3 is damaged".to_owned()));
-            assert_eq!(end(&second), Ok(()));
+            assert_eq!(end(&second), Err("chunk 3 is damaged".to_owned()));
+        }
+
+        #[test]
+        fn a_source_that_panics_is_an_error_with_its_place_for_every_consumer() {
+            let mut pipeline = Pipeline::new();
+            let inlets = [
+                pipeline.consumer("first", 1, Policy::Wait),
+                pipeline.consumer("second", 9, Policy::DropOldest),
+                pipeline.consumer("third", 9, Policy::Lossless(Duration::from_secs(5))),
+            ];
+            let _reader = pipeline.start(Panicking::after(3), None);
+            for inlet in inlets {
+                let mut frames = 0;
+                let failure = loop {
+                    match inlet.receiver.recv_timeout(Duration::from_secs(5)).expect("no stall").item {
+                        Item::Frame(_) => frames += 1,
+                        Item::Gap(gap) => panic!("{gap:?}"),
+                        Item::End(end) => break end.expect_err("a panic"),
+                    }
+                };
+                assert_eq!(frames, 3);
+                assert!(failure.is_panic() && failure.gap(3).is_none());
+                let said = failure.to_string();
+                assert!(said.contains("panics.rs:") && said.contains("frame 3 cannot be made"), "{said}");
+                assert!(inlet.end.get().is_some_and(|end| end.as_ref().is_err_and(Failure::is_panic)));
+                // Nobody waits for more.
+                assert!(inlet.receiver.recv().is_err());
+            }
+        }
+
+        #[test]
+        fn a_board_that_is_lost_leaves_a_hole_of_unknown_length() {
+            let lost = SourceError::from(BoardError::Stopped);
+            let failure = Failure::from(lost);
+            let expected = Gap { first_sequence: 7, frames: 0, reason: GapReason::Disconnected };
+            assert_eq!((failure.gap(7), failure.is_panic()), (Some(expected), false));
+            assert_eq!(Failure::without_a_word().gap(7), None);
         }
     }
 }

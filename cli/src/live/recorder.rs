@@ -2,18 +2,22 @@
 
 use std::collections::VecDeque;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use anyhow::{anyhow, bail};
+use anyhow::{Context, anyhow, bail};
 use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, never};
 use radome_driver::{FrameResult, LabelSpan, Recorder, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
 use super::classify::{Probabilities, Summary};
 use super::health::Health;
-use super::pipeline::{Delivery, Inlet, Item};
+use super::pipeline::{Delivery, Failure, Inlet, Item};
 use super::sink::{Moment, Sink};
+use crate::output;
+use crate::panics::Panicked;
 
 /// Answers that may wait for the recorder: more than there are frames on their way to it.
 const WAITING_RESULTS: usize = 1024;
@@ -47,7 +51,8 @@ pub struct NewLabels {
 pub struct LabelSender(Sender<NewLabels>);
 
 impl LabelSender {
-    /// Makes these the labels, and waits until they are written. A recorder that has gone writes nothing and says why by itself.
+    /// Makes these the labels, and waits until they are written. A recorder that has gone writes nothing and says why by itself;
+    /// nobody waits for it.
     pub fn write(&self, spans: &[LabelSpan]) {
         let (written, is_written) = bounded(1);
         if self.0.send(NewLabels { spans: spans.to_vec(), written }).is_ok() {
@@ -58,15 +63,29 @@ impl LabelSender {
 
 /// What carries labels from whoever makes them to a recorder.
 pub fn label_line() -> (LabelSender, Receiver<NewLabels>) {
-    let (sender, receiver) = bounded(1);
+    // Without a place to wait in: labels that waited there for a recorder that ends would keep their sender for ever.
+    let (sender, receiver) = bounded(0);
     (LabelSender(sender), receiver)
 }
 
 /// Hands answers to the recorder's thread, which has frames and gaps from the pipeline.
+///
+/// A recorder that fails, as on a full disk, says so at once on stderr and leaves its file marked unfinished. The run goes on
+/// without it, since occupancy needs no disk, and fails with that error when it ends.
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
-    thread: Option<JoinHandle<anyhow::Result<RecordingSummary>>>,
+    thread: Option<JoinHandle<anyhow::Result<Recorded>>>,
+    /// Why the recorder ended before the run did.
+    failure: Option<anyhow::Error>,
+    has_gaps: Arc<AtomicBool>,
     file: String,
+}
+
+/// A recording whose recorder has ended without an error of its own.
+enum Recorded {
+    Finished(RecordingSummary),
+    /// The source panicked behind so many frames.
+    Unfinished(u64),
 }
 
 impl RecorderSink {
@@ -79,20 +98,33 @@ impl RecorderSink {
     ) -> anyhow::Result<Self> {
         let recorder = Recorder::create(path, header)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
-        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: None };
+        let has_gaps = Arc::new(AtomicBool::new(false));
+        let mut writer =
+            Writer { recorder, ahead: VecDeque::new(), newest: None, frames: 0, has_gaps: has_gaps.clone() };
         let thread = std::thread::spawn(move || {
-            let outcome = writer.run(&inlet.receiver, &receiver, labels);
-            // What has been captured is made whole whatever ended it.
-            let summary = writer.recorder.finish()?;
-            outcome.map(|()| summary)
+            // An error leaves the file marked unfinished. To finish it would fail again, and hide why.
+            let written = writer.run(&inlet, &receiver, labels);
+            written.with_context(|| format!("the recording ended after {} frames", writer.frames))?;
+            Ok(match inlet.end.get() {
+                Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
+                // A recording that its source or its user ended is whole.
+                _ => Recorded::Finished(writer.recorder.finish()?),
+            })
         });
-        Ok(RecorderSink { results: Some(results), thread: Some(thread), file: path.display().to_string() })
+        let file = path.display().to_string();
+        Ok(RecorderSink { results: Some(results), thread: Some(thread), failure: None, has_gaps, file })
     }
 
-    fn join(&mut self) -> anyhow::Result<RecordingSummary> {
+    /// Whether frames are missing in the recording.
+    pub fn has_gaps(&self) -> Arc<AtomicBool> {
+        self.has_gaps.clone()
+    }
+
+    fn join(&mut self) -> anyhow::Result<Recorded> {
         self.results.take();
-        let Some(thread) = self.thread.take() else { bail!("the recorder of {} has ended", self.file) };
-        thread.join().map_err(|_| anyhow!("the recorder of {} has panicked", self.file))?
+        let Some(thread) = self.thread.take() else { bail!("the recorder has ended") };
+        let joined = thread.join().unwrap_or_else(|payload| Err(Panicked::new(payload.as_ref()).into()));
+        joined.with_context(|| format!("{} is not whole", self.file))
     }
 }
 
@@ -102,10 +134,14 @@ impl Sink for RecorderSink {
         match results.try_send(frame_result(moment)) {
             Ok(()) => Ok(()),
             // It has gone: its own error says why.
-            Err(TrySendError::Disconnected(_)) => match self.join() {
-                Err(error) => Err(error),
-                Ok(_) => bail!("the recorder of {} has ended too early", self.file),
-            },
+            Err(TrySendError::Disconnected(_)) => {
+                let joined = self.join();
+                let failure = joined.err().unwrap_or_else(|| anyhow!("the recorder of {} has ended", self.file));
+                eprintln!("error: {}", output::chain(&failure));
+                eprintln!("{} is marked unfinished; the run goes on without recording", self.file);
+                self.failure = Some(failure);
+                Ok(())
+            }
             Err(TrySendError::Full(_)) => bail!(
                 "the recorder of {} is {WAITING_RESULTS} answers behind; stopped, because it must not lose any\n\nhint: write to a \
                  faster disk",
@@ -120,18 +156,20 @@ impl Sink for RecorderSink {
     }
 
     fn end(&mut self, _summary: &Summary) -> anyhow::Result<()> {
+        if let Some(failure) = self.failure.take() {
+            return Err(failure);
+        }
         if self.thread.is_none() {
             return Ok(());
         }
-        let summary = self.join()?;
-        eprintln!(
-            "{}: {} frames, {} judged, {} lost, {} MiB",
-            self.file,
-            summary.frames,
-            summary.results,
-            summary.frames_lost,
-            summary.bytes >> 20
-        );
+        match self.join()? {
+            Recorded::Finished(RecordingSummary { frames, results, frames_lost, bytes, .. }) => {
+                eprintln!("{}: {frames} frames, {results} judged, {frames_lost} lost, {} MiB", self.file, bytes >> 20)
+            }
+            Recorded::Unfinished(frames) => {
+                eprintln!("{}: {frames} frames, marked unfinished because the source failed", self.file);
+            }
+        }
         Ok(())
     }
 }
@@ -141,16 +179,19 @@ struct Writer {
     /// Answers to frames that are still in the queue.
     ahead: VecDeque<FrameResult>,
     newest: Option<u64>,
+    frames: u64,
+    has_gaps: Arc<AtomicBool>,
 }
 
 impl Writer {
     /// Until nobody answers any more, and all that had been taken from the source by then is written.
     fn run(
         &mut self,
-        frames: &Receiver<Delivery>,
+        inlet: &Inlet,
         results: &Receiver<FrameResult>,
         mut labels: Receiver<NewLabels>,
     ) -> anyhow::Result<()> {
+        let frames = &inlet.receiver;
         let mut is_unflushed = false;
         let mut has_ended = false;
         loop {
@@ -192,12 +233,21 @@ impl Writer {
                 }
                 Some(Err(RecvTimeoutError::Timeout)) if std::mem::take(&mut is_unflushed) => self.recorder.flush()?,
                 Some(Err(RecvTimeoutError::Timeout)) => {}
-                Some(Err(RecvTimeoutError::Disconnected)) => has_ended = true,
+                // Its end is known where it could not be handed over in time.
+                Some(Err(RecvTimeoutError::Disconnected)) => match inlet.end.get() {
+                    Some(_) => has_ended = true,
+                    None => return Err(Failure::without_a_word().into()),
+                },
             }
             self.write_results()?;
         }
         for delivery in frames.try_iter() {
             self.take(delivery)?;
+        }
+        if let Some(Err(failure)) = inlet.end.get()
+            && let Some(gap) = failure.gap(self.newest.map_or(0, |newest| newest.saturating_add(1)))
+        {
+            self.gap(&gap)?;
         }
         self.newest = Some(u64::MAX);
         self.write_results()
@@ -209,12 +259,18 @@ impl Writer {
             Item::Frame(frame) => {
                 self.recorder.frame(&frame)?;
                 self.newest = Some(frame.sequence);
+                self.frames += 1;
             }
-            Item::Gap(gap) => self.recorder.gap(&gap)?,
+            Item::Gap(gap) => self.gap(&gap)?,
             // The classifier hears of it and ends the run.
             Item::End(_) => return Ok(true),
         }
         Ok(false)
+    }
+
+    fn gap(&mut self, gap: &Gap) -> anyhow::Result<()> {
+        self.has_gaps.store(true, Ordering::Relaxed);
+        Ok(self.recorder.gap(gap)?)
     }
 
     /// Writes the answers to frames that are written.
@@ -226,5 +282,119 @@ impl Writer {
             self.ahead.pop_front();
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use radome_driver::chip::RegisterList;
+    use radome_driver::{BoardError, McapReader};
+    use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+
+    use super::*;
+    use crate::live::pipeline::{Pipeline, Policy};
+    use crate::panics::tests::Panicking;
+
+    /// A board that is lost for good after three frames.
+    struct Lost(Box<Panicking>, u64);
+
+    impl FrameSource for Lost {
+        fn waveform(&self) -> &Waveform {
+            self.0.waveform()
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            if self.1 == 3 {
+                return Err(BoardError::Stopped.into());
+            }
+            self.1 += 1;
+            self.0.next_frame(frame)
+        }
+    }
+
+    fn header(waveform: &Waveform) -> RecordingHeader {
+        RecordingHeader { waveform: waveform.clone(), board: None, registers: RegisterList::new(), judge: None }
+    }
+
+    /// Records a source to its end.
+    fn record(source: Box<dyn FrameSource>, path: &Path) -> (anyhow::Result<Recorded>, bool) {
+        let mut pipeline = Pipeline::new();
+        let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
+        let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
+        let (_page, labels) = label_line();
+        let mut sink = RecorderSink::start(path, &header(source.waveform()), inlet, labels).expect("a recorder");
+        let _reader = pipeline.start(source, None);
+        while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
+        let joined = sink.join();
+        (joined, sink.has_gaps().load(Ordering::Relaxed))
+    }
+
+    /// Whether a recording is marked finished, and its frames and gaps.
+    fn read(path: &Path) -> (bool, Vec<u64>, Vec<Gap>) {
+        let mut reader = McapReader::open(path).expect("opens");
+        let mut frame = Frame::zeroed(reader.waveform().shape());
+        let (mut frames, mut gaps) = (Vec::new(), Vec::new());
+        loop {
+            match reader.next_frame(&mut frame).expect("readable") {
+                SourceEvent::Frame => frames.push(frame.sequence),
+                SourceEvent::Gap(gap) => gaps.push(gap),
+                SourceEvent::End => return (reader.is_complete(), frames, gaps),
+            }
+        }
+    }
+
+    #[test]
+    fn a_panicking_source_leaves_a_recording_that_opens_and_is_marked_unfinished() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let (recorded, _) = record(Panicking::after(3), &path);
+        assert!(matches!(recorded.expect("no error of its own"), Recorded::Unfinished(3)));
+        assert_eq!(read(&path), (false, vec![0, 1, 2], vec![]));
+    }
+
+    #[test]
+    fn a_board_that_is_lost_leaves_a_finished_recording_that_says_so() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let (recorded, has_gaps) = record(Box::new(Lost(Panicking::after(9), 0)), &path);
+        assert!(matches!(recorded.expect("no error of its own"), Recorded::Finished(summary) if summary.frames == 3));
+        let hole = Gap { first_sequence: 3, frames: 0, reason: GapReason::Disconnected };
+        assert_eq!((read(&path), has_gaps), ((true, vec![0, 1, 2], vec![hole]), true));
+    }
+
+    #[test]
+    fn a_source_that_has_gone_without_a_word_is_an_error_and_leaves_the_recording_unfinished() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let mut pipeline = Pipeline::new();
+        let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
+        drop(pipeline);
+        let (_page, labels) = label_line();
+        let waveform = Panicking::after(0).waveform().clone();
+        let mut sink = RecorderSink::start(&path, &header(&waveform), inlet, labels).expect("a recorder");
+        let start = Instant::now();
+        while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
+            assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let error = sink.join().err().expect("an error");
+        assert!(output::chain(&error).contains("without a word"), "{error:#}");
+        assert!(!read(&path).0);
+    }
+
+    #[test]
+    fn labels_for_a_recorder_that_ends_keep_nobody_waiting() {
+        let (sender, receiver) = label_line();
+        let writing = std::thread::spawn(move || sender.write(&[]));
+        // The labels are on their way by now, as a rule.
+        std::thread::sleep(Duration::from_millis(100));
+        drop(receiver);
+        let start = Instant::now();
+        while !writing.is_finished() {
+            assert!(start.elapsed() < Duration::from_secs(60), "the page waits for a recorder that has gone");
+            std::thread::sleep(Duration::from_millis(5));
+        }
     }
 }

@@ -19,12 +19,14 @@ pub struct Screen {
 
 impl Screen {
     /// A screen whose head, if it has one, is written.
-    pub fn new(json: bool) -> Self {
+    pub fn new(json: bool) -> anyhow::Result<Self> {
         let is_terminal = !json && std::io::stdout().is_terminal();
         if !json {
-            println!("{:>8}  {:7} {:^23}  {:7} {:>10}", "time", "label", "empty   one     two", "truth", "latency");
+            let head =
+                format!("{:>8}  {:7} {:^23}  {:7} {:>10}", "time", "label", "empty   one     two", "truth", "latency");
+            output::text_line(&head)?;
         }
-        Screen { json, is_terminal, last: None }
+        Ok(Screen { json, is_terminal, last: None })
     }
 }
 
@@ -51,12 +53,9 @@ impl Sink for Screen {
         }
         let line = format!("{:7.2}s  {label:7} {values:23}  {truth:7} {:7.1} ms", answer.time_s, answer.latency_ms);
         if self.is_terminal {
-            use std::io::Write;
-            let mut stdout = std::io::stdout().lock();
             // A change stays on the screen; what is unchanged is written over.
             let end = if is_change && self.last.is_some() { "\n" } else { "" };
-            write!(stdout, "{end}\r{line}\x1b[K")?;
-            stdout.flush()?;
+            output::text(&format!("{end}\r{line}\x1b[K"))?;
         } else {
             output::text_line(&line)?;
         }
@@ -77,7 +76,7 @@ impl Sink for Screen {
             return output::json_line(&json!({ "summary": summary }));
         }
         if self.is_terminal {
-            println!();
+            output::text_line("")?;
         }
         let mut line = format!("{} frames, {} dropped", summary.frames, summary.dropped);
         if let Some(accuracy) = summary.balanced_accuracy {

@@ -13,6 +13,7 @@ mod mcu7;
 mod port;
 pub mod probe;
 mod source;
+mod watched;
 mod wire;
 mod world;
 
@@ -23,7 +24,7 @@ use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use radome_dsp::{FrameSource, Waveform};
+use radome_dsp::{FrameSource, SourceError, Waveform};
 use thiserror::Error;
 
 use crate::board::Address;
@@ -36,6 +37,7 @@ pub use faults::{Fault, FaultError};
 use mcu7::Mcu7;
 use port::Place;
 pub use source::{EmulatedSource, EmulatedSourceError};
+use watched::Watched;
 use wire::{Firmware, Wire};
 
 /// How fast the emulated world goes.
@@ -137,12 +139,19 @@ pub struct EmulatorCounts {
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
-    dead: AtomicBool,
     finished: AtomicBool,
     slices: AtomicU64,
     packets: AtomicU64,
     overflows: AtomicU64,
     refusal: Mutex<Option<String>>,
+    failure: Mutex<Option<SourceError>>,
+}
+
+impl Shared {
+    /// Keeps the first failure.
+    fn fail(&self, error: SourceError) {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    }
 }
 
 /// A running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
@@ -200,7 +209,7 @@ impl EmulatedBoard {
         let waveform = source.waveform().clone();
         let place = place(&options)?;
         let shared = Arc::new(Shared::default());
-        let mut firmware = firmware(source, &options, &shared)?;
+        let mut firmware = firmware(Box::new(Watched::new(source, &shared)), &options, &shared)?;
         let what = place.description();
         let (link, address) = match &place {
             Place::Pseudoterminal { link } => (link.clone(), None),
@@ -216,8 +225,8 @@ impl EmulatedBoard {
             .spawn(move || {
                 if let Err(error) = wire.serve(firmware.as_mut()) {
                     tracing::error!(%error, "the emulated board failed");
+                    wire.shared.fail(error.into());
                 }
-                wire.shared.dead.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
         Ok(EmulatedBoard { path, address, link, waveform, shared, thread: Some(thread) })
@@ -243,6 +252,16 @@ impl EmulatedBoard {
         self.shared.finished.load(Ordering::Acquire)
     }
 
+    /// Whether the board is still served. It goes on after its source has ended; it does not after its line has failed.
+    pub fn is_served(&self) -> bool {
+        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
+    }
+
+    /// Why the source or the line of the board failed, if one did. It is given once.
+    pub fn take_failure(&self) -> Option<SourceError> {
+        self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).take()
+    }
+
     /// Why the board last refused to start, if it did.
     pub fn refusal(&self) -> Option<String> {
         self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner).clone()
@@ -257,7 +276,7 @@ impl EmulatedBoard {
 
     /// Waits until the source has been sent to its end, or the board has stopped. It goes on answering.
     pub fn wait(&self) {
-        while !self.finished() && !self.shared.dead.load(Ordering::Acquire) {
+        while !self.finished() && self.is_served() {
             thread::sleep(Duration::from_millis(10));
         }
     }

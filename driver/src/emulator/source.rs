@@ -103,7 +103,15 @@ impl FrameSource for EmulatedSource {
         // The board falls silent both when its source has ended and when the source is slow: only the former ends it.
         loop {
             let finished = self.board.finished();
-            match self.stream.poll(frame, Duration::from_millis(50))? {
+            let polled = self.stream.poll(frame, Duration::from_millis(50));
+            // A board whose source has failed falls silent, or its line breaks: the first cause is the source's.
+            if !matches!(polled, Ok(Some(_)))
+                && (finished || polled.is_err())
+                && let Some(failure) = self.board.take_failure()
+            {
+                return Err(failure);
+            }
+            match polled? {
                 Some(event) => {
                     if event == SourceEvent::Frame {
                         frame.truth = self.truth(frame.sequence);

@@ -15,7 +15,7 @@ use serde_json::json;
 use super::plan::{self, Plan, PlanCard};
 use super::unit::{self, Interrupted};
 use crate::shard::Shard;
-use crate::{files, output};
+use crate::{files, output, panics};
 
 /// `radome dataset build`
 #[derive(clap::Args)]
@@ -150,7 +150,10 @@ impl Parts {
         bar.set_position(found as u64);
         let make = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
             let Some(source) = plan.units.get(*unit) else { return Ok(()) };
-            unit::make(plan, source, &place(unit), parallel).with_context(|| source.recording.clone())?;
+            // A unit that panics ends the build as one that fails: the others stay.
+            panics::caught(|| unit::make(plan, source, &place(unit), parallel))
+                .unwrap_or_else(|panicked| Err(panicked.into()))
+                .with_context(|| source.recording.clone())?;
             bar.inc(1);
             Ok(())
         };
@@ -161,13 +164,13 @@ impl Parts {
             missing.iter().try_for_each(|unit| make(unit, true))
         };
         bar.finish_and_clear();
-        match made {
-            Err(error) if error.is::<Interrupted>() => {
-                let made = plan.units_of(plan.card.shard).filter(|unit| place(unit).exists()).count();
-                bail!("interrupted: {made} of {all} units are done\n\nhint: the same command goes on with the others")
-            }
-            made => made.map(|()| found),
+        let Err(error) = made else { return Ok(found) };
+        let made = plan.units_of(plan.card.shard).filter(|unit| place(unit).exists()).count();
+        if error.is::<Interrupted>() {
+            bail!("interrupted: {made} of {all} units are done\n\nhint: the same command goes on with the others")
         }
+        eprintln!("{made} of {all} units are done and kept in {}", self.folder.display());
+        Err(error)
     }
 
     /// Gives a shard's units the shard's name.

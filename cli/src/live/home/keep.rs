@@ -2,12 +2,13 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
-use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
 use radome_driver::protocol::packed12;
 use radome_driver::recording::{Format, RecordingWriter};
 use radome_driver::{FrameResult, LabelSpan, RecordingHeader};
@@ -18,6 +19,7 @@ use crate::live::classify::Summary;
 use crate::live::health::Health;
 use crate::live::recorder::frame_result;
 use crate::live::sink::{Moment, Sink};
+use crate::panics::Panicked;
 
 /// Options of what is kept.
 #[derive(clap::Args, Default)]
@@ -143,8 +145,11 @@ pub struct Keeper {
     spare: Option<Kept>,
 }
 
-/// The thread that saves; ends when the last [`Reports`] is gone.
-pub struct Saver(Option<JoinHandle<()>>);
+/// The thread that saves; ends when this is dropped, behind the report that is being saved.
+pub struct Saver {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
 
 impl Keeper {
     /// A keeper, the way to it, and its thread; nothing if nothing is to be kept.
@@ -178,15 +183,21 @@ impl Keeper {
             header: header.clone(),
             latest,
         };
-        let thread = std::thread::spawn(move || saving.run(&receiver));
-        Ok(Some((Keeper { ring, spare: None }, Reports(sender), Saver(Some(thread)))))
+        let stop = Arc::new(AtomicBool::new(false));
+        let told = stop.clone();
+        let thread = std::thread::spawn(move || saving.run(&receiver, &told));
+        Ok(Some((Keeper { ring, spare: None }, Reports(sender), Saver { stop, thread: Some(thread) })))
     }
 }
 
 impl Drop for Saver {
     fn drop(&mut self) {
-        if let Some(thread) = self.0.take() {
-            let _ = thread.join();
+        // Whoever still holds a way to it, and be it a task that hangs, is not waited for.
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take()
+            && let Err(payload) = thread.join()
+        {
+            tracing::error!("reports are no longer saved: {}", Panicked::new(payload.as_ref()));
         }
     }
 }
@@ -231,9 +242,14 @@ struct Saving {
 }
 
 impl Saving {
-    fn run(&self, reports: &Receiver<Report>) {
+    fn run(&self, reports: &Receiver<Report>, stop: &AtomicBool) {
         let mut last: Option<Instant> = None;
-        for report in reports {
+        loop {
+            let report = match reports.recv_timeout(Duration::from_millis(100)) {
+                Ok(report) => report,
+                Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
+                Err(_) => return,
+            };
             if last.is_some_and(|last| last.elapsed() < LEAST_INTERVAL) {
                 tracing::warn!("a report ({}) within five seconds of another is not believed", report.by);
                 count(&self.latest.counters.reports_refused);

@@ -52,7 +52,9 @@ impl Bulk {
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
         let count = match self.endpoints.read_bulk(&mut self.buffer, timeout) {
             // The endpoint is halted: as good as gone.
-            Err(TransferError::Stall) => return Err(Failure::Lost(std::io::ErrorKind::BrokenPipe.into())),
+            Err(TransferError::Stall) => {
+                return Err(Failure::Lost(std::io::Error::other("the data endpoint is halted")));
+            }
             result => result?,
         };
         if count > 0 {

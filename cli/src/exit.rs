@@ -1,0 +1,69 @@
+//! How a command ends, and the exit status that says so.
+
+use std::process::ExitCode;
+
+use crate::output;
+
+/// Exit statuses, as `radome --help` lists them.
+pub const HELP: &str = "Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
+                        quietly with 0. Ctrl-C and SIGTERM end it in order; a second one ends it at once with 130.";
+
+/// How a command ended that did not fail.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Ended {
+    /// All is done.
+    Done,
+    /// All is done, but data were lost on the way.
+    Lost,
+}
+
+impl Ended {
+    /// [`Ended::Lost`] if something was lost.
+    pub fn with_loss(is_lost: bool) -> Self {
+        if is_lost { Ended::Lost } else { Ended::Done }
+    }
+}
+
+/// Says on stderr why a command failed, if it did; gives the exit status.
+pub fn report(outcome: &anyhow::Result<Ended>) -> ExitCode {
+    match outcome {
+        Ok(Ended::Done) => ExitCode::SUCCESS,
+        Ok(Ended::Lost) => ExitCode::from(3),
+        // The reader of stdout needs no more.
+        Err(error) if output::is_closed_stdout(error) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {}", output::chain(error));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Error, ErrorKind};
+
+    use anyhow::Context;
+
+    use super::*;
+
+    fn is(code: ExitCode, expected: u8) -> bool {
+        // An exit code cannot be compared, but it can be printed.
+        format!("{code:?}") == format!("{:?}", ExitCode::from(expected))
+    }
+
+    #[test]
+    fn every_end_has_its_status() {
+        assert!(is(report(&Ok(Ended::with_loss(false))), 0));
+        assert!(is(report(&Ok(Ended::with_loss(true))), 3));
+        assert!(is(report(&Err(anyhow::anyhow!("no such board"))), 1));
+        let closed: anyhow::Result<Ended> = Err(output::StdoutClosed.into());
+        assert!(is(report(&closed), 0));
+        assert!(is(report(&closed.context("cannot say it")), 0));
+    }
+
+    #[test]
+    fn a_broken_pipe_that_is_not_stdout_is_a_failure() {
+        let of_a_board: anyhow::Result<Ended> = Err(Error::from(ErrorKind::BrokenPipe)).context("the connection broke");
+        assert!(is(report(&of_a_board), 1));
+    }
+}

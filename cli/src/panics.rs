@@ -1,0 +1,169 @@
+//! Panics as errors that name their place: an error in the program ends a run as other errors do.
+
+use std::any::Any;
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, PanicHookInfo, catch_unwind};
+use std::sync::{Mutex, PoisonError};
+
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+
+/// Panics whose place is remembered: several threads may panic at once.
+const REMEMBERED: usize = 32;
+
+/// A panic, as an error.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "internal error at {place}: {message}\n\nhint: this is a fault of the program; please report it with the command line, and with \
+     the file that `radome doctor --bundle` makes"
+)]
+pub struct Panicked {
+    /// File and line, or that nobody knows.
+    pub place: String,
+    /// Message of the panic.
+    pub message: String,
+}
+
+/// Message and place of the last panics. A panic that a thread hands on to another has its place nowhere else.
+static PLACES: Mutex<VecDeque<(String, String)>> = Mutex::new(VecDeque::new());
+
+/// Makes each panic leave its place for the error that is made of it. Panics are written to stderr as before.
+pub fn remember_places() {
+    let before = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic: &PanicHookInfo| {
+        let place = panic.location().map_or_else(|| "an unknown place".to_owned(), ToString::to_string);
+        let mut places = PLACES.lock().unwrap_or_else(PoisonError::into_inner);
+        if places.len() == REMEMBERED {
+            places.pop_front();
+        }
+        places.push_back((message(panic.payload()), place));
+        drop(places);
+        before(panic);
+    }));
+}
+
+/// Does some work; a panic becomes an error. What the work had in its hands is not used any more after that, or is fit for use
+/// in any state.
+pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
+    catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked::new(payload.as_ref()))
+}
+
+impl Panicked {
+    /// Error for the payload of a panic, as `catch_unwind` and the joining of a thread give it.
+    pub fn new(payload: &(dyn Any + Send)) -> Self {
+        let message = message(payload);
+        let places = PLACES.lock().unwrap_or_else(PoisonError::into_inner);
+        let place = places.iter().rev().find(|(said, _)| *said == message).map(|(_, place)| place.clone());
+        Panicked { place: place.unwrap_or_else(|| "an unknown place".to_owned()), message }
+    }
+}
+
+fn message(payload: &(dyn Any + Send)) -> String {
+    match (payload.downcast_ref::<&str>(), payload.downcast_ref::<String>()) {
+        (Some(text), _) => (*text).to_owned(),
+        (None, Some(text)) => text.clone(),
+        (None, None) => "a panic without a message".to_owned(),
+    }
+}
+
+/// A source whose panics are errors. It is not asked again after one.
+pub struct Guarded {
+    source: Box<dyn FrameSource>,
+    panicked: Option<Panicked>,
+}
+
+impl Guarded {
+    /// Guards a source.
+    pub fn new(source: Box<dyn FrameSource>) -> Self {
+        Guarded { source, panicked: None }
+    }
+}
+
+impl FrameSource for Guarded {
+    fn waveform(&self) -> &Waveform {
+        self.source.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        if let Some(panicked) = &self.panicked {
+            return Err(panicked.clone().into());
+        }
+        match caught(|| self.source.next_frame(frame)) {
+            Ok(event) => event,
+            Err(panicked) => Err(self.panicked.insert(panicked).clone().into()),
+        }
+    }
+
+    fn frame_count(&self) -> Option<u64> {
+        self.source.frame_count()
+    }
+}
+
+#[cfg(test)]
+pub mod tests {
+    use std::sync::Once;
+
+    use radome_dsp::WaveformRequest;
+
+    use super::*;
+
+    /// Gives some frames and panics.
+    pub struct Panicking {
+        waveform: Waveform,
+        left: u64,
+        next: u64,
+    }
+
+    impl Panicking {
+        /// A source that panics instead of giving frame number `frames`.
+        pub fn after(frames: u64) -> Box<Self> {
+            static HOOK: Once = Once::new();
+            HOOK.call_once(remember_places);
+            let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
+            Box::new(Panicking {
+                waveform: Waveform::realise(request).expect("a valid waveform"),
+                left: frames,
+                next: 0,
+            })
+        }
+    }
+
+    impl FrameSource for Panicking {
+        fn waveform(&self) -> &Waveform {
+            &self.waveform
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            assert!(self.left > 0, "frame {} cannot be made", self.next);
+            frame.sequence = self.next;
+            frame.time_ns = self.next * 100_000_000;
+            self.left -= 1;
+            self.next += 1;
+            Ok(SourceEvent::Frame)
+        }
+    }
+
+    #[test]
+    fn a_panic_becomes_an_error_with_message_and_place_and_the_source_is_left_alone() {
+        let mut source = Guarded::new(Panicking::after(1));
+        let mut frame = Frame::zeroed(source.waveform().shape());
+        assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
+        for _ in 0..2 {
+            let error = source.next_frame(&mut frame).expect_err("a panic");
+            let panicked = error.downcast_ref::<Panicked>().expect("its own type");
+            assert_eq!(panicked.message, "frame 1 cannot be made");
+            assert!(panicked.place.contains("panics.rs:"), "{}", panicked.place);
+        }
+    }
+
+    #[test]
+    fn a_panic_of_another_thread_keeps_its_place() {
+        let thread = std::thread::spawn(|| {
+            let mut source = Panicking::after(0);
+            let mut frame = Frame::zeroed(source.waveform().shape());
+            source.next_frame(&mut frame).is_ok()
+        });
+        let panicked = Panicked::new(thread.join().expect_err("a panic").as_ref());
+        assert!(panicked.message == "frame 0 cannot be made", "{panicked}");
+        assert!(panicked.place.contains("panics.rs:"), "{panicked}");
+    }
+}
