@@ -39,7 +39,7 @@ fn emulate(from: &Path, arguments: &[&str]) -> (Child, String) {
 /// Records frames of a board, which is then unplugged for good.
 fn record(mut board: Child, source: &str, frames: usize, recorded: &Path) -> Output {
     let output = radome()
-        .args(["record", source, "--json", "--frames", &frames.to_string(), "-o"])
+        .args(["record", source, "--json", "--allow-loss", "--frames", &frames.to_string(), "-o"])
         .arg(recorded)
         .output()
         .expect("runs");

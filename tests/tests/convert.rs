@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, SourceEvent};
-use radome_tests::{failure, fixture, json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome, shared};
 use serde_json::Value;
 
 /// All frames of a recording, and how many were lost.
@@ -86,7 +86,9 @@ fn a_recording_cut_in_two_is_repaired() {
     let (whole, _) = read(&cut);
     let bytes = std::fs::read(&cut).expect("reads");
     std::fs::write(&cut, &bytes[..bytes.len() / 2]).expect("writes");
-    let report = json_lines(radome().arg("repair").arg(&cut).arg("-o").arg(&fixed).arg("--json")).remove(0);
+    let mut repair = radome();
+    repair.arg("repair").arg(&cut).arg("-o").arg(&fixed).arg("--json");
+    let report = json_lines_of(&mut repair, &[3]).remove(0);
     let (frames, _) = read(&fixed);
     assert!(frames.len() >= 10 && frames == whole[..frames.len()]);
     assert_eq!((&report["frames"], &report["was_finished"]), (&frames.len().into(), &false.into()));

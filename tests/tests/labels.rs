@@ -5,7 +5,7 @@ use std::process::Stdio;
 
 use radome_tests::browser::{PATIENCE, Served};
 use radome_tests::running::wait_for;
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome};
 use serde_json::Value;
 use tungstenite::Message;
 
@@ -90,6 +90,7 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
         assert_eq!(pair[0]["end_s"], pair[1]["start_s"]);
     }
     let repaired = folder.path().join("repaired.mcap");
-    json_lines(radome().arg("repair").arg(&made).arg("-o").arg(&repaired).arg("--json"));
+    // It may have been killed within a chunk, which is lost then.
+    json_lines_of(radome().arg("repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
     assert_eq!(spans(&repaired), killed);
 }

@@ -8,6 +8,9 @@ use crate::{files, output};
 
 /// `radome repair`
 #[derive(clap::Args)]
+#[command(
+    after_help = "Exit status: 0 if all of the file could be read, 3 if chunks or frames of it are lost, 1 if there is no new file."
+)]
 pub struct Arguments {
     /// MCAP recording that was cut or damaged; it is only read
     file: PathBuf,

@@ -101,7 +101,7 @@ impl RecorderSink {
         let has_gaps = Arc::new(AtomicBool::new(false));
         let mut writer =
             Writer { recorder, ahead: VecDeque::new(), newest: None, frames: 0, has_gaps: has_gaps.clone() };
-        let thread = std::thread::spawn(move || {
+        let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // An error leaves the file marked unfinished. To finish it would fail again, and hide why.
             let written = writer.run(&inlet, &receiver, labels);
             written.with_context(|| format!("the recording ended after {} frames", writer.frames))?;

@@ -133,3 +133,41 @@ impl Bulk {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A device that has halted its bulk endpoint and refuses all else.
+    struct Halted;
+
+    impl Endpoints for Halted {
+        fn control_out(&mut self, _: &Setup, _: &[u8]) -> Result<(), TransferError> {
+            Err(TransferError::Stall)
+        }
+
+        fn control_in(&mut self, _: &Setup, _: &mut [u8]) -> Result<usize, TransferError> {
+            Err(TransferError::Stall)
+        }
+
+        fn read_bulk(&mut self, _: &mut [u8], _: Duration) -> Result<usize, TransferError> {
+            Err(TransferError::Stall)
+        }
+    }
+
+    /// A broken pipe means that nobody reads stdout, to whoever looks at no more than the kind of an error.
+    #[test]
+    fn a_halted_endpoint_is_a_lost_board_that_says_so() {
+        let parser = BulkParser::new();
+        let endpoints = Box::new(Halted);
+        let mut bulk = Bulk { endpoints, parser, buffer: vec![0; MAX_BULK], last_byte: Instant::now(), cut: false };
+        match bulk.receive(Duration::ZERO) {
+            Err(Failure::Lost(error)) => {
+                assert_ne!(error.kind(), std::io::ErrorKind::BrokenPipe);
+                assert!(error.to_string().contains("halted"), "{error}");
+            }
+            Err(Failure::NoAnswer) => panic!("the board has gone for good"),
+            Ok(received) => panic!("received {received}"),
+        }
+    }
+}

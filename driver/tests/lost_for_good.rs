@@ -1,0 +1,146 @@
+//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an error that
+//! says why, never with an end, and never with a wait.
+
+mod common;
+
+use std::path::Path;
+use std::time::Duration;
+
+use common::{Pattern, waveform};
+use radome_driver::{
+    Board, BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Kind, LineStream, Pace,
+    Reconnect,
+};
+use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+
+const POLICY: Reconnect = Reconnect {
+    first_wait: Duration::from_millis(10),
+    longest_wait: Duration::from_millis(50),
+    give_up_after: Duration::from_millis(300),
+};
+
+fn options(kind: Kind, folder: &Path) -> EmulatorOptions {
+    // The number of a terminal that has gone is soon that of another test's board.
+    EmulatorOptions { pace: Pace::AsFastAsRead, kind, link: Some(folder.join("board")), ..EmulatorOptions::default() }
+}
+
+/// The stream of a board of this kind that is lost behind three frames.
+fn lost(kind: Kind, open: impl FnOnce(&EmulatedBoard, &Waveform) -> Box<dyn FrameSource>) -> SourceError {
+    let folder = tempfile::tempdir().expect("a folder");
+    let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let source = Pattern::new(waveform.clone(), u64::MAX);
+    let board = EmulatedBoard::spawn(Box::new(source), options(kind, folder.path())).expect("spawns");
+    let mut stream = open(&board, &waveform);
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut frames = 0;
+    while frames < 3 {
+        frames += u64::from(stream.next_frame(&mut frame).expect("a frame") == SourceEvent::Frame);
+    }
+    drop(board);
+    loop {
+        match stream.next_frame(&mut frame) {
+            Ok(SourceEvent::End) => panic!("a board does not end"),
+            // What was on its way.
+            Ok(_) => {}
+            Err(error) => {
+                // It stays so.
+                assert!(stream.next_frame(&mut frame).is_err());
+                return error;
+            }
+        }
+    }
+}
+
+fn is_told(error: &SourceError) {
+    assert!(matches!(error.downcast_ref(), Some(BoardError::Disconnected { .. })), "{error:?}");
+    assert!(error.to_string().contains("board: the connection broke"), "{error}");
+}
+
+#[test]
+fn a_board_on_a_serial_port() {
+    is_told(&lost(Kind::Mcu7V4, |board, waveform| {
+        let client = Board::open_at(board.address()).expect("opens");
+        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
+    }));
+}
+
+#[test]
+fn a_board_with_bulk_transfers() {
+    is_told(&lost(Kind::Mcu7Bulk, |board, waveform| {
+        let client = Board::open_at(board.address()).expect("opens");
+        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
+    }));
+}
+
+#[test]
+fn a_deepcraft_board() {
+    is_told(&lost(Kind::Deepcraft, |board, waveform| {
+        let client = DeepcraftBoard::open(board.path()).expect("opens");
+        Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
+    }));
+}
+
+#[test]
+fn a_board_that_prints() {
+    is_told(&lost(Kind::Esp32, |board, waveform| {
+        Box::new(LineStream::open(board.path(), Some(waveform)).expect("opens").with_reconnect(POLICY))
+    }));
+}
+
+/// A source that fails behind five frames, by an error or by a panic.
+struct Failing {
+    pattern: Pattern,
+    panics: bool,
+}
+
+impl FrameSource for Failing {
+    fn waveform(&self) -> &Waveform {
+        self.pattern.waveform()
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        match self.pattern.next_frame(frame)? {
+            SourceEvent::End if self.panics => panic!("on purpose"),
+            SourceEvent::End => Err("chunk 3 is damaged".into()),
+            event => Ok(event),
+        }
+    }
+}
+
+fn failing(panics: bool) -> Box<Failing> {
+    Box::new(Failing { pattern: Pattern::new(waveform(&[1, 2, 3], 8, 64, 0.1), 5), panics })
+}
+
+#[test]
+fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
+    for (panics, expected) in [(false, "chunk 3 is damaged"), (true, "panicked")] {
+        for kind in [Kind::Mcu7V4, Kind::Mcu7Bulk] {
+            let folder = tempfile::tempdir().expect("a folder");
+            let mut source = EmulatedSource::start(failing(panics), options(kind, folder.path())).expect("starts");
+            let mut frame = Frame::zeroed(source.waveform().shape());
+            for _ in 0..5 {
+                assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
+            }
+            let error = source.next_frame(&mut frame).expect_err("the source has failed");
+            assert!(error.to_string().contains(expected), "{kind:?}: {error}");
+        }
+    }
+}
+
+#[test]
+fn an_emulated_board_keeps_the_failure_of_its_source_and_is_served_until_it_is_stopped() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut board = EmulatedBoard::spawn(failing(false), options(Kind::Mcu7V4, folder.path())).expect("spawns");
+    let client = Board::open(board.path()).expect("opens");
+    let mut stream = client.start(board.waveform()).expect("starts");
+    let mut frame = Frame::zeroed(board.waveform().shape());
+    for _ in 0..5 {
+        assert_eq!(stream.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
+    }
+    board.wait();
+    assert!(board.is_served());
+    assert_eq!(board.take_failure().map(|error| error.to_string()).as_deref(), Some("chunk 3 is damaged"));
+    assert!(board.take_failure().is_none());
+    board.stop();
+    assert!(!board.is_served());
+}

@@ -1,0 +1,338 @@
+//! Every end has its cause on stderr, its summary, and its exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was
+//! lost.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use radome_driver::{McapReader, Recorder, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
+use radome_tests::running::{Running, wait_for};
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// Frames of a simulated desk.
+fn simulate(frames: u64, to: &Path) {
+    let frames = frames.to_string();
+    let mut command = radome();
+    command.arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", &frames, "--json", "-o"]);
+    json_lines(command.arg(to));
+}
+
+/// Twenty frames of a simulated desk of which three, from number 8 on, are missing.
+fn with_a_gap(folder: &Path) -> PathBuf {
+    let (whole, holed) = (folder.join("whole.mcap"), folder.join("holed.mcap"));
+    simulate(20, &whole);
+    let mut reader = McapReader::open(&whole).expect("a recording");
+    let header: RecordingHeader = reader.header().clone();
+    let mut frame = Frame::zeroed(header.waveform.shape());
+    let mut recorder = Recorder::create(&holed, &header).expect("a file");
+    while reader.next_frame(&mut frame).expect("readable") == SourceEvent::Frame {
+        match frame.sequence {
+            8 => recorder.gap(&Gap { first_sequence: 8, frames: 3, reason: GapReason::PacketLost }).expect("written"),
+            9 | 10 => {}
+            _ => recorder.frame(&frame).expect("written"),
+        }
+    }
+    recorder.finish().expect("finished");
+    holed
+}
+
+/// Whether a recording is marked finished, its frames, and its gaps.
+fn read(path: &Path) -> (bool, u64, Vec<Gap>) {
+    let mut reader = McapReader::open(path).expect("a file that opens");
+    let mut frame = Frame::zeroed(reader.waveform().shape());
+    let (mut frames, mut gaps) = (0, Vec::new());
+    loop {
+        match reader.next_frame(&mut frame).expect("readable") {
+            SourceEvent::Frame => frames += 1,
+            SourceEvent::Gap(gap) => gaps.push(gap),
+            SourceEvent::End => return (reader.is_complete(), frames, gaps),
+        }
+    }
+}
+
+fn output(command: &mut Command) -> (Option<i32>, String, String) {
+    let Output { status, stdout, stderr } = command.output().expect("runs");
+    (status.code(), String::from_utf8_lossy(&stdout).into_owned(), String::from_utf8_lossy(&stderr).into_owned())
+}
+
+/// An emulated board behind a path that no other board ever has, unlike the number of a terminal that has gone; and the path.
+fn emulate(folder: &Path, protocol: &str) -> (Running, String) {
+    let link = folder.join(format!("{protocol}-board")).display().to_string();
+    let mut command = radome();
+    command.arg("emulate").arg("--from").arg(fixture("scenes/desk.toml")).args(["--protocol", protocol]);
+    let board = Running::start(command.args(["--link", &link]));
+    let port = board.stdout.find(0, "the board's port", |line| Some(line.trim().to_owned()));
+    (board, port)
+}
+
+/// A recorder of boards that looks for a lost one for a second, and says each frame that it writes.
+fn patient(mut command: Command, recording: &Path) -> Running {
+    command.args(["--give-up-after-s", "1", "--json", "--allow-loss", "-o"]).arg(recording);
+    Running::start(command.env("RADOME_LOG", "warn,radome_driver::recording=trace"))
+}
+
+fn wait_for_frames(running: &Running) {
+    wait_for("some frames", || {
+        let frames = running.stderr.all().iter().filter(|line| line.contains("frame recorded")).count();
+        (frames >= 5).then_some(())
+    });
+}
+
+#[test]
+fn a_board_that_is_lost_for_good_ends_a_recording_with_its_cause_and_what_was_captured() {
+    let lose = |protocol: &str, scheme: &str| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (board, port) = emulate(folder.path(), protocol);
+        let recording = folder.path().join("run.mcap");
+        let mut command = radome();
+        command.args(["record", &format!("{scheme}:{port}")]);
+        let mut record = patient(command, &recording);
+        wait_for_frames(&record);
+        board.signal("KILL");
+        let status = record.wait();
+        let said = record.stderr.all().join("\n");
+        assert_eq!(status.code(), Some(1), "{protocol}: {said}");
+        let error = said.lines().find(|line| line.starts_with("error: ")).expect("an error");
+        assert!(error.contains(&port), "{protocol}: {error}");
+        let summary = record.stdout.all();
+        let summary: Value = serde_json::from_str(summary.last().expect("a summary")).expect("JSON");
+        let (is_finished, frames, gaps) = read(&recording);
+        assert!(is_finished && frames >= 5 && summary["frames"] == frames, "{protocol}: {frames}, {summary}");
+        // What the board would have sent is a hole of unknown length.
+        let last = gaps.last().expect("a gap");
+        assert_eq!((last.frames, last.reason), (0, GapReason::Disconnected), "{protocol}: {gaps:?}");
+    };
+    std::thread::scope(|scope| {
+        let lose = &lose;
+        for (protocol, scheme) in
+            [("mcu7-4", "serial"), ("mcu7-bulk", "usb"), ("deepcraft", "serial"), ("esp32", "serial")]
+        {
+            scope.spawn(move || lose(protocol, scheme));
+        }
+    });
+}
+
+#[test]
+fn a_board_that_is_lost_for_good_ends_live_with_its_cause_and_a_summary() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (board, port) = emulate(folder.path(), "mcu7-4");
+    let recording = folder.path().join("night.mcap");
+    let mut command = radome();
+    command.args(["live", &format!("serial:{port}"), "--model", "cfar"]);
+    let mut live = patient(command, &recording);
+    wait_for_frames(&live);
+    board.signal("KILL");
+    let status = live.wait();
+    let said = live.stderr.all().join("\n");
+    assert_eq!(status.code(), Some(1), "{said}");
+    assert!(said.lines().any(|line| line.starts_with("error: ") && line.contains(&port)), "{said}");
+    let answers = live.stdout.all();
+    let summary: Value = serde_json::from_str(answers.last().expect("a summary")).expect("JSON");
+    assert!(summary["summary"]["frames"].as_u64().is_some_and(|frames| frames >= 1), "{summary}");
+    let (is_finished, frames, gaps) = read(&recording);
+    assert!(is_finished && frames >= 5, "{frames} frames");
+    assert_eq!(gaps.last().map(|gap| (gap.frames, gap.reason)), Some((0, GapReason::Disconnected)));
+}
+
+#[test]
+fn a_port_that_is_not_there_is_a_failure() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("run.mcap");
+    let said = failure(radome().args(["record", "serial:/dev/no-such-port", "-o"]).arg(&recording));
+    assert!(said.contains("/dev/no-such-port") && !recording.exists(), "{said}");
+}
+
+/// Runs a command whose stdout is closed when so many lines have been read.
+fn closed_after(command: &mut Command, lines: usize) -> (Option<i32>, String) {
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let stderr = child.stderr.take().expect("piped");
+    let said = std::thread::spawn(move || std::io::read_to_string(stderr).expect("reads"));
+    let stdout = BufReader::new(child.stdout.take().expect("piped"));
+    assert_eq!(stdout.lines().take(lines).count(), lines, "{command:?}");
+    let status = child.wait().expect("ends");
+    (status.code(), said.join().expect("no panic"))
+}
+
+#[test]
+fn a_closed_stdout_ends_every_command_quietly() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    simulate(40, &at("desk.mcap"));
+    let quiet = |command: &mut Command, lines: usize| {
+        let (status, said) = closed_after(command, lines);
+        assert_eq!(status, Some(0), "{command:?}: {said}");
+        assert!(!said.contains("panic") && !said.contains("error"), "{command:?}: {said}");
+    };
+    quiet(radome().arg("simulate").arg(fixture("scenes/desk.toml")).args(["--frames", "3", "-o"]).arg(at("x.mcap")), 0);
+    quiet(radome().arg("results").arg(fixture("formats/judged.mcap")), 1);
+    quiet(radome().args(["completions", "bash"]), 0);
+    quiet(radome().arg("record").arg(at("desk.mcap")).arg("-o").arg(at("y.mcap")), 0);
+    for (lines, arguments) in [(0, &[] as &[&str]), (1, &[]), (3, &["--json"])] {
+        let name = format!("night-{}-{lines}.mcap", arguments.len());
+        let mut live = radome();
+        live.arg("live").arg(at("desk.mcap")).args(["--model", "cfar"]).args(arguments);
+        quiet(live.arg("-o").arg(at(&name)), lines);
+        // Who closes stdout before there is a frame may leave no recording; one that is there is whole.
+        assert!(!at(&name).exists() || read(&at(&name)).0, "{name}");
+    }
+}
+
+#[test]
+fn a_stdout_that_is_full_is_a_failure() {
+    let Ok(full) = std::fs::File::options().write(true).open("/dev/full") else {
+        return;
+    };
+    let said = failure_with_stdout(radome().args(["models", "--json"]), full.into());
+    assert!(said.contains("cannot write to stdout"), "{said}");
+}
+
+fn failure_with_stdout(command: &mut Command, stdout: Stdio) -> String {
+    let child = command.stdout(stdout).stderr(Stdio::piped()).spawn().expect("starts");
+    let output = child.wait_with_output().expect("ends");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    said
+}
+
+#[test]
+fn a_repair_that_drops_a_chunk_ends_with_3_and_one_that_loses_nothing_with_0() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    simulate(40, &at("whole.mcap"));
+    let repair = |from: &str| {
+        let (status, _, said) =
+            output(radome().arg("repair").arg(at(from)).arg("-o").arg(at(&format!("fixed-{from}"))));
+        (status, said)
+    };
+    assert_eq!(repair("whole.mcap").0, Some(0));
+    let bytes = std::fs::read(at("whole.mcap")).expect("readable");
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 3] ^= 0x10;
+    std::fs::write(at("flipped.mcap"), flipped).expect("writable");
+    let (status, said) = repair("flipped.mcap");
+    assert!(status == Some(3) && said.contains("bytes lost"), "{status:?}: {said}");
+    let (_, frames, _) = read(&at("fixed-flipped.mcap"));
+    assert!(frames > 0 && frames < 40, "{frames} frames");
+    std::fs::write(at("cut.mcap"), &bytes[..2 * bytes.len() / 3]).expect("writable");
+    assert_eq!(repair("cut.mcap").0, Some(3));
+}
+
+#[test]
+fn a_recording_with_gaps_ends_with_3_unless_that_is_allowed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let holed = with_a_gap(folder.path());
+    let expected = [Gap { first_sequence: 8, frames: 3, reason: GapReason::PacketLost }];
+    for (command, more) in [("record", &[] as &[&str]), ("live", &["--model", "cfar"])] {
+        let run = |arguments: &[&str]| {
+            let to = folder.path().join(format!("{command}-{}.mcap", arguments.join("")));
+            let mut run = radome();
+            run.arg(command).arg(&holed).args(more).args(arguments).arg("-o").arg(&to);
+            let (status, told, said) = output(&mut run);
+            let (is_finished, frames, gaps) = read(&to);
+            assert!(is_finished && frames == 17 && gaps == expected, "{command}: {frames}, {gaps:?}");
+            assert!(told.contains("17 frames"), "{command}: {told}");
+            (status, said)
+        };
+        let (status, said) = run(&[]);
+        assert!(status == Some(3) && said.contains("--allow-loss"), "{command}: {status:?}: {said}");
+        assert_eq!(run(&["--allow-loss"]).0, Some(0), "{command}");
+        if command == "record" {
+            let (status, said) = run(&["--max-dropped", "2"]);
+            assert!(status == Some(1) && said.contains("3 frames were lost"), "{status:?}: {said}");
+            assert_eq!(run(&["--max-dropped", "3"]).0, Some(3));
+        }
+    }
+    // Without a recording nothing is lost that was to be kept.
+    assert_eq!(output(radome().arg("live").arg(&holed).args(["--model", "cfar"])).0, Some(0));
+}
+
+#[test]
+fn wrong_use_ends_with_2() {
+    for arguments in [&["record", "x.mcap"][..], &["repair", "--nonsense"], &["live"], &["nonsense"], &[]] {
+        assert_eq!(output(radome().args(arguments)).0, Some(2), "{arguments:?}");
+    }
+}
+
+#[test]
+fn help_lists_the_exit_statuses() {
+    for arguments in [&["--help"][..], &["record", "--help"], &["live", "--help"]] {
+        let (status, told, _) = output(radome().args(arguments));
+        assert!(status == Some(0) && told.contains("Exit status: 0"), "{arguments:?}: {told}");
+    }
+}
+
+#[test]
+fn what_is_stopped_by_a_signal_ends_in_order_with_0() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut board, port) = emulate(folder.path(), "mcu7-4");
+    let recording = folder.path().join("run.mcap");
+    let mut command = radome();
+    command.args(["record", &format!("serial:{port}")]);
+    let mut record = patient(command, &recording);
+    wait_for_frames(&record);
+    record.signal("TERM");
+    assert_eq!(record.wait().code(), Some(0), "{:?}", record.stderr.all());
+    assert!(read(&recording).0);
+    board.signal("TERM");
+    assert_eq!(board.wait().code(), Some(0), "{:?}", board.stderr.all());
+    assert!(board.stderr.all().iter().any(|line| line.contains("packets sent")), "{:?}", board.stderr.all());
+}
+
+/// A limit on the size of files stands for a full disk.
+#[cfg(unix)]
+mod full_disk {
+    use super::*;
+
+    /// Chunks of a second, which are thirteen frames of at most 3 KiB, of which some fit in a file and others do not.
+    const FRAMES: u64 = 240;
+    const BLOCKS: u32 = 120;
+
+    /// A program that may write so many blocks to a file, of 512 bytes or 1 KiB as the shell has them.
+    fn limited(blocks: u32, command: &Command) -> Command {
+        let mut shell = Command::new("sh");
+        shell.args(["-c", &format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$@\""), "sh"]);
+        shell.arg(command.get_program()).args(command.get_args());
+        shell.current_dir(radome_tests::root());
+        shell
+    }
+
+    fn first_cause(said: &str) {
+        let error = said.lines().find(|line| line.starts_with("error: ")).unwrap_or_else(|| panic!("no error: {said}"));
+        assert!(error.contains("File too large") && error.contains(".mcap"), "{said}");
+        assert!(!error.contains("attempted another write"), "{said}");
+    }
+
+    #[test]
+    fn ends_a_recording_with_its_first_cause_and_leaves_a_file_that_opens() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
+        simulate(FRAMES, &fed);
+        let mut record = radome();
+        record.arg("record").arg(&fed).args(["--json", "-o"]).arg(&full);
+        let (status, told, said) = output(&mut limited(BLOCKS, &record));
+        assert_eq!(status, Some(1), "{said}");
+        first_cause(&said);
+        let summary: Value = serde_json::from_str(told.trim()).expect("a summary");
+        let (is_finished, frames, _) = read(&full);
+        assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} of {summary}");
+    }
+
+    #[test]
+    fn is_said_at_once_by_live_whose_answers_go_on() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (fed, full) = (folder.path().join("fed.mcap"), folder.path().join("full.mcap"));
+        simulate(FRAMES, &fed);
+        let mut live = radome();
+        live.arg("live").arg(&fed).args(["--model", "cfar", "--json", "-o"]).arg(&full);
+        let (status, told, said) = output(&mut limited(BLOCKS, &live));
+        assert_eq!(status, Some(1), "{said}");
+        first_cause(&said);
+        assert!(said.contains("marked unfinished"), "{said}");
+        let answers = told.lines().filter(|line| line.contains("\"sequence\"")).count();
+        assert_eq!(answers as u64, FRAMES, "{said}");
+        let (is_finished, frames, _) = read(&full);
+        assert!(!is_finished && frames > 0 && frames < FRAMES, "{frames} frames");
+    }
+}
