@@ -148,7 +148,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<()> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut home = Home::open(watch.home, &header, started)?;
+    let mut home = Home::open(watch.home, watch.view.access(), &header, started)?;
 
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::DropOldest } else { Policy::Wait };
