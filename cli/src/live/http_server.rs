@@ -13,8 +13,11 @@ use std::time::Duration;
 
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::Response;
-use axum::{Extension, Router, middleware};
+use axum::{Router, middleware};
+use hyper::Request;
+use hyper::body::Incoming;
 use hyper::server::conn::http1;
+use hyper::service::{Service, service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::service::TowerToHyperService;
 use tokio::net::{TcpListener, TcpStream};
@@ -133,7 +136,13 @@ impl Server {
     fn start(self: &Arc<Self>, stream: TcpStream, address: SocketAddr, router: &Router) {
         let _ = stream.set_nodelay(true);
         let client = Client { address, admitted: Arc::default() };
-        let service = TowerToHyperService::new(router.clone().layer(Extension(client.clone())));
+        let service = service_fn({
+            let (router, client) = (TowerToHyperService::new(router.clone()), client.clone());
+            move |mut request: Request<Incoming>| {
+                request.extensions_mut().insert(client.clone());
+                router.call(request)
+            }
+        });
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(self.limits.head)
