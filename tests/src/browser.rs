@@ -217,26 +217,39 @@ fn base64(text: &str) -> Vec<u8> {
 /// A run of the program with a page, stopped when dropped.
 pub struct Served {
     child: Child,
-    /// Address of the page: `127.0.0.1:PORT`.
+    /// Address of the page on this machine, wherever else it is served: `127.0.0.1:PORT`.
     pub address: String,
+    /// Token in the link that the program shows, if there is one.
+    pub token: Option<String>,
 }
 
 impl Served {
-    /// Starts a command that has everything but `--view`.
+    /// Starts a command that has everything but `--view`, with a page that only this machine reaches.
     ///
     /// # Panics
     /// If it serves no page.
     pub fn start(command: &mut Command) -> Served {
-        let mut child =
-            command.args(["--view", "--listen", "127.0.0.1:0"]).stderr(Stdio::piped()).spawn().expect("starts");
+        Served::start_at("127.0.0.1:0", command)
+    }
+
+    /// Starts a command that has everything but `--view`, with a page at an address of its own.
+    ///
+    /// # Panics
+    /// If it serves no page.
+    pub fn start_at(listen: &str, command: &mut Command) -> Served {
+        let mut child = command.args(["--view", "--listen", listen]).stderr(Stdio::piped()).spawn().expect("starts");
         let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
         let mut said = String::new();
-        let address = lines.by_ref().map_while(Result::ok).find_map(|line| {
+        let link = lines.by_ref().map_while(Result::ok).find_map(|line| {
             said += &line;
             line.strip_prefix("live page: http://").map(str::to_owned)
         });
         std::thread::spawn(move || lines.count());
-        Served { child, address: address.unwrap_or_else(|| panic!("no address: {said}")) }
+        let link = link.unwrap_or_else(|| panic!("no address: {said}"));
+        let (host, path) = link.split_once('/').unwrap_or((&link, ""));
+        let port = host.rsplit(':').next().unwrap_or_default();
+        let token = path.strip_prefix("?token=").filter(|token| !token.contains(' ')).map(str::to_owned);
+        Served { child, address: format!("127.0.0.1:{port}"), token }
     }
 
     /// Where browsers find it.

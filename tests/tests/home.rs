@@ -276,7 +276,17 @@ fn ask(port: u16, request: &[u8]) -> String {
 }
 
 fn get(port: u16, path: &str) -> String {
-    ask(port, format!("GET {path} HTTP/1.1\r\nHost: radar\r\n\r\n").as_bytes())
+    get_as(port, path, &format!("127.0.0.1:{port}"), "")
+}
+
+/// Asks as a client that calls the server by this name, with further headers.
+fn get_as(port: u16, path: &str, host: &str, headers: &str) -> String {
+    ask(port, format!("GET {path} HTTP/1.1\r\nHost: {host}\r\n{headers}\r\n").as_bytes())
+}
+
+/// Reports what is true.
+fn report(port: u16, truth: &str) -> String {
+    ask(port, format!("POST /report/{truth} HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n").as_bytes())
 }
 
 fn metric(page: &str, name: &str) -> f64 {
@@ -429,10 +439,10 @@ fn reports_keep_the_last_minute_with_labels_and_answers() {
     broker.publish(topic, &["-m", button["pl_prs"].as_str().expect("a payload")]);
     let first = kept(1);
     // Those within five seconds of another are refused.
-    assert!(ask(port, b"POST /report/one HTTP/1.1\r\nHost: radar\r\n\r\n").starts_with("HTTP/1.1 202"));
+    assert!(report(port, "one").starts_with("HTTP/1.1 202"));
     scrape(port, |page| metric(page, "radome_reports_refused_total") >= 1.0);
     std::thread::sleep(Duration::from_secs(5));
-    assert!(ask(port, b"POST /report/one HTTP/1.1\r\nHost: radar\r\n\r\n").starts_with("HTTP/1.1 202"));
+    assert!(report(port, "one").starts_with("HTTP/1.1 202"));
     let second = kept(2);
     std::thread::sleep(Duration::from_secs(5));
     live.signal("USR1");
@@ -544,9 +554,10 @@ mod hard_cases {
             assert!(!answer.contains("root:"), "{path}");
             refused += 1.0;
         }
-        let long = format!("GET /metrics HTTP/1.1\r\nHost: radar\r\nX: {}\r\n\r\n", "x".repeat(100_000));
+        let host = format!("Host: 127.0.0.1:{port}\r\n");
+        let long = format!("GET /metrics HTTP/1.1\r\n{host}X: {}\r\n\r\n", "x".repeat(100_000));
         let many: String = (0..500).map(|i| format!("H{i}: x\r\n")).collect();
-        let many = format!("GET /metrics HTTP/1.1\r\n{many}\r\n");
+        let many = format!("GET /metrics HTTP/1.1\r\n{host}{many}\r\n");
         let slow = b"GET /metrics HTTP/1.1\r\nHost: ra";
         for request in
             [long.as_bytes(), many.as_bytes(), slow, b"\x16\x03\x01\x02\x00\x01\x00", b"BREW /pot\r\n\r\n", &[0; 5000]]
@@ -555,17 +566,83 @@ mod hard_cases {
             assert!(!answer.starts_with("HTTP/1.1 200"), "{answer}");
             refused += 1.0;
         }
-        for request in [
-            "POST /metrics HTTP/1.1\r\nHost: r\r\n\r\n",
-            "POST /report/empty HTTP/1.1\r\nHost: r\r\nOrigin: http://evil\r\n\r\n",
+        for (request, status) in [
+            (format!("POST /metrics HTTP/1.1\r\n{host}\r\n"), "405"),
+            (format!("GET /metrics HTTP/1.1\r\n{host}Content-Length: 3\r\n\r\n"), "413"),
+            (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://evil\r\n\r\n"), "403"),
+            (format!("POST /report/empty HTTP/1.1\r\n{host}Origin: http://127.0.0.1:{port}\r\n\r\n"), "403"),
         ] {
             let answer = ask(port, request.as_bytes());
-            assert!(answer.starts_with("HTTP/1.1 405") || answer.starts_with("HTTP/1.1 403"), "{answer}");
+            assert!(answer.starts_with(&format!("HTTP/1.1 {status}")), "{answer}");
             refused += 1.0;
         }
         let after = metric(&scrape(port, |_| true), "radome_http_refused_total");
         assert!(after - before >= refused, "{after} - {before} counted of {refused}");
         stop_and_count(live);
+    }
+
+    /// A name that was bound to this machine's address by somebody else reads nothing through a visitor's browser.
+    #[test]
+    fn metrics_are_not_served_under_names_that_are_not_theirs() {
+        let live = Running::start(watch().args(["--metrics", "127.0.0.1:0", "--allow-host", "Radar.example:9100"]));
+        let port = metrics_port(&live);
+        scrape(port, |page| page.contains("\nradome_up 1\n"));
+        for host in ["radar.example:9100", &format!("localhost:{port}"), &format!("[::1]:{port}")] {
+            assert!(get_as(port, "/metrics", host, "").starts_with("HTTP/1.1 200"), "{host}");
+        }
+        for path in ["/metrics", "/health", "/nothing"] {
+            for host in [
+                "evil.example",
+                &format!("evil.example:{port}"),
+                "127.0.0.1",
+                "127.0.0.1:1",
+                "radar.example",
+                &format!("192.168.0.4:{port}"),
+            ] {
+                let answer = get_as(port, path, host, "");
+                assert!(answer.starts_with("HTTP/1.1 403"), "{path} at {host}: {answer}");
+                assert!(!answer.contains("radome_") && !answer.contains("labelled"), "{path} at {host}: {answer}");
+            }
+            let nameless = ask(port, format!("GET {path} HTTP/1.1\r\n\r\n").as_bytes());
+            assert!(nameless.starts_with("HTTP/1.1 403"), "{path}: {nameless}");
+            let host = format!("127.0.0.1:{port}");
+            let answer = get_as(port, path, &host, "Origin: http://evil.example\r\n");
+            assert!(answer.starts_with("HTTP/1.1 403"), "{path}: {answer}");
+        }
+        let answer = ask(port, format!("POST /report/one HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n").as_bytes());
+        assert!(answer.starts_with("HTTP/1.1 403"), "{answer}");
+        stop_and_count(live);
+    }
+
+    #[test]
+    fn metrics_off_loopback_need_a_token_and_tell_nothing_without() {
+        let said = radome_tests::failure(watch().args(["--metrics", "0.0.0.0:0"]));
+        assert!(said.contains("--token-file") && said.contains("hint:"), "{said}");
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = folder.path().join("token");
+        for listen in ["0.0.0.0:0", "127.0.0.1:0"] {
+            let live = Running::start(watch().args(["--metrics", listen, "--token-file"]).arg(&file));
+            let port: u16 = live.stderr.find(0, "the metrics' address", |line| {
+                line.strip_prefix("metrics: http://")?.strip_suffix("/metrics")?.rsplit(':').next()?.parse().ok()
+            });
+            let token = std::fs::read_to_string(&file).expect("made").trim().to_owned();
+            let (host, bearer) = (format!("127.0.0.1:{port}"), format!("Authorization: Bearer {token}\r\n"));
+            wait_for("metrics", || {
+                Some(get_as(port, "/metrics", &host, &bearer)).filter(|page| page.contains("\nradome_up 1\n"))
+            });
+            assert!(get_as(port, "/health", &host, &bearer).starts_with("HTTP/1.1 200"));
+            for path in ["/metrics", "/health", "/report/one", "/nothing", &format!("/?token={token}")] {
+                for headers in ["", "Authorization: Bearer wrong-wrong-wrong\r\n", "Cookie: radome=1\r\n"] {
+                    let answer = get_as(port, path, &host, headers);
+                    assert!(answer.starts_with("HTTP/1.1 401"), "{path}, {headers}: {answer}");
+                    assert!(!answer.contains("radome_") && !answer.contains("labelled"), "{path}: {answer}");
+                }
+            }
+            let unproven = report(port, "one");
+            assert!(unproven.starts_with("HTTP/1.1 401"), "{unproven}");
+            assert!(live.stderr.all().iter().all(|line| !line.contains(&token)));
+            stop_and_count(live);
+        }
     }
 
     #[test]

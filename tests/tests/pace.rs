@@ -65,7 +65,8 @@ fn resident_kib(process: u32) -> u64 {
 fn counted(port: u16) -> (u64, u64) {
     let mut page = String::new();
     let mut socket = TcpStream::connect(("127.0.0.1", port)).expect("listens");
-    socket.write_all(b"GET /metrics HTTP/1.1\r\nHost: radar\r\n\r\n").expect("takes it");
+    let request = format!("GET /metrics HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n");
+    socket.write_all(request.as_bytes()).expect("takes it");
     socket.read_to_string(&mut page).expect("answers");
     let value =
         |line: &str| line.rsplit_once(' ').and_then(|(_, value)| value.parse::<f64>().ok()).unwrap_or(0.0) as u64;

@@ -169,7 +169,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut home = Home::open(watch.home, &header, started)?;
+    let mut home = Home::open(watch.home, watch.view.access(), &header, started)?;
     let screen = Screen::new(watch.json)?;
 
     let mut pipeline = Pipeline::new();

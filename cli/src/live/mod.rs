@@ -1,9 +1,11 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
+pub mod access;
 pub mod background;
 pub mod classify;
 pub mod health;
 pub mod home;
+pub mod http_server;
 pub mod occupancy;
 pub mod pipeline;
 pub mod recorder;

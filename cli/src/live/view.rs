@@ -1,7 +1,7 @@
 //! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, a tape's keys.
 //!
 //! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
-//! their own, at most thirty a second and only those that somebody looks at. [`server`] decides who may connect, [`control`]
+//! their own, at most thirty a second and only those that somebody looks at. [`server`] decides what is served to whom, [`control`]
 //! what a page may ask for, [`labels`] keeps the labels, [`partner`] the simulation that mirrors a recording.
 
 mod control;
@@ -10,16 +10,20 @@ mod labels;
 mod partner;
 mod server;
 
-use std::net::SocketAddr;
+use std::io::IsTerminal;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
+use qrcode::render::unicode::Dense1x2;
+use qrcode::{EcLevel, QrCode};
 use radome_driver::BoardIdentity;
 use radome_dsp::{Gap, Waveform};
 use serde_json::json;
 
+use super::access::{self, Token};
 use super::classify::Summary;
 use super::health::Health;
 use super::recorder::LabelSender;
@@ -35,12 +39,14 @@ pub struct Arguments {
     /// Serve a live page on this machine; recordings are then played at their own pace, and stay open at their end
     #[arg(long)]
     view: bool,
-    /// Address of the page; only this machine reaches the default
+    /// Address of the page; only this machine reaches the default. A page that the network reaches asks for the token in its link
     #[arg(long, default_value = "127.0.0.1:8060")]
     listen: SocketAddr,
-    /// Another name by which browsers reach the page, such as radar.example:8060 behind a proxy
-    #[arg(long, value_name = "HOST")]
-    allow_host: Vec<String>,
+    /// Let pages watch and download labels, and change none
+    #[arg(long)]
+    read_only_labels: bool,
+    #[command(flatten)]
+    access: access::Arguments,
     /// Folder that `dataset pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
     /// NAME.mcap
     #[arg(long, value_name = "DIR")]
@@ -52,6 +58,11 @@ impl Arguments {
     pub fn is_wanted(&self) -> bool {
         self.view
     }
+
+    /// Who may use the ports.
+    pub fn access(&self) -> &access::Arguments {
+        &self.access
+    }
 }
 
 /// What a page is told of the run when it comes.
@@ -62,6 +73,7 @@ struct About {
     board: Option<BoardIdentity>,
     tape: Option<Tape>,
     has_partner: bool,
+    read_only_labels: bool,
 }
 
 impl About {
@@ -88,6 +100,7 @@ impl About {
             "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
             "tape": tape,
             "partner": self.has_partner,
+            "read_only_labels": self.read_only_labels,
         } })
     }
 }
@@ -97,7 +110,7 @@ struct Shared {
     about: About,
     feed: Feed,
     labels: Keeper,
-    doors: server::Doors,
+    policy: server::Policy,
     /// What the run amounted to, once it is over.
     over: Mutex<Option<serde_json::Value>>,
 }
@@ -129,6 +142,10 @@ impl Page {
         let waveform = source.frames.waveform().clone();
         let tape = source.tape.clone();
         let partner = Partner::find(arguments.pair.as_deref(), tape.as_ref(), &waveform)?;
+        let token = match arguments.access.token()? {
+            None if !arguments.listen.ip().is_loopback() => Some(Token::random()?),
+            token => token,
+        };
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .thread_name("page")
@@ -143,10 +160,7 @@ impl Page {
             )
         })?;
         let address = listener.local_addr()?;
-        eprintln!("live page: http://{address}");
-        if !address.ip().is_loopback() {
-            eprintln!("whoever reaches {address} can watch and label");
-        }
+        show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
             labels: Keeper::open(tape.as_ref(), recording, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, tape.is_some()),
@@ -155,10 +169,11 @@ impl Page {
                 model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
                 board: source.board.clone(),
                 has_partner: partner.is_some(),
+                read_only_labels: arguments.read_only_labels,
                 waveform,
                 tape,
             },
-            doors: server::Doors::new(address, &arguments.allow_host),
+            policy: server::Policy::new(address, &arguments.access, token.as_ref()),
             over: Mutex::new(None),
         });
         let mut threads = Vec::new();
@@ -173,11 +188,64 @@ impl Page {
         // Ends with the program: a browser that is slow to leave does not hold it up.
         std::thread::Builder::new().name("page-server".into()).spawn(move || {
             yield_to_others();
-            if let Err(error) = runtime.block_on(server::serve(listener, of)) {
-                tracing::error!("live page: {error}");
-            }
+            runtime.block_on(server::serve(listener, of));
         })?;
         Ok(Some(Page { shared, threads }))
+    }
+}
+
+/// Says on stderr where the page is, and how it is opened.
+fn show_link(address: SocketAddr, token: Option<&Token>, is_read_only: bool) {
+    let Some(token) = token else {
+        eprintln!("live page: http://{address}");
+        return;
+    };
+    let is_terminal = std::io::stderr().is_terminal();
+    // What is no terminal may be a journal that others read. A token in a file is known without it, one of this run is not.
+    if let Some(file) = token.file().filter(|_| !is_terminal) {
+        eprintln!("live page: http://{}/?token=TOKEN with the token in {}", reachable(address), file.display());
+    } else {
+        let link = format!("http://{}/?token={}", reachable(address), token.text());
+        eprintln!("live page: {link}");
+        if is_terminal && !address.ip().is_loopback() {
+            print_code(&link);
+        }
+    }
+    if !address.ip().is_loopback() {
+        let may = if is_read_only { "watch" } else { "watch and label" };
+        eprintln!("whoever has the token can {may}; the connection is not encrypted, so use a network that you trust");
+    }
+}
+
+/// Address under which other machines reach a port. Where it is served at every address of this machine: the one of the route to
+/// the network, else the machine's name.
+fn reachable(address: SocketAddr) -> String {
+    if !address.ip().is_unspecified() {
+        return address.to_string();
+    }
+    // Nothing is sent: connecting a datagram socket looks the route up. The addresses are set aside for documentation.
+    let of_route = |from: IpAddr, to: IpAddr| {
+        let socket = UdpSocket::bind((from, 0)).ok()?;
+        socket.connect((to, 9)).ok()?;
+        let ip = socket.local_addr().ok()?.ip();
+        (!ip.is_unspecified() && !ip.is_loopback()).then(|| SocketAddr::new(ip, address.port()).to_string())
+    };
+    let v4 = || of_route(Ipv4Addr::UNSPECIFIED.into(), Ipv4Addr::new(192, 0, 2, 1).into());
+    let v6 = || of_route(Ipv6Addr::UNSPECIFIED.into(), Ipv6Addr::new(0x2001, 0xdb8, 0, 0, 0, 0, 0, 1).into());
+    let by_name = || access::host_name().map(|name| format!("{name}:{}", address.port()));
+    v4().or_else(|| v6().filter(|_| address.is_ipv6())).or_else(by_name).unwrap_or_else(|| address.to_string())
+}
+
+/// Prints a link as a QR code, white on black whatever the terminal's own colours are.
+fn print_code(link: &str) {
+    match QrCode::with_error_correction_level(link, EcLevel::L) {
+        Ok(code) => {
+            let picture = code.render::<Dense1x2>().dark_color(Dense1x2::Light).light_color(Dense1x2::Dark).build();
+            for line in picture.lines() {
+                eprintln!("\x1b[40;97m{line}\x1b[0m");
+            }
+        }
+        Err(error) => tracing::debug!("no QR code of the link: {error}"),
     }
 }
 

@@ -1,35 +1,24 @@
-//! The metrics' server: short answers to short requests, and little patience with anything else.
+//! The metrics' server: what Prometheus and health checks read, and reports of wrong answers.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
 
-use axum::extract::{ConnectInfo, Path, State};
+use axum::extract::{Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Router};
-use hyper::server::conn::http1;
-use hyper_util::rt::{TokioIo, TokioTimer};
-use hyper_util::service::TowerToHyperService;
 use radome_dsp::Occupancy;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 
 use super::keep::{Report, Reports};
 use super::latest::{Latest, count};
 use super::metrics;
+use crate::live::access::{self, Access};
+use crate::live::http_server::{self, Client, Event, Limits};
 
-/// Connections at a time; more are closed at once.
+/// Connections at a time: a scraper needs one.
 const MOST_CONNECTIONS: usize = 64;
-/// A request must be there within this.
-const HEAD_DEADLINE: Duration = Duration::from_secs(2);
-/// And answered within this.
-const DEADLINE: Duration = Duration::from_secs(5);
-/// Longest request line and headers.
-const MOST_HEAD_BYTES: usize = 8192;
-const MOST_HEADERS: usize = 48;
 
 #[derive(Clone)]
 struct Served {
@@ -38,47 +27,49 @@ struct Served {
 }
 
 /// Serves until the program ends.
-pub async fn serve(listener: TcpListener, latest: Arc<Latest>, reports: Option<Reports>) {
+pub async fn serve(listener: TcpListener, access: Access, latest: Arc<Latest>, reports: Option<Reports>) {
     let router = Router::new()
         .route("/metrics", get(show_metrics))
         .route("/health", get(show_health))
         .route("/report/{truth}", post(report))
+        .layer(middleware::from_fn_with_state(Arc::new(access), guard))
         .layer(middleware::from_fn_with_state(latest.clone(), count_refused))
         .with_state(Served { latest: latest.clone(), reports });
-    let free = Arc::new(Semaphore::new(MOST_CONNECTIONS));
-    loop {
-        let (socket, peer) = match listener.accept().await {
-            Ok(accepted) => accepted,
-            Err(error) => {
-                // Out of file descriptors, say: those that are open must close first.
-                tracing::debug!("metrics: {error}");
-                tokio::time::sleep(Duration::from_millis(50)).await;
-                continue;
-            }
-        };
-        let Ok(permit) = free.clone().try_acquire_owned() else {
-            count(&latest.counters.http_turned_away);
-            continue;
-        };
-        let service = TowerToHyperService::new(router.clone().layer(Extension(ConnectInfo(peer))));
-        let latest = latest.clone();
-        tokio::spawn(async move {
-            let connection = http1::Builder::new()
-                .timer(TokioTimer::new())
-                .header_read_timeout(HEAD_DEADLINE)
-                .max_buf_size(MOST_HEAD_BYTES)
-                .max_headers(MOST_HEADERS)
-                .keep_alive(false)
-                .serve_connection(TokioIo::new(socket), service);
-            if !matches!(tokio::time::timeout(DEADLINE, connection).await, Ok(Ok(()))) {
-                count(&latest.counters.http_refused);
-            }
-            drop(permit);
-        });
+    let limits = Limits { connections: MOST_CONNECTIONS, ..Limits::default() };
+    http_server::serve(listener, router, limits, move |event: Event| match event {
+        Event::Replaced => count(&latest.counters.http_turned_away),
+        Event::Failed => count(&latest.counters.http_refused),
+    })
+    .await;
+}
+
+/// Lets nothing pass that means another host, comes from another site, or lacks the token.
+async fn guard(
+    State(access): State<Arc<Access>>,
+    Extension(client): Extension<Client>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let admitted = check(&access, request.headers());
+    match admitted {
+        Ok(()) => {
+            client.admit();
+            next.run(request).await
+        }
+        Err(refusal) => {
+            drop(request);
+            refusal.answer().await
+        }
     }
 }
 
-async fn count_refused(State(latest): State<Arc<Latest>>, request: axum::extract::Request, next: Next) -> Response {
+fn check(access: &Access, headers: &HeaderMap) -> Result<(), access::Refusal> {
+    access.check_source(headers)?;
+    access.check_token(headers)?;
+    access::check_no_body(headers)
+}
+
+async fn count_refused(State(latest): State<Arc<Latest>>, request: Request, next: Next) -> Response {
     let response = next.run(request).await;
     if response.status().is_client_error() {
         count(&latest.counters.http_refused);
@@ -101,11 +92,11 @@ async fn show_health(State(served): State<Served>) -> impl IntoResponse {
 /// Saves the last minute: asked by this machine, and by no page in a browser on it.
 async fn report(
     State(served): State<Served>,
-    Extension(ConnectInfo(peer)): Extension<ConnectInfo<SocketAddr>>,
+    Extension(client): Extension<Client>,
     headers: HeaderMap,
     Path(truth): Path<String>,
 ) -> (StatusCode, &'static str) {
-    if !peer.ip().is_loopback() || headers.contains_key(header::ORIGIN) {
+    if !client.address.ip().to_canonical().is_loopback() || headers.contains_key(header::ORIGIN) {
         return (StatusCode::FORBIDDEN, "reports are taken from programs on this machine\n");
     }
     let Some(truth) = Occupancy::from_name(&truth) else {

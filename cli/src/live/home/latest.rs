@@ -49,9 +49,9 @@ pub struct Counters {
     pub mqtt_published: AtomicU64,
     /// Messages of others that were not understood or not obeyed.
     pub mqtt_refused: AtomicU64,
-    /// Connections to the metrics that were turned away because there were too many.
+    /// Connections to the metrics that gave way to newer ones because there were too many.
     pub http_turned_away: AtomicU64,
-    /// Requests that were malformed, too long, too slow, or for what is not there.
+    /// Requests that were malformed, too long, too slow, without the token, or for what is not there.
     pub http_refused: AtomicU64,
     /// Reports of wrong answers that became recordings.
     pub reports_kept: AtomicU64,

@@ -82,8 +82,12 @@ pub fn text(latest: &Latest) -> String {
         ("radome_mqtt_connections_total", "Connections to the broker.", &counters.mqtt_connections),
         ("radome_mqtt_published_total", "Messages sent to the broker.", &counters.mqtt_published),
         ("radome_mqtt_refused_total", "Messages of others that were not obeyed.", &counters.mqtt_refused),
-        ("radome_http_turned_away_total", "Connections beyond the most that are served.", &counters.http_turned_away),
-        ("radome_http_refused_total", "Requests that were malformed, too long or too slow.", &counters.http_refused),
+        ("radome_http_turned_away_total", "Connections that gave way to newer ones.", &counters.http_turned_away),
+        (
+            "radome_http_refused_total",
+            "Requests that were malformed, too long, too slow or without the token.",
+            &counters.http_refused,
+        ),
         ("radome_reports_kept_total", "Reports of wrong answers that were saved.", &counters.reports_kept),
         ("radome_reports_refused_total", "Reports that were not.", &counters.reports_refused),
     ] {

@@ -14,7 +14,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_driver::RecordingHeader;
 use radome_dsp::Occupancy;
 use tokio::runtime::Runtime;
@@ -26,6 +26,7 @@ use self::broker::Broker;
 use self::discovery::Device;
 use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
+use super::access::{self, Access};
 use super::sink::Sink;
 
 /// Options of the house.
@@ -44,7 +45,8 @@ pub struct Arguments {
     /// Certificates to trust the broker by, instead of the system's
     #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
     mqtt_ca: Option<PathBuf>,
-    /// Serve /metrics for Prometheus, and /health
+    /// Serve /metrics for Prometheus, and /health. Where the network reaches them, --token-file is needed, and Prometheus sends the
+    /// token as authorization: credentials_file
     #[arg(long, value_name = "ADDRESS:PORT")]
     metrics: Option<SocketAddr>,
     #[command(flatten)]
@@ -68,8 +70,13 @@ pub struct Home {
 }
 
 impl Home {
-    /// Opens what is wanted; `header` says of what.
-    pub fn open(arguments: &Arguments, header: &RecordingHeader, started: Instant) -> anyhow::Result<Self> {
+    /// Opens what is wanted; `header` says of what, `access` who may use the metrics' port.
+    pub fn open(
+        arguments: &Arguments,
+        access: &access::Arguments,
+        header: &RecordingHeader,
+        started: Instant,
+    ) -> anyhow::Result<Self> {
         let (stop, stopped) = watch::channel(false);
         let mut home = Home { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
@@ -91,11 +98,20 @@ impl Home {
             tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("home").enable_all().build()?;
         let _inside = runtime.enter();
         if let Some(address) = arguments.metrics {
+            let token = access.token()?;
+            if token.is_none() && !address.ip().is_loopback() {
+                bail!(
+                    "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE \
+                     protects them, and Prometheus is given the file as authorization: credentials_file"
+                );
+            }
             let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
                 format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
             })?;
-            eprintln!("metrics: http://{}/metrics", listener.local_addr()?);
-            tokio::spawn(http::serve(listener, latest.clone(), reports.clone()));
+            let address = listener.local_addr()?;
+            eprintln!("metrics: http://{address}/metrics");
+            let access = Access::new(address, access, token.as_ref());
+            tokio::spawn(http::serve(listener, access, latest.clone(), reports.clone()));
         }
         if let Some(url) = &arguments.mqtt {
             let broker = Broker::parse(url)?;

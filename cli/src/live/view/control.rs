@@ -59,6 +59,12 @@ pub fn obey(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
         let tape = shared.about.tape.as_ref().context("only recordings can be sought, paused and stepped through")?;
         anyhow::Ok(&tape.transport)
     };
+    let edit = |edit: Edit| {
+        if shared.about.read_only_labels {
+            bail!("labels are read-only here: the program was started with --read-only-labels");
+        }
+        shared.labels.edit(edit)
+    };
     match command {
         Command::Seen => shared.feed.seen(page),
         Command::Look(look) => shared.feed.look(page, look)?,
@@ -95,18 +101,18 @@ pub fn obey(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
             }
             transport()?.step(frames);
         }
-        Command::Label { occupancy, who } => shared.labels.edit(Edit::Press(occupancy, name(who)?))?,
-        Command::Stop => shared.labels.edit(Edit::Stop)?,
-        Command::Move { id, start_s, end_s } => shared.labels.edit(Edit::Move(id, start_s, end_s))?,
-        Command::Relabel { id, occupancy } => shared.labels.edit(Edit::Relabel(id, occupancy))?,
+        Command::Label { occupancy, who } => edit(Edit::Press(occupancy, name(who)?))?,
+        Command::Stop => edit(Edit::Stop)?,
+        Command::Move { id, start_s, end_s } => edit(Edit::Move(id, start_s, end_s))?,
+        Command::Relabel { id, occupancy } => edit(Edit::Relabel(id, occupancy))?,
         Command::Add { start_s, end_s, occupancy, who } => {
             let mut label = LabelSpan::new(start_s, end_s, occupancy.name());
             label.who = name(who)?;
-            shared.labels.edit(Edit::Add(label))?;
+            edit(Edit::Add(label))?;
         }
-        Command::Delete { id } => shared.labels.edit(Edit::Delete(id))?,
-        Command::Undo => shared.labels.edit(Edit::Undo)?,
-        Command::Redo => shared.labels.edit(Edit::Redo)?,
+        Command::Delete { id } => edit(Edit::Delete(id))?,
+        Command::Undo => edit(Edit::Undo)?,
+        Command::Redo => edit(Edit::Redo)?,
     }
     Ok(())
 }

@@ -1,7 +1,7 @@
 //! What pages see: the newest frame, and of it the maps that they ask for.
 //!
-//! Between the classifier and the pages stands a slot with the newest frame. A thread makes the maps: each kind once, however
-//! many pages look at it, and only for pages that have taken in the picture before.
+//! The classifier hands over the newest frame and its answer, and goes on. A thread of the pages keeps the history and makes the maps:
+//! each kind once, however many pages look at it, and only for pages that have taken in the picture before.
 //!
 //! A picture is a message: length of the header in four bytes, little-endian; the header in JSON; the parts that it lists.
 //! Maps are one byte a cell, `[doppler][range]`, `low_db + step_db * byte`, 255 for what is no number; the noise floor f32 by
@@ -131,46 +131,87 @@ struct PageState {
     sender: mpsc::Sender<Bytes>,
     unseen: u32,
     sent_at: Instant,
-    /// Version that it was sent last, and how many answers it has.
+    /// Version that it was sent last.
     version: u64,
+    /// Answers that had been given when it was sent that.
     told: u64,
 }
 
+/// What the classifier's thread hands to the pages' thread.
 #[derive(Default)]
-struct Slot {
-    newest: Option<Arc<Newest>>,
+struct Handover {
+    /// The newest frame, if it has not been taken.
+    newest: Option<Newest>,
+    /// Answers that have not been taken, at most [`HISTORY`].
+    points: VecDeque<Point>,
+    after_gap: bool,
     /// Counts frames and changes of what pages look at.
     version: u64,
-    history: VecDeque<Point>,
-    /// Answers that have left the history, and those in it.
-    answers: u64,
-    after_gap: bool,
-    /// When those of a recording came that are shown: of one that is sought, others come too.
-    came: VecDeque<Instant>,
-    pages: BTreeMap<PageId, PageState>,
-    next_page: PageId,
+    /// Counts everything that the pages' thread may be waiting for.
+    calls: u64,
     closed: bool,
 }
 
+#[derive(Default)]
+struct Pages {
+    open: BTreeMap<PageId, PageState>,
+    next: PageId,
+}
+
 /// The newest frame, and who looks at it.
+///
+/// The classifier's thread takes one lock, that of the [`Handover`]. Everybody holds it for a few assignments and nothing else: no
+/// message is written and no page is waited for meanwhile. Nobody holds it and the lock of the pages at once.
 pub struct Feed {
-    slot: Mutex<Slot>,
+    handover: Mutex<Handover>,
     wake: Condvar,
+    pages: Mutex<Pages>,
+    /// Arrivals of the frames of a recording that are shown: where one is sought, others come too. Used by the classifier's thread
+    /// alone.
+    arrivals: Mutex<VecDeque<Instant>>,
     waveform: Waveform,
     is_tape: bool,
+    /// Where a test holds up the thread that writes messages.
+    #[cfg(test)]
+    hold_up: Mutex<()>,
 }
 
 impl Feed {
-    /// Nothing has been seen yet.
+    /// A feed without frames and pages.
     pub fn new(waveform: &Waveform, is_tape: bool) -> Self {
-        Feed { slot: Mutex::default(), wake: Condvar::new(), waveform: waveform.clone(), is_tape }
+        // Both of the queues that change places have their full size from the start: see `serve`.
+        let handover = Handover { points: VecDeque::with_capacity(HISTORY), ..Handover::default() };
+        Feed {
+            handover: Mutex::new(handover),
+            wake: Condvar::new(),
+            pages: Mutex::default(),
+            arrivals: Mutex::default(),
+            waveform: waveform.clone(),
+            is_tape,
+            #[cfg(test)]
+            hold_up: Mutex::default(),
+        }
     }
 
-    fn slot(&self) -> MutexGuard<'_, Slot> {
-        self.slot.lock().unwrap_or_else(PoisonError::into_inner)
+    fn handover(&self) -> MutexGuard<'_, Handover> {
+        self.handover.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes the newest frame: a few copies, and no wait for anybody but for those.
+    fn open_pages(&self) -> MutexGuard<'_, Pages> {
+        self.pages.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Changes the handover and wakes the pages' thread.
+    fn call<T>(&self, change: impl FnOnce(&mut Handover) -> T) -> T {
+        let mut handover = self.handover();
+        handover.calls += 1;
+        let result = change(&mut handover);
+        drop(handover);
+        self.wake.notify_all();
+        result
+    }
+
+    /// Takes the newest frame. Waits for no page.
     pub fn publish(&self, moment: &Moment) {
         let answer = moment.answer;
         let newest = Newest {
@@ -179,25 +220,25 @@ impl Feed {
             network_map: moment.map.clone(),
             health: strip(moment, self.rate(moment)),
         };
-        let mut slot = self.slot();
-        let point = Point {
+        let mut point = Point {
             sequence: answer.sequence,
             time_s: answer.time_s,
             probabilities: answer.probabilities,
             label: answer.label.map(|label| label.index()),
             occupied: answer.occupied,
             truth: answer.truth.map(|truth| (truth.index(), answer.transition == Some(true))),
-            after_gap: std::mem::take(&mut slot.after_gap),
+            after_gap: false,
         };
-        if slot.history.len() == HISTORY {
-            slot.history.pop_front();
-        }
-        slot.history.push_back(point);
-        slot.answers += 1;
-        slot.version += 1;
-        let old = slot.newest.replace(Arc::new(newest));
-        drop(slot);
-        self.wake.notify_all();
+        let old = self.call(|handover| {
+            point.after_gap = std::mem::take(&mut handover.after_gap);
+            if handover.points.len() == HISTORY {
+                handover.points.pop_front();
+            }
+            handover.points.push_back(point);
+            handover.version += 1;
+            handover.newest.replace(newest)
+        });
+        // Its memory is given back without the lock.
         drop(old);
     }
 
@@ -206,57 +247,55 @@ impl Feed {
         if !self.is_tape {
             return moment.health.frames_per_s();
         }
-        let came = &mut self.slot().came;
-        if came.len() == RATE_FRAMES {
-            came.pop_front();
+        let mut arrivals = self.arrivals.lock().unwrap_or_else(PoisonError::into_inner);
+        if arrivals.len() == RATE_FRAMES {
+            arrivals.pop_front();
         }
-        came.push_back(Instant::now());
-        let (Some(first), Some(last)) = (came.front(), came.back()) else { return 0.0 };
+        arrivals.push_back(Instant::now());
+        let (Some(first), Some(last)) = (arrivals.front(), arrivals.back()) else { return 0.0 };
         let span_s = last.duration_since(*first).as_secs_f64();
-        if span_s > 0.0 { (came.len() - 1) as f64 / span_s } else { 0.0 }
+        if span_s > 0.0 { (arrivals.len() - 1) as f64 / span_s } else { 0.0 }
     }
 
     /// Frames are missing.
     pub fn gap(&self, _gap: &Gap) {
-        self.slot().after_gap = true;
+        self.handover().after_gap = true;
     }
 
     /// The run is over.
     pub fn close(&self) {
-        self.slot().closed = true;
-        self.wake.notify_all();
+        self.call(|handover| handover.closed = true);
     }
 
     /// A page comes; its pictures arrive at the receiver.
     pub fn join(&self) -> (PageId, mpsc::Receiver<Bytes>) {
         let (sender, receiver) = mpsc::channel(MOST_UNSEEN as usize + 1);
-        let mut slot = self.slot();
-        let id = slot.next_page;
-        slot.next_page += 1;
-        let told = slot.answers - slot.history.len() as u64;
-        let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told };
-        slot.pages.insert(id, page);
-        drop(slot);
-        self.wake.notify_all();
+        let mut pages = self.open_pages();
+        let id = pages.next;
+        pages.next += 1;
+        let page = PageState { look: Look::default(), sender, unseen: 0, sent_at: Instant::now(), version: 0, told: 0 };
+        pages.open.insert(id, page);
+        drop(pages);
+        self.call(|_| ());
         (id, receiver)
     }
 
     /// A page goes.
     pub fn leave(&self, page: PageId) {
-        self.slot().pages.remove(&page);
+        self.open_pages().open.remove(&page);
     }
 
     /// Pages that look.
     pub fn pages(&self) -> usize {
-        self.slot().pages.len()
+        self.open_pages().open.len()
     }
 
     /// A page has taken in a picture.
     pub fn seen(&self, page: PageId) {
-        if let Some(page) = self.slot().pages.get_mut(&page) {
+        if let Some(page) = self.open_pages().open.get_mut(&page) {
             page.unseen = page.unseen.saturating_sub(1);
         }
-        self.wake.notify_all();
+        self.call(|_| ());
     }
 
     /// A page wants to see something else.
@@ -270,71 +309,86 @@ impl Feed {
         if look.chirp.is_some_and(|chirp| chirp >= shape.chirps) {
             bail!("no such chirp, expected 0 to {}", shape.chirps.saturating_sub(1));
         }
-        let mut slot = self.slot();
-        slot.version += 1;
-        if let Some(page) = slot.pages.get_mut(&page) {
+        if let Some(page) = self.open_pages().open.get_mut(&page) {
             page.look = look;
         }
-        drop(slot);
-        self.wake.notify_all();
+        self.call(|handover| handover.version += 1);
         Ok(())
+    }
+
+    /// Waits until a page wants a picture, and there is a frame; `false` once closed.
+    fn wait_for_pages(&self, mut has_frame: bool) -> bool {
+        loop {
+            let handover = self.handover();
+            if handover.closed {
+                return false;
+            }
+            has_frame |= handover.newest.is_some();
+            let (version, calls) = (handover.version, handover.calls);
+            drop(handover);
+            if has_frame && self.open_pages().open.values().any(|page| page.wants(version)) {
+                return true;
+            }
+            let handover = self.handover();
+            if handover.calls == calls {
+                // Not for ever: a page may be silent.
+                drop(self.wake.wait_timeout(handover, PATIENCE));
+            }
+        }
     }
 
     /// Makes pictures until closed.
     pub fn serve(&self, partner: Option<Partner>) {
         let mut painters: BTreeMap<(bool, Kind), Painter> = BTreeMap::new();
         let mut mirrored: Option<(u64, Frame)> = None;
+        let mut newest: Option<Newest> = None;
+        let mut history: VecDeque<Point> = VecDeque::with_capacity(HISTORY);
+        let mut taken: VecDeque<Point> = VecDeque::with_capacity(HISTORY);
+        // Answers that have come through the history.
+        let mut answers = 0;
         let mut last = Instant::now();
-        loop {
-            let mut slot = self.slot();
-            let (newest, version) = loop {
-                if slot.closed {
-                    return;
-                }
-                let version = slot.version;
-                if let Some(newest) = slot.newest.clone()
-                    && slot.pages.values().any(|page| page.wants(version))
-                {
-                    break (newest, version);
-                }
-                // Not for ever: a page may be silent.
-                slot = self.wake.wait_timeout(slot, PATIENCE).unwrap_or_else(PoisonError::into_inner).0;
-            };
-            let early = SHORTEST_INTERVAL.saturating_sub(last.elapsed());
-            if !early.is_zero() {
-                drop(slot);
-                std::thread::sleep(early);
-                last = Instant::now() - SHORTEST_INTERVAL;
-                continue;
-            }
+        while self.wait_for_pages(newest.is_some()) {
+            std::thread::sleep(SHORTEST_INTERVAL.saturating_sub(last.elapsed()));
             last = Instant::now();
-            let looks: Vec<(PageId, Look)> =
-                slot.pages.iter().filter(|(_, page)| page.wants(version)).map(|(id, page)| (*id, page.look)).collect();
-            let kinds: Vec<Kind> = slot.pages.values().map(|page| page.look.kind()).collect();
-            drop(slot);
+            let mut handover = self.handover();
+            let newer = handover.newest.take();
+            std::mem::swap(&mut handover.points, &mut taken);
+            let version = handover.version;
+            drop(handover);
+            newest = newer.or(newest);
+            answers += taken.len() as u64;
+            for point in taken.drain(..) {
+                if history.len() == HISTORY {
+                    history.pop_front();
+                }
+                history.push_back(point);
+            }
+            let Some(newest) = &newest else { continue };
+            let pages = self.open_pages();
+            let wanting = pages.open.iter().filter(|(_, page)| page.wants(version));
+            let looks: Vec<(PageId, Look, u64)> = wanting.map(|(id, page)| (*id, page.look, page.told)).collect();
+            let kinds: Vec<Kind> = pages.open.values().map(|page| page.look.kind()).collect();
+            drop(pages);
 
             // Work that nobody waits for but pages.
             painters.retain(|(_, kind), _| kinds.contains(kind));
-            if let Some(partner) = partner.as_ref().filter(|_| looks.iter().any(|(_, look)| look.partner))
+            if let Some(partner) = partner.as_ref().filter(|_| looks.iter().any(|(_, look, _)| look.partner))
                 && mirrored.as_ref().is_none_or(|(sequence, _)| *sequence != newest.frame.sequence)
             {
                 mirrored = partner.frame(&newest.frame).map(|frame| (newest.frame.sequence, frame));
             }
-            let mut pictures: Vec<(PageId, Picture)> = Vec::new();
-            for (id, look) in looks {
-                pictures.push((id, self.picture(&newest, &look, mirrored.as_ref(), &mut painters)));
-            }
-
-            let mut slot = self.slot();
-            for (id, picture) in pictures {
-                let Slot { pages, history, answers, .. } = &mut *slot;
-                let Some(page) = pages.get_mut(&id) else { continue };
-                let missing = (*answers - page.told).min(history.len() as u64) as usize;
+            for (id, look, told) in looks {
+                let picture = self.picture(newest, &look, mirrored.as_ref(), &mut painters);
+                #[cfg(test)]
+                drop(self.hold_up.lock());
+                let missing = (answers - told).min(history.len() as u64) as usize;
                 let points: Vec<_> = history.iter().skip(history.len() - missing).map(Point::row).collect();
                 let Some(message) = picture.message(points) else { continue };
+                let mut pages = self.open_pages();
+                let Some(page) = pages.open.get_mut(&id) else { continue };
                 // A page that takes nothing in keeps its place until the server gives it up.
                 if page.sender.try_send(message).is_ok() {
-                    page.told = *answers;
+                    page.told = answers;
                     page.unseen += 1;
                 }
                 page.version = version;
@@ -533,5 +587,98 @@ impl Picture {
             message.extend_from_slice(bytes);
         }
         Some(message.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::live::health::Health;
+    use radome_dsp::WaveformRequest;
+    use std::thread;
+
+    /// Far longer than anything takes on any machine.
+    const PATIENCE: Duration = Duration::from_secs(60);
+
+    fn publish(feed: &Feed, sequences: std::ops::Range<u64>) {
+        let processor = RdmProcessor::new(&RdmSpec::default(), &feed.waveform).expect("a processor");
+        let (map, health) = (processor.empty_map(), Health::new(Instant::now()));
+        let frame = Arc::new(Frame::zeroed(feed.waveform.shape()));
+        for sequence in sequences {
+            let answer = Answer {
+                sequence,
+                time_s: sequence as f64 * 0.1,
+                label: None,
+                probabilities: None,
+                frame_probabilities: None,
+                occupied: false,
+                people: 0,
+                warming_up: None,
+                truth: None,
+                transition: None,
+                saturated_samples: 0,
+                latency_ms: 0.0,
+            };
+            feed.publish(&Moment { answer: &answer, frame: &frame, map: &map, health: &health });
+        }
+    }
+
+    /// Publishes on a thread of its own; whether that ends.
+    fn can_publish(feed: &Arc<Feed>, sequences: std::ops::Range<u64>) -> bool {
+        let (done, ended) = std::sync::mpsc::channel();
+        let of = feed.clone();
+        thread::spawn(move || {
+            publish(&of, sequences);
+            let _ = done.send(());
+        });
+        ended.recv_timeout(PATIENCE).is_ok()
+    }
+
+    fn header(message: &Bytes) -> serde_json::Value {
+        let length = u32::from_le_bytes(message[..4].try_into().expect("four bytes")) as usize;
+        serde_json::from_slice(&message[4..4 + length]).expect("JSON")
+    }
+
+    #[test]
+    fn the_classifier_waits_for_no_page_and_each_gets_the_whole_history() {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        let feed = Arc::new(Feed::new(&waveform, false));
+        let answers = HISTORY as u64 + 100;
+
+        // Whoever changes the pages holds their lock for ever.
+        let held = feed.open_pages();
+        assert!(can_publish(&feed, 0..answers), "waits for the pages' lock");
+        drop(held);
+
+        // The thread that writes messages is in the middle of the whole history.
+        let (page, mut pictures) = feed.join();
+        let held = feed.hold_up.lock().expect("a lock");
+        let of = feed.clone();
+        let serving = thread::spawn(move || of.serve(None));
+        let start = Instant::now();
+        while feed.handover().newest.is_some() {
+            assert!(start.elapsed() < PATIENCE, "the frame is not taken");
+            thread::sleep(Duration::from_millis(5));
+        }
+        assert!(can_publish(&feed, answers..answers + 50), "waits for a message to be written");
+        drop(held);
+
+        let first = header(&pictures.blocking_recv().expect("a picture"));
+        let rows = first["history"].as_array().expect("rows");
+        assert_eq!((rows.len(), &rows[0][0]), (HISTORY, &json!(100)));
+        // What came meanwhile comes with the next picture, once.
+        feed.seen(page);
+        let second = header(&pictures.blocking_recv().expect("a picture"));
+        let rows = second["history"].as_array().expect("rows");
+        assert_eq!((rows.len(), &rows[49][0]), (50, &json!(answers + 49)));
+        // A page that comes later gets as much, and so does one that comes back.
+        for _ in 0..3 {
+            let (page, mut pictures) = feed.join();
+            let rows = header(&pictures.blocking_recv().expect("a picture"))["history"].clone();
+            assert_eq!(rows.as_array().map(Vec::len), Some(HISTORY));
+            feed.leave(page);
+        }
+        feed.close();
+        serving.join().expect("an end");
     }
 }

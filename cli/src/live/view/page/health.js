@@ -43,9 +43,10 @@ export class HealthStrip {
     this.put('clipped samples', health.saturated_samples ? String(health.saturated_samples) : null, { bad: true });
   }
 
-  doors({ refused, pages }) {
-    const by = Object.entries(refused).filter(([, n]) => n), all = by.reduce((sum, [, n]) => sum + n, 0);
+  access({ refused, pages }) {
+    // Browsers open connections that they do not use: those say nothing.
+    const by = Object.entries(refused).filter(([why, n]) => n && why !== 'unanswered'), all = by.reduce((sum, [, n]) => sum + n, 0);
     this.put('pages', pages > 1 ? String(pages) : null);
-    this.put('turned away', all ? String(all) : null, { title: by.map(([why, n]) => `${why} ${n}`).join(', ') });
+    this.put('turned away', all ? String(all) : null, { title: by.map(([why, n]) => `${why.replaceAll('_', ' ')} ${n}`).join(', ') });
   }
 }

@@ -6,13 +6,13 @@ const NAMES = ['empty', 'one', 'two'];
 
 export class LabelList {
   constructor({ list, count, state, send, goTo, select }) {
-    Object.assign(this, { list, count, state, send, goTo, select, selected: null, rows: new Map() });
+    Object.assign(this, { list, count, state, send, goTo, select, selected: null, rows: new Map(), readOnly: false });
   }
 
   take({ spans, open, place, saved, fault }) {
     this.count.textContent = `(${spans.length}${open ? ', one goes on' : ''})`;
     this.state.className = fault || !saved && !place ? 'unsaved' : '';
-    this.state.textContent = fault ? `not saved: ${fault}`
+    this.state.textContent = this.readOnly ? 'labels are read-only here' : fault ? `not saved: ${fault}`
       : place ? saved ? `saved in ${place}` : `saving in ${place} …`
       : spans.length || open ? 'kept by this page’s program only while it runs: export them' : 'press 0, 1 or 2 to label what you see';
     const kept = new Map();
@@ -66,6 +66,8 @@ export class LabelList {
         if (document.activeElement !== input || Number(input.value) !== value) input.value = Number(value.toFixed(6));
         input.setAttribute('aria-label', `${edge} of ${span.label} at ${clock(span.start_s)}, seconds`);
       }
+      for (const control of [start, end, label]) control.disabled = this.readOnly;
+      remove.hidden = this.readOnly;
       label.setAttribute('aria-label', `class from ${clock(span.start_s)} to ${clock(span.end_s)}`);
       remove.setAttribute('aria-label', `delete ${span.label} from ${clock(span.start_s)} to ${clock(span.end_s)}`);
       go.setAttribute('aria-label', `go to ${clock(span.start_s)}`);

@@ -31,7 +31,8 @@ export class Link {
     const socket = new WebSocket(address);
     this.socket = socket;
     socket.binaryType = 'arraybuffer';
-    socket.onopen = () => { this.waits = 500; this.handlers.state('open'); };
+    let opened = false;
+    socket.onopen = () => { opened = true; this.waits = 500; this.handlers.state('open'); };
     socket.onmessage = ({ data }) => {
       if (typeof data === 'string') {
         const news = JSON.parse(data);
@@ -47,6 +48,8 @@ export class Link {
     };
     socket.onclose = () => {
       this.handlers.state(this.over ? 'over' : 'lost');
+      // A socket does not say why it was refused. Another run may have another token.
+      if (!opened && !this.over) fetch('health.json').then(({ status }) => { if (status === 401) this.handlers.state('locked'); }, () => {});
       // The program may come back under the same address.
       setTimeout(() => this.connect(), this.over ? 5000 : this.waits);
       this.waits = Math.min(this.waits * 2, 8000);

@@ -60,7 +60,7 @@ const link = new Link({
     if (header.chirps) chirps.take(header.chirps, words(parts.chirps), page.hello.sample_interval_s);
     place();
   },
-  news({ hello, labels, playback, doors, refused, over }) {
+  news({ hello, labels, playback, access, refused, over }) {
     if (hello) greet(hello);
     if (labels) {
       page.labels = labels;
@@ -82,13 +82,13 @@ const link = new Link({
       $('speed').value = playback.speed;
       place();
     }
-    if (doors) health.doors(doors);
+    if (access) health.access(access);
     if (refused) notice(refused);
     if (over) notice(`The run is over: ${over.over?.frames ?? over.frames ?? ''} frames.`);
   },
   state(state) {
     page.state = state;
-    $('status').textContent = { open: '', lost: 'no connection', over: 'the run is over' }[state];
+    $('status').textContent = { open: '', lost: 'no connection', locked: 'a token is needed: open the link that the program shows', over: 'the run is over' }[state];
     if (state === 'open') look();
   },
 });
@@ -101,6 +101,8 @@ function greet(hello) {
   health.hello(hello);
   timeline.tape = hello.tape;
   timeline.interval = hello.frame_interval_s;
+  // Whoever may only watch gets no controls that change labels.
+  list.readOnly = timeline.readOnly = $('keys').hidden = $('who-label').hidden = hello.read_only_labels;
   $('tape').hidden = !hello.tape;
   if (!hello.tape) list.goTo = null;
   else {

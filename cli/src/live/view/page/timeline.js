@@ -59,7 +59,7 @@ export class History {
 
 export class Timeline {
   constructor(canvas, { seek, move, select }) {
-    Object.assign(this, { canvas, seek, move, select, history: new History(), spans: [], open: null, window: 60, now: 0, tape: null, interval: 0.1, selected: null, drag: null });
+    Object.assign(this, { canvas, seek, move, select, history: new History(), spans: [], open: null, window: 60, now: 0, tape: null, interval: 0.1, selected: null, drag: null, readOnly: false });
     this.draw = painter(() => this.paint(), 60);
     canvas.addEventListener('pointerdown', event => this.down(event));
     canvas.addEventListener('pointermove', event => this.over(event));
@@ -185,7 +185,7 @@ export class Timeline {
     const at = Math.max(from, Math.min(to, time(px)));
     if (event.offsetY < top - 4 || event.offsetY > top + h + 6) return { time: at };
     let best = null;
-    for (const span of this.spans) for (const edge of ['start_s', 'end_s']) {
+    if (!this.readOnly) for (const span of this.spans) for (const edge of ['start_s', 'end_s']) {
       const distance = Math.abs(x(span[edge]) - px);
       // Of two that meet, the one whose inside the pointer is on.
       const inside = edge === 'start_s' ? px >= x(span.start_s) : px <= x(span.end_s);

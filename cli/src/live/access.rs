@@ -1,0 +1,509 @@
+//! Who may use the ports that the program serves: the names of this machine, sites of other origins, and the token.
+//!
+//! A browser on this machine runs scripts of any site. A request therefore names its host and, where it has one, its origin, and
+//! both must be this server's: otherwise a site could read through its visitors' browsers (cross-site requests, rebound names).
+//! Whoever is on the network, or is another user of this machine, is told apart by a token.
+
+use std::fs::{File, OpenOptions};
+use std::io::{ErrorKind, Read, Write};
+use std::net::{IpAddr, SocketAddr};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use sha2::{Digest, Sha256};
+
+/// Random bytes of a token: 128 bits.
+const TOKEN_BYTES: usize = 16;
+/// Shortest token that a file may hold, characters.
+const LEAST_TOKEN: usize = 16;
+/// Longest token that a file may hold, characters.
+const MOST_TOKEN: usize = 256;
+/// How long the answer to a wrong token takes. Only the client that sent it waits.
+const WRONG_TOKEN_DELAY: Duration = Duration::from_secs(1);
+/// How long a browser keeps the cookie, s: 30 days.
+const COOKIE_AGE_S: u32 = 30 * 24 * 3600;
+
+/// Options of all ports that are served.
+#[derive(clap::Args, Default)]
+pub struct Arguments {
+    /// Another name by which clients reach the page or the metrics, such as radar.example:8060 behind a proxy
+    #[arg(long, value_name = "HOST[:PORT]")]
+    allow_host: Vec<String>,
+    /// File with the token that the page and the metrics ask for, also on this machine; made if it is absent, and only its owner may
+    /// read it. Without, a page that the network reaches has a new token at each start
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+}
+
+impl Arguments {
+    /// The token of `--token-file`, if there is to be one.
+    ///
+    /// # Errors
+    /// If the file can be neither read nor made, others than its owner may read it, or it holds no token.
+    pub fn token(&self) -> anyhow::Result<Option<Token>> {
+        self.token_file.as_deref().map(Token::from_file).transpose()
+    }
+}
+
+/// A text that opens the ports. It is shown in the page's link and nowhere else.
+#[derive(Clone)]
+pub struct Token {
+    text: String,
+    file: Option<PathBuf>,
+}
+
+impl Token {
+    /// A new token for one run.
+    ///
+    /// # Errors
+    /// If the system gives no random numbers.
+    pub fn random() -> anyhow::Result<Self> {
+        Ok(Token { text: random_text()?, file: None })
+    }
+
+    /// The token in a file; a new one is written there if the file is absent.
+    fn from_file(path: &Path) -> anyhow::Result<Self> {
+        let text = match std::fs::metadata(path) {
+            Err(error) if error.kind() == ErrorKind::NotFound => make_token_file(path)?,
+            _ => read_token_file(path)?,
+        };
+        Ok(Token { text, file: Some(path.to_owned()) })
+    }
+
+    /// The text itself.
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// The file that holds it.
+    pub fn file(&self) -> Option<&Path> {
+        self.file.as_deref()
+    }
+}
+
+fn random_text() -> anyhow::Result<String> {
+    let mut bytes = [0u8; TOKEN_BYTES];
+    getrandom::fill(&mut bytes).context("the system gives no random numbers for a token")?;
+    Ok(hex(&bytes))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn make_token_file(path: &Path) -> anyhow::Result<String> {
+    let text = random_text()?;
+    let mut options = OpenOptions::new();
+    // Never a file or a link that somebody else has put there meanwhile.
+    options.write(true).create_new(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    let cannot = || format!("cannot make the token file {}", path.display());
+    let mut file = options.open(path).with_context(cannot)?;
+    let written = file.write_all(format!("{text}\n").as_bytes()).and_then(|()| file.sync_all());
+    if let Err(error) = written {
+        // Half a token would be refused at the next start.
+        let _ = std::fs::remove_file(path);
+        return Err(error).with_context(cannot);
+    }
+    eprintln!("a new token is in {}", path.display());
+    Ok(text)
+}
+
+fn read_token_file(path: &Path) -> anyhow::Result<String> {
+    let cannot = || format!("cannot read the token file {}", path.display());
+    // Asked before it is opened, because opening a pipe would wait for its writer.
+    if !std::fs::metadata(path).with_context(cannot)?.is_file() {
+        bail!("the token file {} is no regular file", path.display());
+    }
+    let file = File::open(path).with_context(cannot)?;
+    #[cfg(unix)]
+    {
+        let mode = std::os::unix::fs::PermissionsExt::mode(&file.metadata().with_context(cannot)?.permissions());
+        if mode & 0o077 != 0 {
+            bail!(
+                "the token file {} has the permissions {:03o}: others than its owner may use it\n\nhint: chmod 600 {0}, and put a new \
+                 token in it if others have read it",
+                path.display(),
+                mode & 0o777
+            );
+        }
+    }
+    let mut text = String::new();
+    file.take(2 * MOST_TOKEN as u64).read_to_string(&mut text).with_context(cannot)?;
+    let text = text.trim();
+    // What a link and a header can hold as it is. The text itself is never quoted.
+    let is_plain = text.bytes().all(|byte| byte.is_ascii_alphanumeric() || b"-._~".contains(&byte));
+    if !is_plain || !(LEAST_TOKEN..=MOST_TOKEN).contains(&text.len()) {
+        bail!(
+            "the token file {} holds no token: {LEAST_TOKEN} to {MOST_TOKEN} letters, digits, '-', '.', '_' or '~' are expected\n\nhint: \
+             delete the file, and the next start makes one",
+            path.display()
+        );
+    }
+    Ok(text.to_owned())
+}
+
+/// Why a request is not answered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Refusal {
+    /// It names a host that is not this server.
+    Host,
+    /// A page of another site made it.
+    Origin,
+    /// It brings no token.
+    NoToken,
+    /// It brings a token that is not this server's.
+    WrongToken,
+    /// It has a body.
+    Body,
+}
+
+/// Page for those who come without a token.
+const TOKEN_NEEDED: &str = "<!doctype html>
+<html lang=\"en\">
+<meta charset=\"utf-8\">
+<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">
+<title>Token needed</title>
+<p>A token is needed here. Open the link with ?token= that the program showed when it started.
+<p>If you have just opened that link, <a href=\"./\">go on</a>.
+<p>Programs send the header: Authorization: Bearer TOKEN
+";
+
+impl Refusal {
+    /// The answer to such a request. That to a wrong token comes late, so that tokens cannot be tried quickly.
+    pub async fn answer(self) -> Response {
+        if self == Refusal::WrongToken {
+            tokio::time::sleep(WRONG_TOKEN_DELAY).await;
+        }
+        match self {
+            Refusal::Host => {
+                let why = "this server is not called by that name; --allow-host NAME:PORT gives it one more\n";
+                (StatusCode::FORBIDDEN, why).into_response()
+            }
+            Refusal::Origin => (StatusCode::FORBIDDEN, "another site may not use this server\n").into_response(),
+            Refusal::Body => (StatusCode::PAYLOAD_TOO_LARGE, "requests have no body here\n").into_response(),
+            Refusal::NoToken | Refusal::WrongToken => {
+                let headers: [(HeaderName, &'static str); 2] =
+                    [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::WWW_AUTHENTICATE, "Bearer")];
+                (StatusCode::UNAUTHORIZED, headers, TOKEN_NEEDED).into_response()
+            }
+        }
+    }
+}
+
+/// Who may use one port.
+pub struct Access {
+    hosts: Hosts,
+    login: Option<Login>,
+}
+
+/// What opens a port that has a token.
+struct Login {
+    token: String,
+    /// Name of the cookie. Browsers send cookies to every port of a machine: each port has a name of its own.
+    cookie: String,
+    /// Value of the cookie: derived from the token, so that it outlives a restart with the same token and does not tell it.
+    session: String,
+}
+
+impl Access {
+    /// Access to a port that is served at `address`; with a token only to those who bring it.
+    pub fn new(address: SocketAddr, arguments: &Arguments, token: Option<&Token>) -> Self {
+        let login = token.map(|token| Login {
+            token: token.text.clone(),
+            cookie: format!("radome_{}", address.port()),
+            session: hex(&Sha256::digest(format!("radome session of {}", token.text))),
+        });
+        Access { hosts: Hosts::new(address, &arguments.allow_host), login }
+    }
+
+    /// Checks that a request means this server and comes from no other site.
+    ///
+    /// # Errors
+    /// [`Refusal::Host`] or [`Refusal::Origin`].
+    pub fn check_source(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let text = |name: HeaderName| headers.get(name).and_then(|value| value.to_str().ok()).unwrap_or("");
+        let host = text(header::HOST).to_ascii_lowercase();
+        if !self.hosts.knows(&host) {
+            return Err(Refusal::Host);
+        }
+        // Only browsers name an origin; what they send from another site names another host.
+        if headers.contains_key(header::ORIGIN) {
+            let origin = text(header::ORIGIN).to_ascii_lowercase();
+            let of = origin.strip_prefix("http://").or(origin.strip_prefix("https://")).unwrap_or("");
+            if of != host {
+                return Err(Refusal::Origin);
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that a request brings the token, as `Authorization: Bearer`, or the cookie that it was exchanged for.
+    ///
+    /// # Errors
+    /// [`Refusal::NoToken`] or [`Refusal::WrongToken`].
+    pub fn check_token(&self, headers: &HeaderMap) -> Result<(), Refusal> {
+        let Some(login) = &self.login else { return Ok(()) };
+        let texts = |name: HeaderName| headers.get_all(name).into_iter().filter_map(|value| value.to_str().ok());
+        let bearers = texts(header::AUTHORIZATION).filter_map(|value| {
+            let (scheme, token) = value.split_once(' ')?;
+            scheme.eq_ignore_ascii_case("bearer").then_some((token.trim(), login.token.as_str()))
+        });
+        let cookies = texts(header::COOKIE).flat_map(|value| value.split(';')).filter_map(|pair| {
+            let (name, value) = pair.trim().split_once('=')?;
+            (name == login.cookie).then_some((value, login.session.as_str()))
+        });
+        let mut refusal = Refusal::NoToken;
+        for (given, expected) in bearers.chain(cookies) {
+            if is_same(given, expected) {
+                return Ok(());
+            }
+            refusal = Refusal::WrongToken;
+        }
+        Err(refusal)
+    }
+
+    /// Whether the token in the page's link, `/?token=TOKEN`, is right; `None` where it is no such link or no token is needed.
+    pub fn check_link(&self, uri: &Uri) -> Option<bool> {
+        let login = self.login.as_ref().filter(|_| uri.path() == "/")?;
+        let given = uri.query()?.split('&').find_map(|pair| pair.strip_prefix("token="))?;
+        Some(is_same(given, &login.token))
+    }
+
+    /// Answer to the right link: a cookie, and the page's address without the token, which leaves the address bar and the history.
+    pub fn logged_in(&self) -> Response {
+        let mut response = StatusCode::SEE_OTHER.into_response();
+        let headers = response.headers_mut();
+        headers.insert(header::LOCATION, HeaderValue::from_static("./"));
+        let cookie = self.login.as_ref().and_then(|Login { cookie, session, .. }| {
+            let text = format!("{cookie}={session}; Path=/; Max-Age={COOKIE_AGE_S}; HttpOnly; SameSite=Strict");
+            HeaderValue::try_from(text).ok()
+        });
+        if let Some(cookie) = cookie {
+            headers.insert(header::SET_COOKIE, cookie);
+        }
+        response
+    }
+}
+
+/// Refuses a request with a body: none is needed here, and none is waited for.
+///
+/// # Errors
+/// [`Refusal::Body`].
+pub fn check_no_body(headers: &HeaderMap) -> Result<(), Refusal> {
+    let has_length = headers.get_all(header::CONTENT_LENGTH).into_iter().any(|length| length != "0");
+    if has_length || headers.contains_key(header::TRANSFER_ENCODING) { Err(Refusal::Body) } else { Ok(()) }
+}
+
+/// Compares texts in a time that does not tell where they differ.
+fn is_same(a: &str, b: &str) -> bool {
+    let (a, b) = (Sha256::digest(a), Sha256::digest(b));
+    a.iter().zip(b.iter()).fold(0u8, |difference, (a, b)| difference | (a ^ b)) == 0
+}
+
+/// Name of this machine, if it has one.
+pub fn host_name() -> Option<String> {
+    let name = std::fs::read_to_string("/proc/sys/kernel/hostname").ok()?;
+    Some(name.trim().to_ascii_lowercase()).filter(|name| !name.is_empty())
+}
+
+/// Names under which a port is reached.
+struct Hosts {
+    port: u16,
+    /// Whether only this machine reaches the port.
+    is_loopback: bool,
+    names: Vec<String>,
+}
+
+impl Hosts {
+    fn new(address: SocketAddr, allowed: &[String]) -> Self {
+        let mut names: Vec<String> = allowed.iter().map(|name| name.to_ascii_lowercase()).collect();
+        let (port, is_loopback) = (address.port(), address.ip().is_loopback());
+        names.push(format!("localhost:{port}"));
+        if let Some(name) = host_name().filter(|_| !is_loopback) {
+            names.push(format!("{name}:{port}"));
+            names.push(format!("{name}.local:{port}"));
+        }
+        Hosts { port, is_loopback, names }
+    }
+
+    /// Whether a `Host` in lower case means this server: one of its names, or an address. An address cannot be rebound as a name
+    /// can, and that of another machine does not lead here.
+    fn knows(&self, host: &str) -> bool {
+        if self.names.iter().any(|name| name == host) {
+            return true;
+        }
+        // Clients leave out the port that is HTTP's own.
+        let with_port = match host.parse::<IpAddr>() {
+            Ok(_) if self.port == 80 => format!("{host}:80"),
+            _ => host.to_owned(),
+        };
+        let Ok(address) = with_port.parse::<SocketAddr>() else { return false };
+        address.port() == self.port && (!self.is_loopback || address.ip().is_loopback())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(pairs: &[(HeaderName, &str)]) -> HeaderMap {
+        let mut headers = HeaderMap::new();
+        for (name, value) in pairs {
+            headers.append(name, HeaderValue::from_str(value).expect("a header"));
+        }
+        headers
+    }
+
+    fn protected(token: &str) -> Access {
+        let token = Token { text: token.to_owned(), file: None };
+        Access::new("0.0.0.0:8060".parse().expect("an address"), &Arguments::default(), Some(&token))
+    }
+
+    #[test]
+    fn the_link_gives_a_cookie_and_the_cookie_or_the_token_opens() {
+        let access = protected("0123456789abcdef");
+        let link = |text: &'static str| access.check_link(&Uri::from_static(text));
+        assert_eq!(link("/?token=0123456789abcdef"), Some(true));
+        assert_eq!(link("/?x=1&token=0123456789abcdef"), Some(true));
+        assert_eq!(link("/?token=0123456789abcdeF"), Some(false));
+        assert_eq!(link("/?token="), Some(false));
+        assert_eq!(link("/"), None);
+        assert_eq!(link("/labels.json?token=0123456789abcdef"), None, "only the page's own address");
+        let response = access.logged_in();
+        assert_eq!(response.status(), StatusCode::SEE_OTHER);
+        let cookie = response.headers()[header::SET_COOKIE].to_str().expect("text");
+        assert!(cookie.starts_with("radome_8060=") && !cookie.contains("0123456789abcdef"), "{cookie}");
+        for part in ["HttpOnly", "SameSite=Strict", "Path=/"] {
+            assert!(cookie.contains(part), "{cookie}");
+        }
+        let cookie = cookie.split(';').next().expect("a value");
+        let several = format!("theme=dark; {cookie}");
+        for right in [
+            headers(&[(header::COOKIE, cookie)]),
+            headers(&[(header::COOKIE, &several)]),
+            headers(&[(header::COOKIE, "a=b"), (header::COOKIE, cookie)]),
+            headers(&[(header::AUTHORIZATION, "Bearer 0123456789abcdef")]),
+            headers(&[(header::AUTHORIZATION, "bearer 0123456789abcdef")]),
+        ] {
+            assert_eq!(access.check_token(&right), Ok(()), "{right:?}");
+        }
+        // The same token after a restart is the same cookie; another one is not.
+        let cookie = headers(&[(header::COOKIE, cookie)]);
+        assert_eq!(protected("0123456789abcdef").check_token(&cookie), Ok(()));
+        assert_eq!(protected("0123456789abcdeg").check_token(&cookie), Err(Refusal::WrongToken));
+    }
+
+    #[test]
+    #[cfg(unix)]
+    fn a_token_file_is_made_for_its_owner_alone_and_read_again() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("token");
+        let made = Token::from_file(&path).expect("makes it");
+        assert_eq!(made.text().len(), 2 * TOKEN_BYTES);
+        assert_ne!(made.text(), Token::random().expect("random numbers").text());
+        assert_eq!(std::fs::metadata(&path).expect("there").permissions().mode() & 0o777, 0o600);
+        assert_eq!(Token::from_file(&path).expect("reads it").text(), made.text());
+        for mode in [0o640, 0o604, 0o660, 0o601] {
+            std::fs::set_permissions(&path, std::fs::Permissions::from_mode(mode)).expect("settable");
+            let error = Token::from_file(&path).err().expect("others may use it").to_string();
+            assert!(error.contains("chmod 600") && !error.contains(made.text()), "{error}");
+        }
+        std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o400)).expect("settable");
+        assert!(Token::from_file(&path).is_ok());
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn names_that_are_not_ours_are_not_known() {
+            let here = Hosts::new("127.0.0.1:8060".parse().expect("an address"), &["Radar.example".into()]);
+            for host in ["127.0.0.1:8060", "localhost:8060", "[::1]:8060", "radar.example"] {
+                assert!(here.knows(host), "{host}");
+            }
+            for host in [
+                "",
+                "localhost",
+                "localhost:8061",
+                "127.0.0.1",
+                "127.0.0.1:80600",
+                "evil.example:8060",
+                "192.168.0.4:8060",
+                "localhost.evil.example:8060",
+                "127.0.0.1.evil.example:8060",
+                "radar.example:8060",
+                "[::1]",
+                "127.1:8060",
+            ] {
+                assert!(!here.knows(host), "{host}");
+            }
+            let open = Hosts::new("0.0.0.0:80".parse().expect("an address"), &[]);
+            for host in ["192.168.0.4:80", "192.168.0.4", "[fe80::1]:80"] {
+                assert!(open.knows(host), "{host}");
+            }
+            assert!(!open.knows("evil.example") && !open.knows("evil.example:80"));
+        }
+
+        #[test]
+        fn what_is_no_token_opens_nothing() {
+            let access = protected("0123456789abcdef");
+            for nothing in [
+                headers(&[]),
+                headers(&[(header::COOKIE, "radome_8061=0123456789abcdef; radome=x; radome_8060")]),
+                headers(&[(header::AUTHORIZATION, "Basic MDEyMzQ1Njc4OWFiY2RlZg==")]),
+                headers(&[(header::AUTHORIZATION, "0123456789abcdef")]),
+            ] {
+                assert_eq!(access.check_token(&nothing), Err(Refusal::NoToken), "{nothing:?}");
+            }
+            for wrong in [
+                headers(&[(header::AUTHORIZATION, "Bearer ")]),
+                headers(&[(header::AUTHORIZATION, "Bearer 0123456789abcde")]),
+                headers(&[(header::AUTHORIZATION, "Bearer 0123456789abcdef0")]),
+                // The cookie's value is not the token.
+                headers(&[(header::COOKIE, "radome_8060=0123456789abcdef")]),
+                headers(&[(header::COOKIE, "radome_8060=")]),
+            ] {
+                assert_eq!(access.check_token(&wrong), Err(Refusal::WrongToken), "{wrong:?}");
+            }
+        }
+
+        #[test]
+        fn bodies_are_refused_and_the_length_zero_is_none() {
+            assert_eq!(check_no_body(&headers(&[])), Ok(()));
+            assert_eq!(check_no_body(&headers(&[(header::CONTENT_LENGTH, "0")])), Ok(()));
+            assert_eq!(check_no_body(&headers(&[(header::CONTENT_LENGTH, "1")])), Err(Refusal::Body));
+            assert_eq!(check_no_body(&headers(&[(header::TRANSFER_ENCODING, "chunked")])), Err(Refusal::Body));
+        }
+
+        #[test]
+        #[cfg(unix)]
+        fn files_that_hold_no_token_are_refused_and_never_quoted() {
+            use std::os::unix::fs::PermissionsExt;
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("token");
+            for content in [
+                "",
+                "\n",
+                "short-secret",
+                "a secret with spaces in it",
+                "secret\nsecret\nsecret",
+                "\u{fc}secretsecretsecret",
+            ] {
+                std::fs::write(&path, content).expect("writable");
+                std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o600)).expect("settable");
+                let error = crate::output::chain(&Token::from_file(&path).err().expect("no token"));
+                assert!(error.contains("token") && !error.contains("secret"), "{error}");
+            }
+            std::fs::write(&path, "s".repeat(10_000)).expect("writable");
+            assert!(Token::from_file(&path).is_err());
+            assert!(Token::from_file(folder.path()).is_err());
+            assert!(Token::from_file(&folder.path().join("nowhere/token")).is_err());
+        }
+    }
+}
