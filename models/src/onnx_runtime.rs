@@ -147,7 +147,8 @@ fn environment() -> Result<Environment, OnnxError> {
     Ok(environment.insert(found).clone())
 }
 
-/// The library by the environment variable, or of a Python installation's onnxruntime.
+/// The library by the environment variable, or of a Python installation's onnxruntime. Nothing is looked for in the working
+/// directory, where a stranger may have put files.
 fn find_library() -> Result<PathBuf, OnnxError> {
     if let Some(named) = std::env::var_os(LIBRARY_VARIABLE).filter(|named| !named.is_empty()) {
         let path = PathBuf::from(&named);
@@ -158,14 +159,16 @@ fn find_library() -> Result<PathBuf, OnnxError> {
     let python = if cfg!(windows) { "python" } else { "python3" };
     // Finding the package without importing it, which takes a second.
     let script = "import importlib.util as u; s = u.find_spec('onnxruntime'); print(s.submodule_search_locations[0] if s else '')";
-    let said = Command::new(python).args(["-c", script]).output();
-    let folder = said.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
-    if !folder.is_empty()
-        && let Some(library) = installed_in(Path::new(&folder))
-    {
+    // Isolated (-I), so that Python searches neither its working directory nor PYTHONPATH, and in a directory that nobody but
+    // the administrator fills, so that a relative entry of PATH names no stranger's python.
+    let said =
+        Command::new(python).args(["-I", "-c", script]).current_dir(if cfg!(windows) { "C:\\" } else { "/" }).output();
+    let said = said.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
+    let folder = Some(Path::new(&said)).filter(|folder| folder.is_absolute());
+    if let Some(library) = folder.and_then(installed_in) {
         return Ok(library);
     }
-    let looked = format!("{LIBRARY_VARIABLE} is not set, and {python} has no onnxruntime");
+    let looked = format!("{LIBRARY_VARIABLE} is not set, and `{python} -I` finds no onnxruntime");
     Err(OnnxError::NoLibrary { looked })
 }
 

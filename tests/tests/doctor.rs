@@ -1,7 +1,9 @@
 //! What the doctor finds.
 
+use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
 use std::net::TcpListener;
+use std::path::Path;
 
 use radome_tests::{fixture, json_lines, radome};
 use serde_json::Value;
@@ -73,6 +75,72 @@ fn a_source_that_works_is_examined_and_packed() {
     assert!(!has("hunter2"), "a secret leaves the house");
 }
 
+/// Files of an archive by name.
+fn unpacked(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
+    let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(bundle).expect("packed"))).expect("an archive");
+    let mut parts = BTreeMap::new();
+    for index in 0..archive.len() {
+        let mut part = archive.by_index(index).expect("a part");
+        let mut bytes = Vec::new();
+        part.read_to_end(&mut bytes).expect("whole");
+        parts.insert(part.name().to_owned(), bytes);
+    }
+    parts
+}
+
+/// Everything that names a person, a machine or a network is a token in the archive, and stderr lists what is packed.
+#[test]
+fn a_bundle_names_nobody_and_lists_what_it_packs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let temporary = tempfile::tempdir().expect("a folder");
+    let home = folder.path().join("zqhome of zqzoe");
+    std::fs::create_dir(&home).expect("writable");
+    std::fs::copy(fixture("models/paper-hqnn.safetensors"), home.join("zqmodel.safetensors")).expect("copied");
+    let bundle = home.join("zqreport.zip");
+    let mut command = radome();
+    command.args(["doctor", "--json"]).arg(format!("emulated:{}", fixture("scenes/corridor.toml").display()));
+    // The model by its name in the working folder, scene and archive by absolute paths.
+    command.current_dir(&home).args(["--model", "zqmodel.safetensors", "--record-to", ".", "--bundle"]).arg(&bundle);
+    command.args(["--mqtt", "mqtt://zquser:zqhunter@zqhost.example:18x83"]);
+    command.env("HOME", &home).env("USER", "zqzoe").env("TMPDIR", temporary.path());
+    command.env("RADOME_MQTT_USER", "zqradar").env("RADOME_MQTT_PASSWORD", "zqpassword");
+    let (checks, said) = failing(&mut command);
+    assert_eq!(named(&checks, "mqtt")["verdict"], "fail");
+    assert_eq!(named(&checks, "frames")["verdict"], "ok");
+
+    let parts = unpacked(&bundle);
+    for (name, bytes) in &parts {
+        let line = format!("{:>10} bytes  {name}", bytes.len());
+        assert!(said.lines().any(|said| said == line), "no {line:?} in {said}");
+        let text = String::from_utf8_lossy(bytes).to_lowercase();
+        // The emulated board's identity, as text and on the wire.
+        let identity = ["000102030405060708090a0b0c0d0e0f", "00 01 02 03 04 05 06 07"];
+        let names = ["zqhome", "zqzoe", "zqmodel", "zqreport", "zquser", "zqhunter", "zqhost", "zqradar", "zqpassword"];
+        for secret in identity.iter().chain(&names).chain(&["corridor.toml"]) {
+            assert!(!text.contains(secret), "{secret} in {name}: {text}");
+        }
+    }
+    assert!(parts.len() >= 9 && said.contains("<path-N>") && said.contains("<serial-N>"), "{said}");
+    let checks = String::from_utf8_lossy(&parts["checks.json"]).into_owned();
+    assert!(checks.contains("<path-") && checks.contains("MB/s"), "{checks}");
+    // Nothing stays behind in the folder for temporary files, under whatever name.
+    assert_eq!(std::fs::read_dir(temporary.path()).expect("readable").count(), 0);
+}
+
+#[test]
+fn a_bundle_is_not_written_over_another_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (bundle, target) = (folder.path().join("report.zip"), folder.path().join("target"));
+    std::fs::write(&bundle, "mine").expect("writable");
+    let (checks, said) = failing(doctor().arg("--bundle").arg(&bundle));
+    assert!(checks.is_empty() && said.contains("exists") && said.contains("hint:"), "{said}");
+    assert_eq!(std::fs::read(&bundle).expect("readable"), b"mine");
+    std::fs::remove_file(&bundle).expect("removable");
+    std::os::unix::fs::symlink(&target, &bundle).expect("a link");
+    let (_, said) = failing(doctor().arg("--bundle").arg(&bundle));
+    assert!(said.contains("exists") && !target.exists(), "{said}");
+}
+
 /// Requests and answers of the emulated board, and of its frames the headers.
 fn wire_is_bytes_with_times_and_directions(text: &str) {
     assert!(text.len() < 100_000, "{} bytes", text.len());
@@ -85,7 +153,9 @@ fn wire_is_bytes_with_times_and_directions(text: &str) {
         let (mark, shown) = rest.split_once(' ').unwrap_or_else(|| panic!("{line}"));
         let (hex, more) = shown.split_once(" and ").unwrap_or((shown, "0 bytes"));
         let bytes = || -> Vec<u8> {
-            hex.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap_or_else(|e| panic!("{line}: {e}"))).collect()
+            // The bytes of the board's identity are hidden.
+            let byte = |hex: &str| if hex == "xx" { Ok(0) } else { u8::from_str_radix(hex, 16) };
+            hex.split(' ').map(|hex| byte(hex).unwrap_or_else(|e| panic!("{line}: {e}"))).collect()
         };
         match mark {
             "opened" => assert!(shown.starts_with("/dev/"), "{line}"),
@@ -117,16 +187,21 @@ fn what_does_not_fit_is_a_failure_with_a_hint() {
     let bundle = folder.path().join("report.zip");
     let (checks, _) = failing(doctor().arg("serial:/dev/no-such-port").arg("--bundle").arg(&bundle));
     assert!(named(&checks, "source")["found"].as_str().is_some_and(|found| found.contains("/dev/no-such-port")));
-    let mut archive = zip::ZipArchive::new(Cursor::new(std::fs::read(&bundle).expect("packed"))).expect("an archive");
-    let mut wire = String::new();
-    archive.by_name("wire.txt").expect("packed").read_to_string(&mut wire).expect("text");
-    assert!(wire.trim_end().ends_with("opened /dev/no-such-port"), "{wire}");
+    let parts = unpacked(&bundle);
+    let wire = String::from_utf8_lossy(&parts["wire.txt"]).into_owned();
+    // Paths are tokens: one path, one token.
+    let token = wire.trim_end().rsplit_once("opened ").map(|(_, token)| token).expect("a path");
+    assert!(token.starts_with("<path-"), "{wire}");
+    let checks = String::from_utf8_lossy(&parts["checks.json"]).into_owned();
+    assert!(checks.contains(token) && !checks.contains("no-such-port"), "{checks}");
 
     let closed = TcpListener::bind("127.0.0.1:0").and_then(|l| l.local_addr()).expect("a port");
-    let (checks, said) = failing(doctor().args(["--mqtt", &format!("mqtt://u:hunter2@{closed}")]));
-    let broker = named(&checks, "mqtt");
-    assert!(broker["verdict"] == "fail" && broker["hint"].is_string(), "{broker}");
-    assert!(!said.contains("hunter2") && !broker.to_string().contains("hunter2"));
+    for url in [format!("mqtt://u@{closed}"), format!("mqtt://u:hunter2@{closed}"), "mqtt://u@h:hunter2".into()] {
+        let (checks, said) = failing(doctor().args(["--mqtt", &url]).env("RADOME_MQTT_PASSWORD", "hunter2"));
+        let broker = named(&checks, "mqtt");
+        assert!(broker["verdict"] == "fail" && broker["hint"].is_string(), "{broker}");
+        assert!(!said.contains("hunter2") && !broker.to_string().contains("hunter2"), "{said} {broker}");
+    }
 
     let (checks, _) = failing(radome().args(["doctor", "--json", "--record-to", "/no/such/folder"]));
     assert_eq!(named(&checks, "room")["verdict"], "fail");

@@ -174,6 +174,34 @@ mod hard_cases {
         assert!(said.contains("tensor fc1.weight") && said.contains("NaN or infinite"), "{said}");
     }
 
+    /// A stranger's files beside the user's own are no installation.
+    #[test]
+    fn a_library_in_the_working_folder_is_not_loaded() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let onnx = export(&fixture("models/paper-hqnn.safetensors"), folder.path());
+        let package = folder.path().join("onnxruntime");
+        std::fs::create_dir_all(package.join("capi")).expect("writable");
+        std::fs::write(package.join("__init__.py"), "").expect("writable");
+        std::fs::write(package.join("capi/libonnxruntime.so.1"), "planted").expect("writable");
+        // A python3 of the folder's, for a PATH that names the working folder.
+        let python = folder.path().join("python3");
+        std::fs::write(&python, format!("#!/bin/sh\necho {}\n", package.display())).expect("writable");
+        std::fs::set_permissions(&python, std::os::unix::fs::PermissionsExt::from_mode(0o755)).expect("settable");
+        let path = std::env::var("PATH").unwrap_or_default();
+        for (variable, value) in [
+            ("IGNORED", String::new()),
+            ("PYTHONPATH", folder.path().display().to_string()),
+            ("PATH", format!(".:{path}")),
+        ] {
+            let mut command = radome();
+            command.args(["evaluate", "--model"]).arg(&onnx).arg("nowhere=one").current_dir(folder.path());
+            command.env_remove("ORT_DYLIB_PATH").env_remove("PYTHONPATH").env(variable, value);
+            // Where onnxruntime is installed, the recording is what is missing.
+            let said = failure(&mut command);
+            assert!(!said.contains("cannot be loaded"), "{variable}: {said}");
+        }
+    }
+
     #[test]
     fn a_library_that_is_not_there_is_named_with_the_remedy() {
         let folder = tempfile::tempdir().expect("a folder");

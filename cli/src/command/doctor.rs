@@ -2,14 +2,17 @@
 
 mod bundle;
 mod checks;
+mod redact;
 mod wire;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 use serde::Serialize;
 use serde_json::json;
 
+use self::redact::{Kind, Redactor};
+use crate::live::home::broker::{self, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
 
@@ -22,14 +25,13 @@ pub struct Arguments {
     /// Model that is to judge: whether it can be read, and whether it fits the source
     #[arg(long)]
     model: Option<PathBuf>,
-    /// MQTT broker that is to be told: whether it answers
-    #[arg(long, value_name = "URL")]
-    mqtt: Option<String>,
+    #[command(flatten)]
+    broker: BrokerArguments,
     /// Folder that recordings are to go to: room, speed, permission
     #[arg(long, value_name = "FOLDER", default_value = ".")]
     record_to: PathBuf,
-    /// Pack what a bug report needs into this archive: answers, board, registers, frames, what was said on the
-    /// wire; no names, logins or networks
+    /// Pack what a bug report needs into this new archive: checks, board, registers, frames, bytes on the wire. Paths, names of
+    /// users and hosts, addresses, serial numbers and logins are replaced by tokens such as <path-1>
     #[arg(long, value_name = "FILE.zip")]
     bundle: Option<PathBuf>,
     /// One object a check
@@ -44,6 +46,37 @@ impl Arguments {
     /// Where what is said on the wire is to go, if anybody will read it.
     pub fn wire_log(&self) -> Option<&WireLog> {
         self.bundle.as_ref().map(|_| &self.wire)
+    }
+
+    /// What replaces names in the archive: it knows this machine, its user, and what the arguments name.
+    fn redactor(&self, bundle: &Path) -> Redactor {
+        let mut redactor = Redactor::of_this_machine();
+        let source = self.source.as_deref().map(|spec| {
+            let prefixes = ["emulated:", "serial:", "usb:", "deepcraft:"];
+            prefixes.iter().fold(spec, |spec, prefix| spec.strip_prefix(*prefix).unwrap_or(spec))
+        });
+        // Absolute paths are recognised wherever they stand; one that begins in the working folder is known only from here.
+        let source = source.filter(|source| *source != "auto").map(Path::new);
+        for path in
+            [source, self.model.as_deref(), Some(self.record_to.as_path()), self.broker.password_file(), Some(bundle)]
+        {
+            if let Some(path) = path.filter(|path| !path.starts_with("/dev")) {
+                redactor.hide_path(path);
+            }
+        }
+        for (variable, kind) in [(broker::USER_VARIABLE, Kind::User), (broker::PASSWORD_VARIABLE, Kind::Secret)] {
+            redactor.hide(&std::env::var(variable).unwrap_or_default(), kind);
+        }
+        match (self.broker.broker(), self.broker.url()) {
+            (Ok(Some(broker)), _) => {
+                redactor.hide(broker.host(), Kind::Host);
+                redactor.hide(broker.user().unwrap_or_default(), Kind::User);
+                redactor.hide(broker.password().map_or("", Secret::reveal), Kind::Secret);
+            }
+            (Err(_), Some(url)) => redactor.hide_url(url),
+            _ => {}
+        }
+        redactor
     }
 }
 
@@ -94,6 +127,9 @@ impl Check {
 
 /// Looks at everything; fails if something does.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(path) = &arguments.bundle {
+        bundle::check_absent(path)?;
+    }
     let mut report = Report { as_json: arguments.json, checks: Vec::new() };
     report.say(checks::program())?;
     report.say(checks::clock())?;
@@ -108,8 +144,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => None,
     };
     report.say(checks::onnxruntime(arguments.model.as_deref()))?;
-    if let Some(url) = &arguments.mqtt {
-        report.say(checks::broker(url))?;
+    if let Some(check) = checks::broker(&arguments.broker) {
+        report.say(check)?;
     }
     let mut waveform = model.as_ref().and_then(|model| model.waveform().cloned());
     let mut examined = None;
@@ -124,8 +160,18 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     checks::disk(&arguments.record_to, waveform.as_ref()).into_iter().try_for_each(|check| report.say(check))?;
     if let Some(path) = &arguments.bundle {
-        bundle::write(path, &report.checks, examined.as_ref(), arguments.model.as_deref(), &arguments.wire)?;
-        eprintln!("{}: look at it before it is sent anywhere", path.display());
+        let mut redactor = arguments.redactor(path);
+        let model = arguments.model.as_deref();
+        let parts = bundle::parts(&report.checks, examined.as_ref(), model, &arguments.wire, &mut redactor)?;
+        bundle::write(path, &parts)?;
+        eprintln!("{} packs:", path.display());
+        for (name, bytes) in &parts {
+            eprintln!("{:>10} bytes  {name}", bytes.len());
+        }
+        for (kind, count) in redactor.counts() {
+            eprintln!("{count} different texts were replaced by tokens <{}-N>", kind.word());
+        }
+        eprintln!("{}: look at it before you send it anywhere", path.display());
     }
     let count = |verdict: Verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
     let (warnings, failures) = (count(Verdict::Warn), count(Verdict::Fail));

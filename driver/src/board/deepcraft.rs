@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use radome_dsp::Waveform;
 
-use super::{BoardError, BoardIdentity, CHIP_ID_BGT60TR13C, chip_name};
+use super::{BoardError, BoardIdentity, CHIP_ID_BGT60TR13C, chip_name, wire};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
     Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,
@@ -152,6 +152,7 @@ fn identity(board: &Board, radar: &Device) -> BoardIdentity {
         format!("{}.{}.{}", version.major, version.minor, version.build)
     };
     let uuid = board.serial.as_ref().map_or(&[][..], |serial| &serial.uuid);
+    wire::identity(&uuid.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
     BoardIdentity {
         name: board.name.clone(),
         vendor_id: USB_ID.0,

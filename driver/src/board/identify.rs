@@ -1,7 +1,7 @@
 //! Who a board is: what its firmware says of itself, and what its chip says of itself, with or without a reset.
 
 use super::link::Link;
-use super::{BoardError, BoardIdentity};
+use super::{BoardError, BoardIdentity, wire};
 use crate::chip::{REGISTERS, RegisterFile, address as register};
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, Protocol, SpiWord,
@@ -75,10 +75,11 @@ impl Greeting {
         link: &mut Link,
         chip_id: fn(&mut Link) -> Result<u32, BoardError>,
     ) -> Result<BoardIdentity, BoardError> {
-        let uuid = match link.request(&Command::Uuid)? {
+        let uuid: String = match link.request(&Command::Uuid)? {
             (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
             _ => "0".repeat(32),
         };
+        wire::identity(&uuid);
         let extended = link.request(&Command::ExtendedVersion)?.1;
         let chip_id = chip_id(link)?;
         let path = link.path.clone();

@@ -6,7 +6,8 @@ use std::fmt;
 use crate::protocol::strata::{BoardEvent, Packet, Response};
 
 /// Target of the events. Each has one field: `opened` names what carries the bytes, `sent` and `received` show them, as they are
-/// on the wire but without check sums. Of measurements they show headers.
+/// on the wire but without check sums. Of measurements they show headers. `identity` tells this board from all others; whoever
+/// passes a trace on removes its bytes.
 pub const TARGET: &str = "radome_driver::wire";
 /// Bytes shown of a message: few are longer.
 const MOST_SHOWN: usize = 96;
@@ -14,6 +15,11 @@ const MOST_SHOWN: usize = 96;
 /// A connection is made.
 pub(super) fn opened(carrier: &dyn fmt::Display) {
     tracing::trace!(target: TARGET, opened = %carrier);
+}
+
+/// What tells this board from all others, in hexadecimal.
+pub(super) fn identity(uuid: &str) {
+    tracing::trace!(target: TARGET, identity = %uuid);
 }
 
 /// A message to the board.

@@ -29,13 +29,22 @@ pub(super) trait Operation: Send + Sync + 'static {
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
-/// An array for a layer's result, whose every value the layer writes before anybody reads it: tens of megabytes are not
-/// filled with zeros for nothing.
+/// An array for a layer's result with arbitrary values, all of which the layer overwrites: filling tens of megabytes with zeros
+/// first would take as long as many a layer.
 #[allow(clippy::uninit_vec)]
 pub(super) fn unwritten(length: usize) -> Vec<f32> {
-    let mut values = Vec::with_capacity(length);
-    // SAFETY: the capacity is `length`, any bits are an f32, and all are written before they are read.
-    unsafe { values.set_len(length) };
+    if cfg!(miri) || !cfg!(any(target_arch = "x86_64", target_arch = "aarch64")) {
+        return vec![0.0; length];
+    }
+    let mut values = Vec::<f32>::with_capacity(length);
+    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
+    // SAFETY: the capacity is `length`, and any bits are an f32. The assembly stands for code that writes arbitrary bits to the
+    // whole block, of which leaving what is there is one way; the compiler has to assume such writes, so that the block is
+    // initialised behind it.
+    unsafe {
+        std::arch::asm!("/* {} */", in(reg) values.as_mut_ptr(), options(nostack, preserves_flags));
+        values.set_len(length);
+    }
     values
 }
 

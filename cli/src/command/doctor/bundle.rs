@@ -1,9 +1,9 @@
-//! What a bug report needs, in one archive.
+//! What a bug report needs, in one archive. Names of people, machines and networks are replaced by tokens.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use radome_driver::Recorder;
 use radome_models::ModelCard;
 use serde::Serialize;
@@ -11,22 +11,42 @@ use serde_json::json;
 use zip::write::SimpleFileOptions;
 
 use super::checks::Examined;
+use super::redact::{Kind, Redactor};
 use super::{Check, WireLog};
 use crate::files;
 
-/// Writes the archive, whole or not at all. Nothing is packed that names the user, the machine or a network: what is there is
-/// what this program found out about radar, disk and clock.
-pub fn write(
-    path: &Path,
+const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
+
+/// Fails early if the archive's name is taken or its folder is missing.
+pub fn check_absent(path: &Path) -> anyhow::Result<()> {
+    files::check_parent(path)?;
+    // Also a link that leads nowhere.
+    if path.symlink_metadata().is_ok() {
+        bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display());
+    }
+    Ok(())
+}
+
+/// Names and contents of the archive's files.
+pub fn parts(
     checks: &[Check],
     examined: Option<&Examined>,
     model: Option<&Path>,
     wire: &WireLog,
-) -> anyhow::Result<()> {
-    files::check_parent(path)?;
-    let mut parts: Vec<(&str, Vec<u8>)> = vec![
+    redactor: &mut Redactor,
+) -> anyhow::Result<Vec<(&'static str, Vec<u8>)>> {
+    let candidates = radome_driver::candidates();
+    let serials = candidates.iter().filter_map(|candidate| candidate.usb.as_ref()?.serial_number.clone());
+    let board = examined.and_then(|seen| seen.header.board.as_ref());
+    for serial in serials.chain(wire.identities()).chain(board.map(|board| board.uuid.clone())) {
+        // A board without an identity has zeros.
+        if serial.contains(|c| c != '0') {
+            redactor.hide(&serial, Kind::Serial);
+        }
+    }
+    let mut parts = vec![
         ("README.txt", README.as_bytes().to_vec()),
-        ("checks.json", pretty(&checks)?),
+        ("checks.json", redacted(&checks, redactor)?),
         (
             "program.json",
             pretty(&json!({
@@ -36,52 +56,81 @@ pub fn write(
                 "kernel_level": radome_dsp::KernelLevel::detect().name(),
             }))?,
         ),
-        ("devices.json", pretty(&radome_driver::candidates())?),
-        ("wire.txt", wire.text().into_bytes()),
+        ("devices.json", redacted(&candidates, redactor)?),
+        ("wire.txt", redactor.wire(&wire.text()).into_bytes()),
     ];
     if let Some(seen) = examined {
-        parts.push((
-            "source.json",
-            pretty(&json!({ "description": seen.description, "waveform": seen.header.waveform, "board": seen.header.board }))?,
-        ));
+        let source =
+            json!({ "description": seen.description, "waveform": seen.header.waveform, "board": seen.header.board });
+        parts.push(("source.json", redacted(&source, redactor)?));
         let registers = seen.header.registers.iter().map(|r| format!("{:#04x} {:#08x}\n", r.address, r.value));
         parts.push(("registers.txt", registers.collect::<String>().into_bytes()));
-        parts.push(("frames.mcap", recording(seen)?));
+        parts.push(("frames.mcap", recording(seen, redactor)?));
     }
     if let Some(card) = model.and_then(|path| ModelCard::load(path).ok()) {
-        parts.push(("model.json", pretty(&card)?));
+        parts.push(("model.json", redacted(&card, redactor)?));
     }
-    files::write_atomically(path, |file| {
-        let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        for (name, bytes) in &parts {
-            archive.start_file(*name, SimpleFileOptions::default()).context("cannot pack the archive")?;
-            archive.write_all(bytes).context("cannot pack the archive")?;
+    Ok(parts)
+}
+
+/// Writes the archive, whole or not at all, and never over another file. Only its owner may read it.
+pub fn write(path: &Path, parts: &[(&'static str, Vec<u8>)]) -> anyhow::Result<()> {
+    let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in parts {
+        archive.start_file(*name, SimpleFileOptions::default()).context("cannot pack the archive")?;
+        archive.write_all(bytes).context("cannot pack the archive")?;
+    }
+    let bytes = archive.finish().context("cannot pack the archive")?.into_inner();
+    let named = || format!("cannot write {}", path.display());
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let mut file = tempfile::NamedTempFile::new_in(folder).with_context(named)?;
+    file.write_all(&bytes).with_context(named)?;
+    file.as_file().sync_all().with_context(named)?;
+    match file.persist_noclobber(path) {
+        Ok(_) => Ok(()),
+        Err(error) if error.error.kind() == std::io::ErrorKind::AlreadyExists => {
+            bail!("{} exists and is not written over\n\n{EXISTS_HINT}", path.display())
         }
-        let bytes = archive.finish().context("cannot pack the archive")?.into_inner();
-        file.write_all(&bytes).with_context(|| format!("cannot write {}", path.display()))
-    })
+        Err(error) => Err(error.error).with_context(named),
+    }
 }
 
 const README: &str = "What `radome doctor --bundle` found: checks.json what was checked, program.json which program, devices.json what is
 attached, source.json the board and its waveform, registers.txt what its chip was told (address, value), frames.mcap its first frames
 as raw codes, model.json the model's card without its numbers, wire.txt what was said to boards (>) and by them (<): seconds, then the
-first bytes of each message in hexadecimal, of measurements the headers. Frames show whether somebody moves before the radar.
+first bytes of each message in hexadecimal, of measurements the headers.
+
+Paths, names of users and hosts, IP and MAC addresses, serial numbers and logins are replaced by tokens: <path-1>, <user-1>, <host-1>,
+<address-1>, <serial-1>, <secret-1>, and xx for the bytes of serial numbers in wire.txt. The same text has the same token everywhere.
+Device nodes such as /dev/ttyACM0 and addresses such as 127.0.0.1 stay. Names are recognised by their form, or because the command line
+or this machine's settings hold them. Other names may remain: look at the files before you send them.
+
+Frames show whether somebody moves before the radar, and when they were taken.
 ";
 
 fn pretty(value: &impl Serialize) -> anyhow::Result<Vec<u8>> {
     serde_json::to_vec_pretty(value).context("cannot write JSON")
 }
 
-/// The frames as a recording.
-fn recording(seen: &Examined) -> anyhow::Result<Vec<u8>> {
-    let path = std::env::temp_dir().join(format!("radome-doctor-{}.mcap", std::process::id()));
-    let write = || -> anyhow::Result<Vec<u8>> {
-        let mut recorder = Recorder::create(&path, &seen.header)?;
-        seen.frames.iter().try_for_each(|frame| recorder.frame(frame))?;
-        recorder.finish()?;
-        std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
-    };
-    let bytes = write();
-    let _ = std::fs::remove_file(&path);
-    bytes
+/// JSON with tokens for names.
+fn redacted(value: &impl Serialize, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
+    let mut value = serde_json::to_value(value).context("cannot write JSON")?;
+    redactor.json(&mut value);
+    pretty(&value)
+}
+
+/// The frames as a recording, in which the board's identity is a token.
+fn recording(seen: &Examined, redactor: &mut Redactor) -> anyhow::Result<Vec<u8>> {
+    let mut header = seen.header.clone();
+    if let Some(board) = &mut header.board {
+        for text in [&mut board.name, &mut board.extended_version, &mut board.uuid] {
+            *text = redactor.text(text);
+        }
+    }
+    let folder = tempfile::tempdir().context("cannot make a temporary folder")?;
+    let path = folder.path().join("frames.mcap");
+    let mut recorder = Recorder::create(&path, &header)?;
+    seen.frames.iter().try_for_each(|frame| recorder.frame(frame))?;
+    recorder.finish()?;
+    std::fs::read(&path).with_context(|| format!("cannot read {}", path.display()))
 }

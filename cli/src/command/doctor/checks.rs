@@ -2,7 +2,7 @@
 
 use std::io::Write;
 use std::net::{SocketAddr, TcpListener, TcpStream, ToSocketAddrs};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
@@ -12,7 +12,7 @@ use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
 use super::Check;
 use crate::judge::{Judge, Model, Verdict};
-use crate::live::home::broker::Broker;
+use crate::live::home::broker::BrokerArguments;
 use crate::source::{self, SourceOptions};
 
 /// The program itself.
@@ -89,11 +89,11 @@ pub fn onnxruntime(model: Option<&Path>) -> Check {
     Check::ok("onnxruntime", found)
 }
 
-/// Whether somebody listens where the broker should be.
-pub fn broker(url: &str) -> Check {
-    let broker = match Broker::parse(url) {
-        Ok(broker) => broker,
-        Err(error) => return Check::error("mqtt", &error),
+/// Whether somebody listens where the broker should be; `None` where no broker is named.
+pub fn broker(arguments: &BrokerArguments) -> Option<Check> {
+    let broker = match arguments.broker() {
+        Ok(broker) => broker?,
+        Err(error) => return Some(Check::error("mqtt", &error)),
     };
     let connect = || -> anyhow::Result<()> {
         let address = broker.to_string();
@@ -107,10 +107,10 @@ pub fn broker(url: &str) -> Check {
         }
         Err(last)
     };
-    match connect() {
+    Some(match connect() {
         Ok(()) => Check::ok("mqtt", format!("{broker} takes connections")),
         Err(error) => Check::fail("mqtt", format!("{error:#}"), "is the broker running, and the port right?"),
-    }
+    })
 }
 
 /// Boards and probes that are attached. Asking stops a board that measures.
@@ -269,7 +269,6 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
             return checks;
         }
     }
-    let path = probe_name(folder);
     let probe = || -> std::io::Result<f64> {
         // Nothing that compresses, in case the disk does.
         let mut word = 1u64;
@@ -278,7 +277,8 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
             word = word.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
             bytes.copy_from_slice(&word.to_le_bytes());
         });
-        let mut file = std::fs::File::create_new(&path)?;
+        // A file without a name, or with one that nobody can foresee; it goes with this function.
+        let mut file = tempfile::tempfile_in(folder)?;
         let start = Instant::now();
         for _ in 0..PROBE_BYTES / block.len() {
             file.write_all(&block)?;
@@ -287,7 +287,6 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
         Ok(PROBE_BYTES as f64 / start.elapsed().as_secs_f64())
     };
     let speed = probe();
-    let _ = std::fs::remove_file(&path);
     checks.push(match speed {
         Ok(speed) => {
             let found = format!("{named}: writes {:.0} MB/s, frames need {:.1}", speed / 1e6, needed_bytes_per_s / 1e6);
@@ -302,8 +301,4 @@ pub fn disk(folder: &Path, waveform: Option<&Waveform>) -> Vec<Check> {
         Err(error) => Check::fail("speed", format!("{named}: {error}"), "name a folder that this user may write"),
     });
     checks
-}
-
-fn probe_name(folder: &Path) -> PathBuf {
-    folder.join(format!(".radome-doctor-{}", std::process::id()))
 }

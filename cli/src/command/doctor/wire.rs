@@ -16,7 +16,7 @@ use tracing_subscriber::registry::LookupSpan;
 const FIRST: usize = 400;
 const LAST: usize = 200;
 
-/// Keeps what the driver says of the wire, where it is given to the log.
+/// Keeps the driver's trace of requests and answers, where it is given to the log, and the identities of the boards in it.
 #[derive(Debug, Clone)]
 pub struct WireLog {
     began: Instant,
@@ -28,6 +28,7 @@ struct Lines {
     first: Vec<String>,
     last: std::collections::VecDeque<String>,
     left_out: usize,
+    identities: Vec<String>,
 }
 
 impl Default for WireLog {
@@ -52,6 +53,11 @@ impl WireLog {
         text.extend(lines.last.iter().map(String::as_str));
         text
     }
+
+    /// Identities of the boards that were asked, in hexadecimal: their bytes stand in the lines.
+    pub fn identities(&self) -> Vec<String> {
+        self.lines.lock().unwrap_or_else(PoisonError::into_inner).identities.clone()
+    }
 }
 
 impl Lines {
@@ -70,24 +76,38 @@ impl Lines {
 impl<S: Subscriber> Layer<S> for WireLog {
     fn on_event(&self, event: &Event<'_>, _: Context<'_, S>) {
         let mut line = format!("{:10.4}", self.began.elapsed().as_secs_f64());
-        event.record(&mut Words(&mut line));
+        let mut words = Words { line: &mut line, identity: None };
+        event.record(&mut words);
+        let identity = words.identity;
+        let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(identity) = identity {
+            lines.identities.push(identity);
+            return;
+        }
         line.push('\n');
-        self.lines.lock().unwrap_or_else(PoisonError::into_inner).push(line);
+        lines.push(line);
     }
 }
 
-/// The one field of an event, behind a mark of its direction.
-struct Words<'a>(&'a mut String);
+/// The one field of an event: a board's identity, or text behind a mark of its direction.
+struct Words<'a> {
+    line: &'a mut String,
+    identity: Option<String>,
+}
 
 impl Visit for Words<'_> {
     fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
         let mark = match field.name() {
+            "identity" => {
+                self.identity = Some(format!("{value:?}"));
+                return;
+            }
             "sent" => ">",
             "received" => "<",
             name => name,
         };
         // Writing to a string does not fail.
-        let _ = write!(self.0, " {mark} {value:?}");
+        let _ = write!(self.line, " {mark} {value:?}");
     }
 }
 

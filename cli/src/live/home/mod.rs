@@ -22,7 +22,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
-use self::broker::Broker;
+use self::broker::BrokerArguments;
 use self::discovery::Device;
 use self::keep::{Keeper, Report, Reports, Saver};
 use self::latest::{Latest, LatestSink};
@@ -32,10 +32,8 @@ use super::sink::Sink;
 /// Options of the house.
 #[derive(clap::Args, Default)]
 pub struct Arguments {
-    /// Tell an MQTT broker, and Home Assistant through it: mqtt://[USER[:PASSWORD]@]HOST[:PORT], or mqtts:// encrypted. User
-    /// and password may stand in RADOME_MQTT_USER and RADOME_MQTT_PASSWORD instead
-    #[arg(long, value_name = "URL")]
-    mqtt: Option<String>,
+    #[command(flatten)]
+    broker: BrokerArguments,
     /// Name of the radar in the house; where no board has an identity of its own, what it is known by
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
@@ -81,7 +79,7 @@ impl Home {
         let mut home = Home { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
-        if arguments.mqtt.is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+        if arguments.broker.url().is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
             return Ok(home);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
@@ -113,8 +111,7 @@ impl Home {
             let access = Access::new(address, access, token.as_ref());
             tokio::spawn(http::serve(listener, access, latest.clone(), reports.clone()));
         }
-        if let Some(url) = &arguments.mqtt {
-            let broker = Broker::parse(url)?;
+        if let Some(broker) = arguments.broker.broker()? {
             let name = arguments.mqtt_name.as_deref();
             let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
             let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;

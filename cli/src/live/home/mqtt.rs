@@ -8,7 +8,7 @@ use radome_dsp::Occupancy;
 use rumqttc::Outgoing;
 use rumqttc::v5::mqttbytes::QoS;
 use rumqttc::v5::mqttbytes::v5::{LastWill, Packet, Publish};
-use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, StateError};
 use tokio::sync::{mpsc, watch};
 
 use super::broker::Broker;
@@ -127,7 +127,7 @@ impl Listener {
                     if since.take().is_some_and(|since| since.elapsed() > GOOD_CONNECTION) {
                         wait = first_wait;
                     }
-                    if matches!(&error, ConnectionError::MqttState(rumqttc::v5::StateError::Deserialization(_))) {
+                    if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
                         count(&counters.mqtt_refused);
                     }
                     let words = in_words(&error);
@@ -164,17 +164,28 @@ impl Listener {
     }
 }
 
-/// Causes and what to do about them.
+/// Cause of a failed connection and what to do about it. What the broker sent is never shown: one that sends back what it
+/// received sends the password.
 fn in_words(error: &ConnectionError) -> String {
     use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
     match error {
-        ConnectionError::Io(error) => error.to_string(),
+        ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => error.to_string(),
         ConnectionError::Timeout(_) => "no answer".into(),
         ConnectionError::ConnectionRefused(Code::BadUserNamePassword | Code::NotAuthorized) => {
-            "it refuses the login (user and password in the URL, or in RADOME_MQTT_USER and RADOME_MQTT_PASSWORD)"
+            "it refuses the login (user in the URL or in RADOME_MQTT_USER; password in --mqtt-password-file or in \
+             RADOME_MQTT_PASSWORD)"
                 .into()
         }
-        other => other.to_string(),
+        ConnectionError::ConnectionRefused(code) => format!("it refuses the connection: {code:?}"),
+        ConnectionError::Tls(error) => format!("TLS: {error}"),
+        ConnectionError::NotConnAck(_) | ConnectionError::MqttState(StateError::Deserialization(_)) => {
+            "it does not answer in MQTT version 5".into()
+        }
+        ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => {
+            format!("it ends the connection: {reason_code:?}")
+        }
+        ConnectionError::MqttState(error) => error.to_string(),
+        ConnectionError::RequestsDone => "there is nothing more to send".into(),
     }
 }
 
@@ -283,5 +294,22 @@ impl Teller<'_> {
         if self.client.try_publish(topic, QoS::AtLeastOnce, true, message).is_ok() {
             count(&self.mqtt.latest.counters.mqtt_published);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rumqttc::v5::mqttbytes::v5::{Connect, Login};
+
+    use super::*;
+
+    /// A server that sends back whatever it receives: the connection's first packet holds the login.
+    #[test]
+    fn a_login_that_comes_back_is_not_shown() {
+        let connect = Connect { keep_alive: 15, client_id: "radome-1".into(), clean_start: true, properties: None };
+        let login = Login { username: "radar".into(), password: "hunter2".into() };
+        let error = ConnectionError::NotConnAck(Box::new(Packet::Connect(connect, None, Some(login))));
+        assert!(error.to_string().contains("hunter2"), "the library shows it");
+        assert!(!in_words(&error).contains("hunter2"));
     }
 }

@@ -1,0 +1,89 @@
+//! Passwords of the MQTT broker: where they may come from, and that nothing shows them.
+
+use std::io::{Read, Write};
+use std::net::TcpListener;
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+
+use radome_tests::running::Running;
+use radome_tests::{fixture, radome};
+
+/// The corridor, simulated at its own pace until stopped, with everything in the log.
+fn watch(url: &str) -> Command {
+    let mut command = radome();
+    command.arg("live").arg(fixture("scenes/corridor.toml"));
+    command
+        .arg("--model")
+        .arg(fixture("models/paper-hqnn.safetensors"))
+        .args(["--speed", "1", "--json", "--mqtt", url]);
+    command.env_remove("RADOME_MQTT_USER").env_remove("RADOME_MQTT_PASSWORD").env("RADOME_LOG", "trace");
+    command
+}
+
+/// Runs what is refused; returns what was said on stderr.
+fn refusal(command: &mut Command) -> String {
+    let output = command.output().expect("runs");
+    assert!(matches!(output.status.code(), Some(1 | 2)), "{command:?}: {:?}", output.status);
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+#[test]
+fn a_password_in_the_address_is_refused_and_not_echoed() {
+    for url in [
+        "mqtt://radar:hunter2@127.0.0.1",
+        "mqtt://radar:hunter2@127.0.0.1:x",
+        "mqtt://radar:p@hunter2@127.0.0.1:1",
+        "mqtt://radar:p/hunter2#?@[::1]:1",
+        "mqtt://radar:%68%25hunter2@127.0.0.1",
+        "mqtt://radar:hunter2",
+        "mqtt:/radar:hunter2@127.0.0.1",
+        "hunter2://127.0.0.1",
+    ] {
+        let said = refusal(&mut watch(url));
+        assert!(said.contains("hint:") && !said.contains("hunter2"), "{url}: {said}");
+    }
+}
+
+#[test]
+fn a_password_file_that_others_may_read_is_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("password");
+    std::fs::write(&file, "hunter2\n").expect("writable");
+    let mode = |mode| std::fs::set_permissions(&file, PermissionsExt::from_mode(mode)).expect("settable");
+    mode(0o644);
+    let said = refusal(watch("mqtt://radar@127.0.0.1:1").arg("--mqtt-password-file").arg(&file));
+    assert!(said.contains("chmod 600") && !said.contains("hunter2"), "{said}");
+    mode(0o600);
+    let said = refusal(watch("mqtt://127.0.0.1:1").arg("--mqtt-password-file").arg(&file));
+    assert!(said.contains("no user") && !said.contains("hunter2"), "{said}");
+    let said = refusal(watch("mqtt://radar@127.0.0.1:1").args(["--mqtt-password-file", "/no/such/file"]));
+    assert!(said.contains("/no/such/file"), "{said}");
+}
+
+/// The password of the file reaches the broker. This one sends back whatever it receives, and with it the login; neither is in
+/// the log at its finest.
+#[test]
+fn what_a_broker_sends_back_is_not_shown() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("password");
+    std::fs::write(&file, "hunter2\n").expect("writable");
+    std::fs::set_permissions(&file, PermissionsExt::from_mode(0o600)).expect("settable");
+    let broker = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = broker.local_addr().expect("bound").port();
+    let mut live = watch(&format!("mqtt://radar@127.0.0.1:{port}"));
+    // The file goes before the environment.
+    live.arg("--mqtt-password-file").arg(&file).env("RADOME_MQTT_PASSWORD", "of-the-environment");
+    let mut live = Running::start(&mut live);
+    let (mut socket, _) = broker.accept().expect("a connection");
+    let mut received = [0; 4096];
+    let count = socket.read(&mut received).expect("a first packet");
+    let has = |secret: &str| received[..count].windows(secret.len()).any(|bytes| bytes == secret.as_bytes());
+    assert!(has("radar") && has("hunter2") && !has("of-the-environment"));
+    socket.write_all(&received[..count]).expect("sent back");
+    live.stderr.find(0, "the failed connection", |line| line.contains("does not answer in MQTT").then_some(()));
+    live.signal("TERM");
+    live.wait();
+    for line in live.stderr.all().iter().chain(&live.stdout.all()) {
+        assert!(!line.contains("hunter2"), "{line}");
+    }
+}
