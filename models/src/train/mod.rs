@@ -323,7 +323,11 @@ impl TrainSpec {
         self.linear_epochs.unwrap_or(self.epochs / 2)
     }
 
-    fn check(&self) -> Result<(), TrainError> {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] for the first setting that is out of range.
+    pub fn check(&self) -> Result<(), TrainError> {
         let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
         for (name, value) in
             [("epochs", self.epochs), ("batch_size", self.batch_size), ("starts", self.starts as usize)]

@@ -157,9 +157,13 @@ impl BuildSpec {
     /// Reads and checks a file.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let spec: BuildSpec =
-            toml::from_str(&text).with_context(|| format!("{} is no dataset spec", path.display()))?;
-        spec.check().with_context(|| format!("{} is no dataset spec", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no dataset spec", path.display()))
+    }
+
+    /// Parses and checks a file's text.
+    pub fn parse(text: &str) -> anyhow::Result<Self> {
+        let spec: BuildSpec = toml::from_str(text)?;
+        spec.check()?;
         Ok(spec)
     }
 
