@@ -84,6 +84,8 @@ pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
 /// Errors of the system, and [`Refused::Outside`].
 pub fn within(folder: &Path, name: &str) -> io::Result<PathBuf> {
     let path = folder.join(name);
+    // The folder of a path without one is the working directory.
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     if path.canonicalize()?.starts_with(folder.canonicalize()?) {
         Ok(path)
     } else {

@@ -107,9 +107,8 @@ pub fn beside(folder: &Path, name: &str) -> io::Result<PathBuf> {
 /// # Errors
 /// Errors of the system, and [`Refused::Outside`].
 pub fn named_by_spec(folder: &Path, name: &Path) -> io::Result<PathBuf> {
-    let folder = folder_of(folder);
     let path = folder.join(name);
-    let (real, own) = (path.canonicalize()?, folder.canonicalize()?);
+    let (real, own) = (path.canonicalize()?, folder_of(folder).canonicalize()?);
     let is_toml = real.extension().is_some_and(|extension| extension == "toml");
     let is_near = |above: &Path| real.strip_prefix(above).is_ok_and(|rest| rest.components().count() <= 2);
     let listed = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
