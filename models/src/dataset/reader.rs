@@ -243,7 +243,7 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     // Its parser multiplies them without a look.
     let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
     let axes = String::from_utf8_lossy(axes.unwrap_or(&[])).into_owned();
-    let lengths = axes.split(|c: char| !c.is_ascii_digit()).filter(|word| !word.is_empty());
+    let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());
     let product = lengths.map(|word| word.parse::<u64>().ok()).try_fold(1u64, |product, n| product.checked_mul(n?));
     if product.is_none() {
         return Err(inconsistent("a shape whose product is a 64-bit number".into(), format!("({axes})")));
