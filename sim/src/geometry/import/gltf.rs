@@ -14,6 +14,8 @@ use crate::bounded_file::{MESH_LIMIT_BYTES, beside, read};
 
 /// Objects of a file's JSON at most: each takes up to a kilobyte of memory for two bytes of text.
 const MOST_OBJECTS: usize = 200_000;
+/// Values of lists and objects at most: each takes up to 32 bytes of memory.
+const MOST_VALUES: usize = 8_000_000;
 /// Numbers that are read of all accessors together at most: many primitives may name the same accessor.
 const MOST_NUMBERS: usize = 1 << 25;
 /// Length of a GLB file's header, which counts in the length that it states.
@@ -210,10 +212,12 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
     } else {
         (Cow::Borrowed(bytes), None)
     };
-    // Data within the text has no braces.
-    let objects = text.iter().filter(|&&byte| byte == b'{').count();
-    if objects > MOST_OBJECTS {
-        return Err(fault("glTF", format!("its document has {objects} objects, expected {MOST_OBJECTS} at most")));
+    // Data within the text has neither braces nor commas, but for one behind its type.
+    for (mark, what, most) in [(b'{', "objects", MOST_OBJECTS), (b',', "values", MOST_VALUES)] {
+        let count = text.iter().filter(|&&byte| byte == mark).count();
+        if count > most {
+            return Err(fault("glTF", format!("its document has {count} {what}, expected {most} at most")));
+        }
     }
     let root: gltf::json::Root =
         gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
