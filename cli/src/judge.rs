@@ -8,8 +8,9 @@ use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::people::PeopleCounter;
 use radome_dsp::rdm::SlowTime;
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, Waveform};
-use radome_models::Classifier;
+use radome_models::bounded_file::read;
 use radome_models::occupancy_filter::Smoothing;
+use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
 
 use crate::live::classify::Delays;
@@ -74,7 +75,7 @@ impl Model {
             // It is this program's own.
             Model::Cfar => format!("radome {}", env!("CARGO_PKG_VERSION")),
             Model::Network(_) => {
-                let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+                let bytes = read(path, MODEL_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
                 Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
             }
         };

@@ -21,6 +21,7 @@ use radome_driver::{
     RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::panics::Guarded;
@@ -264,7 +265,7 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(radome_models::ModelCard::load(path)?.waveform);
     }
-    let text = std::fs::read_to_string(path).with_context(|| {
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| {
         format!("cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, or a model file")
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;

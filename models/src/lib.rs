@@ -11,6 +11,7 @@
 //! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
 //!   the same kernel level ([`layer::KernelLevel`]).
 
+pub mod bounded_file;
 mod classifier;
 pub mod dataset;
 pub mod evaluate;
@@ -32,7 +33,7 @@ pub use classifier::{Classifier, ClassifyError};
 pub use dataset::Dataset;
 pub use evaluate::Metrics;
 pub use large_blocks::LargeBlocks;
-pub use model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary};
+pub use model_file::{MODEL_FORMAT_VERSION, MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainingSummary};
 pub use network::{NetworkInfo, NetworkSpec, networks};
 pub use random::stream;
 pub use train::{EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint};

@@ -8,6 +8,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use crate::bounded_file;
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::network::{Centring, Head, MOST_POOLED, Network, NetworkKind, NetworkSpec, PAPER_POOLED};
@@ -181,8 +182,15 @@ pub(crate) fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
 
+/// Largest model that is read: the largest network here has 45 MB.
+pub const MODEL_LIMIT_BYTES: u64 = 512 << 20;
+
 pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
-    std::fs::read(path).map_err(|source| ModelError::Io { path: path.to_owned(), action: "reading", source })
+    bounded_file::read(path, MODEL_LIMIT_BYTES).map_err(|source| ModelError::Io {
+        path: path.to_owned(),
+        action: "reading",
+        source,
+    })
 }
 
 impl Model {
@@ -305,6 +313,10 @@ impl ModelCard {
             }
             Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
         }
+        // Before the network is laid out: its sizes are products of these.
+        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
+            return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
+        }
         if let Head::Circuit { circuit, .. } = &self.head
             && let Err(error) = circuit.check()
         {
@@ -321,10 +333,8 @@ impl ModelCard {
         let Centring { mean, sigma } = &self.latent;
         let width = if self.network == NetworkKind::Hqnn { self.head.width() } else { 0 };
         if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
-            return fail("latent", format!("{width} constants or none"), format!("{:?}", self.latent));
-        }
-        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
-            return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
+            let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
+            return fail("latent", format!("{width} constants or none"), found);
         }
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return fail(name, expected.to_owned(), value.to_string());

@@ -15,6 +15,13 @@ pub struct FileFault {
 }
 
 impl FileFault {
+    /// A file that cannot be read; a hint in the error becomes the hint.
+    pub(crate) fn unreadable(error: &std::io::Error) -> Self {
+        let text = error.to_string();
+        let (problem, hint) = text.split_once("\n\nhint: ").unwrap_or((&text, "paths are relative to the scene file"));
+        FileFault::new("file", format!("cannot be read: {problem}"), hint)
+    }
+
     pub(crate) fn new(place: impl Into<String>, problem: impl Into<String>, hint: impl Into<String>) -> Self {
         FileFault { place: place.into(), problem: problem.into(), hint: hint.into() }
     }

@@ -13,6 +13,7 @@
 //! order and on however many threads they are made.
 
 pub mod actor;
+pub mod bounded_file;
 pub mod chirp;
 pub mod diffuse;
 pub mod echo;

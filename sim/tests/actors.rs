@@ -152,14 +152,23 @@ fn the_cesium_man_and_a_captured_walk_go_down_the_corridor() {
     else {
         return;
     };
-    let fixture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor-mesh.toml");
-    let text = std::fs::read_to_string(&fixture).expect("fixture");
+    let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+    let text = std::fs::read_to_string(fixtures.join("scenes/corridor-mesh.toml")).expect("fixture");
+    let text = text.replace("../receivers/", "");
+    // A scene names files of its own folder.
+    let folder = tempfile::tempdir().expect("a folder");
+    std::fs::copy(fixtures.join("receivers/paper-mesh.toml"), folder.path().join("paper-mesh.toml")).expect("copied");
+    std::fs::copy(&man, folder.path().join("man.glb")).expect("copied");
+    std::fs::copy(&walk, folder.path().join("walk.bvh")).expect("copied");
+    let scene_path = folder.path().join("scene.toml");
     // The man's clip is a jog, whose feet come down while they still swing.
-    for (file, body, sliding_m_per_s) in [(&man, "mesh", 0.35), (&walk, "mesh", 0.15), (&walk, "ellipsoids", 0.15)] {
+    for (file, body, sliding_m_per_s) in
+        [("man.glb", "mesh", 0.35), ("walk.bvh", "mesh", 0.15), ("walk.bvh", "ellipsoids", 0.15)]
+    {
         let text = text
-            .replace("height_m = 1.75", &format!("height_m = 1.75\nfile = {:?}", file.display().to_string()))
+            .replace("height_m = 1.75", &format!("height_m = 1.75\nfile = {file:?}"))
             .replace("body = \"mesh\"", &format!("body = {body:?}"));
-        let scene = radome_sim::Scene::parse(&text, &fixture).expect("a good scene");
+        let scene = radome_sim::Scene::parse(&text, &scene_path).expect("a good scene");
         let sliding = match &scene.steps()[0] {
             Steps::Actor(actor) => actor.foot_sliding(1.2),
             Steps::Clip(clip) => clip.foot_sliding(1.2),
@@ -279,7 +288,154 @@ mod hard_cases {
         wrong("<skin source=\"#mesh\"", "<skin source=\"#mash\"", &["#mash", "nowhere"]);
         wrong("thigh_left/turn.ANGLE", "thigh_left/spin.ANGLE", &["spin", "no transform"]);
         wrong("<translate sid=\"at\">", "<translate sid=\"at\">1 ", &["4 numbers", "expected 3"]);
-        wrong("<vcount>1 ", "<vcount>900 ", &["weights of vertex", "not there"]);
+        wrong("<vcount>1 ", "<vcount>900 ", &["vcount asks for 979 weights", "160 indices"]);
+    }
+
+    /// Offsets and counts that no list has: they were added up, and asked memory for, before anything looked at them.
+    #[test]
+    fn collada_offsets_and_counts_beyond_the_lists_are_refused() {
+        let good = biped::collada();
+        let wrong = |from: &str, to: &str, expected: &[&str]| {
+            assert!(good.contains(from), "{from}");
+            refused(parse(good.replacen(from, to, 1).as_bytes(), "a.dae"), expected);
+        };
+        let most = "18446744073709551615";
+        let corner = "source=\"#corners\" offset=\"0\"";
+        let joint = "source=\"#joint-names\" offset=\"0\"";
+        let weight = "source=\"#weights\" offset=\"1\"";
+        for (input, number) in [(corner, "0"), (joint, "0"), (weight, "1")] {
+            for offset in [most, "18446744073709551614", "256", "-1", "nan"] {
+                let changed = input.replace(&format!("offset=\"{number}\""), &format!("offset=\"{offset}\""));
+                wrong(input, &changed, &["line ", offset, "expected 0 to 255"]);
+            }
+        }
+        wrong("<vcount>1 ", &format!("<vcount>{most} "), &["vcount asks for too many weights"]);
+        wrong("<vcount>1 ", "<vcount>9223372036854775807 ", &["vcount asks for 92233720368547758"]);
+        wrong("<v>0 0 ", &format!("<v>{most} 0 "), &["weights of vertex 0", "joint"]);
+        wrong("<p>0 2 3", &format!("<p>{most} 2 3"), &["triangle 0", "names vertex"]);
+        let deep = format!("{}{}", "<node>".repeat(400), "</node>".repeat(400));
+        wrong("<node id=\"person\">", &format!("{deep}<node id=\"person\">"), &["nested more than 256 deep"]);
+        let wide = "<node/>".repeat(5000);
+        wrong("<node id=\"person\">", &format!("{wide}<node id=\"person\">"), &["more than 4096 nodes"]);
+        let entities = "<!DOCTYPE a [<!ENTITY a \"aaaa\"><!ENTITY b \"&a;&a;&a;&a;\">]>\n<COLLADA";
+        wrong("<COLLADA", entities, &["no XML"]);
+    }
+
+    /// Buffers beside a glTF file lie beside it, and are files.
+    #[test]
+    fn gltf_buffers_elsewhere_are_not_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let own = folder.path().join("actor");
+        std::fs::create_dir(&own).expect("made");
+        let file = biped::gltf(1.0);
+        for path in [folder.path().join("x.bin"), own.join("own.bin")] {
+            std::fs::write(path, &file.buffer).expect("written");
+        }
+        let path = own.join("a.gltf");
+        let with = |uri: &str| {
+            let mut json = file.json.clone();
+            json["buffers"][0]["uri"] = serde_json::json!(uri);
+            Actor::parse(&serde_json::to_vec(&json).expect("JSON"), &path, &options())
+        };
+        assert!(with("own.bin").is_ok() && with("./own.bin").is_ok());
+        let absolute = own.join("own.bin").display().to_string();
+        for uri in ["/etc/hostname", "/dev/zero", "../x.bin", "../actor/own.bin", absolute.as_str()] {
+            refused(with(uri), &["buffer 0", "beside the file", "leads out of the folder"]);
+        }
+        refused(with("none.bin"), &["buffer 0", "none.bin", "cannot be read"]);
+        refused(with("."), &["buffer 0", "not a regular file"]);
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("../x.bin", own.join("link.bin")).expect("linked");
+            refused(with("link.bin"), &["leads out of the folder"]);
+            std::os::unix::fs::symlink("/dev/zero", own.join("zero.bin")).expect("linked");
+            refused(with("zero.bin"), &["leads out of the folder"]);
+        }
+    }
+
+    #[test]
+    fn gltf_counts_beyond_the_file_are_refused() {
+        let wrong = |change: &dyn Fn(&mut biped::Gltf), expected: &[&str]| {
+            let mut file = biped::gltf(1.0);
+            change(&mut file);
+            refused(parse(&file.bytes(), "a.gltf"), expected);
+        };
+        let most = serde_json::json!(u64::MAX);
+        wrong(&|f| f.json["accessors"][0]["count"] = most.clone(), &["accessor 0", "reaches to byte"]);
+        wrong(&|f| f.json["accessors"][0]["byteOffset"] = most.clone(), &["accessor 0", "reaches to byte"]);
+        wrong(&|f| f.json["bufferViews"][0]["byteOffset"] = most.clone(), &["accessor 0", "reaches to byte"]);
+        wrong(&|f| f.json["bufferViews"][0]["byteLength"] = serde_json::json!(0), &["accessor 0", "reaches to byte"]);
+        wrong(&|f| f.json["bufferViews"][0]["byteStride"] = most.clone(), &["glTF"]);
+        wrong(&|f| f.json["buffers"][0]["byteLength"] = most.clone(), &["buffer 0", "cut off"]);
+        wrong(&|f| f.json["meshes"][0]["primitives"][0]["indices"] = serde_json::json!(99), &["glTF", "out of bounds"]);
+        // A joint that is no index: as large as a float can be.
+        wrong(
+            &|f| {
+                let joints = f.json["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"].clone();
+                f.json["meshes"][0]["primitives"][0]["attributes"]["JOINTS_0"] = joints;
+                let weights = f.json["meshes"][0]["primitives"][0]["attributes"]["WEIGHTS_0"].as_u64().expect("index");
+                let view = f.json["accessors"][weights as usize]["bufferView"].as_u64().expect("index");
+                let at = f.json["bufferViews"][view as usize]["byteOffset"].as_u64().expect("offset") as usize;
+                f.buffer[at..at + 4].copy_from_slice(&1e30f32.to_le_bytes());
+            },
+            &["weights of vertex 0", "joint"],
+        );
+        // The same numbers over and over.
+        wrong(
+            &|f| {
+                let primitive = f.json["meshes"][0]["primitives"][0].clone();
+                f.json["meshes"][0]["primitives"] = serde_json::json!(vec![primitive; 40_000]);
+            },
+            &["primitive", "450000 vertices at most"],
+        );
+        wrong(
+            &|f| f.json["nodes"] = serde_json::json!(vec![serde_json::json!({}); 200_001]),
+            &["objects, expected 200000 at most"],
+        );
+        // Lengths in the header of a binary file.
+        for stated in [0u32, 11, u32::MAX] {
+            let header =
+                [b"glTF\x02\0\0\0".as_slice(), &stated.to_le_bytes(), &u32::MAX.to_le_bytes(), b"JSON"].concat();
+            refused(parse(&header, "a.glb"), &["glTF"]);
+        }
+    }
+
+    /// A file that is cut off anywhere is refused or whole; nothing panics.
+    #[test]
+    fn files_cut_off_anywhere_never_panic() {
+        let (gltf, collada, bvh) = (biped::gltf(1.0).bytes(), biped::collada().into_bytes(), biped::bvh());
+        for end in 0..gltf.len() {
+            assert!(parse(&gltf[..end], "a.gltf").is_err(), "{end}");
+        }
+        for end in (0..collada.len()).step_by(7) {
+            let _ = parse(&collada[..end], "a.dae");
+        }
+        for end in (0..bvh.len()).step_by(61) {
+            let _ = BodyClip::parse(&bvh[..end], UpAxis::Y, None);
+        }
+    }
+
+    #[test]
+    fn bvh_frames_without_channels_and_endless_clips_are_refused() {
+        let told = |text: &str, expected: &[&str]| {
+            let fault = BodyClip::parse(text, UpAxis::Y, None).map(|_| ()).expect_err("a fault").to_string();
+            assert!(expected.iter().all(|word| fault.contains(word)), "{fault}");
+        };
+        let head = "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 0\nEnd Site\n{\nOFFSET 0 0 0\n}\n}\nMOTION\n";
+        told(&format!("{head}Frames: 18446744073709551615\nFrame Time: 0.01\n"), &["without channels"]);
+        let good = biped::bvh();
+        let many = good.replacen("Frames: 90", "Frames: 18446744073709551615", 1);
+        told(&many, &["at most 100000000 numbers"]);
+        // Seventy thousand frames of fifteen joints.
+        let (head, _) = good.split_once("MOTION").expect("written");
+        let frame = vec!["0"; 42].join(" ");
+        let frames = format!("{frame}\n").repeat(70_000);
+        let endless = format!("{head}MOTION\nFrames: 70000\nFrame Time: 0.0333333\n{frames}");
+        told(&endless, &["places at most"]);
+        let nested = format!("HIERARCHY\nROOT a\n{}", "{ OFFSET 0 0 0 CHANNELS 0 JOINT a ".repeat(10_000));
+        told(&nested, &["at most 4096 joints"]);
+        let span = BodyClip::parse(&good, UpAxis::Y, Some([f64::INFINITY, 1.0]));
+        assert!(span.is_err());
     }
 
     #[test]

@@ -111,6 +111,90 @@ mod hard_cases {
         }
     }
 
+    /// A scene in a folder of its own, which names a receiver, a mesh or an actor.
+    fn in_folder(folder: &Path, receiver: &str, mesh: &str, actor: &str) -> Result<Scene, SceneError> {
+        let text =
+            std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/room-mesh.toml"))
+                .expect("fixture");
+        let people = if actor.is_empty() { "" } else { "[people]\nbody = \"mesh\"\n" };
+        let text = text
+            .replace("../receivers/paper-mesh.toml", receiver)
+            .replace("room-mesh.obj", mesh)
+            .replace("[[people.actor]]\n", &format!("{people}[[people.actor]]\n{actor}"));
+        let path = folder.join("scene.toml");
+        std::fs::write(&path, text).expect("written");
+        Scene::load(&path)
+    }
+
+    #[test]
+    fn files_that_a_scene_names_lie_in_its_folder() {
+        let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+        let folder = tempfile::tempdir().expect("a folder");
+        let (own, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
+        for made in [&own, &receivers] {
+            std::fs::create_dir(made).expect("made");
+        }
+        let copy = |name: &str, to: std::path::PathBuf| drop(std::fs::copy(fixtures.join(name), to).expect("copied"));
+        copy("receivers/paper-mesh.toml", receivers.join("r.toml"));
+        copy("receivers/paper-mesh.toml", own.join("r.toml"));
+        copy("receivers/paper-mesh.toml", folder.path().join("r.toml"));
+        copy("scenes/room-mesh.obj", own.join("room.obj"));
+        copy("scenes/room-mesh.obj", receivers.join("room.obj"));
+        for receiver in ["r.toml", "../receivers/r.toml", "../r.toml"] {
+            assert!(in_folder(&own, receiver, "room.obj", "").is_ok(), "{receiver}");
+        }
+        let refused = |receiver: &str, mesh: &str, actor: &str, expected: &[&str]| {
+            let message = in_folder(&own, receiver, mesh, actor).map(|_| ()).expect_err("refused").to_string();
+            assert!(expected.iter().all(|word| message.contains(word)), "{message}");
+        };
+        let outside = &["leads out of the folder", "RADOME_PATH", "hint: "];
+        for name in ["/etc/hostname", "/dev/zero", "../../../../../../../etc/hostname", "../receivers/room.obj"] {
+            if own.join(name).exists() {
+                refused(name, "room.obj", "", outside);
+                refused("r.toml", "room.obj", &format!("file = {name:?}\n"), outside);
+            }
+        }
+        refused("r.toml", "../receivers/room.obj", "", outside);
+        refused(".", "room.obj", "", &["not a regular file"]);
+        refused("r.toml", "room.obj", "file = \".\"\n", &["not a regular file"]);
+        refused("none.toml", "room.obj", "", &["none.toml", "cannot be read"]);
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("/dev/zero", own.join("link.obj")).expect("linked");
+            refused("r.toml", "link.obj", "", outside);
+        }
+    }
+
+    #[test]
+    fn scenes_beyond_all_bounds_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("scene.toml");
+        let refused = |bytes: &[u8], expected: &[&str]| {
+            std::fs::write(&path, bytes).expect("written");
+            let message = Scene::load(&path).map(|_| ()).expect_err("refused").to_string();
+            assert!(expected.iter().all(|word| message.contains(word)), "{message}");
+        };
+        let good = hall(NOBODY);
+        refused(&vec![b'#'; (1 << 20) + 1], &["scene.toml", "1048577 bytes", "at most 1048576", "hint: "]);
+        refused(&[good.as_bytes(), &[0xFF]].concat(), &["scene.toml", "cannot be read"]);
+        refused(format!("a = {}", "[".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
+        refused(format!("a = {}1", "{ a = ".repeat(100_000)).as_bytes(), &["scene.toml:1: "]);
+        let shelf = "[[furniture]]\nname = \"a\"\nposition_m = [1, 1, 0]\nsize_m = [1, 1, 1]\n".repeat(1001);
+        refused(format!("{good}\n{shelf}").as_bytes(), &["furniture", "0 to 1000 tables"]);
+        let one = shelf.lines().take(4).collect::<Vec<_>>().join("\n");
+        refused(format!("{good}\n{one}\npoints = 18446744073709551615\n").as_bytes(), &["scene.toml:"]);
+        refused(format!("{good}\n{one}\npoints = 1000000000\n").as_bytes(), &["points", "1 to 64"]);
+        let frames = good.replace("chirps_per_frame = 128", "chirps_per_frame = 1000000000");
+        refused(frames.as_bytes(), &["chirps_per_frame"]);
+        assert_ne!(frames, good);
+        // Cut off anywhere, it is a scene or an error with a place.
+        for end in 0..good.len() {
+            if let Err(error) = Scene::parse(&good[..end], &path) {
+                assert!(error.to_string().contains("scene.toml:"), "{end}: {error}");
+            }
+        }
+    }
+
     #[test]
     fn missing_files_are_named() {
         let error = Scene::load(Path::new("/nowhere/scene.toml")).map(|_| ()).expect_err("missing");

@@ -41,6 +41,11 @@ pub fn radome() -> Command {
     assert!(program.exists(), "{} is absent: run tests/run, which builds it", program.display());
     let mut command = Command::new(program);
     command.current_dir(root());
+    // Scenes and specs that tests write elsewhere name fixtures and shared data.
+    let shared = std::env::var_os("RADOME_SHARED").map_or_else(|| root().join("../shared"), PathBuf::from);
+    if let Ok(folders) = std::env::join_paths([root().join("fixtures"), shared]) {
+        command.env("RADOME_PATH", folders);
+    }
     command
 }
 

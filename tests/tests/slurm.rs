@@ -134,7 +134,7 @@ fn an_array_with_a_task_killed_and_requeued_merges_to_the_single_builds_bytes() 
     let (_daemons, configuration) = start(folder.path());
     let slurm = |name: &str| {
         let mut command = Command::new(name);
-        command.env("SLURM_CONF", &configuration).current_dir(folder.path());
+        command.env("SLURM_CONF", &configuration).env("RADOME_PATH", fixture("")).current_dir(folder.path());
         command
     };
     let script = text_of(radome().args(["dataset", "slurm", "--tasks", "8"]).arg(&spec).arg("-o").arg(path("shards")));

@@ -2,8 +2,10 @@ use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::Dataset;
 use radome_models::study::{Outcome, Progress, Report, Study, StudySpec};
+use radome_sim::bounded_file::named_by_spec;
 use serde::Deserialize;
 
 use crate::shard::Shard;
@@ -43,9 +45,14 @@ struct StudyFile {
 /// Trains and judges many networks, and writes one report.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let path = &arguments.spec;
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
     let file: StudyFile = toml::from_str(&text).with_context(|| format!("{} is no study", path.display()))?;
-    let spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
+    let mut spec: StudySpec = file.study.try_into().with_context(|| format!("{} is no study", path.display()))?;
+    let named = |name: &Path| {
+        let base = path.parent().unwrap_or(Path::new(""));
+        named_by_spec(base, name).with_context(|| format!("cannot read {}", base.join(name).display()))
+    };
+    spec.train.weights = spec.train.weights.as_deref().map(named).transpose()?;
     spec.check()?;
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
@@ -54,7 +61,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => {
             let maps = folder.join("dataset");
             if !maps.join("dataset.json").exists() {
-                let source = path.parent().unwrap_or(Path::new(".")).join(&file.dataset);
+                let source = named(&file.dataset)?;
                 eprintln!("building {} from {}", maps.display(), source.display());
                 super::dataset::build(&source, &maps)?;
             }

@@ -1,8 +1,10 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::Dataset;
 use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
+use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
 use crate::{files, output};
@@ -121,6 +123,14 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 /// Settings of a training from a TOML file, or the defaults.
 fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
     let Some(path) = path else { return Ok(TrainSpec::default()) };
-    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-    toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut spec: TrainSpec =
+        toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))?;
+    spec.check().with_context(|| format!("{} is no training spec", path.display()))?;
+    if let Some(weights) = &spec.weights {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let found = named_by_spec(folder, weights);
+        spec.weights = Some(found.with_context(|| format!("cannot read {}", folder.join(weights).display()))?);
+    }
+    Ok(spec)
 }

@@ -6,6 +6,11 @@ use thiserror::Error;
 use super::RdmShape;
 use crate::{KernelLevel, Waveform, Window};
 
+/// Points of an FFT at most: eight times the samples that a chirp can have.
+pub const MOST_FFT_POINTS: usize = 1 << 15;
+/// Cells of a map at most, 256 MiB of them.
+pub const MOST_CELLS: usize = 1 << 26;
+
 /// How codes become numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -183,8 +188,14 @@ impl RdmSpec {
         let range_fft = self.range_fft_length.unwrap_or(frame.samples);
         let doppler = self.doppler_fft_length.unwrap_or(slow);
         for (axis, fft, data) in [("range", range_fft, frame.samples), ("Doppler", doppler, slow)] {
+            if data < 2 {
+                return Err(SpecError::TooShort { axis, length: data });
+            }
             if fft < data {
                 return Err(SpecError::FftTooShort { axis, fft, data });
+            }
+            if fft > MOST_FFT_POINTS {
+                return Err(SpecError::FftTooLong { axis, fft });
             }
         }
         if let StaticRemoval::RecursiveMti { alpha } = self.static_removal
@@ -194,6 +205,10 @@ impl RdmSpec {
         }
         if !self.floor_db.is_finite() || self.floor_db < -370.0 {
             return Err(SpecError::Floor { floor_db: self.floor_db });
+        }
+        let cells = rx * doppler * (range_fft / 2);
+        if cells > MOST_CELLS {
+            return Err(SpecError::TooManyCells { cells });
         }
         Ok(RdmShape { rx, doppler, range: range_fft / 2 })
     }
@@ -230,6 +245,20 @@ pub enum SpecError {
         fft: usize,
         /// Samples there are.
         data: usize,
+    },
+    /// An FFT is longer than any that is computed.
+    #[error("map spec: the {axis} FFT has {fft} points, at most {MOST_FFT_POINTS} are computed")]
+    FftTooLong {
+        /// Which axis.
+        axis: &'static str,
+        /// Points asked for.
+        fft: usize,
+    },
+    /// A map would not fit into memory.
+    #[error("map spec: a map would have {cells} cells, at most {MOST_CELLS} are computed")]
+    TooManyCells {
+        /// Cells of a map.
+        cells: usize,
     },
     /// An axis needs at least two samples.
     #[error("map spec: {axis} has {length} samples, at least 2 are needed")]

@@ -25,7 +25,7 @@ pub use features::{ClassFeatures, FeatureError, Features, LEAKAGE_BINS, Spread, 
 pub use header::{DatasetHeader, FORMAT_VERSION};
 pub use manifest::{Domain, ManifestRow, Split};
 pub use merge::merge;
-pub use reader::Dataset;
+pub use reader::{Dataset, MANIFEST_LIMIT_BYTES};
 pub use split::{SplitBy, SplitSpec};
 pub use statistics::{CellStatistics, Moments, statistics};
 pub use verify::{Damage, Duplicate, Leak, PairFault, VerifyReport, verify};

@@ -1,6 +1,6 @@
 //! Reads a dataset folder, or holds one in memory.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,12 @@ use super::{
     shard_name,
     writer::{check_map, hex, map_hash},
 };
+use crate::bounded_file::{Refused, TEXT_LIMIT_BYTES, read_text, within};
+
+/// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.
+pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
+/// Longest row of a manifest: names of scenes, recordings and people, and a hash.
+const LONGEST_ROW_BYTES: usize = 64 << 10;
 
 /// Labelled maps.
 #[derive(Debug, Clone)]
@@ -31,9 +37,13 @@ enum Cells {
 impl Dataset {
     /// Opens a folder: reads header and manifest, and checks that the shards hold as many maps as the manifest lists.
     /// Cells are read when asked for.
+    ///
+    /// # Errors
+    /// [`DatasetError`] where a file is missing, too large, not a regular file of this folder, or contradicts the others.
     pub fn open(dir: &Path) -> Result<Self, DatasetError> {
         let path = dir.join("dataset.json");
-        let text = fs::read_to_string(&path).map_err(DatasetError::io(&path, "reading"))?;
+        let read = |name: &str, limit_bytes: u64| within(dir, name).and_then(|path| read_text(&path, limit_bytes));
+        let text = read("dataset.json", TEXT_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
         let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
         // The version alone first: a newer header may have other fields.
         #[derive(serde::Deserialize)]
@@ -64,7 +74,14 @@ impl Dataset {
         }
 
         let path = dir.join("manifest.jsonl");
-        let text = fs::read_to_string(&path).map_err(DatasetError::io(&path, "reading"))?;
+        let text = read("manifest.jsonl", MANIFEST_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
+        if let Some((index, line)) = text.lines().enumerate().find(|(_, line)| line.len() > LONGEST_ROW_BYTES) {
+            return Err(DatasetError::Inconsistent {
+                path,
+                expected: format!("rows of {LONGEST_ROW_BYTES} bytes at most"),
+                found: format!("{} bytes in line {}", line.len(), index + 1),
+            });
+        }
         let rows: Vec<ManifestRow> = text
             .lines()
             .enumerate()
@@ -81,6 +98,7 @@ impl Dataset {
         let mut shards = Vec::new();
         for (shard, rows) in rows.chunks(MAPS_PER_SHARD).enumerate() {
             let path = dir.join(shard_name(shard));
+            within(dir, &shard_name(shard)).map_err(DatasetError::io(&path, "opening"))?;
             let offset = check_shard(&path, header.shape, rows.len())?;
             shards.push((path, offset));
         }
@@ -204,6 +222,11 @@ const LONGEST_HEADER: u64 = 10 + 65_535;
 fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
     let inconsistent =
         |expected: String, found: String| DatasetError::Inconsistent { path: path.to_owned(), expected, found };
+    // Before opening: opening a pipe waits for its writer.
+    let is_file = std::fs::metadata(path).map_err(DatasetError::io(path, "opening"))?.is_file();
+    if !is_file {
+        return Err(DatasetError::io(path, "opening")(Refused::NotRegular.into()));
+    }
     let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
     let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
     let mut reader = BufReader::new(file);
@@ -216,6 +239,14 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let count = |bracket: u8| text.iter().filter(|byte| **byte == bracket).count();
     if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
         return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
+    }
+    // Its parser multiplies them without a look.
+    let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
+    let axes = String::from_utf8_lossy(axes.unwrap_or(&[])).into_owned();
+    let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());
+    let product = lengths.map(|word| word.parse::<u64>().ok()).try_fold(1u64, |product, n| product.checked_mul(n?));
+    if product.is_none() {
+        return Err(inconsistent("a shape whose product is a 64-bit number".into(), format!("({axes})")));
     }
     reader.rewind().map_err(DatasetError::io(path, "reading"))?;
     let header = npyz::NpyHeader::from_reader(&mut reader).map_err(DatasetError::io(path, "reading the npy header"))?;

@@ -246,6 +246,96 @@ mod hard_cases {
         assert!(matches!(writer.push(&bad, row("a", 7, Occupancy::Empty)), Err(DatasetError::Shape { .. })));
     }
 
+    /// A small dataset, and what each of its files holds.
+    fn small(path: &std::path::Path) -> [(&'static str, Vec<u8>); 3] {
+        let mut writer = DatasetWriter::create(path, &header()).expect("create");
+        for frame in 0..3 {
+            writer.push(&map(&header(), frame), row("a", frame, Occupancy::One)).expect("push");
+        }
+        writer.finish().expect("finish");
+        ["dataset.json", "manifest.jsonl", "maps-00000.npy"]
+            .map(|name| (name, std::fs::read(path.join(name)).expect("read")))
+    }
+
+    #[test]
+    fn folders_cut_off_anywhere_are_refused_and_never_panic() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        for (name, whole) in small(&path) {
+            let file = path.join(name);
+            for length in 0..whole.len() {
+                std::fs::write(&file, &whole[..length]).expect("write");
+                // The last line end may be missing, and a manifest may have no rows.
+                let may_open =
+                    name != "maps-00000.npy" && length + 1 == whole.len() || name == "manifest.jsonl" && length == 0;
+                assert!(Dataset::open(&path).is_err() || may_open, "{name}: {length}");
+            }
+            std::fs::write(&file, &whole).expect("write");
+        }
+        Dataset::open(&path).expect("opens").verify().expect("whole");
+    }
+
+    #[test]
+    fn numbers_beyond_the_files_are_refused() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        let files = small(&path);
+        let refused = |name: &str, from: &str, to: &str, expected: &str| {
+            let (_, whole) = files.iter().find(|(file, _)| *file == name).expect("a file");
+            let text: String = whole.iter().map(|byte| char::from(*byte)).collect();
+            assert!(text.contains(from), "{from}");
+            let bytes: Vec<u8> = text.replace(from, to).chars().map(|c| c as u8).collect();
+            std::fs::write(path.join(name), bytes).expect("write");
+            let error = Dataset::open(&path).expect_err(to).to_string();
+            std::fs::write(path.join(name), whole).expect("write");
+            assert!(error.contains(expected), "{to}: {error}");
+        };
+        let most = u64::MAX.to_string();
+        let head = |from: &str, to: &str, expected: &str| refused("dataset.json", from, to, expected);
+        head("\"samples_per_chirp\": 16", "\"samples_per_chirp\": 1", "at least 2");
+        head("\"samples_per_chirp\": 16", &format!("\"samples_per_chirp\": {most}"), "at most 32768");
+        head("\"chirps_per_frame\": 8", "\"chirps_per_frame\": 1000000000", "at most 32768");
+        head("\"chirps_per_frame\": 8", "\"chirps_per_frame\": 32000", "maps of");
+        head("\"doppler\": 8", &format!("\"doppler\": {most}"), "maps of");
+        head("\"request\"", &format!("\"deep\": {}, \"request\"", "[".repeat(100_000)), "dataset.json, line");
+        let shape: String = files[2].1.iter().map(|byte| char::from(*byte)).skip_while(|c| *c != '(').collect();
+        let shape = shape.split_inclusive(')').next().expect("a shape");
+        let shard = |to: &str, expected: &str| refused("maps-00000.npy", shape, to, expected);
+        shard("(4294967296, 4294967296, 1, 1)", "64-bit number");
+        shard("(3, 1, 18446744073709551616)", "64-bit number");
+        shard("(9, 1, 8, 8)", "shape [3, 1, 8, 8]");
+        let long = format!("\"scene\":\"{}\"", "x".repeat(70_000));
+        refused("manifest.jsonl", "\"scene\":\"corridor\"", &long, "rows of 65536 bytes at most");
+        refused("manifest.jsonl", "\"scene\":\"corridor\"", "\"scene\":\"\u{ff}\"", "reading failed");
+        refused("manifest.jsonl", "\"frame\":2", "\"frame\":1e400", "manifest.jsonl, line 3");
+    }
+
+    /// Whatever has a dataset's names but is not its own file is not read.
+    #[cfg(unix)]
+    #[test]
+    fn links_devices_and_pipes_are_not_read() {
+        let dir = tempfile::tempdir().expect("folder");
+        let path = dir.path().join("set");
+        for (name, whole) in small(&path) {
+            let file = path.join(name);
+            let outside = dir.path().join(name);
+            std::fs::write(&outside, &whole).expect("write");
+            for target in [outside.as_path(), std::path::Path::new("/dev/zero")] {
+                std::fs::remove_file(&file).expect("removed");
+                std::os::unix::fs::symlink(target, &file).expect("linked");
+                let error = Dataset::open(&path).expect_err("a link").to_string();
+                assert!(error.contains(name) && error.contains("leads out of its folder"), "{error}");
+            }
+            std::fs::remove_file(&file).expect("removed");
+            let made = std::process::Command::new("mkfifo").arg(&file).status().expect("mkfifo");
+            assert!(made.success());
+            let error = Dataset::open(&path).expect_err("a pipe").to_string();
+            assert!(error.contains(name) && error.contains("not a regular file"), "{error}");
+            std::fs::remove_file(&file).expect("removed");
+            std::fs::write(&file, &whole).expect("write");
+        }
+    }
+
     #[test]
     fn damage_is_named_with_its_file() {
         let dir = tempfile::tempdir().expect("folder");

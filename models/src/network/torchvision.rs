@@ -12,6 +12,8 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::{Network, NetworkKind, NetworkSpec};
+use crate::MODEL_LIMIT_BYTES;
+use crate::bounded_file::read;
 
 /// How a `.pth` of torchvision becomes what is read here.
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\
@@ -89,7 +91,8 @@ pub struct TorchvisionWeights {
 impl TorchvisionWeights {
     /// Reads weights for a network.
     pub fn load(path: &Path, spec: &NetworkSpec) -> Result<Self, WeightsError> {
-        let data = std::fs::read(path).map_err(|source| WeightsError::Io { path: path.to_owned(), source })?;
+        let data =
+            read(path, MODEL_LIMIT_BYTES).map_err(|source| WeightsError::Io { path: path.to_owned(), source })?;
         Self::from_bytes(path, &data, spec)
     }
 

@@ -12,6 +12,7 @@ mod report;
 mod statistics;
 
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -23,6 +24,7 @@ pub use noise::{NoisyMaps, with_noise};
 pub use report::{Cell, Report, report};
 pub use statistics::{Interval, t_interval};
 
+use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, Split};
 use crate::evaluate::{Metrics, evaluate};
 use crate::network::{Head, NetworkKind, NetworkSpec};
@@ -32,6 +34,12 @@ use crate::{Classifier, ClassifyError};
 
 /// Balanced accuracy on the training maps below which a training has failed: chance is a third.
 pub const FAILED_BELOW: f64 = 0.45;
+
+/// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
+const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
+/// Trainings of a study at most, and variants: a spec of a megabyte could ask for more than fit into memory.
+const MOST_JOBS: usize = 1_000_000;
+const MOST_VARIANTS: usize = 1000;
 
 /// What is compared.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -202,6 +210,9 @@ pub enum Progress<'a> {
 
 impl StudySpec {
     /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`StudyError::Setting`] and [`StudyError::Train`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), StudyError> {
         let fail = |what: &str, value: String, expected: &str| {
             Err(StudyError::Setting { what: what.to_owned(), value, expected: expected.to_owned() })
@@ -209,6 +220,19 @@ impl StudySpec {
         if self.variants.is_empty() || self.seeds.is_empty() {
             return fail("variants and seeds", "none".to_owned(), "at least one of each");
         }
+        if self.variants.len() > MOST_VARIANTS {
+            return fail("variants", self.variants.len().to_string(), "1000 at most");
+        }
+        let counts = [self.seeds.len(), self.label_fractions.len(), self.learning_rates.len().max(1)];
+        let jobs = counts.into_iter().fold(self.variants.len(), usize::saturating_mul);
+        if jobs > MOST_JOBS {
+            return fail(
+                "variants, seeds, label_fractions and learning_rates",
+                jobs.to_string(),
+                "1000000 trainings at most",
+            );
+        }
+        self.train.check()?;
         for (index, variant) in self.variants.iter().enumerate() {
             if self.variants.iter().take(index).any(|other| other.name == variant.name) {
                 return fail("variants", format!("'{}' twice", variant.name), "names of their own");
@@ -315,10 +339,11 @@ impl<'a> Study<'a> {
         }
         let identity = format!("{} {}\n", serde_json::to_string(spec).map_err(|e| file(folder, e))?, dataset.hash());
         let path = folder.join("study.json");
-        match std::fs::read_to_string(&path) {
+        match read_text(&path, IDENTITY_LIMIT_BYTES) {
             Ok(found) if found == identity => {}
             Ok(_) => return Err(StudyError::Foreign { path: folder.to_owned() }),
-            Err(_) => write_whole(&path, identity.as_bytes())?,
+            Err(error) if error.kind() == ErrorKind::NotFound => write_whole(&path, identity.as_bytes())?,
+            Err(error) => return Err(file(&path, error)),
         }
         Ok(Study { spec, dataset, folder: folder.to_owned(), shard })
     }
@@ -408,7 +433,7 @@ impl<'a> Study<'a> {
             .collect();
         paths.sort();
         let read = |path: &PathBuf| {
-            let text = std::fs::read_to_string(path).map_err(|e| file(path, e))?;
+            let text = read_text(path, TEXT_LIMIT_BYTES).map_err(|e| file(path, e))?;
             serde_json::from_str(&text).map_err(|e| file(path, e))
         };
         paths.iter().map(read).collect()

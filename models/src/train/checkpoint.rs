@@ -8,9 +8,12 @@ use serde::{Deserialize, Serialize};
 
 use super::run::Best;
 use super::{EpochReport, TrainError};
+use crate::bounded_file::read;
 use crate::network::Centring;
 use crate::whole_file;
 
+/// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
+const LIMIT_BYTES: u64 = 4 << 30;
 /// Key of the numbers that are no arrays.
 const KEY: &str = "radome-training";
 
@@ -113,7 +116,7 @@ impl Checkpoint {
 
     /// What a checkpoint file holds; nothing if there is no file.
     pub(super) fn load(path: &Path) -> Result<Option<Self>, TrainError> {
-        let data = match std::fs::read(path) {
+        let data = match read(path, LIMIT_BYTES) {
             Ok(data) => data,
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(error) => return Err(unusable(path, error)),

@@ -48,6 +48,11 @@ use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, 
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
+/// Epochs, maps in a step and initialisations at most: far beyond any training, and products of them are still numbers.
+const MOST_EPOCHS: usize = 100_000;
+const MOST_IN_BATCH: usize = 65_536;
+const MOST_STARTS: u64 = 1000;
+
 /// How the latent is standardised before the squash (paper.md section 6 leaves it open). The constants are never
 /// differentiated through, and are saved with the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -143,7 +148,7 @@ pub struct TrainSpec {
     /// Instructions of the inner loops; the fastest there are if absent.
     pub kernel_level: Option<KernelLevel>,
     /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors ([`TorchvisionWeights`]). What they
-    /// hold decides the outcome, not where they lie.
+    /// hold decides the outcome, not where they lie. In a file, relative to that file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
 }
@@ -323,7 +328,11 @@ impl TrainSpec {
         self.linear_epochs.unwrap_or(self.epochs / 2)
     }
 
-    fn check(&self) -> Result<(), TrainError> {
+    /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`TrainError::Setting`] for the first setting that is out of range.
+    pub fn check(&self) -> Result<(), TrainError> {
         let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
         for (name, value) in
             [("epochs", self.epochs), ("batch_size", self.batch_size), ("starts", self.starts as usize)]
@@ -331,6 +340,15 @@ impl TrainSpec {
             if value == 0 {
                 return fail(name, value.to_string(), "at least 1");
             }
+        }
+        if self.epochs > MOST_EPOCHS {
+            return fail("epochs", self.epochs.to_string(), "100000 at most");
+        }
+        if self.batch_size > MOST_IN_BATCH {
+            return fail("batch_size", self.batch_size.to_string(), "65536 at most");
+        }
+        if self.starts > MOST_STARTS {
+            return fail("starts", self.starts.to_string(), "1000 at most");
         }
         if self.starts > 1 && self.start_epochs == 0 {
             return fail("start_epochs", self.start_epochs.to_string(), "1 or more where there are several starts");

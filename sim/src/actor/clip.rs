@@ -21,6 +21,8 @@ const SAMPLE_S: f64 = 1.0 / 60.0;
 const CYCLE_S: [f64; 2] = [0.7, 2.0];
 /// Fewest samples of a cycle.
 const FEWEST: usize = 16;
+/// Places of joints over all samples at most: the time in which a cycle is found goes with them.
+const MOST_PLACES: usize = 1_000_000;
 /// Hips that go over less ground than this part of the legs' length in a cycle do not walk.
 const LEAST_TRAVEL: f64 = 0.3;
 /// Frames of a body, in the order of the cycle's bones.
@@ -83,6 +85,12 @@ impl BodyClip {
             return Err(FileFault::new("HIERARCHY", format!("its legs are {leg} long, expected a length"), hint));
         }
         let step = (SAMPLE_S / bvh.frame_time_s).floor().max(1.0) as usize;
+        let samples = bvh.frames.len().div_ceil(step);
+        if samples.saturating_mul(bvh.joints.len()) > MOST_PLACES {
+            let problem =
+                format!("{} joints over {samples} samples, expected {MOST_PLACES} places at most", bvh.joints.len());
+            return Err(FileFault::new("MOTION", problem, "cut the clip to a minute in which somebody walks"));
+        }
         let places: Vec<Vec<DVec3>> = (0..bvh.frames.len()).step_by(step).map(|f| upright(Some(f))).collect();
         let step_s = step as f64 * bvh.frame_time_s;
         let [begin, end] = span(&places, step_s, asked)?;
@@ -223,7 +231,7 @@ fn span(places: &[Vec<DVec3>], step_s: f64, asked: Option<[f64; 2]>) -> Result<[
     let hint = "say which part of it is one cycle of two steps: cycle_s = [begin, end]";
     if let Some([a, b]) = asked {
         let [begin, end] = [a, b].map(|t| (t / step_s).round().max(0.0) as usize);
-        if a >= 0.0 && b <= lasts_s + 0.5 * step_s && end < places.len() && end >= begin + FEWEST {
+        if a >= 0.0 && b <= lasts_s + 0.5 * step_s && end < places.len() && end >= begin.saturating_add(FEWEST) {
             return Ok([begin, end]);
         }
         let problem =

@@ -3,17 +3,29 @@
 //! Read: the unit and the up axis, polygons, skins, the tree of nodes with whatever transforms they are made of, and animations
 //! of those. All animations of a file are one clip; curves between keys become straight lines.
 
-use std::collections::BTreeMap;
+use std::cell::Cell;
+use std::collections::{BTreeMap, HashMap};
 
 use glam::{DAffine3, DMat4, DQuat, DVec3};
-use roxmltree::{Document, Node as Element};
+use roxmltree::{Document, Node as Element, ParsingOptions};
 
-use super::rig::{Between, Clip, Joint, Local, Node, Rig, Track, Values};
+use super::rig::{Between, Clip, Joint, Local, MOST_NODES, Node, Rig, Track, Values};
 use crate::fault::FileFault;
 use crate::geometry::import::UpAxis;
 
 /// Deeper trees than this are refused.
 const DEEPEST: usize = 256;
+/// Larger documents are refused, bytes: in memory, an attribute takes ten times as much as in the file.
+const LARGEST_BYTES: usize = 64 << 20;
+/// Elements and texts of a document at most.
+const MOST_ELEMENTS: u32 = 1_000_000;
+/// Numbers and names that are read of a document at most: a skin may be named any number of times.
+const MOST_NUMBERS: usize = 1 << 25;
+/// Largest offset of an input among the indices of a corner: there are a handful of inputs.
+const LARGEST_OFFSET: usize = 255;
+/// Curves over one node's transforms, and the keys of all of them together, at most.
+const MOST_CURVES: usize = 64;
+const MOST_KEYS: usize = 100_000;
 
 /// One of the transforms that a node is made of.
 #[derive(Clone)]
@@ -49,8 +61,12 @@ struct Curve {
     stepped: bool,
 }
 
-struct Reader<'a> {
-    doc: Document<'a>,
+struct Reader<'d, 'a> {
+    doc: &'d Document<'a>,
+    /// Elements by their ids; the first of those that share one.
+    ids: HashMap<&'d str, Element<'d, 'a>>,
+    /// Numbers and names that may still be read.
+    left: Cell<usize>,
 }
 
 /// Parses a COLLADA document.
@@ -60,9 +76,20 @@ pub(super) fn parse_collada(bytes: &[u8]) -> Result<Rig, FileFault> {
         let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();
         FileFault::new(format!("line {line}"), "this is no UTF-8 text", export)
     })?;
-    let doc = Document::parse(text)
+    if bytes.len() > LARGEST_BYTES {
+        let problem = format!("it has {} bytes, expected {LARGEST_BYTES} at most", bytes.len());
+        return Err(FileFault::new("file", problem, "export it again as binary glTF 2.0 (.glb)"));
+    }
+    let options = ParsingOptions { nodes_limit: MOST_ELEMENTS, ..ParsingOptions::default() };
+    let doc = Document::parse_with_options(text, options)
         .map_err(|e| FileFault::new(format!("line {}", e.pos().row), format!("no XML: {e}"), export))?;
-    let reader = Reader { doc };
+    let mut ids = HashMap::new();
+    for element in doc.descendants() {
+        if let Some(id) = element.attribute("id") {
+            ids.entry(id).or_insert(element);
+        }
+    }
+    let reader = Reader { doc: &doc, ids, left: Cell::new(MOST_NUMBERS) };
     let root = reader.doc.root_element();
     if root.tag_name().name() != "COLLADA" {
         return Err(reader.fault(root, format!("the document is a {:?}, expected COLLADA", root.tag_name().name())));
@@ -116,21 +143,39 @@ impl Tagged for Element<'_, '_> {
     }
 }
 
-impl<'a> Reader<'a> {
+impl<'d, 'a> Reader<'d, 'a> {
     fn fault(&self, at: Element, problem: impl Into<String>) -> FileFault {
         let line = self.doc.text_pos_at(at.range().start).row;
         FileFault::new(format!("line {line}"), problem, "export the actor again as COLLADA 1.4, or as glTF 2.0")
     }
 
-    fn all<'s>(&'s self, name: &'s str) -> impl Iterator<Item = Element<'s, 'a>> {
+    fn all(&self, name: &'static str) -> impl Iterator<Item = Element<'d, 'a>> {
         self.doc.descendants().filter(move |d| d.has_tag_name_of(name))
     }
 
+    /// Counts words that are about to be read; there is an end to them.
+    fn spend(&self, element: Element, words: usize) -> Result<(), FileFault> {
+        let left = self.left.get().checked_sub(words);
+        let problem = || self.fault(element, format!("the document has more than {MOST_NUMBERS} numbers in all"));
+        left.map(|left| self.left.set(left)).ok_or_else(problem)
+    }
+
+    /// Where an input's index is among the indices of a corner; nothing where it is not said.
+    fn offset(&self, input: Element) -> Result<Option<usize>, FileFault> {
+        let Some(text) = input.attribute("offset") else { return Ok(None) };
+        match text.trim().parse::<usize>() {
+            Ok(offset) if offset <= LARGEST_OFFSET => Ok(Some(offset)),
+            _ => Err(self.fault(input, format!("offset is {text:?}, expected 0 to {LARGEST_OFFSET}"))),
+        }
+    }
+
     /// What a reference points to.
-    fn target(&self, at: Element, url: &str) -> Result<Element<'_, 'a>, FileFault> {
+    fn target(&self, at: Element, url: &str) -> Result<Element<'d, 'a>, FileFault> {
         let id = url.trim_start_matches('#');
-        let found = self.doc.descendants().find(|d| d.attribute("id") == Some(id));
-        found.ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
+        self.ids
+            .get(id)
+            .copied()
+            .ok_or_else(|| self.fault(at, format!("{url:?} is nowhere, expected an element of that id")))
     }
 
     fn numbers(&self, element: Element) -> Result<Vec<f64>, FileFault> {
@@ -139,7 +184,9 @@ impl<'a> Reader<'a> {
                 self.fault(element, format!("{word:?} in {:?}, expected finite numbers", element.tag_name().name()))
             })
         };
-        element.text().unwrap_or_default().split_whitespace().map(number).collect()
+        let text = element.text().unwrap_or_default();
+        self.spend(element, text.split_whitespace().count())?;
+        text.split_whitespace().map(number).collect()
     }
 
     fn counts(&self, element: Element) -> Result<Vec<usize>, FileFault> {
@@ -148,11 +195,13 @@ impl<'a> Reader<'a> {
                 || self.fault(element, format!("{word:?} in {:?}, expected indices", element.tag_name().name()));
             word.parse::<usize>().map_err(|_| problem())
         };
-        element.text().unwrap_or_default().split_whitespace().map(number).collect()
+        let text = element.text().unwrap_or_default();
+        self.spend(element, text.split_whitespace().count())?;
+        text.split_whitespace().map(number).collect()
     }
 
     /// The source that an input of some meaning names.
-    fn source(&self, of: Element, semantic: &str) -> Result<Element<'_, 'a>, FileFault> {
+    fn source(&self, of: Element, semantic: &str) -> Result<Element<'d, 'a>, FileFault> {
         let input = of.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
         let input = input.ok_or_else(|| {
             self.fault(of, format!("{:?} has no input of the semantic {semantic}", of.tag_name().name()))
@@ -170,7 +219,9 @@ impl<'a> Reader<'a> {
         let is_names = |c: &Element| c.has_tag_name_of("Name_array") || c.has_tag_name_of("IDREF_array");
         let array =
             source.children().find(is_names).ok_or_else(|| self.fault(source, "the source has no Name_array"))?;
-        Ok(array.text().unwrap_or_default().split_whitespace().map(str::to_owned).collect())
+        let text = array.text().unwrap_or_default();
+        self.spend(array, text.split_whitespace().count())?;
+        Ok(text.split_whitespace().map(str::to_owned).collect())
     }
 
     /// Adds a node and what is below it.
@@ -184,6 +235,9 @@ impl<'a> Reader<'a> {
     ) -> Result<(), FileFault> {
         if depth > DEEPEST {
             return Err(self.fault(node, format!("nodes are nested more than {DEEPEST} deep")));
+        }
+        if rig.nodes.len() >= MOST_NODES {
+            return Err(self.fault(node, format!("there are more than {MOST_NODES} nodes")));
         }
         let mut steps = Vec::new();
         for child in node.children().filter(|c| c.is_element()) {
@@ -253,7 +307,7 @@ impl<'a> Reader<'a> {
         let input = |semantic: &str| {
             let found =
                 weights.children().find(|c| c.has_tag_name_of("input") && c.attribute("semantic") == Some(semantic));
-            let offset = found.and_then(|i| i.attribute("offset")).and_then(|o| o.parse::<usize>().ok());
+            let offset = found.map(|input| self.offset(input)).transpose()?.flatten();
             offset.ok_or_else(|| self.fault(weights, format!("vertex_weights has no input {semantic} with an offset")))
         };
         let (joint_at, weight_at) = (input("JOINT")?, input("WEIGHT")?);
@@ -263,12 +317,23 @@ impl<'a> Reader<'a> {
             self.counts(element.ok_or_else(|| self.fault(weights, format!("vertex_weights has no {name}")))?)
         };
         let (counts, indices) = (list("vcount")?, list("v")?);
-        let stride =
-            1 + weights.children().filter_map(|c| c.attribute("offset")?.parse::<usize>().ok()).max().unwrap_or(1);
+        let mut stride = 1 + joint_at.max(weight_at);
+        for input in weights.children().filter(|c| c.has_tag_name_of("input")) {
+            stride = stride.max(1 + self.offset(input)?.unwrap_or(0));
+        }
+        let named = counts.iter().try_fold(0usize, |sum, &count| sum.checked_add(count));
+        if named.and_then(|named| named.checked_mul(stride)).is_none_or(|needed| needed > indices.len()) {
+            let problem = format!(
+                "vcount asks for {} weights of {stride} indices each, but there are {} indices",
+                named.map_or_else(|| "too many".to_owned(), |named| named.to_string()),
+                indices.len()
+            );
+            return Err(self.fault(weights, problem));
+        }
         let mut at = 0;
         let start = rig.vertices.len();
         for count in counts {
-            let mut all = Vec::with_capacity(count.min(64));
+            let mut all = Vec::with_capacity(count);
             for _ in 0..count {
                 let pair = (indices.get(at + joint_at), indices.get(at + weight_at).and_then(|&i| of.get(i)));
                 let (Some(&joint), Some(&weight)) = pair else {
@@ -276,7 +341,7 @@ impl<'a> Reader<'a> {
                         format!("weights of vertex {} name numbers that are not there", rig.weights.len() - start);
                     return Err(self.fault(weights, problem));
                 };
-                all.push((first + joint, weight));
+                all.push((first.saturating_add(joint), weight));
                 at += stride;
             }
             rig.weights.push(all);
@@ -301,18 +366,29 @@ impl<'a> Reader<'a> {
         rig.vertices.extend(floats.as_chunks::<3>().0.iter().map(|&p| shape.transform_point3(DVec3::from(p))));
         for faces in mesh.children().filter(|c| ["triangles", "polylist", "polygons"].contains(&c.tag_name().name())) {
             let inputs = || faces.children().filter(|c| c.has_tag_name_of("input"));
-            let offset = |input: Element| input.attribute("offset").and_then(|o| o.parse::<usize>().ok()).unwrap_or(0);
-            let stride = 1 + inputs().map(offset).max().unwrap_or(0);
-            let at = inputs().find(|i| i.attribute("semantic") == Some("VERTEX")).map(offset);
+            let (mut stride, mut at) = (1, None);
+            for input in inputs() {
+                let offset = self.offset(input)?.unwrap_or(0);
+                stride = stride.max(1 + offset);
+                if at.is_none() && input.attribute("semantic") == Some("VERTEX") {
+                    at = Some(offset);
+                }
+            }
             let at = at.ok_or_else(|| self.fault(faces, "the faces have no input VERTEX"))?;
             let polygons = faces.has_tag_name_of("polygons");
             let counts = match faces.children().find(|c| c.has_tag_name_of("vcount")) {
                 Some(element) => Some(self.counts(element)?),
                 None => None,
             };
-            for list in faces.children().filter(|c| c.has_tag_name_of("p")) {
+            let lists = || faces.children().filter(|c| c.has_tag_name_of("p"));
+            if counts.is_some() && lists().count() > 1 {
+                return Err(self.fault(faces, "faces with vcount have several lists of indices, expected one"));
+            }
+            for list in lists() {
+                // An index that is too large is refused with the mesh.
+                let index = |&v: &usize| u32::try_from(v).unwrap_or(u32::MAX);
                 let corners: Vec<u32> =
-                    self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(|&v| v as u32).collect();
+                    self.counts(list)?.chunks(stride).filter_map(|c| c.get(at)).map(index).collect();
                 let all;
                 let counts: &[usize] = match (&counts, polygons) {
                     (Some(counts), _) => counts,
@@ -342,10 +418,14 @@ impl<'a> Reader<'a> {
 
     fn add_clip(&self, rig: &mut Rig, places: &[Place]) -> Result<(), FileFault> {
         let mut curves: BTreeMap<usize, Vec<Curve>> = BTreeMap::new();
+        let mut by_id: HashMap<&str, usize> = HashMap::new();
+        for (index, place) in places.iter().enumerate() {
+            by_id.entry(place.id.as_str()).or_insert(index);
+        }
         for channel in self.all("channel") {
             let target = channel.attribute("target").unwrap_or_default();
             let Some((node, path)) = target.split_once('/') else { continue };
-            let Some(index) = places.iter().position(|p| p.id == node) else { continue };
+            let Some(&index) = by_id.get(node) else { continue };
             let (sid, member) = path.split_once('.').map_or((path, None), |(sid, member)| (sid, Some(member)));
             let Some(step) = places[index].steps.iter().position(|s| s.sid == sid) else {
                 return Err(self.fault(channel, format!("{target:?} names no transform of the node")));
@@ -370,7 +450,15 @@ impl<'a> Reader<'a> {
             }
             let between = self.source(sampler, "INTERPOLATION").and_then(|s| self.names(s)).unwrap_or_default();
             let stepped = between.first().is_some_and(|b| b == "STEP");
-            curves.entry(index).or_default().push(Curve { step, member, width, times_s, values, stepped });
+            let of_node = curves.entry(index).or_default();
+            of_node.push(Curve { step, member, width, times_s, values, stepped });
+            let keys: usize = of_node.iter().map(|curve| curve.times_s.len()).sum();
+            if of_node.len() > MOST_CURVES || keys > MOST_KEYS {
+                let problem = format!(
+                    "{target:?} and the node's other curves are more than {MOST_CURVES}, or have more than {MOST_KEYS} keys"
+                );
+                return Err(self.fault(channel, problem));
+            }
         }
         if curves.is_empty() {
             return Ok(());

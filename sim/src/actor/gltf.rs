@@ -5,7 +5,7 @@ use std::path::Path;
 use glam::{DMat4, DQuat, DVec3};
 use gltf::animation::{Interpolation, Property};
 
-use super::rig::{Between, Clip, Joint, Local, Node, Rig, Track, Values};
+use super::rig::{Between, Clip, Joint, Local, MOST_TRIANGLES, Node, Rig, Track, Values};
 use crate::fault::FileFault;
 use crate::geometry::import::UpAxis;
 use crate::geometry::import::gltf::{GltfFault, GltfFile};
@@ -109,6 +109,12 @@ fn add_primitive(
     first_joint: usize,
 ) -> Result<(), FileFault> {
     let count = part.vertices.len();
+    // Seams have a vertex for each side. Before weights are read, which take the most memory.
+    if rig.vertices.len().saturating_add(count) > 3 * MOST_TRIANGLES {
+        let problem =
+            format!("with it the skin has more vertices than expected, {} vertices at most", 3 * MOST_TRIANGLES);
+        return Err(FileFault::new(what, problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
+    }
     let mut weights: Vec<Vec<(usize, f64)>> = vec![Vec::new(); count];
     for set in 0.. {
         let (Some(joints), Some(of)) =
@@ -123,7 +129,9 @@ fn add_primitive(
             return Err(FileFault::new(what, problem, "bind the mesh to its skeleton anew and export again"));
         }
         for (weights, (joints, of)) in weights.iter_mut().zip(joints.of::<4>().zip(of.of::<4>())) {
-            weights.extend(joints.iter().zip(of).map(|(&joint, weight)| (first_joint + joint as usize, weight)));
+            weights.extend(
+                joints.iter().zip(of).map(|(&joint, weight)| (first_joint.saturating_add(joint as usize), weight)),
+            );
         }
     }
     let start = rig.vertices.len() as u32;

@@ -33,6 +33,10 @@ const CYCLE_SAMPLES: [f64; 2] = [24.0, 240.0];
 const CYCLE_S: [f64; 2] = [0.6, 2.5];
 /// Longest clip that is looked through, s.
 const LONGEST_S: f64 = 120.0;
+/// Places of joints that are compared to find a cycle at most: the time goes with them.
+const MOST_PLACES: usize = 1_000_000;
+/// Vertices that are followed over the floor at most; of more, evenly spaced ones.
+const MOST_FEET: usize = 20_000;
 /// A clip whose ends differ by more than this part of the height is no cycle.
 const CLOSED: f64 = 0.03;
 /// A body that goes less than this part of its height in a cycle does not walk.
@@ -243,6 +247,10 @@ fn cycle_span(rig: &Rig, clip: &Clip, asked: Option<[f64; 2]>) -> Result<[f64; 2
     let step_s = clip.key_s().clamp(SAMPLE_S, 0.05);
     let count = ((end - begin) / step_s).round().max(8.0) as usize;
     let time = |k: usize| begin + (end - begin) * k as f64 / count as f64;
+    if count.saturating_mul(rig.joints.len()) > MOST_PLACES {
+        let problem = format!("it has {} joints over {count} samples, too many to look for a cycle", rig.joints.len());
+        return Err(FileFault::new(place, problem, hint));
+    }
     let places: Vec<Vec<DVec3>> = (0..=count).map(|k| rig.pose(&rig.locals(clip, time(k))).0).collect();
     let middle = |p: &[DVec3]| p.iter().sum::<DVec3>() / p.len().max(1) as f64;
     let spread = |p: &[DVec3]| (p.iter().map(|q| q.distance_squared(middle(p))).sum::<f64>() / p.len() as f64).sqrt();
@@ -331,7 +339,9 @@ fn feet(rig: &Rig, standing: &[Map]) -> Vec<usize> {
     let heights: Vec<f64> = rig.vertices.iter().zip(&rig.weights).map(|(&p, w)| follow(p, w, standing).z).collect();
     let (low, high) = heights.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), &z| (l.min(z), h.max(z)));
     let limit = low + FEET * (high - low);
-    (0..heights.len()).filter(|&v| heights[v] < limit).collect()
+    let all: Vec<usize> = (0..heights.len()).filter(|&v| heights[v] < limit).collect();
+    let step = all.len().div_ceil(MOST_FEET).max(1);
+    all.into_iter().step_by(step).collect()
 }
 
 /// What feet do over a cycle.

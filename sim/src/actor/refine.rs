@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use glam::DVec3;
 
+use super::rig::MOST_TRIANGLES;
 use super::skin::{EDGE_M, Map};
 use crate::fault::FileFault;
 use crate::geometry::{Mesh, edges, one_ring_normals, weld};
@@ -13,8 +14,6 @@ use crate::geometry::{Mesh, edges, one_ring_normals, weld};
 const LONGEST_M: f64 = 1.4 * EDGE_M;
 /// Vertices nearer than this part of the mesh's size are one.
 const WELD: f64 = 1e-5;
-/// More triangles than this are refused: a frame's time goes with them.
-const MOST_TRIANGLES: usize = 150_000;
 /// Rounds of halving: from metres to millimetres.
 const ROUNDS: usize = 10;
 /// A halved edge's middle is moved onto the curve over it by no more than this part of its length: creases are none.

@@ -13,6 +13,11 @@ use crate::geometry::import::UpAxis;
 /// Weights of a vertex sum to one within this, or the file is damaged; exporters round to bytes.
 const WEIGHT_TOLERANCE: f64 = 0.05;
 
+/// Nodes, and joints of all skins, at most: actors have a hundred.
+pub(super) const MOST_NODES: usize = 4096;
+/// Triangles of a skin at most: a frame's time goes with them.
+pub(super) const MOST_TRIANGLES: usize = 150_000;
+
 /// A skeleton with a skin and clips.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Rig {
@@ -181,6 +186,23 @@ impl Rig {
         }
         if self.triangles.is_empty() {
             return Err(FileFault::new("skin", "the skinned mesh has no triangle", export));
+        }
+        // Seams have a vertex for each side: corners are never fewer than vertices that are used.
+        if self.triangles.len() > MOST_TRIANGLES || self.vertices.len() > 3 * MOST_TRIANGLES {
+            let problem = format!(
+                "it has {} triangles and {} vertices, expected {MOST_TRIANGLES} triangles at most",
+                self.triangles.len(),
+                self.vertices.len()
+            );
+            return Err(FileFault::new("skin", problem, "reduce the mesh: detail of 5 mm is below the wavelength"));
+        }
+        if self.nodes.len() > MOST_NODES || self.joints.len() > MOST_NODES {
+            let problem = format!(
+                "it has {} nodes and {} joints, expected {MOST_NODES} of each at most",
+                self.nodes.len(),
+                self.joints.len()
+            );
+            return Err(FileFault::new("skeleton", problem, "export only the actor and its armature"));
         }
         if let Some(i) = self.vertices.iter().position(|v| !v.is_finite()) {
             let problem = format!("vertex {i} is at {}, expected finite numbers", self.vertices[i]);

@@ -9,6 +9,11 @@ pub const LEAST_OVERLAP_M2: f64 = 1e-6;
 /// Triangles this near to each other's planes count as coplanar, m.
 const SAME_PLANE_M: f64 = 1e-5;
 
+/// The search for overlaps ends after so many of them, or so many pairs of triangles: a damaged mesh would have as many as the
+/// square of its triangles.
+const MOST_OVERLAPS: usize = 1000;
+const MOST_PAIRS: usize = 50_000_000;
+
 /// Triangles that hang together.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Shell {
@@ -47,7 +52,7 @@ pub struct Lint {
     pub tangled_edges: usize,
     /// Connected pieces, by their lowest triangle.
     pub shells: Vec<Shell>,
-    /// Overlaps above [`LEAST_OVERLAP_M2`], by triangles.
+    /// Overlaps above [`LEAST_OVERLAP_M2`], by triangles; the first thousand that are found.
     pub overlaps: Vec<Overlap>,
 }
 
@@ -122,9 +127,14 @@ fn overlaps(mesh: &Mesh) -> Vec<Overlap> {
         .collect();
     boxes.sort_by(|a, b| a.0.x.total_cmp(&b.0.x).then(a.2.cmp(&b.2)));
     let mut found = Vec::new();
-    for (i, (least, greatest, first)) in boxes.iter().enumerate() {
+    let mut pairs = 0;
+    'search: for (i, (least, greatest, first)) in boxes.iter().enumerate() {
         let reach = greatest + SAME_PLANE_M;
         for (other_least, other_greatest, second) in boxes.iter().skip(i + 1).take_while(|b| b.0.x <= reach.x) {
+            pairs += 1;
+            if found.len() == MOST_OVERLAPS || pairs > MOST_PAIRS {
+                break 'search;
+            }
             if other_least.cmpgt(reach).any() || (*other_greatest + SAME_PLANE_M).cmplt(*least).any() {
                 continue;
             }

@@ -8,6 +8,7 @@ use super::{SceneError, line_of_key};
 use crate::actor::clip::BodyClip;
 use crate::actor::imported::{Actor, ActorOptions};
 use crate::actor::motion::Steps;
+use crate::bounded_file::{MESH_LIMIT_BYTES, named_by_spec, read};
 use crate::fault::FileFault;
 use crate::geometry::import::UpAxis;
 
@@ -21,17 +22,17 @@ pub(super) fn load(scene: &SceneFile, path: &Path, text: &str) -> Result<Vec<Ste
 
 fn load_one(actor: &ActorFile, path: &Path, text: &str) -> Result<Steps, SceneError> {
     let Some(name) = &actor.file else { return Ok(Steps::Gait) };
-    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let file = folder.join(name);
     let fault = |source: FileFault| SceneError::File {
         path: path.to_owned(),
         line: line_of_key(text, name),
         file: file.clone(),
         source: Box::new(source),
     };
-    let bytes = std::fs::read(&file).map_err(|e| {
-        let hint = "paths are relative to the scene file";
-        fault(FileFault { place: "file".to_owned(), problem: format!("cannot be read: {e}"), hint: hint.to_owned() })
-    })?;
+    let bytes = named_by_spec(folder, Path::new(name))
+        .and_then(|file| read(&file, MESH_LIMIT_BYTES))
+        .map_err(|e| fault(FileFault::unreadable(&e)))?;
     if name.to_lowercase().ends_with(".bvh") {
         let text = std::str::from_utf8(&bytes).map_err(|e| {
             let line = 1 + bytes.iter().take(e.valid_up_to()).filter(|&&b| b == b'\n').count();

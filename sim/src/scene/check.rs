@@ -7,6 +7,11 @@ use super::material::Material;
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
 
+/// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
+const MOST_TABLES: f64 = 1000.0;
+/// Steps of one person's script at most.
+const MOST_STEPS: f64 = 10_000.0;
+
 /// A value that makes no sense.
 pub(super) struct Fault {
     key: &'static str,
@@ -145,6 +150,15 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
             format!("a place in the room, 1 cm or more from its walls {size:?}"),
         );
     }
+    let tables = [
+        ("furniture", file.furniture.len()),
+        ("seat", file.seat.len()),
+        ("bed", file.bed.len()),
+        ("door", file.door.len()),
+    ];
+    for (key, count) in tables {
+        within(key, count as f64, 0.0, MOST_TABLES, "tables")?;
+    }
     within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
     within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
     for f in &file.furniture {
@@ -249,6 +263,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
         check_actor_file(people.body, actor)?;
         within("start_s", actor.start_s, -1e6, 1e9, "s")?;
+        within("step", actor.step.len() as f64, 0.0, MOST_STEPS, "steps")?;
         if actor.step.first().is_none_or(|s| s.walk_to_m.is_none() && s.enter_door.is_none() && s.lie_s.is_none()) {
             return fault(
                 "step",

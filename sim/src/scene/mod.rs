@@ -19,6 +19,7 @@ use radome_dsp::{RxMask, SPEED_OF_LIGHT_M_PER_S, Waveform, WaveformError};
 use thiserror::Error;
 
 use crate::actor::motion::Steps;
+use crate::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use crate::fault::FileFault;
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::pattern::Pattern;
@@ -145,7 +146,11 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Reads a scene file and the receiver file that it names.
+    /// Reads a scene file and the files that it names: in its folder, or where [`crate::bounded_file::named_by_spec`] lets
+    /// them be.
+    ///
+    /// # Errors
+    /// [`SceneError`] for whatever is wrong with the scene or with a file that it names.
     pub fn load(path: &Path) -> Result<Self, SceneError> {
         let text = read(path)?;
         Self::parse(&text, path)
@@ -188,7 +193,7 @@ impl Scene {
         if let Some(toml::Value::String(relative)) = table.get("receiver")
             && self.file.random.keys().any(|key| key.starts_with("receiver."))
         {
-            let of_receiver = path.parent().unwrap_or(Path::new("")).join(relative);
+            let of_receiver = named(path, relative)?;
             let receiver = read(&of_receiver)?;
             let receiver = toml::from_str(&receiver).map_err(|e| parse_error(&of_receiver, &receiver, &e))?;
             table.insert("receiver".to_owned(), toml::Value::Table(receiver));
@@ -234,10 +239,7 @@ impl Scene {
             Some(value) => {
                 let line = line_of(text, value.span().start);
                 match value.get_ref() {
-                    toml::Value::String(relative) => {
-                        let receiver_path = path.parent().unwrap_or(Path::new("")).join(relative);
-                        load_receiver(&receiver_path)?
-                    }
+                    toml::Value::String(relative) => load_receiver(&named(path, relative)?)?,
                     inline => {
                         let receiver: Receiver = inline.clone().try_into().map_err(|e: toml::de::Error| {
                             let message = format!("receiver: {}", e.message());
@@ -396,7 +398,13 @@ fn check_receiver(receiver: &Receiver, path: &Path, text: &str) -> Result<(), Sc
 }
 
 fn read(path: &Path) -> Result<String, SceneError> {
-    std::fs::read_to_string(path).map_err(|source| SceneError::Read { path: path.to_owned(), source })
+    read_text(path, TEXT_LIMIT_BYTES).map_err(|source| SceneError::Read { path: path.to_owned(), source })
+}
+
+/// Path of a TOML file that a scene file names.
+fn named(scene: &Path, name: &str) -> Result<PathBuf, SceneError> {
+    let folder = scene.parent().unwrap_or(Path::new(""));
+    named_by_spec(folder, Path::new(name)).map_err(|source| SceneError::Read { path: folder.join(name), source })
 }
 
 fn parse_error(path: &Path, text: &str, error: &toml::de::Error) -> SceneError {

@@ -17,6 +17,7 @@ use super::check::{Fault, fault, surfaces};
 use super::file::{FurnitureFile, RoomMeshFile, SceneFile, SurfaceFile};
 use super::material::Material;
 use super::{SceneError, line_of_key};
+use crate::bounded_file::named_by_spec;
 use crate::fault::FileFault;
 use crate::field::fresnel;
 use crate::field::image::Wall;
@@ -36,6 +37,8 @@ const SIZES_M: [f64; 2] = [0.5, 100.0];
 /// Pieces of furniture that are kept, the largest, and points of each on a square metre.
 const MOST_PIECES: usize = 64;
 const POINTS_PER_M2: f64 = 4.0;
+/// Triangles of one mesh at most: what a scan of a flat has, and what can be welded and searched within seconds.
+const MOST_TRIANGLES: usize = 1_000_000;
 /// Names of the six walls and the axis and end that each is at.
 const WALLS: [(&str, usize, bool); 6] = [
     ("x_low", 0, false),
@@ -205,7 +208,8 @@ pub(super) fn read_meshes(
 }
 
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
-    let file = path.parent().unwrap_or(Path::new("")).join(&mesh.file);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let file = folder.join(&mesh.file);
     let fault = |source: FileFault| SceneError::File {
         path: path.to_owned(),
         line: line_of_key(text, &mesh.file),
@@ -224,20 +228,26 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
             return Err(fault(FileFault::new(what, problem, hint)));
         }
     };
+    // Others are refused by their names.
+    if ["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {
+        named_by_spec(folder, Path::new(&mesh.file)).map_err(|e| fault(FileFault::unreadable(&e)))?;
+    }
     let parts = import(&file, unit, up).map_err(|e| {
         let (place, problem) = match &e {
-            ImportError::Read { source, .. } => ("file".to_owned(), format!("cannot be read: {source}")),
+            ImportError::Read { source, .. } => return fault(FileFault::unreadable(source)),
             ImportError::Content { source, .. } => ("content".to_owned(), source.to_string()),
             ImportError::Format { extension, .. } => {
                 ("name".to_owned(), format!("it ends in {extension:?}, expected .stl, .obj, .gltf or .glb"))
             }
         };
-        let hint = match &e {
-            ImportError::Read { .. } => "paths are relative to the scene file",
-            _ => "export it again as binary STL, OBJ with triangles, or glTF",
-        };
-        fault(FileFault::new(place, problem, hint))
+        fault(FileFault::new(place, problem, "export it again as binary STL, OBJ with triangles, or glTF"))
     })?;
+    let triangles: usize = parts.iter().map(|part| part.mesh.triangles.len()).sum();
+    if triangles > MOST_TRIANGLES {
+        let problem = format!("it has {triangles} triangles, expected {MOST_TRIANGLES} at most");
+        let hint = "reduce the mesh: walls and furniture are looked at as planes and boxes";
+        return Err(fault(FileFault::new("mesh", problem, hint)));
+    }
     let mut pieces = Vec::new();
     for part in parts {
         let names = [part.material.as_deref().unwrap_or_default(), part.name.as_str()];

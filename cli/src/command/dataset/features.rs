@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Window};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Dataset, Features, Spread, features};
 use rustfft::FftPlanner;
 use rustfft::num_complex::Complex64;
@@ -72,7 +73,7 @@ pub fn run(
 ) -> anyhow::Result<()> {
     let (text, path) = match measured {
         Some(path) => {
-            let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+            let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
             (text, path.to_owned())
         }
         None => (WALKING.to_owned(), PathBuf::from("fixtures/features/walking.toml")),

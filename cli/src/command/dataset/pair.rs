@@ -219,10 +219,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let written = |roles: &mut [Role]| -> anyhow::Result<(String, Simulator)> {
         script::fill(roles, &looks, stage.scene.file(), &points)
             .with_context(|| format!("{} cannot be mirrored as it is", arguments.recording))?;
-        let text = mirror_text(arguments, &stage, &name, roles)?;
-        let scene = Scene::parse(&text, &arguments.output.join(MIRROR))?;
+        let text = mirror_text(arguments, &stage, stage.table(), &name, roles)?;
+        let scene = Scene::parse(&text, &arguments.scene)?;
         let options = SimulateOptions { seed: arguments.seed, ..SimulateOptions::default() };
-        Ok((text, Simulator::new(&scene, options)?))
+        Ok((mirror_text(arguments, &stage, &stage.stored, &name, roles)?, Simulator::new(&scene, options)?))
     };
 
     // The mirror.
@@ -255,6 +255,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 
     let maps = store.writer.maps();
     store.writer.add_file(MIRROR, text.as_bytes())?;
+    for (name, bytes) in stage.mesh_files()? {
+        store.writer.add_file(name, &bytes)?;
+    }
     let report = report::Report::new(&roles, &looks, &mirror_looks, &sensor, agreed);
     store.writer.add_file(TRACK, report::track_lines(&roles, &taken_numbers(&taken))?.as_bytes())?;
     store.writer.finish()?;
@@ -266,7 +269,13 @@ const MIRROR: &str = "mirror.toml";
 const TRACK: &str = "track.jsonl";
 
 /// The scene file of a mirror.
-fn mirror_text(arguments: &Arguments, stage: &Stage, name: &str, roles: &[Role]) -> anyhow::Result<String> {
+fn mirror_text(
+    arguments: &Arguments,
+    stage: &Stage,
+    table: &toml::Table,
+    name: &str,
+    roles: &[Role],
+) -> anyhow::Result<String> {
     let radar = stage.scene.radar_position().truncate();
     let mut scripts = Vec::new();
     for (person, role) in roles.iter().enumerate() {
@@ -278,7 +287,7 @@ fn mirror_text(arguments: &Arguments, stage: &Stage, name: &str, roles: &[Role])
         arguments.recording,
         arguments.scene.display(),
         arguments.output.display(),
-        stage.with_scripts(&format!("{name}-mirror"), arguments.height_m, &scripts)
+        Stage::with_scripts(table, &format!("{name}-mirror"), arguments.height_m, &scripts)
     ))
 }
 
@@ -320,7 +329,8 @@ fn spans(arguments: &Arguments) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 fn read_waypoints(path: &Path) -> anyhow::Result<WayPoints> {
-    let text = std::fs::read_to_string(path).with_context(|| format!("{} cannot be read", path.display()))?;
+    let text = radome_sim::bounded_file::read_text(path, radome_sim::bounded_file::TEXT_LIMIT_BYTES)
+        .with_context(|| format!("{} cannot be read", path.display()))?;
     let points: WayPoints = toml::from_str(&text).with_context(|| {
         format!(
             "{} holds no way-points\n\nhint: for each person [[person]] with point = [{{ time_s = 1.5, position_m = [2.0, 1.0] }}, ...]",

@@ -8,8 +8,10 @@ use anyhow::{Context, bail};
 use radome_driver::recording::Recording;
 use radome_dsp::rdm::Channels;
 use radome_dsp::{FrameSource, KernelLevel, Occupancy};
+use radome_models::bounded_file::read_text;
 use radome_models::dataset::{DatasetHeader, Split};
 use radome_sim::Scene;
+use radome_sim::bounded_file::named_by_spec;
 use radome_sim::scene::file::BodyFile;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +22,8 @@ use crate::shard::Shard;
 
 /// Version of `plan.json`.
 const FORMAT: u32 = 1;
+/// Longest card that is read: it names every file that the build is made from.
+const CARD_LIMIT_BYTES: u64 = 256 << 20;
 /// Its name in a folder of units.
 pub const FILE: &str = "plan.json";
 
@@ -74,7 +78,7 @@ impl Plan {
         let base = path.parent().unwrap_or(Path::new("."));
         let mut list = List { units: Vec::new(), prints: Fingerprints::new(base), header: None, spec: &spec };
         for source in &spec.simulated {
-            list.simulated(&base.join(&source.scene), source)?;
+            list.simulated(&named(base, &source.scene)?, source)?;
         }
         for source in &spec.recorded {
             list.recorded(base, source)?;
@@ -104,6 +108,11 @@ impl Plan {
         };
         Ok(Plan { header, kernel, units, card })
     }
+}
+
+/// Path of what a spec in a folder names.
+fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
 }
 
 struct List<'a> {
@@ -176,10 +185,10 @@ impl List<'_> {
 
     fn recorded(&mut self, base: &Path, source: &Recorded) -> anyhow::Result<()> {
         if let Some(recording) = &source.recording {
-            let path = base.join(recording);
+            let path = named(base, recording)?;
             let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let found = Found { path, session: name.clone(), name };
-            let label_file = source.label_file.as_ref().map(|file| base.join(file));
+            let label_file = source.label_file.as_ref().map(|file| named(base, file)).transpose()?;
             if let Some(file) = &source.label_file {
                 self.prints.file(file)?;
             }
@@ -187,7 +196,7 @@ impl List<'_> {
         }
         let Some(folders) = &source.folders else { return Ok(()) };
         let rules = Rules::new(source)?;
-        let folder = base.join(folders);
+        let folder = named(base, folders)?;
         for found in folders::find(&folder)? {
             let reading = rules.read(&found.session).with_context(|| format!("in {}", folder.display()))?;
             let label = match reading.label {
@@ -240,7 +249,7 @@ impl PlanCard {
     /// Reads the card in a folder of units.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
         let path = folder.join(FILE);
-        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read_text(&path, CARD_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         #[derive(Deserialize)]
         struct Version {
             format: u32,

@@ -6,6 +6,7 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use sha2::{Digest, Sha256};
 
 /// Of a longer file only its length and so much of either end goes in, bytes: recordings of many gigabytes would be read
@@ -53,13 +54,16 @@ impl Fingerprints {
         if depth == DEEPEST || path.extension().is_none_or(|e| e != "toml") {
             return Ok(());
         }
-        let text = std::fs::read_to_string(&path).with_context(|| format!("cannot read {}", path.display()))?;
+        let text = read_text(&path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         // What is no TOML has been refused by who reads scenes.
         let Ok(table) = text.parse::<toml::Table>() else { return Ok(()) };
         let mut strings = Vec::new();
         collect_strings(&toml::Value::Table(table), &mut strings);
         let folder = name.parent().unwrap_or(Path::new(""));
-        strings.iter().try_for_each(|string| self.named(&folder.join(string), depth + 1))
+        // Only what a scene may name; any other string is no file of it.
+        let own = self.base.join(folder);
+        let files = strings.iter().filter(|string| named_by_spec(&own, Path::new(string)).is_ok());
+        files.into_iter().try_for_each(|string| self.named(&folder.join(string), depth + 1))
     }
 
     /// A recording, file or folder, with the file of its labels.

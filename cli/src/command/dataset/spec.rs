@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_dsp::rdm::{Channels, StaticRemoval};
 use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use radome_models::dataset::{Split, SplitSpec};
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
@@ -13,6 +14,10 @@ use serde_json::Value;
 
 /// Newest format of the file.
 const FORMAT: u32 = 1;
+/// Frames of one run at most: eleven days at ten a second.
+const MOST_FRAMES: u64 = 10_000_000;
+/// Runs of all scenes together at most: each is a folder of its own while a dataset is built.
+const MOST_RUNS: u64 = 1_000_000;
 
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -156,10 +161,14 @@ fn one() -> u64 {
 impl BuildSpec {
     /// Reads and checks a file.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
-        let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-        let spec: BuildSpec =
-            toml::from_str(&text).with_context(|| format!("{} is no dataset spec", path.display()))?;
-        spec.check().with_context(|| format!("{} is no dataset spec", path.display()))?;
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no dataset spec", path.display()))
+    }
+
+    /// Parses and checks a file's text.
+    pub fn parse(text: &str) -> anyhow::Result<Self> {
+        let spec: BuildSpec = toml::from_str(text)?;
+        spec.check()?;
         Ok(spec)
     }
 
@@ -167,6 +176,7 @@ impl BuildSpec {
         if self.format != FORMAT {
             bail!("format is {}, this program knows {FORMAT}", self.format);
         }
+        let mut runs = 0u64;
         for (index, source) in self.simulated.iter().enumerate() {
             let (first, last) = source.seeds;
             if first > last {
@@ -174,6 +184,14 @@ impl BuildSpec {
             }
             if source.every == 0 || source.frames == 0 {
                 bail!("simulated source {}: frames and every are counted from 1", index + 1);
+            }
+            if source.frames > MOST_FRAMES {
+                bail!("simulated source {}: {} frames, expected {MOST_FRAMES} at most", index + 1, source.frames);
+            }
+            let of_source = (last - first).saturating_add(1).saturating_mul(source.people.len().max(1) as u64);
+            runs = runs.saturating_add(of_source);
+            if runs > MOST_RUNS {
+                bail!("simulated source {}: more than {MOST_RUNS} runs up to here", index + 1);
             }
         }
         for (index, source) in self.recorded.iter().enumerate() {
@@ -216,5 +234,42 @@ mod tests {
         assert_eq!(serde_json::from_str::<BuildSpec>(&kept).expect("a plan's spec"), spec);
         let error = read("format = 1\n[map]\nchannel = 1").expect_err("no such key").to_string();
         assert!(error.contains("channel"), "{error}");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn numbers_that_would_fill_memory_are_refused() {
+            let source = |rest: &str| {
+                let text = format!("format = 1\n[[simulated]]\nscene = \"a.toml\"\n{rest}");
+                BuildSpec::parse(&text).map(|_| ()).map_err(|error| format!("{error:#}"))
+            };
+            assert_eq!(source("seeds = [1, 2600]\nframes = 600\npeople = [0, 1, 2]\n"), Ok(()));
+            let refused = |rest: &str, expected: &str| {
+                let error = source(rest).expect_err(rest);
+                assert!(error.contains(expected), "{rest}: {error}");
+            };
+            refused("seeds = [0, 9223372036854775807]\nframes = 1\n", "more than 1000000 runs");
+            refused("seeds = [1, 500000]\nframes = 1\npeople = [0, 1, 2]\n", "more than 1000000 runs");
+            refused("seeds = [1, 1]\nframes = 9223372036854775807\n", "10000000 at most");
+            refused("seeds = [2, 1]\nframes = 1\n", "the first one first");
+            refused("seeds = [1, 1]\nframes = -1\n", "frames");
+            let deep = format!("format = 1\nmap = {}", "{ a = ".repeat(100_000));
+            assert!(BuildSpec::parse(&deep).is_err());
+        }
+
+        #[test]
+        fn a_spec_that_is_too_long_or_no_file_is_not_read() {
+            let folder = std::env::temp_dir().join(format!("radome-spec-{}", std::process::id()));
+            std::fs::create_dir_all(&folder).expect("a folder");
+            let path = folder.join("set.toml");
+            std::fs::write(&path, vec![b'#'; (1 << 20) + 1]).expect("written");
+            let long = format!("{:#}", BuildSpec::load(&path).expect_err("too long"));
+            let none = format!("{:#}", BuildSpec::load(&folder).expect_err("a folder"));
+            std::fs::remove_dir_all(&folder).expect("removed");
+            assert!(long.contains("set.toml") && long.contains("at most 1048576"), "{long}");
+            assert!(none.contains("not a regular file"), "{none}");
+        }
     }
 }

@@ -1,11 +1,11 @@
 //! The simulated partner of a recording: the scene that `dataset pair` made of it, at the moment of the frame that is shown.
 
-use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Waveform};
-use radome_models::dataset::{Domain, ManifestRow};
+use radome_models::bounded_file::read_text;
+use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::source::Tape;
@@ -44,10 +44,11 @@ impl Partner {
 
     fn open(folder: &Path, tape: &Tape, waveform: &Waveform) -> anyhow::Result<Self> {
         let manifest = folder.join("manifest.jsonl");
-        let file = std::fs::File::open(&manifest).with_context(|| format!("cannot read {}", manifest.display()))?;
+        let rows = read_text(&manifest, MANIFEST_LIMIT_BYTES)
+            .with_context(|| format!("cannot read {}", manifest.display()))?;
         let (mut seed, mut last_sequence, mut first_ns) = (None, None, None);
-        for line in BufReader::new(file).lines() {
-            let row: ManifestRow = serde_json::from_str(&line?).context("a row of the manifest is malformed")?;
+        for line in rows.lines() {
+            let row: ManifestRow = serde_json::from_str(line).context("a row of the manifest is malformed")?;
             if row.domain == Domain::Sim && row.pair.is_some() {
                 seed = seed.or(row.seed);
                 first_ns = first_ns.or(row.time_ns);

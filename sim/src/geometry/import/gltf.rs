@@ -1,17 +1,32 @@
 //! glTF 2.0: a tree of nodes, meshes on them, and numbers in buffers, read here with every reach into a buffer checked.
 
+use std::borrow::Cow;
+use std::cell::Cell;
 use std::path::Path;
 
 use base64::Engine;
 use glam::{DMat4, DVec3};
 use gltf::accessor::{DataType, Dimensions};
+use gltf::json::validation::Validate;
 
 use super::{Mesh, ParseError, Part};
+use crate::bounded_file::{MESH_LIMIT_BYTES, beside, read};
+
+/// Objects of a file's JSON at most: each takes up to a kilobyte of memory for two bytes of text.
+const MOST_OBJECTS: usize = 200_000;
+/// Values of lists and objects at most: each takes up to 32 bytes of memory.
+const MOST_VALUES: usize = 8_000_000;
+/// Numbers that are read of all accessors together at most: many primitives may name the same accessor.
+const MOST_NUMBERS: usize = 1 << 25;
+/// Length of a GLB file's header, which counts in the length that it states.
+const GLB_HEADER_BYTES: u32 = 12;
 
 /// A file and its buffers.
 pub(crate) struct GltfFile {
     pub document: gltf::Document,
     buffers: Vec<Vec<u8>>,
+    /// Numbers that were read so far.
+    numbers: Cell<usize>,
 }
 
 /// What is wrong with a file, and where.
@@ -44,9 +59,10 @@ impl Rows {
 impl GltfFile {
     /// A `.glb`, or a `.gltf` whose buffers lie inside it or in files beside it, in `folder`.
     pub fn parse(bytes: &[u8], folder: &Path) -> Result<Self, GltfFault> {
-        let gltf::Gltf { document, mut blob } =
-            gltf::Gltf::from_slice(bytes).map_err(|e| fault("glTF", e.to_string()))?;
+        let (document, mut blob) = document(bytes)?;
         let mut buffers = Vec::new();
+        // All files beside it together are no larger than one may be.
+        let mut left_bytes = MESH_LIMIT_BYTES;
         for buffer in document.buffers() {
             let place = format!("buffer {}", buffer.index());
             let bytes = match buffer.source() {
@@ -59,8 +75,15 @@ impl GltfFile {
                         let decoded = base64::engine::general_purpose::STANDARD.decode(text.trim());
                         decoded.map_err(|e| fault(&place, format!("its data is no base64: {e}")))?
                     }
-                    None => std::fs::read(folder.join(uri))
-                        .map_err(|e| fault(&place, format!("{:?} beside the file cannot be read: {e}", uri)))?,
+                    None => {
+                        let bytes = beside(folder, uri).and_then(|path| read(&path, left_bytes)).map_err(|e| {
+                            let reason = e.to_string();
+                            let reason = reason.split("\n\nhint: ").next().unwrap_or_default();
+                            fault(&place, format!("{uri:?} beside the file cannot be read: {reason}"))
+                        })?;
+                        left_bytes = left_bytes.saturating_sub(bytes.len() as u64);
+                        bytes
+                    }
                 },
             };
             if bytes.len() < buffer.length() {
@@ -70,7 +93,7 @@ impl GltfFile {
             }
             buffers.push(bytes);
         }
-        Ok(GltfFile { document, buffers })
+        Ok(GltfFile { document, buffers, numbers: Cell::new(0) })
     }
 
     /// An accessor's numbers; integers that stand for fractions become those.
@@ -102,6 +125,13 @@ impl GltfFile {
             let problem = format!("it reaches to byte {}, but its view ends at {end}", first.saturating_add(reach));
             return Err(fault(place, problem));
         }
+        let read = self.numbers.get().saturating_add(accessor.count().saturating_mul(width));
+        if read > MOST_NUMBERS {
+            let problem =
+                format!("the file's accessors have more than {MOST_NUMBERS} numbers together: reduce the mesh");
+            return Err(fault(place, problem));
+        }
+        self.numbers.set(read);
         let mut numbers = Vec::with_capacity(accessor.count() * width);
         for row in 0..accessor.count() {
             for column in 0..width {
@@ -166,6 +196,41 @@ impl GltfFile {
             None => (0..vertices.len() as u32).collect(),
         };
         Ok(Mesh { vertices, triangles: indices.as_chunks::<3>().0.to_vec() })
+    }
+}
+
+/// The document of a `.gltf` or `.glb`, checked as the format demands, and the binary part of a `.glb`.
+fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault> {
+    let (text, blob) = if bytes.starts_with(b"glTF") {
+        let stated = bytes.get(8..12).and_then(|length| length.try_into().ok()).map_or(0, u32::from_le_bytes);
+        if stated < GLB_HEADER_BYTES {
+            let problem = format!("its header states {stated} bytes, expected {GLB_HEADER_BYTES} or more");
+            return Err(fault("glTF", problem));
+        }
+        let glb = gltf::Glb::from_slice(bytes).map_err(|e| fault("glTF", e.to_string()))?;
+        (glb.json, glb.bin.map(Cow::into_owned))
+    } else {
+        (Cow::Borrowed(bytes), None)
+    };
+    // Data within the text has neither braces nor commas, but for one behind its type.
+    for (mark, what, most) in [(b'{', "objects", MOST_OBJECTS), (b',', "values", MOST_VALUES)] {
+        let count = text.iter().filter(|&&byte| byte == mark).count();
+        if count > most {
+            return Err(fault("glTF", format!("its document has {count} {what}, expected {most} at most")));
+        }
+    }
+    let root: gltf::json::Root =
+        gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
+    // Only the first: there may be one for each number.
+    let mut invalid = None;
+    root.validate(&root, gltf::json::Path::new, &mut |path: &dyn Fn() -> gltf::json::Path, error| {
+        if invalid.is_none() {
+            invalid = Some(format!("{}: {error}", path()));
+        }
+    });
+    match invalid {
+        Some(problem) => Err(fault("glTF", problem)),
+        None => Ok((gltf::Document::from_json_without_validation(root), blob)),
     }
 }
 

@@ -15,6 +15,7 @@ use serde::Deserialize;
 use thiserror::Error;
 
 use super::{Mesh, MeshError};
+use crate::bounded_file::{MESH_LIMIT_BYTES, read};
 
 pub use obj::parse_obj;
 pub use stl::parse_stl;
@@ -121,12 +122,11 @@ pub enum ParseError {
 #[derive(Debug, Error)]
 pub enum ImportError {
     /// It cannot be read.
-    #[error("cannot read the mesh {path}")]
+    #[error("cannot read the mesh {path}: {source}")]
     Read {
         /// The file.
         path: PathBuf,
         /// Why not.
-        #[source]
         source: std::io::Error,
     },
     /// Its content is damaged.
@@ -153,7 +153,7 @@ pub fn import(path: &Path, unit: LengthUnit, up: UpAxis) -> Result<Vec<Part>, Im
     if !["stl", "obj", "gltf", "glb"].contains(&extension.as_str()) {
         return Err(ImportError::Format { path: path.to_owned(), extension });
     }
-    let bytes = std::fs::read(path).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
+    let bytes = read(path, MESH_LIMIT_BYTES).map_err(|source| ImportError::Read { path: path.to_owned(), source })?;
     let content = |source| ImportError::Content { path: path.to_owned(), source };
     let mut parts = match extension.as_str() {
         "stl" => parse_stl(&bytes),

@@ -9,8 +9,16 @@ use tobj::{LoadError, LoadOptions, Material};
 use super::lines::Lines;
 use super::{Mesh, ParseError, Part};
 
+/// Longer files are refused, bytes: a face takes ten times as much memory while it is read.
+const LARGEST_BYTES: usize = 64 << 20;
+
 /// Parses an OBJ file: a part for each object or group and each material in it; polygons become fans of triangles.
 pub fn parse_obj(bytes: &[u8]) -> Result<Vec<Part>, ParseError> {
+    if bytes.len() > LARGEST_BYTES {
+        let problem =
+            format!("the file has {} bytes, expected {LARGEST_BYTES} at most: use binary STL or glTF", bytes.len());
+        return Err(ParseError::Byte { offset: LARGEST_BYTES, problem });
+    }
     let text = String::from_utf8_lossy(bytes);
     // Materials by name alone; what they are made of is the scene's to say. Asked for by a line before the first.
     let mut names: Vec<String> = Vec::new();

@@ -8,7 +8,7 @@ use prost::Message;
 use radome_driver::protocol::deepcraft::{
     ChunkEvent, ChunkLayout, ChunkParser, Custom, MAX_REQUEST, MAX_RESPONSE, MessageParser, Request, Response,
 };
-use radome_driver_fuzz::{pieces, within};
+use radome_fuzz::{pieces, within};
 
 fn messages<'a>(input: impl Iterator<Item = &'a [u8]>) -> Vec<Option<Vec<u8>>> {
     let mut parser = MessageParser::new(MAX_REQUEST);

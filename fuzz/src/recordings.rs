@@ -1,106 +1,13 @@
-//! What the fuzz targets share: a count of memory, pieces of random length, recordings on a RAM disk.
+//! Checks of recordings.
 
-use std::alloc::{GlobalAlloc, Layout, System};
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicUsize, Ordering};
 
 use radome_driver::recording::mcap::repair;
 use radome_driver::recording::{Format, Recording, RecordingWriter};
 use radome_driver::{LabelSpan, McapReader, RecordingHeader};
 use radome_dsp::{Frame, FrameShape, FrameSource, Gap, SourceEvent, Waveform, WaveformRequest};
 
-struct Counting;
-
-static LIVE: AtomicUsize = AtomicUsize::new(0);
-static ALLOWED: AtomicUsize = AtomicUsize::new(usize::MAX);
-
-fn grown(bytes: usize) {
-    let live = LIVE.fetch_add(bytes, Ordering::Relaxed) + bytes;
-    if live > ALLOWED.load(Ordering::Relaxed) {
-        // The fuzzer ends the program here, so that the backtrace shows who asked for it.
-        ALLOWED.store(usize::MAX, Ordering::Relaxed);
-        panic!("{bytes} bytes more make {live}, which is too much");
-    }
-}
-
-// SAFETY: every call goes on to the system's allocator unchanged; counting does not allocate.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        grown(layout.size());
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn alloc_zeroed(&self, layout: Layout) -> *mut u8 {
-        grown(layout.size());
-        // SAFETY: the caller's promise about `layout` is passed on.
-        unsafe { System.alloc_zeroed(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: `pointer` came from `System` with this `layout`.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        grown(size);
-        LIVE.fetch_sub(layout.size(), Ordering::Relaxed);
-        // SAFETY: `pointer` came from `System` with this `layout`; the promise about `size` is passed on.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// Does something that may hold at most so many bytes more than there were before.
-pub fn within<T>(bytes: usize, action: impl FnOnce() -> T) -> T {
-    ALLOWED.store(LIVE.load(Ordering::Relaxed) + bytes, Ordering::Relaxed);
-    let result = action();
-    ALLOWED.store(usize::MAX, Ordering::Relaxed);
-    result
-}
-
-/// Cuts bytes into pieces of 1 to `longest` bytes, the same for the same bytes.
-pub fn pieces(bytes: &[u8], longest: usize) -> impl Iterator<Item = &[u8]> {
-    let mut state =
-        bytes.iter().fold(0x9E37_79B9_7F4A_7C15u64, |s, b| (s ^ u64::from(*b)).wrapping_mul(0x100_0000_01B3));
-    let mut rest = bytes;
-    std::iter::from_fn(move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        let length = 1 + (state >> 33) as usize % longest;
-        let (piece, others) = rest.split_at(length.min(rest.len()));
-        rest = others;
-        (!piece.is_empty()).then_some(piece)
-    })
-}
-
-/// What stands between the files of one input.
-pub const SEPARATOR: &[u8] = b"\n====\n";
-
-/// The files of an input; those that are not there are empty.
-pub fn sections<const N: usize>(input: &[u8]) -> [&[u8]; N] {
-    let mut rest = Some(input);
-    std::array::from_fn(|index| {
-        let bytes = rest.take().unwrap_or(&[]);
-        let at = bytes.windows(SEPARATOR.len()).position(|w| w == SEPARATOR).filter(|_| index + 1 < N);
-        match at {
-            Some(at) => {
-                rest = Some(&bytes[at + SEPARATOR.len()..]);
-                &bytes[..at]
-            }
-            None => bytes,
-        }
-    })
-}
-
-/// An empty folder in memory where the system has such, otherwise among the temporary files.
-pub fn folder() -> tempfile::TempDir {
-    let memory = Path::new("/dev/shm");
-    let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
-    tempfile::tempdir_in(parent).expect("a folder")
-}
+use crate::within;
 
 /// The waveform of the small recordings.
 pub fn waveform() -> Waveform {

@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use radome_driver_fuzz::{check_mcap, folder};
+use radome_fuzz::{check_mcap, folder};
 
 fuzz_target!(|input: &[u8]| {
     let folder = folder();

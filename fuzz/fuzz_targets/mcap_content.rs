@@ -8,7 +8,7 @@ use std::io::Cursor;
 use libfuzzer_sys::fuzz_target;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, WriteOptions};
-use radome_driver_fuzz::{SEPARATOR, check_mcap, folder, waveform};
+use radome_fuzz::{SEPARATOR, check_mcap, folder, waveform};
 
 fn build(input: &[u8]) -> Option<Vec<u8>> {
     let mut parts = Vec::new();

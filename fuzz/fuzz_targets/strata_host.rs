@@ -7,7 +7,7 @@ use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::strata::{
     BoardInfo, Command, FirmwareVersion, HostEvent, HostParser, MAX_MESSAGE, Protocol, Request,
 };
-use radome_driver_fuzz::{pieces, within};
+use radome_fuzz::{pieces, within};
 
 fn parse<'a>(protocol: Protocol, input: impl Iterator<Item = &'a [u8]>) -> Vec<HostEvent> {
     let mut parser = HostParser::new(protocol);

@@ -5,8 +5,8 @@
 use libfuzzer_sys::fuzz_target;
 use radome_driver::RecordingHeader;
 use radome_driver::recording::{Format, Recording};
-use radome_driver_fuzz::{folder, read, round_trip, sections, within};
 use radome_dsp::FrameSource;
+use radome_fuzz::{folder, read, round_trip, sections, within};
 
 const FILES: [&str; 6] = [
     "config.json",

@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use radome_driver::protocol::strata::{BoardEvent, BoardParser, MAX_MESSAGE};
-use radome_driver_fuzz::{pieces, within};
+use radome_fuzz::{pieces, within};
 
 #[derive(Debug, PartialEq)]
 enum Found {

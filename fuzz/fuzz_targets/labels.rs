@@ -6,7 +6,7 @@ use libfuzzer_sys::fuzz_target;
 use radome_driver::LabelSpan;
 use radome_driver::recording::label_text::{from_audacity, from_deepcraft, to_audacity, to_deepcraft};
 use radome_driver::recording::span_check::{SpanError, check_spans};
-use radome_driver_fuzz::within;
+use radome_fuzz::within;
 
 /// Six decimals.
 fn near(a: &[LabelSpan], b: &[LabelSpan]) {

@@ -1,5 +1,6 @@
 //! Writes what each fuzzer starts from, made by the program's own encoders: `seeds FOLDER`.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use radome_driver::protocol::ascii;
@@ -10,8 +11,15 @@ use radome_driver::protocol::strata::{
 use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
 use radome_driver::recording::{Format, RecordingWriter};
 use radome_driver::{LabelSpan, RecordingHeader};
-use radome_driver_fuzz::{SEPARATOR, folder, waveform};
-use radome_dsp::{Frame, Gap, GapReason, Occupancy, Truth};
+use radome_dsp::{Frame, Gap, GapReason, MapFlags, Occupancy, Rdm, RdmSpec, Truth};
+use radome_fuzz::{SEPARATOR, folder, waveform, with_card};
+use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain, ManifestRow};
+use radome_models::layer::KernelLevel;
+use radome_models::network::Network;
+use radome_models::{Model, ModelCard};
+
+#[path = "../../../sim/tests/actors/biped.rs"]
+mod biped;
 
 // All that is built here is built for coverage and needs the fuzzer to link; this one it has nothing to do with.
 libfuzzer_sys::fuzz_target!(|_input: &[u8]| {});
@@ -218,9 +226,161 @@ fn sdk_text() -> Seeds {
     vec![parts.join(SEPARATOR), [parts[0].clone(), dos].join(SEPARATOR)]
 }
 
+fn fixture(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures").join(name);
+    std::fs::read_to_string(path).expect("a fixture")
+}
+
+/// A scene and the files that it names, in the order of [`radome_fuzz::SCENE_FILES`].
+fn scene_seed(scene: &str, others: &[(&str, &str)]) -> Vec<u8> {
+    let others: BTreeMap<&str, &str> = others.iter().copied().collect();
+    let names = radome_fuzz::SCENE_FILES.iter().skip(1);
+    let parts = names.map(|name| others.get(name).copied().unwrap_or_default().as_bytes());
+    [scene.as_bytes()].into_iter().chain(parts).collect::<Vec<_>>().join(SEPARATOR)
+}
+
+fn scene() -> Seeds {
+    let mut seeds = Vec::new();
+    for name in ["hall", "corridor", "room", "desk", "bedroom", "bathroom", "room-mesh"] {
+        let text = fixture(&format!("scenes/{name}.toml"));
+        let named = text.lines().find_map(|line| line.strip_prefix("receiver = \"../")?.strip_suffix('"'));
+        let receiver = fixture(named.expect("a receiver"));
+        let text = text.replace(&format!("../{}", named.expect("a receiver")), "receiver.toml");
+        let text = text.replace("room-mesh.obj", "room.obj");
+        let mesh = fixture("scenes/room-mesh.obj");
+        let others: &[(&str, &str)] = if name == "room-mesh" {
+            &[("receiver.toml", &receiver), ("room.obj", &mesh)]
+        } else {
+            &[("receiver.toml", &receiver)]
+        };
+        seeds.push(scene_seed(&text, others));
+    }
+    let room = fixture("scenes/room-mesh.toml").replace("room-mesh.obj", "room.obj");
+    let room = room.replace("receiver = \"../receivers/paper-mesh.toml\"\n", "");
+    let mesh = fixture("scenes/room-mesh.obj");
+    let (actor, collada, clip) = (biped::gltf(1.0).bytes(), biped::collada(), biped::bvh());
+    let actor = String::from_utf8_lossy(&actor).into_owned();
+    for (file, text, body) in
+        [("actor.gltf", &actor, "mesh"), ("actor.dae", &collada, "mesh"), ("clip.bvh", &clip, "ellipsoids")]
+    {
+        let people = format!("[people]\nbody = \"{body}\"\n\n[[people.actor]]\nfile = \"{file}\"\n");
+        seeds.push(scene_seed(&room.replace("[[people.actor]]\n", &people), &[("room.obj", &mesh), (file, text)]));
+    }
+    seeds
+}
+
+/// A tetrahedron as text and as a binary file.
+fn stl() -> Seeds {
+    let corners = [[0.0f32, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+    let mut text = "solid a thing\n".to_owned();
+    let mut binary = vec![b' '; 80];
+    binary.extend(4u32.to_le_bytes());
+    for triangle in [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]] {
+        text += "facet normal 0 0 1\n outer loop\n";
+        binary.extend([0; 12]);
+        for [x, y, z] in triangle.map(|i: usize| corners[i]) {
+            text += &format!("  vertex {x} {y} {z}\n");
+            binary.extend([x, y, z].into_iter().flat_map(f32::to_le_bytes));
+        }
+        text += " endloop\nendfacet\n";
+        binary.extend([0; 2]);
+    }
+    text += "endsolid a thing\n";
+    vec![text.into_bytes(), binary]
+}
+
+fn obj() -> Seeds {
+    let small = "mtllib a.mtl\no crate\nv 0 0 0 1 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvn 0 0 1\nusemtl dark wood\n\
+                 f 4/1/1 3/1/1 2/1/1 1/1/1\ng other\nf 1//1 2//1 3//1\nf -4 -3 -2\n";
+    vec![fixture("scenes/room-mesh.obj").into_bytes(), small.into()]
+}
+
+/// With the buffer inside, beside and behind the document.
+fn gltf() -> Seeds {
+    let person = biped::gltf(1.0);
+    let mut beside = person.json.clone();
+    beside["buffers"][0]["uri"] = "buffer.bin".into();
+    let beside = serde_json::to_vec(&beside).expect("JSON");
+    let mut document = serde_json::to_vec(&person.json).expect("JSON");
+    document.resize(document.len().next_multiple_of(4), b' ');
+    let mut binary = b"glTF\x02\0\0\0".to_vec();
+    binary.extend((28 + document.len() as u32 + person.buffer.len() as u32).to_le_bytes());
+    for (kind, chunk) in [(b"JSON", &document), (b"BIN\0", &person.buffer)] {
+        binary.extend((chunk.len() as u32).to_le_bytes());
+        binary.extend(kind);
+        binary.extend(chunk);
+    }
+    vec![person.bytes(), [beside, person.buffer].join(SEPARATOR), binary]
+}
+
+fn dataset() -> Seeds {
+    let folder = folder();
+    let path = folder.path().join("set");
+    let header = DatasetHeader::new(waveform(), RdmSpec::default()).expect("a header");
+    let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
+    let mut writer = DatasetWriter::create(&path, &header).expect("creates");
+    for sequence in 0..4u64 {
+        let db = (0..header.shape.cells()).map(|cell| cell as f32 - sequence as f32).collect();
+        let flags = MapFlags::default();
+        let map = Rdm { shape: header.shape, db, range_step_m, velocity_step_m_per_s, sequence, flags };
+        let label = Occupancy::from_index(sequence as usize % 3).expect("a class");
+        let row = ManifestRow::new(Domain::Sim, "room", "run", &format!("s{}", sequence / 2), sequence, label);
+        writer.push(&map, row).expect("writes");
+    }
+    writer.finish().expect("finishes");
+    let names = ["dataset.json", "manifest.jsonl", "maps-00000.npy"];
+    vec![names.map(|name| bytes(&path.join(name))).join(SEPARATOR)]
+}
+
+/// A card that wants a network as small as there is.
+fn card() -> ModelCard {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
+    let card = ModelCard::load(&path).expect("a fixture");
+    ModelCard { pooled: [1, 1], latent: Default::default(), ..card }
+}
+
+fn small_model() -> Model {
+    let card = card();
+    let network = Network::initialise(&card.network_spec(), 1, 0, KernelLevel::detect()).expect("a network");
+    Model { card, network }
+}
+
+fn model_file() -> Seeds {
+    let folder = folder();
+    let path = folder.path().join("a.safetensors");
+    small_model().save(&path).expect("writes");
+    let card = serde_json::to_string(&card()).expect("JSON");
+    vec![bytes(&path), with_card(&card)]
+}
+
+fn model_card() -> Seeds {
+    let card = serde_json::to_string(&card()).expect("JSON");
+    let resnet = card.replace("\"hqnn\"", "\"resnet18\"");
+    vec![card.into_bytes(), resnet.into_bytes()]
+}
+
+fn onnx_file() -> Seeds {
+    vec![radome_models::onnx::export(&small_model()).expect("exports")]
+}
+
+fn specs() -> Seeds {
+    let training = "seed = 3\nnetwork = \"hqnn\"\nepochs = 4\nbatch_size = 16\npooled = [2, 15]\nlinear_epochs = 2\n\
+        [head]\nkind = \"circuit\"\n[head.circuit]\nqubits = 3\ndepth = 2\n[split]\nby = \"seed\"\n[augmentation]\n\
+        noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\n";
+    let mut seeds = vec![training.as_bytes().to_vec()];
+    for name in ["quick", "paper", "circuits", "controls", "networks", "orientation", "reliability"] {
+        seeds.push(fixture(&format!("studies/{name}.toml")).into_bytes());
+    }
+    for name in ["quick", "paper", "hall", "desk", "paper-mesh"] {
+        seeds.push(fixture(&format!("datasets/{name}.toml")).into_bytes());
+    }
+    seeds.push(b"format = 1\n[[recorded]]\nfolders = \"day1\"\nlabels = { \"one_*\" = \"one\" }\nevery = 2\n".to_vec());
+    seeds
+}
+
 fn main() {
     let root = std::env::args_os().nth(1).expect("usage: seeds FOLDER");
-    let all: [(&str, Seeds); 11] = [
+    let all: [(&str, Seeds); 22] = [
         ("usb", usb()),
         ("deepcraft", deepcraft()),
         ("strata_board", strata_board()),
@@ -232,6 +392,17 @@ fn main() {
         ("infineon", infineon()),
         ("sdk_text", sdk_text()),
         ("labels", vec![to_audacity(&labels()).into_bytes(), to_deepcraft(&labels()).into_bytes()]),
+        ("scene", scene()),
+        ("stl", stl()),
+        ("obj", obj()),
+        ("gltf", gltf()),
+        ("collada", vec![biped::collada().into_bytes()]),
+        ("bvh", vec![biped::bvh().into_bytes()]),
+        ("dataset", dataset()),
+        ("model_file", model_file()),
+        ("model_card", model_card()),
+        ("onnx_file", onnx_file()),
+        ("specs", specs()),
     ];
     for (target, seeds) in all {
         let folder = Path::new(&root).join(target);

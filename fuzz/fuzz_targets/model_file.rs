@@ -1,0 +1,7 @@
+//! A model file: a model that is written and read again, or an error.
+
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|input: &[u8]| radome_fuzz::check_model(input));

@@ -1,0 +1,114 @@
+//! Checks of scene files and of every kind of file that a scene names.
+
+use radome_sim::Scene;
+use radome_sim::actor::bvh::parse_bvh;
+use radome_sim::actor::clip::BodyClip;
+use radome_sim::actor::imported::{Actor, ActorOptions};
+use radome_sim::geometry::import::{LengthUnit, Part, UpAxis, import, parse_obj, parse_stl};
+use radome_sim::geometry::{lint, weld};
+
+use crate::{files, within};
+
+/// Files of a scene's folder, in the order of an input's sections.
+pub const SCENE_FILES: [&str; 8] =
+    ["scene.toml", "receiver.toml", "room.obj", "room.stl", "room.gltf", "actor.gltf", "actor.dae", "clip.bvh"];
+
+/// Memory that parsing may take for each byte of a mesh, and beside that.
+const MESH_BYTES: [usize; 2] = [512, 16 << 20];
+/// Memory that an actor may take: its skin is refined to 150,000 triangles at most.
+const ACTOR_BYTES: usize = 768 << 20;
+/// Samples of a clip's joints take memory of their own, which is bounded.
+const CLIP_BYTES: usize = 256 << 20;
+
+/// A scene with all that it names: loads or says why not; a scene that loads has a room, a radar and receivers.
+pub fn check_scene(input: &[u8]) {
+    let folder = files(&SCENE_FILES, input);
+    let path = folder.path().join("scene.toml");
+    match within(2 * ACTOR_BYTES, || Scene::load(&path)) {
+        Ok(scene) => {
+            let room = scene.room();
+            assert!(room.size_m.is_finite() && room.size_m.min_element() > 0.0, "{:?}", room.size_m);
+            let (_, receivers) = scene.elements();
+            assert_eq!(receivers.len(), scene.waveform().shape().rx);
+            if let Ok(drawn) = scene.drawn(7) {
+                assert_eq!(drawn.waveform(), scene.waveform());
+            }
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+}
+
+/// Binary or text STL.
+pub fn check_stl(input: &[u8]) {
+    let [each, beside] = MESH_BYTES;
+    if let Ok(parts) = within(beside + each * input.len(), || parse_stl(input)) {
+        check_parts(&parts);
+    }
+}
+
+/// OBJ.
+pub fn check_obj(input: &[u8]) {
+    let [each, beside] = MESH_BYTES;
+    if let Ok(parts) = within(beside + each * input.len(), || parse_obj(input)) {
+        check_parts(&parts);
+    }
+}
+
+/// glTF with a buffer beside it, or GLB: as a mesh of a room and as an actor.
+pub fn check_gltf(input: &[u8]) {
+    let folder = files(&["a.gltf", "buffer.bin"], input);
+    let path = folder.path().join("a.gltf");
+    // Numbers of one accessor may be read for many primitives: their sum is bounded.
+    if let Ok(parts) = within(ACTOR_BYTES, || import(&path, LengthUnit::Metre, UpAxis::Y)) {
+        check_parts(&parts);
+    }
+    let bytes = std::fs::read(&path).unwrap_or_default();
+    let options = ActorOptions { height_m: Some(1.75), ..ActorOptions::default() };
+    if let Ok(actor) = within(ACTOR_BYTES, || Actor::parse(&bytes, &path, &options)) {
+        check_actor(&actor);
+    }
+}
+
+/// COLLADA.
+pub fn check_collada(input: &[u8]) {
+    let options = ActorOptions { height_m: Some(1.75), ..ActorOptions::default() };
+    if let Ok(actor) = within(ACTOR_BYTES, || Actor::parse(input, std::path::Path::new("a.dae"), &options)) {
+        check_actor(&actor);
+    }
+}
+
+/// BVH: the clip as it stands, and the cycle of steps in it.
+pub fn check_bvh(text: &str) {
+    let Ok(clip) = within((1 << 20) + 512 * text.len(), || parse_bvh(text)) else {
+        assert!(BodyClip::parse(text, UpAxis::Y, None).is_err());
+        return;
+    };
+    assert!(clip.joints.iter().enumerate().all(|(i, joint)| joint.parent.is_none_or(|parent| parent < i)));
+    let wide: usize = clip.joints.iter().map(|joint| joint.channels.len()).sum();
+    assert!(clip.frames.iter().all(|frame| frame.len() == wide && frame.iter().all(|number| number.is_finite())));
+    for up in [UpAxis::Y, UpAxis::Z] {
+        if let Ok(cycle) = within(CLIP_BYTES, || BodyClip::parse(text, up, None)) {
+            let [begin, end] = cycle.span_s();
+            assert!(begin >= 0.0 && end > begin && cycle.cycle_m(0.9).is_finite());
+        }
+    }
+}
+
+/// Triangles have their corners, and what is a mesh can be welded and looked through.
+fn check_parts(parts: &[Part]) {
+    assert!(!parts.is_empty());
+    for part in parts {
+        let mesh = &part.mesh;
+        assert!(!mesh.triangles.is_empty());
+        assert!(mesh.triangles.iter().flatten().all(|&v| (v as usize) < mesh.vertices.len()));
+        if let Ok(welded) = weld(mesh, 1e-4) {
+            lint(&welded.mesh);
+        }
+    }
+}
+
+fn check_actor(actor: &Actor) {
+    let rest = actor.skin().rest();
+    assert!(rest.check().is_ok() && !rest.triangles.is_empty());
+    assert!(actor.height_m().is_finite() && actor.cycle_m().is_finite() && actor.cycle_m() > 0.0);
+}

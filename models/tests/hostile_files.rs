@@ -1,0 +1,182 @@
+//! Model files, ONNX files and specs that are damaged on purpose: refused with a reason, without a panic and without memory for
+//! numbers that nothing stands behind.
+
+mod hard_cases {
+    use std::path::{Path, PathBuf};
+
+    use radome_models::layer::KernelLevel;
+    use radome_models::network::Network;
+    use radome_models::study::StudySpec;
+    use radome_models::{MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainSpec, onnx};
+    use safetensors::SafeTensors;
+
+    /// A model as small as there is.
+    fn small() -> Model {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/models/paper-hqnn.safetensors");
+        let card = ModelCard::load(&path).expect("a fixture");
+        let card = ModelCard { pooled: [1, 1], latent: Default::default(), ..card };
+        let network = Network::initialise(&card.network_spec(), 1, 0, KernelLevel::detect()).expect("a network");
+        Model { card, network }
+    }
+
+    fn saved(folder: &Path) -> (PathBuf, Vec<u8>) {
+        let path = folder.join("a.safetensors");
+        small().save(&path).expect("writes");
+        let bytes = std::fs::read(&path).expect("reads");
+        (path, bytes)
+    }
+
+    #[test]
+    fn models_cut_off_anywhere_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, whole) = saved(folder.path());
+        let (header, _) = SafeTensors::read_metadata(&whole).expect("a header");
+        for length in (0..header + 8).chain((header + 8..whole.len()).step_by(997)) {
+            let error = Model::from_bytes(&path, &whole[..length]).err().expect("cut off");
+            assert!(matches!(error, ModelError::NotSafetensors { .. }), "{length}: {error}");
+        }
+        let mut header = whole.clone();
+        for length in [u64::MAX, 1 << 62, 100_000_001, whole.len() as u64] {
+            header[..8].copy_from_slice(&length.to_le_bytes());
+            assert!(matches!(Model::from_bytes(&path, &header), Err(ModelError::NotSafetensors { .. })), "{length}");
+        }
+    }
+
+    /// The card decides the sizes of the network: every number in it is looked at before it is used.
+    #[test]
+    fn cards_with_numbers_beyond_any_network_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (path, _) = saved(folder.path());
+        let card = serde_json::to_value(small().card).expect("JSON");
+        let with = |change: &dyn Fn(&mut serde_json::Value)| {
+            let mut card = card.clone();
+            change(&mut card);
+            let metadata = [("radome".to_owned(), card.to_string())].into_iter().collect();
+            let none: [(&str, safetensors::tensor::TensorView); 0] = [];
+            let bytes = safetensors::serialize(none, Some(metadata)).expect("a file");
+            Model::from_bytes(&path, &bytes).err().expect("refused").to_string()
+        };
+        let most = serde_json::json!(u64::MAX);
+        let refused = |pointer: &str, value: &serde_json::Value, expected: &str| {
+            let error = with(&|card| *card.pointer_mut(pointer).expect(pointer) = value.clone());
+            assert!(error.contains(expected), "{pointer}: {error}");
+        };
+        refused("/pooled/0", &most, "pooled");
+        refused("/pooled/1", &serde_json::json!(0), "pooled");
+        refused("/input_shape/1", &most, "input_shape");
+        refused("/waveform/request/samples_per_chirp", &most, "at most 32768");
+        refused("/waveform/request/chirps_per_frame", &most, "at most 32768");
+        refused("/rdm_spec/slow_time", &serde_json::json!({ "frames": { "frames": u64::MAX } }), "at most 32768");
+        refused("/temperature", &serde_json::json!(0.0), "constants");
+        refused("/standardisation/sigma_db", &serde_json::json!(-1.0), "constants");
+        refused("/smoothing", &serde_json::json!({ "dwell_s": 0.0 }), "smoothing.dwell_s");
+        refused("/latent", &serde_json::json!({ "mean": vec![0.5; 1000], "sigma": vec![0.5; 1000] }), "latent");
+        for (key, value) in
+            [("qubits", 1_000_000_000u64), ("depth", u64::MAX), ("repetitions", u64::MAX), ("qubits", 0)]
+        {
+            let head = serde_json::json!({ "kind": "circuit", "circuit": { key: value } });
+            let error = with(&|card| card["head"] = head.clone());
+            assert!(error.contains(key), "{key}: {error}");
+        }
+        let deep = "[".repeat(100_000);
+        let metadata = [("radome".to_owned(), format!("{{\"format_version\": {deep}"))].into_iter().collect();
+        let none: [(&str, safetensors::tensor::TensorView); 0] = [];
+        let bytes = safetensors::serialize(none, Some(metadata)).expect("a file");
+        assert!(matches!(Model::from_bytes(&path, &bytes), Err(ModelError::Card { .. })));
+    }
+
+    #[test]
+    fn model_files_that_are_no_files_or_too_large_are_not_read() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for name in ["a.safetensors", "a.onnx"] {
+            let path = folder.path().join(name);
+            // A file of this length that takes no room on the disk.
+            std::fs::File::create(&path).and_then(|file| file.set_len(MODEL_LIMIT_BYTES + 1)).expect("made");
+            let error = ModelCard::load(&path).err().expect("too large").to_string();
+            assert!(error.contains(name) && error.contains("at most") && error.contains("hint: "), "{error}");
+        }
+        let error = Model::load(folder.path()).err().expect("a folder").to_string();
+        assert!(error.contains("not a regular file"), "{error}");
+        #[cfg(target_os = "linux")]
+        {
+            let error = Model::load(Path::new("/dev/zero")).err().expect("a device").to_string();
+            assert!(error.contains("not a regular file"), "{error}");
+        }
+    }
+
+    #[test]
+    fn onnx_files_with_lengths_beyond_their_end_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.onnx");
+        let load = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).expect("writes");
+            ModelCard::load(&path)
+        };
+        let whole = onnx::export(&small()).expect("exports");
+        assert_eq!(load(&whole).expect("whole"), small().card);
+        for length in (0..whole.len()).step_by(61) {
+            assert!(load(&whole[..length]).is_err(), "{length}");
+        }
+        let hostile: [&[u8]; 6] = [
+            // A graph and an array of 2^64 - 1 bytes, a number without an end, and wire types that there are not.
+            &[0x3A, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
+            &[0x3A, 0x0B, 0x2A, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x01],
+            &[0xFF; 64],
+            &[0x3B, 0x3C],
+            &[0x3E, 0x00],
+            &[0x39, 0x00, 0x00],
+        ];
+        for bytes in hostile {
+            let error = load(bytes).err().expect("refused");
+            assert!(matches!(error, ModelError::NotOnnx { .. } | ModelError::NoCard { .. }), "{bytes:?}: {error}");
+        }
+        // Empty messages by the million: none of them is kept.
+        let mut many = vec![0x3A, 0x80, 0x80, 0x80, 0x02];
+        many.extend([0x2A, 0x00].repeat(2 << 20));
+        assert!(matches!(load(&many), Err(ModelError::NoCard { .. })));
+    }
+
+    #[test]
+    fn specs_with_numbers_beyond_any_training_are_refused() {
+        let refused = |change: &dyn Fn(&mut TrainSpec), expected: &str| {
+            let mut spec = TrainSpec::default();
+            change(&mut spec);
+            let error = spec.check().expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
+        };
+        assert!(TrainSpec::default().check().is_ok());
+        refused(&|spec| spec.epochs = usize::MAX, "epochs");
+        refused(&|spec| spec.batch_size = usize::MAX, "batch_size");
+        refused(&|spec| spec.starts = u64::MAX, "starts");
+        refused(&|spec| spec.pooled = [usize::MAX, 1], "pooled");
+        refused(&|spec| spec.learning_rate = f64::NAN, "learning_rate");
+
+        let study = |variants: usize, seeds: usize, rates: usize| StudySpec {
+            title: "many".to_owned(),
+            remarks: Vec::new(),
+            variants: (0..variants)
+                .map(|k| radome_models::study::Variant {
+                    name: format!("v{k}"),
+                    network: Some("hqnn".to_owned()),
+                    head: None,
+                    transposed: None,
+                })
+                .collect(),
+            seeds: (0..seeds as u64).collect(),
+            label_fractions: vec![1.0],
+            learning_rates: vec![1e-3; rates],
+            snr_db: Vec::new(),
+            target: 0.9,
+            leave_one_recording_out: false,
+            train: TrainSpec::default(),
+        };
+        assert!(study(3, 5, 2).check().is_ok());
+        for (many, expected) in [(study(1001, 1, 1), "variants"), (study(100, 10_000, 2), "1000000 trainings")] {
+            let error = many.check().expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let mut hollow = study(1, 1, 1);
+        hollow.train.epochs = 0;
+        assert!(hollow.check().is_err());
+    }
+}

@@ -1,0 +1,209 @@
+//! Files of bounded length, and paths that files name.
+//!
+//! `radome-models` has the same reader: neither crate stands on the other, and `radome-dsp` has no files.
+
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Read};
+use std::path::{Component, Path, PathBuf};
+
+use thiserror::Error;
+
+/// Longest TOML file that is read: the longest scene of this project has 4 kB, and measured densities fill some 100 kB.
+pub const TEXT_LIMIT_BYTES: u64 = 1 << 20;
+/// Largest mesh, actor or clip that is read: five million triangles as binary STL.
+pub const MESH_LIMIT_BYTES: u64 = 256 << 20;
+/// Environment variable that lists folders (as `PATH` does) in which scenes and specs may name files beside their own folder.
+pub const FOLDERS_VARIABLE: &str = "RADOME_PATH";
+
+/// Reason why a file is not read. It comes inside an [`io::Error`].
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum Refused {
+    /// The file is longer than any of its kind has to be.
+    #[error(
+        "it has {found_bytes} bytes or more, and at most {limit_bytes} are read of such a file\n\nhint: check that it is the \
+         file you mean; reduce or split what it holds"
+    )]
+    TooLarge {
+        /// Length, bytes; of a file that grows, what was read of it.
+        found_bytes: u64,
+        /// Most bytes that are read.
+        limit_bytes: u64,
+    },
+    /// A folder, a device, a pipe or a socket.
+    #[error("it is not a regular file\n\nhint: write its content to a file and name that")]
+    NotRegular,
+    /// The path leads out of the folder of the file that names it.
+    #[error("{name:?} leads out of the folder of the file that names it\n\nhint: {hint}")]
+    Outside {
+        /// The path as it is written.
+        name: String,
+        /// What to do.
+        hint: &'static str,
+    },
+}
+
+impl From<Refused> for io::Error {
+    fn from(refused: Refused) -> Self {
+        let kind = match refused {
+            Refused::TooLarge { .. } => ErrorKind::FileTooLarge,
+            Refused::NotRegular => ErrorKind::InvalidInput,
+            Refused::Outside { .. } => ErrorKind::PermissionDenied,
+        };
+        io::Error::new(kind, refused)
+    }
+}
+
+/// Reads a regular file of at most `limit_bytes`.
+///
+/// # Errors
+/// Errors of the system, and [`Refused`] for a longer file and for whatever is not a regular file.
+pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
+    // Before opening: opening a pipe waits for its writer.
+    if !fs::metadata(path)?.is_file() {
+        return Err(Refused::NotRegular.into());
+    }
+    let file = File::open(path)?;
+    let length = file.metadata()?.len();
+    if length > limit_bytes {
+        return Err(Refused::TooLarge { found_bytes: length, limit_bytes }.into());
+    }
+    let mut bytes = Vec::with_capacity(length as usize);
+    // A file may grow meanwhile, and those of /proc have no length.
+    file.take(limit_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > limit_bytes {
+        return Err(Refused::TooLarge { found_bytes: bytes.len() as u64, limit_bytes }.into());
+    }
+    Ok(bytes)
+}
+
+/// Reads a text file of at most `limit_bytes`.
+///
+/// # Errors
+/// As [`read`], and [`ErrorKind::InvalidData`] where the file is not UTF-8.
+pub fn read_text(path: &Path, limit_bytes: u64) -> io::Result<String> {
+    String::from_utf8(read(path, limit_bytes)?).map_err(|e| io::Error::new(ErrorKind::InvalidData, e.utf8_error()))
+}
+
+/// Path of a file that a file in `folder` names, where both were written by other programs: within that folder, by a relative
+/// path, links followed.
+///
+/// # Errors
+/// Errors of the system, and [`Refused::Outside`].
+pub fn beside(folder: &Path, name: &str) -> io::Result<PathBuf> {
+    let outside = || Refused::Outside {
+        name: name.to_owned(),
+        hint: "put the file beside the one that names it, and name it without \"..\" and without a leading \"/\"",
+    };
+    if !Path::new(name).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir)) {
+        return Err(outside().into());
+    }
+    let path = folder_of(folder).join(name).canonicalize()?;
+    if path.starts_with(folder_of(folder).canonicalize()?) { Ok(path) } else { Err(outside().into()) }
+}
+
+/// Path of a file or folder that a scene or a spec in `folder` names. Links followed, it lies in that folder or in one that
+/// [`FOLDERS_VARIABLE`] lists; a `.toml` file may also lie in a folder beside that folder, such as `../receivers/desk.toml`.
+///
+/// # Errors
+/// Errors of the system, and [`Refused::Outside`].
+pub fn named_by_spec(folder: &Path, name: &Path) -> io::Result<PathBuf> {
+    let path = folder.join(name);
+    let (real, own) = (path.canonicalize()?, folder_of(folder).canonicalize()?);
+    let is_toml = real.extension().is_some_and(|extension| extension == "toml");
+    let is_near = |above: &Path| real.strip_prefix(above).is_ok_and(|rest| rest.components().count() <= 2);
+    let listed = std::env::var_os(FOLDERS_VARIABLE).unwrap_or_default();
+    let is_listed = || {
+        let listed = std::env::split_paths(&listed).filter(|folder| !folder.as_os_str().is_empty());
+        listed.filter_map(|folder| folder.canonicalize().ok()).any(|folder| real.starts_with(folder))
+    };
+    if real.starts_with(&own) || (is_toml && own.parent().is_some_and(is_near)) || is_listed() {
+        // Not the real path: messages and fingerprints keep the name that the user knows.
+        return Ok(path);
+    }
+    let hint = "put the file beside the one that names it, or list its folder in RADOME_PATH";
+    Err(Refused::Outside { name: name.display().to_string(), hint }.into())
+}
+
+/// The folder of a path without one is the working directory.
+fn folder_of(folder: &Path) -> &Path {
+    if folder.as_os_str().is_empty() { Path::new(".") } else { folder }
+}
+
+#[cfg(test)]
+mod hard_cases {
+    use super::*;
+
+    fn refused(result: io::Result<impl std::fmt::Debug>) -> Refused {
+        let error = result.expect_err("refused");
+        error.get_ref().and_then(|inner| inner.downcast_ref::<Refused>()).cloned().expect("a reason of ours")
+    }
+
+    #[test]
+    fn long_files_devices_folders_and_pipes_are_refused_at_once() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a");
+        fs::write(&path, [b'x'; 100]).expect("written");
+        assert_eq!(read(&path, 100).expect("read").len(), 100);
+        assert_eq!(refused(read(&path, 99)), Refused::TooLarge { found_bytes: 100, limit_bytes: 99 });
+        let error = read(&path, 99).expect_err("too long");
+        assert_eq!(error.kind(), ErrorKind::FileTooLarge);
+        assert!(error.to_string().contains("100 bytes") && error.to_string().contains("hint"), "{error}");
+        assert_eq!(refused(read(folder.path(), 99)), Refused::NotRegular);
+        assert_eq!(read(&folder.path().join("none"), 99).expect_err("absent").kind(), ErrorKind::NotFound);
+        fs::write(&path, [0xFF, 0xFE]).expect("written");
+        assert_eq!(read_text(&path, 99).expect_err("no text").kind(), ErrorKind::InvalidData);
+        #[cfg(target_os = "linux")]
+        {
+            assert_eq!(refused(read(Path::new("/dev/zero"), 99)), Refused::NotRegular);
+            let pipe = folder.path().join("pipe");
+            let made = std::process::Command::new("mkfifo").arg(&pipe).status().expect("mkfifo");
+            assert!(made.success());
+            assert_eq!(refused(read(&pipe, 99)), Refused::NotRegular);
+            // No length, and no end before the limit.
+            assert!(matches!(
+                refused(read(Path::new("/proc/self/maps"), 9)),
+                Refused::TooLarge { found_bytes: 10, .. }
+            ));
+        }
+    }
+
+    #[test]
+    fn names_do_not_lead_out_of_the_folder() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let (scenes, receivers) = (folder.path().join("scenes"), folder.path().join("receivers"));
+        fs::create_dir_all(scenes.join("meshes")).expect("made");
+        fs::create_dir_all(&receivers).expect("made");
+        for path in [
+            scenes.join("meshes/a.obj"),
+            receivers.join("a.toml"),
+            receivers.join("a.obj"),
+            folder.path().join("b.obj"),
+        ] {
+            fs::write(path, "x").expect("written");
+        }
+        assert!(beside(&scenes, "meshes/a.obj").is_ok() && beside(&scenes, "./meshes/a.obj").is_ok());
+        let absolute = scenes.join("meshes/a.obj").display().to_string();
+        for name in ["../b.obj", "meshes/../meshes/a.obj", "/etc/hostname", "/dev/zero", "..", absolute.as_str()] {
+            assert!(matches!(refused(beside(&scenes, name)), Refused::Outside { .. }), "{name}");
+        }
+        assert_eq!(beside(&scenes, "none").expect_err("absent").kind(), ErrorKind::NotFound);
+
+        let spec = |name: &str| named_by_spec(&scenes, Path::new(name));
+        assert!(spec("meshes/a.obj").is_ok() && spec(&absolute).is_ok() && spec("../receivers/a.toml").is_ok());
+        for name in ["../receivers/a.obj", "../b.obj", "/dev/zero", "../../../../../../../../etc/hostname"] {
+            match spec(name) {
+                Err(error) if error.kind() == ErrorKind::NotFound => {}
+                other => assert!(matches!(refused(other), Refused::Outside { .. }), "{name}"),
+            }
+        }
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink(folder.path().join("b.obj"), scenes.join("link.obj")).expect("linked");
+            std::os::unix::fs::symlink(folder.path(), scenes.join("up")).expect("linked");
+            for name in ["link.obj", "up/b.obj"] {
+                assert!(matches!(refused(beside(&scenes, name)), Refused::Outside { .. }), "{name}");
+                assert!(matches!(refused(spec(name)), Refused::Outside { .. }), "{name}");
+            }
+        }
+    }
+}
