@@ -134,7 +134,9 @@ mod hard_cases {
         for made in [&own, &receivers] {
             std::fs::create_dir(made).expect("made");
         }
-        let copy = |name: &str, to: std::path::PathBuf| drop(std::fs::copy(fixtures.join(name), to).expect("copied"));
+        let copy = |name: &str, to: std::path::PathBuf| {
+            std::fs::copy(fixtures.join(name), to).expect("copied");
+        };
         copy("receivers/paper-mesh.toml", receivers.join("r.toml"));
         copy("receivers/paper-mesh.toml", own.join("r.toml"));
         copy("receivers/paper-mesh.toml", folder.path().join("r.toml"));

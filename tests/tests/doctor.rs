@@ -83,7 +83,7 @@ fn unpacked(bundle: &Path) -> BTreeMap<String, Vec<u8>> {
         let mut part = archive.by_index(index).expect("a part");
         let mut bytes = Vec::new();
         part.read_to_end(&mut bytes).expect("whole");
-        parts.insert(part.name().to_owned(), bytes);
+        parts.insert(part.name().expect("a name").into_owned(), bytes);
     }
     parts
 }
