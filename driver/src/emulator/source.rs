@@ -102,7 +102,7 @@ impl FrameSource for EmulatedSource {
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         // The board falls silent both when its source has ended and when the source is slow: only the former ends it.
         loop {
-            let finished = self.board.finished();
+            let is_over = self.board.finished() || self.board.is_over();
             match self.stream.poll(frame, Duration::from_millis(50))? {
                 Some(event) => {
                     if event == SourceEvent::Frame {
@@ -110,7 +110,12 @@ impl FrameSource for EmulatedSource {
                     }
                     return Ok(event);
                 }
-                None if finished => return Ok(SourceEvent::End),
+                None if is_over => {
+                    return match self.board.failure() {
+                        Some(reason) => Err(format!("the emulated board sends no more frames: {reason}").into()),
+                        None => Ok(SourceEvent::End),
+                    };
+                }
                 None => {}
             }
         }
