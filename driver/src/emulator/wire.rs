@@ -12,7 +12,7 @@ use super::{EmulatorOptions, Fault, Shared};
 use crate::usb::Setup;
 
 /// How long a board that is being stopped takes at most to let its host have what is under way.
-const FINISH: Duration = Duration::from_millis(250);
+const FINISH: Duration = Duration::from_millis(500);
 /// Pieces of requests that are under way at once: a host that sends more has to wait.
 const MOST_UNDER_WAY: usize = 256;
 
@@ -275,8 +275,10 @@ impl Wire {
             self.port.wait(true, Duration::from_millis(10))?;
             self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
         }
-        // What it has not read when the line goes it does not get.
-        while Instant::now() < end && self.port.holds_unread() {
+        // What it has not read when the line goes it does not get. The system may yet have more for it than it has handed over.
+        let mut quiet = 0;
+        while Instant::now() < end && quiet < 5 {
+            quiet = if self.port.holds_unread() { 0 } else { quiet + 1 };
             thread::sleep(Duration::from_millis(1));
         }
         Ok(())
