@@ -249,7 +249,12 @@ impl Terminal {
                 Err(e) => return Err(e.into()),
             }
         };
-        *slave = Some(open_slave(path)?);
+        *slave = match open_slave(path) {
+            Ok(slave) => Some(slave),
+            // A client that came meanwhile has it for itself: the board's own handle is had again when that one goes.
+            Err(Errno::BUSY) => None,
+            Err(e) => return Err(e.into()),
+        };
         if let Some(slave) = slave.as_ref().filter(|_| is_abandoned) {
             received.clear();
             // Nothing has been written for a client that came meanwhile: all this was for those that have gone.
