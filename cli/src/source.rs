@@ -17,8 +17,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording};
 use radome_driver::{
-    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Pace, Player,
-    RealTime, Reconnect, Transport, candidates,
+    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace,
+    Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
@@ -134,18 +134,11 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
-    if options.as_tape && path.extension().is_none_or(|e| e != "toml") {
+    if options.as_tape && !is_scene(path) {
         return tape(path, options.speed.unwrap_or(1.0));
     }
-    let mut source = if path.extension().is_some_and(|e| e == "toml") {
-        let scene = Scene::load(path)?;
-        let simulate = SimulateOptions {
-            seed: options.seed,
-            people: options.people,
-            frames: options.frames,
-            ..Default::default()
-        };
-        let simulator = Simulator::new(&scene, simulate)?.on_own_threads()?;
+    let mut source = if is_scene(path) {
+        let simulator = simulator(&Scene::load(path)?, options)?;
         let description = format!("simulation of {} with seed {}", path.display(), options.seed);
         Source::without_board(Box::new(simulator), description)
     } else {
@@ -156,6 +149,46 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         source.frames = Box::new(RealTime::new(source.frames, speed));
     }
     Ok(source)
+}
+
+fn is_scene(path: &Path) -> bool {
+    path.extension().is_some_and(|e| e == "toml")
+}
+
+fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator> {
+    let simulate =
+        SimulateOptions { seed: options.seed, people: options.people, frames: options.frames, ..Default::default() };
+    Ok(Simulator::new(scene, simulate)?.on_own_threads()?)
+}
+
+/// What an emulated board measures, and one line that says what it is. A scene is simulated in whatever waveform a client
+/// programs; a recording can be begun again.
+pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String)> {
+    let Source { frames, description, .. } = open(spec, options)?;
+    let (path, options) = (PathBuf::from(spec), options.clone());
+    let feed = match (path.exists(), is_scene(&path)) {
+        (false, _) => Feed::from(frames),
+        (true, true) => {
+            Feed::of_any_waveform(frames, move |waveform, from| Ok(simulation_in(&path, waveform, from, &options)?))
+        }
+        (true, false) => Feed::that_begins_again(frames, move || Ok(radome_driver::recording::open(&path)?)),
+    };
+    Ok((feed, description))
+}
+
+/// A scene in another waveform than its own, from the frame on that begins at this time or next after it.
+fn simulation_in(
+    path: &Path,
+    waveform: &Waveform,
+    from: Duration,
+    options: &SourceOptions,
+) -> anyhow::Result<Box<dyn FrameSource>> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut table: toml::Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;
+    table.insert("waveform".to_owned(), toml::Value::try_from(&waveform.request)?);
+    let mut simulator = simulator(&Scene::parse(&table.to_string(), path)?, options)?;
+    simulator.seek((from.as_secs_f64() / waveform.frame_interval_s()).ceil() as u64);
+    Ok(Box::new(simulator))
 }
 
 /// A recording to play; its board is the one that it was taken with.

@@ -23,7 +23,9 @@ pub use board::{
     LineStream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
-pub use emulator::{EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Kind, Pace};
+pub use emulator::{
+    EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, FaultError, Feed, Kind, Pace,
+};
 pub use player::{Player, Transport};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;

@@ -28,6 +28,8 @@ fn options(faults: &[Fault]) -> EmulatorOptions {
         pace: Pace::AsFastAsRead,
         kind: Kind::Deepcraft,
         faults: faults.to_vec(),
+        // Faults are counted in chunks: how many the board sends while it is asked something is not to matter.
+        latency: Duration::ZERO,
         ..EmulatorOptions::default()
     }
 }
@@ -161,6 +163,38 @@ fn the_emulated_board_answers_as_written_by_hand() {
     let mut got = vec![0; expected.len()];
     port.read_exact(&mut got).expect("answers");
     assert_eq!(got, expected);
+}
+
+/// Chunks hold what one read of the FIFO completes, although the stream says that a chunk has one frame at most. The vendor's
+/// firmware says and does so (its `dev_bgt60trxx.c` adds the stream with 1 and sends all the frames that it has): a client that
+/// relies on the number fails with the real board, and is to fail with this one.
+#[test]
+fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
+    let w = small();
+    let board = board(&w, &[]);
+    let path = board.path().display().to_string();
+    let mut port = serialport::new(path, 115_200).timeout(Duration::from_secs(60)).open().expect("opens");
+    let mut asked = Vec::new();
+    Request::from(Command::Capabilities(CapabilitiesRequest { device: 0, tag: 1 })).encode_to(&mut asked);
+    // Start of device 0.
+    asked.extend([2, 0x1A, 0]);
+    port.write_all(&asked).expect("asks");
+    let mut parser = MessageParser::new(MAX_RESPONSE);
+    let (mut some, mut stated, mut held) = (vec![0; 4096], None, None);
+    while held.is_none() {
+        let count = port.read(&mut some).expect("answers");
+        parser.push(&some[..count]);
+        while let Some(message) = parser.next_message() {
+            match Response::decode(message.expect("a length")).expect("a message").answer {
+                Some(Answer::Capabilities(answer)) => {
+                    stated = Some(answer.board.expect("a board").devices[0].streams[0].max_frame_count);
+                }
+                Some(Answer::Data(chunk)) => held = held.or(Some(chunk.frame_count)),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+    assert_eq!((stated, held), (Some(1), Some(4)));
 }
 
 /// What the emulated firmware reads at once completes four of these frames.
@@ -394,12 +428,13 @@ mod hard_cases {
         port.write_all(b"AT+GCAP\r").expect("writes");
         drop(port);
         DeepcraftBoard::open(board.path()).expect("opens after a modem manager");
-        let mut port = raw(&board);
+        // Somebody else keeps the port open: where the last one leaves, the board stops.
+        let mut port = std::fs::File::options().read(true).write(true).open(board.path()).expect("opens");
         port.write_all(&[2, 0x1A, 0]).expect("starts");
         let mut some = [0; 100];
         port.read_exact(&mut some).expect("measures");
-        drop(port);
         assert!(read(&mut start(&board, &w), 20).is_empty(), "opens while it measures");
+        drop(port);
         // Again, after a stream that was dropped.
         assert!(read(&mut start(&board, &w), 20).is_empty());
         let stream = start(&board, &w);

@@ -6,8 +6,10 @@ use std::time::Duration;
 
 use common::{Pattern, waveform};
 use radome_driver::emulator::EmulatorCounts;
-use radome_driver::{Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Pace};
-use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceEvent, Truth, Waveform};
+use radome_driver::{
+    Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Pace,
+};
+use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth, Waveform};
 
 fn options(faults: &[Fault]) -> EmulatorOptions {
     EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() }
@@ -144,6 +146,61 @@ fn gaps_of_the_source_reach_the_client() {
     assert_eq!(gaps, [Gap { reason: GapReason::PacketLost, ..gap }]);
 }
 
+#[test]
+fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
+    let own = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let source = Box::new(Pattern::new(own.clone(), u64::MAX));
+    let feed = Feed::of_any_waveform(source, |waveform, _| Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))));
+    let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
+    let mut client = Board::open(board.path()).expect("opens");
+    for (antennas, chirps, samples, interval_s) in
+        [(&[1u8, 2, 3][..], 8, 64, 0.1), (&[1, 2, 3], 16, 32, 0.1), (&[2], 8, 64, 0.05), (&[1, 3], 4, 128, 0.05)]
+    {
+        let wanted = waveform(antennas, chirps, samples, interval_s);
+        let mut stream = client.start(&wanted).expect("starts");
+        let mut frame = Frame::zeroed(wanted.shape());
+        let mut expected = frame.clone();
+        for sequence in 0..20 {
+            assert_eq!(stream.next_frame(&mut frame).expect("stream"), SourceEvent::Frame);
+            Pattern::new(wanted.clone(), 0).fill(sequence, &mut expected);
+            assert!(frame.codes == expected.codes, "frame {sequence} of {}", wanted.shape());
+        }
+        client = stream.stop().expect("stops");
+    }
+    assert_eq!(board.refusal(), None);
+}
+
+/// Counters and time go on, and the seam is as any two frames.
+#[test]
+fn a_source_that_is_repeated_begins_again() {
+    let w = waveform(&[1, 2, 3], 8, 64, 0.1);
+    let pattern = Pattern::new(w.clone(), 7);
+    let (source, again) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
+    let feed = Feed::that_begins_again(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
+    let board = EmulatedBoard::spawn(feed, EmulatorOptions { repeat: true, ..options(&[]) }).expect("spawns");
+    let mut stream = Board::open(board.path()).expect("opens").start(&w).expect("starts");
+    let mut frame = Frame::zeroed(w.shape());
+    let mut expected = frame.clone();
+    for sequence in 0..40 {
+        assert_eq!(stream.next_frame(&mut frame).expect("stream"), SourceEvent::Frame);
+        pattern.fill(sequence % 7, &mut expected);
+        assert!(frame.sequence == sequence && frame.codes == expected.codes, "frame {sequence}");
+        let time_ns = (sequence as f64 * w.frame_interval_s() * 1e9) as u64;
+        assert!(frame.time_ns.abs_diff(time_ns) < 3_000, "frame {sequence} at {} ns", frame.time_ns);
+    }
+    assert!(!board.finished());
+}
+
+#[test]
+fn a_source_that_ends_is_known_to_have_ended_and_its_frames_are_counted() {
+    let w = waveform(&[1, 2, 3], 128, 256, 0.1);
+    let pattern = || Pattern::new(w.clone(), 7);
+    let mut source = EmulatedSource::start(Box::new(pattern()), options(&[])).expect("starts");
+    let (sequences, _) = read_all(&mut source, &pattern());
+    assert_eq!((sequences.len(), source.board().counts().frames), (7, 7));
+    assert!(source.board().finished() && source.board().failure().is_none());
+}
+
 mod hard_cases {
     use super::*;
 
@@ -273,14 +330,122 @@ mod hard_cases {
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
     }
 
+    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a board that
+    /// is silent it asks for another waveform.
     #[test]
-    fn another_waveform_is_refused() {
-        let source = waveform(&[1, 2, 3], 8, 64, 0.1);
-        let board = EmulatedBoard::spawn(Box::new(Pattern::new(source, 1)), options(&[])).expect("spawns");
+    fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
+        let own = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let source = Pattern::new(own.clone(), u64::MAX);
+        let board = EmulatedBoard::spawn(Box::new(source), options(&[])).expect("spawns");
+        let other = waveform(&[1, 2, 3], 16, 64, 0.1);
         let client = Board::open(board.path()).expect("opens");
-        let error = client.start(&waveform(&[1, 2, 3], 16, 64, 0.1)).err().expect("refused");
-        assert!(error.to_string().contains("FAILED"), "{error}");
-        assert!(board.refusal().expect("says why").contains("map size"));
+        let mut stream = client.start(&other).expect("answered as by a real board");
+        let mut frame = Frame::zeroed(other.shape());
+        let error = stream.next_frame(&mut frame).expect_err("no frames");
+        assert!(error.to_string().contains("stalled"), "{error}");
+        let refusal = board.refusal().expect("says why");
+        assert!(refusal.contains("16 chirps") && refusal.contains("8 chirps"), "{refusal}");
+        let client = stream.stop().expect("answers");
+        let mut stream = client.start(&own).expect("starts");
+        let mut frame = Frame::zeroed(own.shape());
+        assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+        assert_eq!((board.refusal(), board.failure()), (None, None));
+    }
+
+    /// Frames to the last before it, then an error or a panic.
+    struct Failing {
+        pattern: Pattern,
+        panics: bool,
+    }
+
+    impl FrameSource for Failing {
+        fn waveform(&self) -> &Waveform {
+            &self.pattern.waveform
+        }
+
+        fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+            match self.pattern.next_frame(frame)? {
+                SourceEvent::End if self.panics => panic!("the disk is on fire"),
+                SourceEvent::End => Err("the disk is on fire".into()),
+                event => Ok(event),
+            }
+        }
+    }
+
+    #[test]
+    fn a_source_that_fails_or_panics_is_an_error_after_its_last_frame() {
+        let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
+        for panics in [false, true] {
+            let source = Failing { pattern: Pattern::new(waveform.clone(), 3), panics };
+            let mut source = EmulatedSource::start(Box::new(source), options(&[])).expect("starts");
+            let mut frame = Frame::zeroed(waveform.shape());
+            for sequence in 0..3 {
+                assert_eq!(source.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
+                assert_eq!(frame.sequence, sequence);
+            }
+            let error = source.next_frame(&mut frame).expect_err("no end").to_string();
+            assert!(error.contains("the disk is on fire") && error.contains("panicked") == panics, "{error}");
+        }
+    }
+
+    #[test]
+    fn a_waveform_that_cannot_be_made_is_refused_and_others_are_made() {
+        let own = waveform(&[1, 2, 3], 8, 64, 0.1);
+        let feed = Feed::of_any_waveform(Box::new(Pattern::new(own.clone(), u64::MAX)), |waveform, _| {
+            match waveform.request.chirps_per_frame {
+                16 => Err("sixteen is too many".into()),
+                32 => panic!("thirty-two"),
+                _ => Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))),
+            }
+        });
+        let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
+        let mut client = Board::open(board.path()).expect("opens");
+        for (chirps, frames) in [(16, false), (8, true), (16, false), (4, true), (8, true)] {
+            let wanted = waveform(&[1, 2, 3], chirps, 64, 0.1);
+            let mut frame = Frame::zeroed(wanted.shape());
+            let mut stream = client.start(&wanted).expect("starts");
+            assert_eq!(stream.next_frame(&mut frame).is_ok(), frames, "{chirps} chirps");
+            let said = board.refusal();
+            assert_eq!(said.as_deref(), (!frames).then_some("sixteen is too many"), "{chirps} chirps");
+            client = stream.stop().expect("stops");
+        }
+        let mut stream = client.start(&waveform(&[1, 2, 3], 32, 64, 0.1)).expect("starts");
+        stream.next_frame(&mut Frame::zeroed(own.shape())).expect_err("no frames");
+        assert!(board.failure().is_some_and(|reason| reason.contains("thirty-two")), "{:?}", board.failure());
+    }
+
+    #[test]
+    fn one_link_is_one_boards() {
+        let folder = tempfile::tempdir().expect("folder");
+        let link = folder.path().join("board");
+        let own = waveform(&[1], 8, 64, 0.1);
+        let spawn = || {
+            let options = EmulatorOptions { link: Some(link.clone()), ..options(&[]) };
+            EmulatedBoard::spawn(Box::new(Pattern::new(own.clone(), 1)), options)
+        };
+        for _ in 0..5 {
+            let boards: Vec<_> = std::thread::scope(|scope| {
+                let threads: Vec<_> = (0..8).map(|_| scope.spawn(spawn)).collect();
+                threads.into_iter().map(|thread| thread.join().expect("no panic")).collect()
+            });
+            let taken = boards.iter().filter(|board| matches!(board, Err(EmulatorError::LinkTaken { .. }))).count();
+            assert_eq!((boards.iter().filter(|board| board.is_ok()).count(), taken), (1, 7));
+            Board::open(&link).expect("the one that has it");
+            drop(boards);
+            assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
+        }
+        let said = {
+            let _first = spawn().expect("free");
+            let said = spawn().err().expect("taken").to_string();
+            // What somebody has put in its place is not the board's to remove.
+            std::fs::remove_file(&link).expect("removes");
+            std::fs::write(&link, "mine").expect("writes");
+            said
+        };
+        assert!(said.contains("board") && said.contains("hint:"), "{said}");
+        assert_eq!(std::fs::read_to_string(&link).expect("still there"), "mine");
+        let error = spawn().err().expect("a file is in the way");
+        assert!(matches!(error, EmulatorError::LinkExists { .. }) && error.to_string().contains("hint:"), "{error}");
     }
 
     #[test]

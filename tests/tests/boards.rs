@@ -1,9 +1,11 @@
 //! Every emulated board serves a recording through its own bytes, and what is recorded from it is the recording.
 
 use std::io::{BufRead, BufReader};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Output, Stdio};
 
+use radome_dsp::{Frame, FrameSource, RxMask, Waveform, WaveformRequest};
+use radome_tests::running::{Running, wait_for};
 use radome_tests::{failure, fixture, json_lines, radome};
 
 const FRAMES: usize = 60;
@@ -170,4 +172,164 @@ fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     }
     let _ = board.kill();
     let _ = board.wait();
+}
+
+/// An emulated board that a test looks at, and its port.
+fn running_board(from: &Path, arguments: &[&str]) -> (Running, String) {
+    let board = Running::start(radome().arg("emulate").args(arguments).arg("--from").arg(from));
+    let port = board.stdout.find(0, "the board's port", |line| Some(line.to_owned()));
+    (board, port)
+}
+
+/// A waveform of another shape than the desk's, and the file that names it.
+fn other_waveform(folder: &Path) -> (Waveform, PathBuf) {
+    let path = folder.join("other.toml");
+    let text = "start_frequency_hz = 60e9\nend_frequency_hz = 62e9\nsamples_per_chirp = 32\nchirps_per_frame = 16\n\
+        sample_rate_hz = 1e6\nchirp_interval_s = 800e-6\nframe_interval_s = 50e-3\nrx_antennas = [1, 3]\n";
+    std::fs::write(&path, text).expect("writes");
+    let request = WaveformRequest {
+        start_frequency_hz: 60e9,
+        end_frequency_hz: 62e9,
+        samples_per_chirp: 32,
+        chirps_per_frame: 16,
+        sample_rate_hz: 1e6,
+        chirp_interval_s: 800e-6,
+        frame_interval_s: 50e-3,
+        rx_antennas: RxMask::from_antennas(&[1, 3]).expect("receivers"),
+        ..WaveformRequest::paper()
+    };
+    (Waveform::realise(request).expect("a waveform"), path)
+}
+
+/// Records so many frames of a board; none may be missing.
+fn record_frames(port: &str, frames: usize, waveform: Option<&Path>, recorded: &Path) {
+    let mut record = radome();
+    record.args(["record", &format!("serial:{port}"), "--frames", &frames.to_string(), "--json", "-o"]).arg(recorded);
+    if let Some(waveform) = waveform {
+        record.arg("--waveform").arg(waveform);
+    }
+    let summary = json_lines(&mut record);
+    assert_eq!((&summary[0]["frames"], &summary[0]["dropped"]), (&frames.into(), &0.into()));
+}
+
+#[test]
+fn a_scene_is_simulated_in_the_waveform_that_the_client_programs() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (_, other) = other_waveform(folder.path());
+    let (board, port) = running_board(&fixture("scenes/desk.toml"), &["--speed", "0"]);
+    // Who names no waveform has that of the client before it.
+    for (number, waveform, frame) in [(0, None, 3 * 8 * 64), (1, Some(&other), 2 * 16 * 32), (2, None, 2 * 16 * 32)] {
+        let recorded = folder.path().join(format!("{number}.mcap"));
+        record_frames(&port, 10, waveform.map(PathBuf::as_path), &recorded);
+        let copy = folder.path().join(number.to_string());
+        json_lines(radome().arg("convert").arg(&recorded).arg(&copy).arg("--json"));
+        let codes = codes(&copy);
+        assert_eq!(codes.len(), 10 * frame, "recording {number}");
+        assert!(codes.iter().any(|code| *code != codes[0]), "there is something in it");
+    }
+    let said = board.stderr.all();
+    assert!(!said.iter().any(|line| line.contains("sends no frames")), "{said:?}");
+}
+
+#[test]
+fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(60, &fed);
+    let (board, port) = running_board(&fed, &["--speed", "0"]);
+    let (other, _) = other_waveform(folder.path());
+    let client = radome_driver::Board::open(Path::new(&port)).expect("a board");
+    let mut stream = client.start(&other).expect("a real board starts as well");
+    stream.next_frame(&mut Frame::zeroed(other.shape())).expect_err("no frames");
+    let said = board.stderr.find(0, "a word", |line| line.contains("sends no frames").then(|| line.to_owned()));
+    assert!(said.contains("16 chirps x 32 samples") && said.contains("8 chirps x 64 samples"), "{said}");
+    // The same client goes on.
+    let client = stream.stop().expect("answers");
+    let own = radome_driver::recording::open(&fed).expect("opens").waveform().clone();
+    let mut stream = client.start(&own).expect("starts");
+    stream.next_frame(&mut Frame::zeroed(own.shape())).expect("frames");
+}
+
+#[test]
+fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(30, &fed);
+
+    let (board, port) = running_board(&fed, &["--speed", "0"]);
+    let mut client =
+        Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(folder.path().join("all.mcap")));
+    let said = board.stderr.find(0, "the end", |line| line.contains("has ended").then(|| line.to_owned()));
+    assert!(said.contains("30 frames were sent") && said.contains("silent") && said.contains("--loop"), "{said}");
+    client.signal("TERM");
+    client.wait();
+    // It stays what it is: a board that answers.
+    radome_driver::Board::open(Path::new(&port)).expect("answers");
+    assert_eq!(board.stderr.all().iter().filter(|line| line.contains("has ended")).count(), 1);
+
+    let (board, port) = running_board(&fed, &["--speed", "0", "--loop"]);
+    let recorded = folder.path().join("loop.mcap");
+    record_frames(&port, 75, None, &recorded);
+    assert!(!board.stderr.all().iter().any(|line| line.contains("has ended")), "{:?}", board.stderr.all());
+    let copies = [(&fed, "fed"), (&recorded, "loop")].map(|(recording, name)| {
+        let copy = folder.path().join(name);
+        json_lines(radome().arg("convert").arg(recording).arg(&copy).arg("--json"));
+        codes(&copy)
+    });
+    let frame = copies[0].len() / 30;
+    for (number, got) in copies[1].chunks(frame).enumerate() {
+        let expected = copies[0].chunks(frame).nth(number % 30).expect("a frame");
+        assert!(got == expected, "frame {number}");
+    }
+}
+
+#[test]
+fn a_link_is_one_boards_and_goes_with_it() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(30, &fed);
+    let link = folder.path().join("board");
+    let link_text = link.display().to_string();
+    let arguments = ["--speed", "0", "--loop", "--link", &link_text];
+    let second = || {
+        let mut command = radome();
+        command.arg("emulate").args(arguments).arg("--from").arg(&fed);
+        command
+    };
+    let (mut first, port) = running_board(&fed, &arguments);
+    assert_eq!(port, link_text);
+    for _ in 0..3 {
+        let said = failure(&mut second());
+        assert!(said.contains(&link_text) && said.contains("hint:"), "{said}");
+    }
+    record_frames(&port, 5, None, &folder.path().join("first.mcap"));
+    first.signal("TERM");
+    first.wait();
+    assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
+
+    // One that is killed leaves it behind, for the next to take.
+    let (mut killed, _) = running_board(&fed, &arguments);
+    killed.signal("KILL");
+    killed.wait();
+    assert!(std::fs::read_link(&link).is_ok());
+    let (_next, port) = running_board(&fed, &arguments);
+    record_frames(&port, 5, None, &folder.path().join("next.mcap"));
+}
+
+#[test]
+fn a_recorder_that_is_killed_leaves_a_board_for_the_next() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let fed = folder.path().join("fed.mcap");
+    simulate(60, &fed);
+    let (_board, port) = running_board(&fed, &["--speed", "0", "--loop"]);
+    for number in 0..5 {
+        let recorded = folder.path().join(format!("killed-{number}.mcap"));
+        let mut killed = Running::start(radome().args(["record", &format!("serial:{port}"), "-o"]).arg(&recorded));
+        wait_for("a recording that grows", || {
+            std::fs::metadata(&recorded).ok().filter(|file| file.len() > 100_000).map(|_| ())
+        });
+        killed.signal("KILL");
+        killed.wait();
+        record_frames(&port, 20, None, &folder.path().join(format!("next-{number}.mcap")));
+    }
 }

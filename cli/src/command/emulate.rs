@@ -47,13 +47,19 @@ pub struct Arguments {
     /// Serve on this instead: a terminal such as a USB gadget's /dev/ttyGS0, or, for mcu7-bulk, a mounted FunctionFS
     #[arg(long, value_name = "PATH", conflicts_with = "link")]
     on: Option<PathBuf>,
+    /// Begin the recording again each time that it ends; counters and time go on
+    #[arg(long = "loop")]
+    repeat: bool,
+    /// How long a request takes to reach the board, as over USB, before it is answered; frames do not wait
+    #[arg(long, value_name = "MS", default_value = "1.5", value_parser = milliseconds)]
+    latency_ms: Duration,
     /// What goes wrong: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
     /// Times real time; 0 is as fast as the host reads
     #[arg(long, default_value_t = 1.0)]
     speed: f64,
-    /// Seed of a simulation
+    /// Seed of a simulation, and of the board's temperature
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// One object with the path
@@ -69,9 +75,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let from = arguments.from.as_deref().unwrap_or_default();
     let gadget = arguments.on.as_deref().map(|on| Gadget::at(on, arguments.protocol)).transpose()?;
-    let source = source::open(from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
+    let (feed, description) = source::feed(from, &SourceOptions { seed: arguments.seed, ..Default::default() })?;
     let pace = if arguments.speed > 0.0 { Pace::RealTime(arguments.speed) } else { Pace::AsFastAsRead };
-    let description = source.description;
     let kind = match arguments.protocol {
         Protocol::Mcu7V4 => Kind::Mcu7V4,
         Protocol::Mcu7V3 => Kind::Mcu7V3,
@@ -83,8 +88,17 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(Gadget::Terminal(path)) => Some(path.to_owned()),
         _ => None,
     };
-    let (faults, link) = (arguments.faults.clone(), arguments.link.clone());
-    let board = EmulatedBoard::spawn(source.frames, EmulatorOptions { pace, kind, faults, link, terminal })?;
+    let options = EmulatorOptions {
+        pace,
+        kind,
+        faults: arguments.faults.clone(),
+        latency: arguments.latency_ms,
+        repeat: arguments.repeat,
+        seed: arguments.seed,
+        link: arguments.link.clone(),
+        terminal,
+    };
+    let board = EmulatedBoard::spawn(feed, options)?;
     let mut path = board.path().display().to_string();
     if let Some(Gadget::FunctionFs(mount)) = gadget {
         function_fs::serve(mount, board.path())
@@ -97,29 +111,38 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         output::text_line(&path)?;
     }
     eprintln!("an emulated board with {description}; Ctrl-C stops it");
-    let mut failure: Option<anyhow::Error> = None;
-    let mut look_for_failure = || {
-        if let Some(error) = board.take_failure() {
-            let error = anyhow::Error::from_boxed(error).context("the emulated board has no more to send");
-            eprintln!("error: {}", output::chain(&error));
-            failure.get_or_insert(error);
+    let mut has_ended = false;
+    let cause = loop {
+        if output::interrupted() {
+            break None;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+        if let Some(reason) = board.failure() {
+            break Some(reason);
+        }
+        if board.finished() && !has_ended {
+            has_ended = true;
+            let frames = board.counts().frames;
+            eprintln!(
+                "{description} has ended, {frames} frames were sent: the board is silent from here on; Ctrl-C stops it, --loop would \
+                 begin again"
+            );
         }
     };
-    // A board whose source has failed still answers, and is stopped by whoever started it.
-    while !output::interrupted() && board.is_served() {
-        std::thread::sleep(Duration::from_millis(100));
-        look_for_failure();
-    }
-    look_for_failure();
-    let (is_served, counts) = (board.is_served(), board.counts());
+    let counts = board.counts();
     // Dropping it stops it.
     drop(board);
-    eprintln!("{} packets sent, {} FIFO overflows", counts.packets, counts.overflows);
-    match failure {
-        Some(error) => Err(error),
-        None if is_served => Ok(()),
-        None => bail!("the emulated board has ended by itself"),
+    eprintln!("{} frames and {} packets sent, {} FIFO overflows", counts.frames, counts.packets, counts.overflows);
+    match cause {
+        Some(reason) => bail!("an emulated board with {description}: {reason}"),
+        None => Ok(()),
     }
+}
+
+/// Milliseconds, to a second at most.
+fn milliseconds(text: &str) -> Result<Duration, String> {
+    let number = text.parse::<f64>().ok().filter(|ms| (0.0..=1000.0).contains(ms));
+    number.map(|ms| Duration::from_secs_f64(ms / 1e3)).ok_or_else(|| "expected milliseconds from 0 to 1000".to_owned())
 }
 
 /// Says each reset of the probe's target, until the probe fails or the program is stopped.

@@ -6,14 +6,22 @@
 //! - the interrupt line is high while the FIFO holds more than `FIFO_CREF` words of two codes;
 //! - an overflow is sticky: FSTAT and every answer's GSR0 show it until the FIFO is reset;
 //! - a read past the FIFO's end gives all ones and sets the underflow flag, as sticky;
-//! - `MAX_FRAME_CNT` frames end by themselves, 0 means without end.
+//! - `MAX_FRAME_CNT` frames end by themselves, 0 means without end;
+//! - a start in continuous-wave mode (`CW_MODE`) starts no frames: it takes the chip from deep sleep to idle mode, and the next
+//!   one to active mode. The band gap is up and the ADCs are ready then, as far as `CSCI` switches them on;
+//! - the slow ADC converts when `START_SADC` is written, and by itself while frames run. Channel 0 is the temperature;
+//!   others read 0.
 //!
-//! The FIFO has its real depth of 8192 words. Not modelled: the prefix of chirps (`PREFIX_EN`), the sensor ADC, CW mode.
+//! The FIFO has its real depth of 8192 words. Not modelled: the prefix of chirps (`PREFIX_EN`), samples in continuous-wave mode,
+//! the time that the band gap and the slow ADC take.
 
-use radome_dsp::{FIFO_SAMPLES, FrameSource, Waveform};
+use std::sync::Arc;
 
+use radome_dsp::{FIFO_SAMPLES, Waveform};
+
+use super::thermometer::Thermometer;
 use super::world::{Slice, World};
-use super::{Fault, Pace};
+use super::{EmulatorOptions, Fault, Feed, Shared};
 use crate::board::CHIP_ID_BGT60TR13C;
 use crate::chip::{ChipConfiguration, Field, RegisterFile, address, field, main_bits};
 use crate::protocol::strata::SpiWord;
@@ -23,14 +31,26 @@ const GSR0_IDLE: u32 = 0xF0;
 /// Overflow or underflow of the FIFO in GSR0.
 const GSR0_FIFO_ERROR: u32 = 1 << 3;
 
+/// Power modes of the state machine, as STAT0 has them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Power {
+    Active = 1,
+    Idle = 3,
+    DeepSleep = 5,
+}
+
 /// The chip, and the world that it samples.
 pub(super) struct Chip {
     registers: RegisterFile,
     chip_id: u32,
-    source: Waveform,
     world: World,
     /// Waveform that the frames run with, while they do.
     frames: Option<Waveform>,
+    power: Power,
+    thermometer: Thermometer,
+    /// Conversions of the slow ADC that were asked for, and what the last one gave.
+    conversions: u64,
+    converted: u32,
     overflowed: bool,
     underflowed: bool,
     /// Counts starts of frames: what sends them begins afresh when it changes.
@@ -39,29 +59,33 @@ pub(super) struct Chip {
 
 impl Chip {
     /// A chip that was programmed with the source's waveform and does not measure.
-    pub fn new(source: Box<dyn FrameSource>, pace: Pace, faults: &[Fault]) -> std::io::Result<Self> {
-        let foreign = faults.iter().find_map(|fault| match fault {
+    pub fn new(feed: Feed, options: &EmulatorOptions, shared: &Arc<Shared>) -> std::io::Result<Self> {
+        let foreign = options.faults.iter().find_map(|fault| match fault {
             Fault::ForeignChip(id) => Some(*id),
             _ => None,
         });
+        let waveform = feed.source.waveform().clone();
         let mut chip = Chip {
             registers: RegisterFile::default(),
             chip_id: foreign.unwrap_or(CHIP_ID_BGT60TR13C),
-            source: source.waveform().clone(),
-            world: World::new(source, pace)?,
+            world: World::new(feed, options.pace, options.repeat, shared.clone())?,
             frames: None,
+            power: Power::DeepSleep,
+            thermometer: Thermometer::new(options.seed),
+            conversions: 0,
+            converted: 0,
             overflowed: false,
             underflowed: false,
             starts: 0,
         };
         chip.reset();
-        chip.leave_programmed();
+        chip.leave_programmed(waveform);
         Ok(chip)
     }
 
     /// As if somebody had measured the source before, so that who asks the chip learns what it is.
-    fn leave_programmed(&mut self) {
-        let configuration = ChipConfiguration { waveform: self.source.clone(), slice_samples: FIFO_SAMPLES / 2 };
+    fn leave_programmed(&mut self, waveform: Waveform) {
+        let configuration = ChipConfiguration { waveform, slice_samples: FIFO_SAMPLES / 2 };
         for register in configuration.compile().unwrap_or_default() {
             let is_main = register.address == address::MAIN;
             let value = if is_main { register.value & !main_bits::ALL } else { register.value };
@@ -73,10 +97,26 @@ impl Chip {
     pub fn reset(&mut self) {
         self.registers = RegisterFile::default();
         self.registers.set(address::CHIP_ID, self.chip_id);
-        if self.frames.take().is_some() {
+        if self.frames.is_some() {
             self.world.stop();
         }
+        self.sleep();
+        self.converted = 0;
         self.reset_fifo();
+    }
+
+    /// Ends frames, and empties the FIFO: nobody is there to read it. The registers stay as they are.
+    pub fn halt(&mut self) {
+        self.sleep();
+        self.reset_fifo();
+    }
+
+    /// The state machine ends what it does.
+    fn sleep(&mut self) {
+        // What was converted last stays in its register.
+        self.converted = self.slow_adc();
+        self.frames = None;
+        self.power = Power::DeepSleep;
     }
 
     fn reset_fifo(&mut self) {
@@ -94,23 +134,22 @@ impl Chip {
     }
 
     /// One SPI word; the answer is GSR0 and what the register held before.
-    ///
-    /// # Errors
-    /// The emulator cannot start these frames, and why.
-    pub fn transfer(&mut self, word: SpiWord) -> Result<u32, String> {
+    pub fn transfer(&mut self, word: SpiWord) -> u32 {
         let gsr0 = GSR0_IDLE | if self.fifo_failed() { GSR0_FIFO_ERROR } else { 0 };
         let answer = gsr0 << 24 | self.read(word.address);
         if word.write {
-            self.write(word.address, word.value)?;
+            self.write(word.address, word.value);
         }
-        Ok(answer)
+        answer
     }
 
     /// Content of a register, the status registers as they are now.
     pub fn read(&self, address: u8) -> u32 {
         match address {
             address::FSTAT => self.fifo_status(),
+            address::STAT0 => self.power_status(),
             address::STAT1 => self.frame_status(),
+            address::SADC_RESULT => field::SADC_RESULT::SADC_RESULT.put(0, self.slow_adc()),
             _ => self.registers.get(address),
         }
     }
@@ -143,58 +182,121 @@ impl Chip {
         flags.iter().fold(status, |status, (flag, is_set)| flag.put(status, u32::from(*is_set)))
     }
 
+    /// Whether the band gap is up, which the ADCs need.
+    fn has_band_gap(&self) -> bool {
+        self.power != Power::DeepSleep && self.registers.field(field::CSCI::BG_EN) == 1
+    }
+
+    /// Whether an ADC is ready that this bit of `CSCI` switches off between chirps.
+    fn is_ready(&self, isolated: Field) -> bool {
+        self.has_band_gap() && (self.frames.is_some() || self.registers.field(isolated) == 0)
+    }
+
+    /// Power mode, and what is ready.
+    fn power_status(&self) -> u32 {
+        let flags = [
+            (field::STAT0::MADC_BGUP, self.has_band_gap()),
+            (field::STAT0::MADC_RDY, self.is_ready(field::CSCI::MADC_ISOPD)),
+            (field::STAT0::SADC_RDY, self.is_ready(field::CSCI::SADC_ISOPD)),
+            (field::STAT0::LDO_RDY, true),
+        ];
+        let status = field::STAT0::PM.put(0, self.power as u32);
+        flags.iter().fold(status, |status, (flag, is_set)| flag.put(status, u32::from(*is_set)))
+    }
+
+    /// What the slow ADC has converted last: the temperature in each chirp, while frames run with the sensor switched on.
+    fn slow_adc(&self) -> u32 {
+        match &self.frames {
+            Some(waveform) if self.registers.field(field::CS1_U_1::TEMP_MEAS_EN) == 1 => {
+                self.thermometer.code(self.chirps(waveform))
+            }
+            _ => self.converted,
+        }
+    }
+
+    /// Has the slow ADC convert what is on its channel.
+    fn convert(&mut self) {
+        if self.is_ready(field::CSCI::SADC_ISOPD) {
+            self.conversions += 1;
+            let is_temperature = self.registers.field(field::SADC_CTRL::SADC_CHSEL) == 0;
+            self.converted = if is_temperature { self.thermometer.code(self.conversions) } else { 0 };
+        }
+    }
+
+    /// Chirps sampled since the frames were started.
+    fn chirps(&self, waveform: &Waveform) -> u64 {
+        let shape = waveform.shape();
+        self.world.sampled() / (shape.rx * shape.samples).max(1) as u64
+    }
+
     /// Frames and chirps since the start.
     fn frame_status(&self) -> u32 {
         let Some(waveform) = &self.frames else { return 0 };
-        let shape = waveform.shape();
-        let chirps = self.world.sampled() / (shape.rx * shape.samples).max(1) as u64;
-        let per_frame = shape.chirps.max(1) as u64;
+        let chirps = self.chirps(waveform);
+        let per_frame = waveform.shape().chirps.max(1) as u64;
         let count = |field: Field, value: u64, content| field.put(content, (value & u64::from(field.max())) as u32);
         count(field::STAT1::FRAME_CNT, chirps / per_frame, count(field::STAT1::SHAPE_GRP_CNT, chirps % per_frame, 0))
     }
 
     /// Writes a register.
-    ///
-    /// # Errors
-    /// The emulator cannot start these frames, and why.
-    pub fn write(&mut self, address: u8, value: u32) -> Result<(), String> {
+    pub fn write(&mut self, address: u8, value: u32) {
         match address {
-            address::CHIP_ID | address::FSTAT | address::STAT0 | address::STAT1 => {}
+            address::CHIP_ID | address::FSTAT | address::STAT0 | address::STAT1 | address::SADC_RESULT => {}
+            address::SADC_CTRL => {
+                let start = field::SADC_CTRL::START_SADC;
+                self.registers.set(address::SADC_CTRL, start.put(value, 0));
+                if start.of(value) == 1 {
+                    self.convert();
+                }
+            }
             address::MAIN => {
                 if value & main_bits::SW_RESET != 0 {
                     self.reset();
                 }
                 self.registers.set(address::MAIN, value & !main_bits::ALL);
                 if value & main_bits::FSM_RESET != 0 {
-                    self.frames = None;
+                    self.sleep();
                 }
                 if value & main_bits::FIFO_RESET != 0 {
-                    self.frames = None;
+                    self.sleep();
                     self.reset_fifo();
                 }
                 if value & main_bits::FRAME_START != 0 {
-                    self.start_frames()?;
+                    match field::MAIN::CW_MODE.of(value) {
+                        0 => self.start_frames(),
+                        _ => self.advance_to_wave(),
+                    }
                 }
             }
             _ => self.registers.set(address, value),
         }
-        Ok(())
     }
 
-    /// The chip would measure whatever it is told; the source has frames of one waveform only. Another is refused,
-    /// loudly.
-    fn start_frames(&mut self) -> Result<(), String> {
-        let waveform = ChipConfiguration::decode(&self.registers).map_err(|error| error.to_string())?.waveform;
-        self.source.check_compatible(&waveform).map_err(|mismatch| mismatch.to_string())?;
-        let antennas = self.source.request.rx_antennas.antennas();
-        let wanted = waveform.request.rx_antennas.antennas();
-        let channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
+    /// A start in continuous-wave mode: the state machine takes one step towards active mode and stays there.
+    fn advance_to_wave(&mut self) {
+        let next = if self.power == Power::DeepSleep { Power::Idle } else { Power::Active };
+        self.sleep();
+        self.power = next;
+    }
+
+    /// The chip measures whatever it is told, and answers all the same where the source has no such frames: a client that
+    /// is answered with an error gives its board up, one that gets no frames may ask for others.
+    fn start_frames(&mut self) {
+        self.sleep();
+        let waveform = match ChipConfiguration::decode(&self.registers) {
+            Ok(configuration) => configuration.waveform,
+            Err(error) => return self.world.refuse(&error.to_string()),
+        };
         let has_test_pattern = self.registers.field(field::SFCTL::LFSR_EN) == 1;
-        let test_pattern = wanted.iter().position(|a| *a == 1).filter(|_| has_test_pattern);
-        self.world.restart(&waveform, channels, test_pattern);
+        self.world.restart(&waveform, has_test_pattern);
+        self.power = Power::Active;
         self.frames = Some(waveform);
         self.starts += 1;
-        Ok(())
+    }
+
+    /// Whether the source has frames of this waveform, or why not.
+    pub fn check_source(&self, waveform: &Waveform) -> Result<(), String> {
+        self.world.check(waveform)
     }
 
     /// Whether this many codes are there for a burst read, which the interrupt line announces.
@@ -239,10 +341,11 @@ impl Chip {
 
 #[cfg(test)]
 mod tests {
-    use radome_dsp::{Frame, SourceError, SourceEvent, WaveformRequest};
+    use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, WaveformRequest};
 
     use super::*;
     use crate::chip::RegisterList;
+    use crate::emulator::Pace;
 
     /// Frames whose codes count on from 0.
     struct Ramp(Waveform, u64);
@@ -269,8 +372,13 @@ mod tests {
         Waveform::realise(request).expect("valid")
     }
 
+    fn chip_of(waveform: Waveform, pace: Pace) -> Chip {
+        let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
+        Chip::new(Feed::from(Box::new(Ramp(waveform, 0))), &options, &Arc::default()).expect("threads")
+    }
+
     fn chip(pace: Pace) -> Chip {
-        Chip::new(Box::new(Ramp(waveform(), 0)), pace, &[]).expect("threads")
+        chip_of(waveform(), pace)
     }
 
     fn list(slice_samples: usize) -> RegisterList {
@@ -282,9 +390,9 @@ mod tests {
     }
 
     fn started_with(waveform: Waveform, pace: Pace, slice_samples: usize) -> Chip {
-        let mut chip = Chip::new(Box::new(Ramp(waveform.clone(), 0)), pace, &[]).expect("threads");
+        let mut chip = chip_of(waveform.clone(), pace);
         let list = ChipConfiguration { waveform, slice_samples }.compile().expect("fits");
-        list.iter().for_each(|r| chip.write(r.address, r.value).expect("starts"));
+        list.iter().for_each(|r| chip.write(r.address, r.value));
         chip
     }
 
@@ -305,7 +413,7 @@ mod tests {
         let mut chip = started(Pace::AsFastAsRead, 128);
         assert!(chip.frames().is_some());
         assert_eq!(chip.read(address::MAIN) & main_bits::ALL, 0);
-        chip.write(address::MAIN, main_bits::SW_RESET).expect("resets");
+        chip.write(address::MAIN, main_bits::SW_RESET);
         assert!(chip.frames().is_none());
         for register in
             crate::chip::REGISTERS.iter().filter(|r| r.address != address::MAIN && r.address != address::CHIP_ID)
@@ -321,8 +429,8 @@ mod tests {
         let mut chip = chip(Pace::AsFastAsRead);
         chip.reset();
         let write = SpiWord::write(address::SFCTL, 0x10_2BFF);
-        assert_eq!(chip.transfer(write), Ok(0xF071_0000));
-        assert_eq!(chip.transfer(write), Ok(0xF010_2BFF));
+        assert_eq!(chip.transfer(write), 0xF071_0000);
+        assert_eq!(chip.transfer(write), 0xF010_2BFF);
     }
 
     #[test]
@@ -331,7 +439,7 @@ mod tests {
         for register in list(256) {
             let counted = register.address == address::CCR2;
             let value = if counted { field::CCR2::MAX_FRAME_CNT.put(register.value, 2) } else { register.value };
-            chip.write(register.address, value).expect("starts");
+            chip.write(register.address, value);
         }
         let mut codes = Vec::new();
         for _ in 0..2 {
@@ -358,7 +466,7 @@ mod tests {
         }
         assert_eq!(codes, (0..3 * 256).collect::<Vec<u16>>());
         assert!(field::STAT1::FRAME_CNT.of(chip.read(address::STAT1)) >= 3);
-        chip.write(address::MAIN, RESET).expect("resets");
+        chip.write(address::MAIN, RESET);
         assert_eq!(chip.read(address::STAT1), 0);
     }
 
@@ -369,13 +477,13 @@ mod tests {
         fn an_overflow_stays_until_the_fifo_is_reset() {
             let mut chip = started(Pace::AsFastAsRead, 128);
             chip.overflow();
-            let status = chip.transfer(SpiWord::read(address::FSTAT)).expect("answers");
+            let status = chip.transfer(SpiWord::read(address::FSTAT));
             assert_eq!((status >> 24, field::FSTAT::FOF_ERR.of(status & 0xFF_FFFF)), (0xF8, 1));
-            chip.write(address::MAIN, main_bits::FSM_RESET).expect("resets");
+            chip.write(address::MAIN, main_bits::FSM_RESET);
             assert!(chip.fifo_failed());
-            chip.write(address::MAIN, main_bits::FIFO_RESET).expect("resets");
+            chip.write(address::MAIN, main_bits::FIFO_RESET);
             assert!(!chip.fifo_failed());
-            assert_eq!(chip.transfer(SpiWord::read(address::CHIP_ID)), Ok(0xF000_0303));
+            assert_eq!(chip.transfer(SpiWord::read(address::CHIP_ID)), 0xF000_0303);
         }
 
         /// 16384 codes and not one more: a host that does not read loses the frames after them.
@@ -408,14 +516,89 @@ mod tests {
             assert_eq!(field::FSTAT::FUF_ERR.of(chip.read(address::FSTAT)), 1);
         }
 
+        /// The client is told nothing: it is the emulator that lacks the frames, and no chip would.
         #[test]
-        fn another_waveform_is_refused_with_both_named() {
-            let mut chip = chip(Pace::AsFastAsRead);
+        fn of_another_waveform_nothing_is_measured_and_both_are_named() {
+            let shared = Arc::new(Shared::default());
+            let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
+            let mut chip = Chip::new(Feed::from(Box::new(Ramp(waveform(), 0))), &options, &shared).expect("threads");
             let request = WaveformRequest { chirps_per_frame: 8, ..waveform().request };
             let other = Waveform::realise(request).expect("valid");
             let list = ChipConfiguration { waveform: other, slice_samples: 128 }.compile().expect("fits");
-            let refused = list.iter().find_map(|r| chip.write(r.address, r.value).err()).expect("refused");
-            assert!(refused.contains("4 chirps") && refused.contains("8 chirps"), "{refused}");
+            list.iter().for_each(|r| chip.write(r.address, r.value));
+            assert!(chip.frames().is_some() && matches!(chip.poll(128), Slice::Wait));
+            let refusal = shared.refusal().expect("says why");
+            assert!(refusal.contains("4 chirps") && refusal.contains("8 chirps"), "{refusal}");
+            // The source's own is measured as if nothing had been.
+            chip.write(address::MAIN, main_bits::SW_RESET);
+            list_of(waveform()).iter().for_each(|r| chip.write(r.address, r.value));
+            assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
+            assert_eq!(shared.refusal(), None);
+        }
+
+        fn list_of(waveform: Waveform) -> RegisterList {
+            ChipConfiguration { waveform, slice_samples: 128 }.compile().expect("fits")
+        }
+
+        #[test]
+        fn registers_that_hold_no_waveform_start_nothing() {
+            let mut chip = chip(Pace::AsFastAsRead);
+            chip.reset();
+            chip.write(address::MAIN, main_bits::FRAME_START);
+            assert!(chip.frames().is_none());
+        }
+    }
+
+    mod temperature {
+        use super::*;
+
+        fn celsius(chip: &Chip) -> f64 {
+            let code = field::SADC_RESULT::SADC_RESULT.of(chip.read(address::SADC_RESULT));
+            (f64::from(code) * 1.21 / 1023.0 - 0.789_84) / 0.002_86
+        }
+
+        fn is_set(chip: &Chip, flag: Field) -> bool {
+            flag.of(chip.read(address::STAT0)) == 1
+        }
+
+        /// The vendor's library wakes the chip in continuous-wave mode, waits for the band gap, switches the ADC on, waits
+        /// for that, converts, and resets the chip.
+        #[test]
+        fn a_chip_that_sleeps_is_woken_for_it() {
+            let mut chip = chip(Pace::AsFastAsRead);
+            chip.reset();
+            assert_eq!(chip.read(address::STAT0), 0xA8, "deep sleep, as after a reset");
+            chip.write(address::CSCI, 0x0B60 | 0x0080 | 0x0400);
+            chip.write(address::MAIN, 0x1E_8270 | 1 << 16 | main_bits::FRAME_START);
+            assert!(chip.frames().is_none(), "continuous wave is no frames");
+            assert!(is_set(&chip, field::STAT0::MADC_BGUP) && !is_set(&chip, field::STAT0::SADC_RDY));
+            chip.write(address::SADC_CTRL, 0x01_0F10);
+            assert!(celsius(&chip) < 0.0, "an ADC that is off converts nothing");
+            chip.write(address::CSCI, 0x0400 | 0x0080 | 0x0800 | 0x0100);
+            assert!(is_set(&chip, field::STAT0::SADC_RDY) && !is_set(&chip, field::STAT0::MADC_RDY));
+            chip.write(address::SADC_CTRL, 0x01_0F10);
+            assert_eq!(field::SADC_RESULT::SADC_BUSY.of(chip.read(address::SADC_RESULT)), 0);
+            assert!((30.0..45.0).contains(&celsius(&chip)), "{}", celsius(&chip));
+            // Who waits for active mode starts again and again.
+            chip.write(address::MAIN, 0x1E_8270 | 1 << 16 | main_bits::FRAME_START);
+            assert_eq!(field::STAT0::PM.of(chip.read(address::STAT0)), 1);
+            chip.reset();
+            assert_eq!((chip.read(address::STAT0), chip.read(address::SADC_RESULT)), (0xA8, 0));
+        }
+
+        #[test]
+        fn a_chip_that_measures_has_it_from_the_last_chirp() {
+            let mut chip = started(Pace::AsFastAsRead, 128);
+            assert!(is_set(&chip, field::STAT0::SADC_RDY));
+            let mut codes = Vec::new();
+            for _ in 0..20 {
+                assert!(matches!(poll(&mut chip, 128), Slice::Ready { .. }));
+                chip.read_fifo(128, &mut codes);
+                assert!((30.0..45.0).contains(&celsius(&chip)), "{}", celsius(&chip));
+            }
+            assert_eq!(codes, (0..20 * 128).map(|code| code & 0xFFF).collect::<Vec<u16>>());
+            chip.write(address::MAIN, main_bits::FSM_RESET);
+            assert!((30.0..45.0).contains(&celsius(&chip)), "the last one stays");
         }
     }
 }

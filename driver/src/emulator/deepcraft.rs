@@ -1,18 +1,16 @@
-//! A PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]), measuring whatever a [`FrameSource`]
-//! provides.
+//! A PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]), measuring whatever a
+//! [`Feed`] provides.
 
 mod requests;
 
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
 use std::time::{Duration, Instant};
-
-use radome_dsp::FrameSource;
 
 use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
 use super::world::Slice;
-use super::{EmulatorError, EmulatorOptions, Shared};
+use super::{EmulatorError, EmulatorOptions, Feed, Shared};
 use crate::chip::{address, field};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
 use requests::Requests;
@@ -25,7 +23,9 @@ const STREAM: i32 = 0;
 
 /// The firmware, and the frames that it has read from the chip.
 ///
-/// It reads 6144 codes at a time and sends the frames that these complete as one chunk; while the host takes none the chip's
+/// It reads 6144 codes at a time and sends the frames that these complete as one chunk, however many, although the stream's
+/// `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the comment "Max
+/// frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
 /// FIFO goes on filling. Where the source has a gap, and at its end, it sends what it has. What the real firmware does
 /// when the FIFO has overflowed is not known, for it does not look; this one counts the frames as dropped and starts the
 /// chip again.
@@ -48,15 +48,11 @@ pub(super) struct Deepcraft {
 }
 
 impl Deepcraft {
-    pub fn new(
-        source: Box<dyn FrameSource>,
-        options: &EmulatorOptions,
-        shared: Arc<Shared>,
-    ) -> Result<Self, EmulatorError> {
-        let waveform = source.waveform().clone();
-        let chip = Chip::new(source, options.pace, &options.faults).map_err(EmulatorError::Thread)?;
+    pub fn new(feed: Feed, options: &EmulatorOptions, shared: Arc<Shared>) -> Result<Self, EmulatorError> {
+        let waveform = feed.source.waveform().clone();
+        let chip = Chip::new(feed, options, &shared).map_err(EmulatorError::Thread)?;
         Ok(Deepcraft {
-            requests: Requests::new(chip, &waveform, &options.faults)?,
+            requests: Requests::new(chip, &waveform, &options.faults, shared.clone())?,
             starts: 0,
             stalled: false,
             number: 0,
@@ -120,6 +116,7 @@ impl Deepcraft {
         self.codes.drain(..codes);
         self.number = self.number.wrapping_add(frames as u32);
         self.requests.current_frame = self.number;
+        self.shared.frames.fetch_add(frames as u64, Ordering::Relaxed);
         self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
@@ -140,17 +137,13 @@ impl Deepcraft {
         // The counter has twelve bits.
         self.drop_frames(measured.wrapping_sub(self.number.wrapping_sub(self.first_number)) % 4096);
         self.first_number = self.number;
-        if let Err(reason) = self.requests.start_chip() {
-            tracing::error!(reason, "the emulated board does not start again");
-        }
+        self.requests.start_chip();
     }
 }
 
 impl Firmware for Deepcraft {
     fn receive(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
         self.requests.receive(bytes, out);
-        let mut refusal = self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner);
-        refusal.clone_from(&self.requests.refusal);
     }
 
     fn next_message(&mut self, wire: &mut Wire) -> bool {
@@ -201,6 +194,10 @@ impl Firmware for Deepcraft {
 
     fn power_up(&mut self) {
         self.requests.power_up();
+    }
+
+    fn abandon(&mut self) {
+        self.requests.abandon();
     }
 }
 

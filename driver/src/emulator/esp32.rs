@@ -6,12 +6,12 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
-use radome_dsp::{FrameSource, WaveformRequest};
+use radome_dsp::WaveformRequest;
 
 use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
 use super::world::Slice;
-use super::{EmulatorOptions, Shared};
+use super::{EmulatorOptions, Feed, Shared};
 use crate::chip::{ChipConfiguration, RegisterList, address, field};
 use crate::protocol::ascii;
 use crate::protocol::strata::SliceLayout;
@@ -44,15 +44,15 @@ pub(super) struct Esp32 {
 }
 
 impl Esp32 {
-    pub fn new(source: Box<dyn FrameSource>, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
-        let waveform = source.waveform().clone();
+    pub fn new(feed: Feed, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
+        let waveform = feed.source.waveform().clone();
         let codes_per_frame = waveform.shape().codes();
         let slice = SliceLayout::for_frame(codes_per_frame);
         let request = waveform.request.clone();
         let configuration = ChipConfiguration { waveform, slice_samples: slice.samples };
         let registers = configuration.compile().map_err(std::io::Error::other)?;
         Ok(Esp32 {
-            chip: Chip::new(source, options.pace, &options.faults)?,
+            chip: Chip::new(feed, options, &shared)?,
             request,
             registers,
             slice,
@@ -81,9 +81,7 @@ impl Esp32 {
         self.codes.clear();
         self.chip.reset();
         for register in &self.registers {
-            if let Err(reason) = self.chip.transfer((*register).into()) {
-                tracing::error!(reason, "the emulated board does not start");
-            }
+            self.chip.transfer((*register).into());
         }
     }
 
@@ -173,6 +171,7 @@ impl Firmware for Esp32 {
                 wire.send(|out| ascii::encode_waveform(&self.request, out));
             }
             self.shared.slices.fetch_add(1, Ordering::Relaxed);
+            self.shared.frames.fetch_add(1, Ordering::Relaxed);
         }
         true
     }
@@ -187,6 +186,9 @@ impl Firmware for Esp32 {
     fn restarts_when_opened(&self) -> bool {
         true
     }
+
+    /// It starts anew when the next one comes.
+    fn abandon(&mut self) {}
 
     fn power_up(&mut self) {
         (self.is_up, self.stalled) = (false, false);

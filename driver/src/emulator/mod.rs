@@ -1,22 +1,30 @@
-//! A board on a pseudo-terminal, or behind sockets that stand for USB endpoints, measuring whatever a [`FrameSource`] provides.
+//! A board on a pseudo-terminal, or behind sockets that stand for USB endpoints, measuring whatever a
+//! [`FrameSource`](radome_dsp::FrameSource) provides, or what is made for the waveform that a client programs ([`Feed`]).
 //!
 //! It answers what the firmware answers and sends what it sends, so that any client of the board can be pointed at
-//! [`EmulatedBoard::path`] ([`Board::open_at`](crate::Board::open_at) at [`EmulatedBoard::address`]). Differences: a waveform other than the source's is refused, and so is a slice that would
-//! trip a known firmware bug. Frames that the source itself lacks appear as packets lost. How much the board buffers
+//! [`EmulatedBoard::path`] ([`Board::open_at`](crate::Board::open_at) at [`EmulatedBoard::address`]). Differences: of a waveform that the
+//! source does not have no frame comes ([`EmulatedBoard::refusal`] says why), and a slice that would
+//! trip a known firmware bug is refused. Frames that the source itself lacks appear as packets lost. How much the board buffers
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
+//!
+//! On a pseudo-terminal the board learns when its last client has closed the port, or was killed: it stops, forgets half a
+//! request, and throws away what nobody has read, so that the next client finds a board that waits for it.
 
 mod chip;
 mod deepcraft;
 mod esp32;
 mod faults;
+mod feed;
 mod mcu7;
 mod port;
 pub mod probe;
 mod source;
-mod watched;
+mod thermometer;
 mod wire;
 mod world;
 
+use std::io::ErrorKind;
+use std::os::fd::OwnedFd;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -24,7 +32,7 @@ use std::sync::{Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
-use radome_dsp::{FrameSource, SourceError, Waveform};
+use radome_dsp::Waveform;
 use thiserror::Error;
 
 use crate::board::Address;
@@ -34,11 +42,14 @@ use crate::usb::UsbAddress;
 use deepcraft::Deepcraft;
 use esp32::Esp32;
 pub use faults::{Fault, FaultError};
+pub use feed::Feed;
 use mcu7::Mcu7;
 use port::Place;
 pub use source::{EmulatedSource, EmulatedSourceError};
-use watched::Watched;
 use wire::{Firmware, Wire};
+
+/// What a request takes to reach a board on USB and its answer to come back.
+const LATENCY: Duration = Duration::from_micros(1500);
 
 /// How fast the emulated world goes.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -74,8 +85,17 @@ pub struct EmulatorOptions {
     pub kind: Kind,
     /// What goes wrong.
     pub faults: Vec<Fault>,
+    /// How long a request takes to reach the firmware over the serial port: no answer comes sooner after the request's last byte.
+    /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that come
+    /// within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
+    pub latency: Duration,
+    /// Whether a source that ends is begun again, where it [can be](Feed::that_begins_again). Counters and time go on.
+    pub repeat: bool,
+    /// Seed of what chance does to the board: its temperature.
+    pub seed: u64,
     /// Symbolic link to the pseudo-terminal, to be made anew each time the board is plugged in: the terminal itself has
-    /// another name then. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is made.
+    /// another name then. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is made. One emulated board has it at a
+    /// time.
     pub link: Option<PathBuf>,
     /// Terminal to serve on instead of a pseudo-terminal: the board's end of a line that is there already, such as
     /// `/dev/ttyGS0` of a USB gadget. When it is hung up the board has been unplugged.
@@ -88,6 +108,9 @@ impl Default for EmulatorOptions {
             pace: Pace::RealTime(1.0),
             kind: Kind::default(),
             faults: Vec::new(),
+            latency: LATENCY,
+            repeat: false,
+            seed: 1,
             link: None,
             terminal: None,
         }
@@ -104,6 +127,24 @@ pub enum EmulatorError {
         what: String,
         /// Why.
         source: std::io::Error,
+    },
+    /// The link is another board's.
+    #[error(
+        "emulator: another emulated board has the link {link}\n\nhint: stop that board, or give this one another link",
+        link = link.display()
+    )]
+    LinkTaken {
+        /// The link.
+        link: PathBuf,
+    },
+    /// There is something at the link's place that no emulated board has left there.
+    #[error(
+        "emulator: {link} exists and is no link that an emulated board has left behind\n\nhint: remove it, or give the board another link",
+        link = link.display()
+    )]
+    LinkExists {
+        /// The link.
+        link: PathBuf,
     },
     /// A board with endpoints has no use for a terminal.
     #[error("emulator: a board with bulk transfers cannot be on the terminal {path}", path = path.display())]
@@ -134,23 +175,45 @@ pub struct EmulatorCounts {
     pub packets: u64,
     /// FIFO overflows.
     pub overflows: u64,
+    /// Whole frames sent.
+    pub frames: u64,
+    /// How often the last client has left: closed the port or gone without a word.
+    pub departures: u64,
 }
 
 #[derive(Default)]
 struct Shared {
     stop: AtomicBool,
+    dead: AtomicBool,
     finished: AtomicBool,
     slices: AtomicU64,
     packets: AtomicU64,
     overflows: AtomicU64,
+    frames: AtomicU64,
+    departures: AtomicU64,
     refusal: Mutex<Option<String>>,
-    failure: Mutex<Option<SourceError>>,
+    failure: Mutex<Option<String>>,
 }
 
 impl Shared {
-    /// Keeps the first failure.
-    fn fail(&self, error: SourceError) {
-        self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    /// Something that a client asks for cannot be.
+    fn refuse(&self, reason: &str) {
+        tracing::warn!("the emulated board sends no frames: {reason}");
+        *self.refusal.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason.to_owned());
+    }
+
+    /// What a client asks for can be.
+    fn accept(&self) {
+        *self.refusal.lock().unwrap_or_else(PoisonError::into_inner) = None;
+    }
+
+    fn refusal(&self) -> Option<String> {
+        self.refusal.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Something is wrong with the board itself; what was first counts.
+    fn fail(&self, reason: String) {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
     }
 }
 
@@ -158,27 +221,28 @@ impl Shared {
 pub struct EmulatedBoard {
     path: PathBuf,
     address: Address,
-    link: Option<PathBuf>,
     waveform: Waveform,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
+    /// Keeps other emulated boards from the link.
+    claim: Option<OwnedFd>,
 }
 
 fn firmware(
-    source: Box<dyn FrameSource>,
+    feed: Feed,
     options: &EmulatorOptions,
     shared: &Arc<Shared>,
 ) -> Result<Box<dyn Firmware + Send>, EmulatorError> {
     let shared = shared.clone();
-    let mcu7 = |source, protocol, framing, shared| {
-        Mcu7::new(source, protocol, framing, options, shared).map_err(EmulatorError::Thread)
+    let mcu7 = |feed, protocol, framing, shared| {
+        Mcu7::new(feed, protocol, framing, options, shared).map_err(EmulatorError::Thread)
     };
     Ok(match options.kind {
-        Kind::Mcu7V4 => Box::new(mcu7(source, Protocol::V4, Framing::Serial, shared)?),
-        Kind::Mcu7V3 => Box::new(mcu7(source, Protocol::V3, Framing::Serial, shared)?),
-        Kind::Mcu7Bulk => Box::new(mcu7(source, Protocol::V4, Framing::Bulk, shared)?),
-        Kind::Deepcraft => Box::new(Deepcraft::new(source, options, shared)?),
-        Kind::Esp32 => Box::new(Esp32::new(source, options, shared).map_err(EmulatorError::Thread)?),
+        Kind::Mcu7V4 => Box::new(mcu7(feed, Protocol::V4, Framing::Serial, shared)?),
+        Kind::Mcu7V3 => Box::new(mcu7(feed, Protocol::V3, Framing::Serial, shared)?),
+        Kind::Mcu7Bulk => Box::new(mcu7(feed, Protocol::V4, Framing::Bulk, shared)?),
+        Kind::Deepcraft => Box::new(Deepcraft::new(feed, options, shared)?),
+        Kind::Esp32 => Box::new(Esp32::new(feed, options, shared).map_err(EmulatorError::Thread)?),
     })
 }
 
@@ -200,36 +264,43 @@ fn place(options: &EmulatorOptions) -> Result<Place, EmulatorError> {
 
 impl EmulatedBoard {
     /// Opens the board's line to the host and serves it in a thread.
-    pub fn spawn(source: Box<dyn FrameSource>, options: EmulatorOptions) -> Result<EmulatedBoard, EmulatorError> {
+    ///
+    /// # Errors
+    /// The options make no sense, the link is another's, the line cannot be had, or the chip cannot measure the source's
+    /// waveform.
+    pub fn spawn(feed: impl Into<Feed>, options: EmulatorOptions) -> Result<EmulatedBoard, EmulatorError> {
+        let feed = feed.into();
         if let Pace::RealTime(speed) = options.pace
             && !(speed > 0.0 && speed.is_finite())
         {
             return Err(EmulatorError::Speed { speed });
         }
-        let waveform = source.waveform().clone();
+        let waveform = feed.source.waveform().clone();
         let place = place(&options)?;
+        let claim = options.link.as_deref().map(port::claim).transpose()?;
         let shared = Arc::new(Shared::default());
-        let mut firmware = firmware(Box::new(Watched::new(source, &shared)), &options, &shared)?;
+        let mut firmware = firmware(feed, &options, &shared)?;
         let what = place.description();
-        let (link, address) = match &place {
-            Place::Pseudoterminal { link } => (link.clone(), None),
-            Place::Terminal(_) => (None, None),
-            Place::Endpoints(folder) => (None, Some(Address::Usb(UsbAddress::Emulated(folder.clone())))),
+        let address = match &place {
+            Place::Pseudoterminal { .. } | Place::Terminal(_) => None,
+            Place::Endpoints(folder) => Some(Address::Usb(UsbAddress::Emulated(folder.clone()))),
         };
-        let mut wire =
-            Wire::new(place, options.faults, shared.clone()).map_err(|source| EmulatorError::Line { what, source })?;
+        let mut wire = Wire::new(place, &options, shared.clone()).map_err(|source| match &options.link {
+            Some(link) if source.kind() == ErrorKind::AlreadyExists => EmulatorError::LinkExists { link: link.clone() },
+            _ => EmulatorError::Line { what, source },
+        })?;
         let path = wire.path().to_owned();
         let address = address.unwrap_or_else(|| Address::Serial(path.clone()));
         let thread = thread::Builder::new()
             .name("emulated board".into())
             .spawn(move || {
                 if let Err(error) = wire.serve(firmware.as_mut()) {
-                    tracing::error!(%error, "the emulated board failed");
-                    wire.shared.fail(error.into());
+                    wire.shared.fail(format!("its line failed: {error}"));
                 }
+                wire.shared.dead.store(true, Ordering::Release);
             })
             .map_err(EmulatorError::Thread)?;
-        Ok(EmulatedBoard { path, address, link, waveform, shared, thread: Some(thread) })
+        Ok(EmulatedBoard { path, address, waveform, shared, thread: Some(thread), claim })
     }
 
     /// Device node to open as a serial port, or folder of the endpoints.
@@ -242,7 +313,7 @@ impl EmulatedBoard {
         &self.address
     }
 
-    /// Waveform of the source: the one that the board accepts.
+    /// Waveform of the source: the one that the board is left with.
     pub fn waveform(&self) -> &Waveform {
         &self.waveform
     }
@@ -252,36 +323,44 @@ impl EmulatedBoard {
         self.shared.finished.load(Ordering::Acquire)
     }
 
-    /// Whether the board is still served. It goes on after its source has ended; it does not after its line has failed.
-    pub fn is_served(&self) -> bool {
-        self.thread.as_ref().is_some_and(|thread| !thread.is_finished())
-    }
-
-    /// Why the source or the line of the board failed, if one did. It is given once.
-    pub fn take_failure(&self) -> Option<SourceError> {
-        self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).take()
-    }
-
-    /// Why the board last refused to start, if it did.
+    /// Why the board sends no frames of what its client has asked for last, if it does not.
     pub fn refusal(&self) -> Option<String> {
-        self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        self.shared.refusal()
+    }
+
+    /// What went wrong with the source or with the line, if anything did. The board sends nothing more then.
+    pub fn failure(&self) -> Option<String> {
+        let failure = self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let has_panicked = self.is_over() && !self.shared.dead.load(Ordering::Acquire);
+        failure.or_else(|| has_panicked.then(|| "the emulated board panicked".to_owned()))
+    }
+
+    /// Whether it serves no longer.
+    fn is_over(&self) -> bool {
+        self.thread.as_ref().is_some_and(JoinHandle::is_finished)
     }
 
     /// What it has done so far.
     pub fn counts(&self) -> EmulatorCounts {
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        let Shared { slices, packets, overflows, .. } = &*self.shared;
-        EmulatorCounts { slices: load(slices), packets: load(packets), overflows: load(overflows) }
+        let Shared { slices, packets, overflows, frames, departures, .. } = &*self.shared;
+        EmulatorCounts {
+            slices: load(slices),
+            packets: load(packets),
+            overflows: load(overflows),
+            frames: load(frames),
+            departures: load(departures),
+        }
     }
 
     /// Waits until the source has been sent to its end, or the board has stopped. It goes on answering.
     pub fn wait(&self) {
-        while !self.finished() && self.is_served() {
+        while !self.finished() && !self.is_over() {
             thread::sleep(Duration::from_millis(10));
         }
     }
 
-    /// Ends it.
+    /// Ends it. A host that reads is given what is under way to the end of its slice; the link goes.
     pub fn stop(&mut self) {
         self.shared.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take()
@@ -289,12 +368,7 @@ impl EmulatedBoard {
         {
             tracing::error!("the emulated board panicked");
         }
-        // The terminal's name will be another's: nothing must lead there.
-        if let Some(link) = self.link.take()
-            && let Err(error) = std::fs::remove_file(&link)
-        {
-            tracing::warn!(%error, link = %link.display(), "the link could not be removed");
-        }
+        drop(self.claim.take());
     }
 }
 

@@ -4,16 +4,23 @@ use std::ffi::OsStr;
 use std::io;
 use std::os::fd::OwnedFd;
 use std::os::unix::ffi::OsStrExt;
+use std::os::unix::fs::symlink;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, open};
+use rustix::fs::{Mode, OFlags, fcntl_getfl, fcntl_setfl, inotify, open};
+use rustix::io::Errno;
+use rustix::net::{AddressFamily, SocketAddrUnix, SocketFlags, SocketType, bind, socket_with};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
-use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
+use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
 
+use super::EmulatorError;
 use crate::protocol::strata::bulk::MAX_BULK;
 use crate::usb::DeviceSockets;
+
+/// Bytes of clients that are taken at once while it is found out whether any is left.
+const MOST_RECEIVED: usize = 65_536;
 
 /// Where the board's line is to be.
 #[derive(Debug, Clone)]
@@ -89,7 +96,27 @@ impl Port {
     /// From now on [`Port::has_client`] tells whether a client has the port open, where it can be told.
     pub fn watch_clients(&mut self) {
         if let Port::Terminal(terminal) = self {
-            terminal.slave = None;
+            (terminal.slave, terminal.closings) = (None, None);
+        }
+    }
+
+    /// Whether the last client has closed the port since this was last asked, or was killed. What it has left on the line,
+    /// in either direction, is gone then. What comes from clients that are still there is appended to `received`.
+    pub fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+        match self {
+            Port::Terminal(terminal) => terminal.was_abandoned(received),
+            Port::Endpoints(sockets) => Ok(sockets.was_abandoned()),
+            Port::Gone => Ok(false),
+        }
+    }
+
+    /// Whether a host has yet to read what was written to it.
+    pub fn holds_unread(&self) -> bool {
+        match self {
+            Port::Terminal(Terminal { slave: Some(slave), .. }) => {
+                rustix::io::ioctl_fionread(slave).is_ok_and(|bytes| bytes > 0)
+            }
+            _ => false,
         }
     }
 
@@ -111,10 +138,46 @@ pub(super) struct Terminal {
     line: OwnedFd,
     /// Kept open where a client that closes the port is not to hang up the line.
     slave: Option<OwnedFd>,
+    /// Tells when somebody closes the terminal.
+    closings: Option<Closings>,
     path: PathBuf,
     /// Whether the other end is a pseudo-terminal's: it comes and goes with clients.
     is_pseudo: bool,
     hung_up: bool,
+}
+
+/// A watch on a terminal's node.
+struct Closings {
+    events: OwnedFd,
+    watch: i32,
+}
+
+impl Closings {
+    fn of(path: &Path) -> rustix::io::Result<Self> {
+        let events = inotify::init(inotify::CreateFlags::CLOEXEC | inotify::CreateFlags::NONBLOCK)?;
+        let watch = inotify::add_watch(&events, path, inotify::WatchFlags::CLOSE)?;
+        Ok(Closings { events, watch })
+    }
+
+    /// Whether the terminal has been closed since this was last asked.
+    fn any(&self) -> bool {
+        let mut buffer = [0u8; 1024];
+        let mut any = false;
+        while matches!(rustix::io::read(&self.events, &mut buffer[..]), Ok(count) if count > 0) {
+            any = true;
+        }
+        any
+    }
+
+    /// Does something whose closings are the board's own.
+    fn without(&mut self, path: &Path, act: impl FnOnce()) -> rustix::io::Result<()> {
+        inotify::remove_watch(&self.events, self.watch)?;
+        act();
+        self.watch = inotify::add_watch(&self.events, path, inotify::WatchFlags::CLOSE)?;
+        // That the watch was removed is an event too.
+        self.any();
+        Ok(())
+    }
 }
 
 impl Terminal {
@@ -123,26 +186,81 @@ impl Terminal {
         grantpt(&master)?;
         unlockpt(&master)?;
         let path = PathBuf::from(OsStr::from_bytes(ptsname(&master, Vec::new())?.as_bytes()));
-        let slave = open(&path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        let slave = open_slave(&path)?;
         make_raw(&slave)?;
         fcntl_setfl(&master, fcntl_getfl(&master)? | OFlags::NONBLOCK)?;
-        Ok(Terminal { line: master, slave: Some(slave), path, is_pseudo: true, hung_up: false })
+        let closings = Closings::of(&path);
+        if let Err(error) = &closings {
+            tracing::warn!(%error, path = %path.display(), "the emulated board cannot tell when its clients go");
+        }
+        Ok(Terminal {
+            line: master,
+            slave: Some(slave),
+            closings: closings.ok(),
+            path,
+            is_pseudo: true,
+            hung_up: false,
+        })
     }
 
     fn open(path: &Path) -> io::Result<Self> {
         let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC | OFlags::NONBLOCK;
         let line = open(path, flags, Mode::empty())?;
         make_raw(&line)?;
-        Ok(Terminal { line, slave: None, path: path.into(), is_pseudo: false, hung_up: false })
+        Ok(Terminal { line, slave: None, closings: None, path: path.into(), is_pseudo: false, hung_up: false })
     }
 
     fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let interest = if write { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
         let timeout = Timespec { tv_sec: timeout.as_secs() as i64, tv_nsec: i64::from(timeout.subsec_nanos()) };
-        match poll(&mut [PollFd::new(&self.line, interest)], Some(&timeout)) {
-            Ok(_) | Err(rustix::io::Errno::INTR) => Ok(()),
+        let line = PollFd::new(&self.line, interest);
+        let polled = match &self.closings {
+            Some(closings) => poll(&mut [line, PollFd::new(&closings.events, PollFlags::IN)], Some(&timeout)),
+            None => poll(&mut [line], Some(&timeout)),
+        };
+        match polled {
+            Ok(_) | Err(Errno::INTR) => Ok(()),
             Err(e) => Err(e.into()),
         }
+    }
+
+    /// See [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a read of the line
+    /// tells whether a client has the terminal open: it fails if nobody has and nothing is left to read.
+    fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
+        let Terminal { line, slave, closings: Some(closings), path, .. } = self else { return Ok(false) };
+        if !closings.any() {
+            return Ok(false);
+        }
+        closings.without(path, || {
+            if let Some(slave) = slave.take() {
+                // A client that was killed leaves the terminal reserved for itself.
+                let _ = ioctl_tiocnxcl(&slave);
+            }
+        })?;
+        let mut buffer = [0u8; 4096];
+        let is_abandoned = loop {
+            match rustix::io::read(&*line, &mut buffer[..]) {
+                Ok(count) if count > 0 && received.len() < MOST_RECEIVED => {
+                    received.extend_from_slice(buffer.get(..count).unwrap_or(&[]));
+                }
+                Ok(_) | Err(Errno::AGAIN) => break false,
+                Err(Errno::INTR) => {}
+                Err(Errno::IO) => break true,
+                Err(e) => return Err(e.into()),
+            }
+        };
+        *slave = match open_slave(path) {
+            Ok(slave) => Some(slave),
+            // A client that came meanwhile has it for itself: the board's own handle is had again when that one goes.
+            Err(Errno::BUSY) => None,
+            Err(e) => return Err(e.into()),
+        };
+        if let Some(slave) = slave.as_ref().filter(|_| is_abandoned) {
+            received.clear();
+            // Nothing has been written for a client that came meanwhile: all this was for those that have gone.
+            tcflush(slave, QueueSelector::IFlush)?;
+        }
+        Ok(is_abandoned)
     }
 
     fn has_client(&self) -> io::Result<bool> {
@@ -156,15 +274,19 @@ impl Terminal {
     pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let result = rustix::io::read(&self.line, buffer);
         // A terminal that is hung up reads as ended.
-        self.hung_up |= !self.is_pseudo && matches!(result, Ok(0) | Err(rustix::io::Errno::IO));
+        self.hung_up |= !self.is_pseudo && matches!(result, Ok(0) | Err(Errno::IO));
         none_if_would_block(result)
     }
 
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let result = rustix::io::write(&self.line, bytes);
-        self.hung_up |= !self.is_pseudo && matches!(result, Err(rustix::io::Errno::IO));
+        self.hung_up |= !self.is_pseudo && matches!(result, Err(Errno::IO));
         none_if_would_block(result)
     }
+}
+
+fn open_slave(path: &Path) -> rustix::io::Result<OwnedFd> {
+    open(path, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())
 }
 
 fn make_raw(terminal: &OwnedFd) -> io::Result<()> {
@@ -173,19 +295,164 @@ fn make_raw(terminal: &OwnedFd) -> io::Result<()> {
     Ok(tcsetattr(terminal, OptionalActions::Now, &settings)?)
 }
 
-/// Makes a symbolic link to a terminal, in the place of a former one.
+/// Takes the path of a link for one emulated board of this machine, as long as what is returned is kept. The system gives it
+/// back when the process ends, however it ends.
+///
+/// # Errors
+/// Another board has it, or there is no such folder.
+pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
+    let failed = |source: io::Error| EmulatorError::Line { what: format!("the link {}", link.display()), source };
+    let folder = link.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = folder.canonicalize().or_else(|_| std::path::absolute(folder)).map_err(failed)?;
+    let path = folder.join(link.file_name().unwrap_or_default());
+    let bytes = path.as_os_str().as_bytes();
+    // A name has 107 bytes at most.
+    let tail = bytes.get(bytes.len().saturating_sub(80)..).unwrap_or(bytes);
+    let mut name = format!("radome-link-{:08x}:", crc32fast::hash(bytes)).into_bytes();
+    name.extend_from_slice(tail);
+    let address = SocketAddrUnix::new_abstract_name(&name).map_err(|e| failed(e.into()))?;
+    let socket = socket_with(AddressFamily::UNIX, SocketType::DGRAM, SocketFlags::CLOEXEC, None)
+        .map_err(|e| failed(e.into()))?;
+    match bind(&socket, &address) {
+        Ok(()) => Ok(socket),
+        Err(Errno::ADDRINUSE) => Err(EmulatorError::LinkTaken { link: link.into() }),
+        Err(e) => Err(failed(e.into())),
+    }
+}
+
+/// Makes a symbolic link to a terminal. Where there is one that a board has left behind, it is replaced at once.
+///
+/// # Errors
+/// [`io::ErrorKind::AlreadyExists`] if something else is there; the link cannot be made.
 pub(super) fn link(terminal: &Path, link: &Path) -> io::Result<()> {
-    let mut fresh = link.as_os_str().to_owned();
-    fresh.push(".new");
-    std::os::unix::fs::symlink(terminal, &fresh)?;
-    std::fs::rename(&fresh, link)
+    match symlink(terminal, link) {
+        Err(e) if e.kind() == io::ErrorKind::AlreadyExists && is_left_behind(link) => {
+            let mut fresh = link.as_os_str().to_owned();
+            fresh.push(format!(".{}.new", std::process::id()));
+            let _ = std::fs::remove_file(&fresh);
+            symlink(terminal, &fresh)?;
+            std::fs::rename(&fresh, link)
+        }
+        made => made,
+    }
+}
+
+/// Whether a link is one to a pseudo-terminal, or to nothing.
+fn is_left_behind(link: &Path) -> bool {
+    std::fs::read_link(link).is_ok_and(|target| target.starts_with("/dev/pts") || !link.exists())
+}
+
+/// Removes the link if it leads to this terminal.
+pub(super) fn unlink(terminal: &Path, link: &Path) -> io::Result<()> {
+    match std::fs::read_link(link) {
+        Ok(target) if target == terminal => std::fs::remove_file(link),
+        _ => Ok(()),
+    }
 }
 
 fn none_if_would_block(result: rustix::io::Result<usize>) -> io::Result<usize> {
-    use rustix::io::Errno;
     match result {
         // EIO: nobody has the other end open.
         Err(Errno::AGAIN | Errno::INTR | Errno::IO) => Ok(0),
         result => Ok(result?),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::io::Write;
+
+    use super::*;
+
+    fn abandoned(terminal: &mut Terminal) -> (bool, Vec<u8>) {
+        let mut received = Vec::new();
+        let is_abandoned = terminal.was_abandoned(&mut received).expect("asks");
+        (is_abandoned, received)
+    }
+
+    fn client(terminal: &Terminal) -> File {
+        File::from(open_slave(&terminal.path).expect("opens"))
+    }
+
+    #[test]
+    fn a_terminal_that_its_last_client_leaves_is_empty_in_both_directions() {
+        let mut terminal = Terminal::new().expect("a terminal");
+        assert_eq!(abandoned(&mut terminal), (false, vec![]), "nobody was there");
+        let mut first = client(&terminal);
+        first.write_all(b"half a req").expect("writes");
+        let second = client(&terminal);
+        assert_eq!(terminal.write(b"frames").expect("writes"), 6);
+        drop(first);
+        assert_eq!(abandoned(&mut terminal), (false, b"half a req".to_vec()), "one is still there");
+        drop(second);
+        assert_eq!(abandoned(&mut terminal), (true, vec![]));
+        assert_eq!(abandoned(&mut terminal), (false, vec![]), "told once");
+        let port = Port::Terminal(terminal);
+        assert!(!port.holds_unread());
+    }
+
+    #[test]
+    fn what_a_client_wrote_that_has_gone_is_never_read() {
+        let mut terminal = Terminal::new().expect("a terminal");
+        let mut gone = client(&terminal);
+        gone.write_all(b"half a req").expect("writes");
+        drop(gone);
+        assert_eq!(abandoned(&mut terminal), (true, vec![]));
+        let mut next = client(&terminal);
+        next.write_all(b"hello").expect("writes");
+        let mut buffer = [0; 16];
+        assert_eq!(terminal.read(&mut buffer).expect("reads"), 5);
+        assert_eq!(&buffer[..5], b"hello");
+    }
+
+    #[test]
+    fn a_terminal_that_a_client_reserved_can_be_opened_after_it() {
+        let mut terminal = Terminal::new().expect("a terminal");
+        let gone = client(&terminal);
+        rustix::termios::ioctl_tiocexcl(&gone).expect("reserves");
+        drop(gone);
+        assert_eq!(abandoned(&mut terminal), (true, vec![]));
+        client(&terminal);
+    }
+
+    #[test]
+    fn a_link_is_one_boards_at_a_time() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("board");
+        let claimed = claim(&path).expect("free");
+        // By whatever way the folder is named.
+        let other = folder.path().join(".").join("board");
+        for link in [&path, &other] {
+            assert!(matches!(claim(link), Err(EmulatorError::LinkTaken { .. })), "{}", link.display());
+        }
+        claim(&folder.path().join("another")).expect("another link");
+        drop(claimed);
+        claim(&path).expect("free again");
+        let long = folder.path().join("x".repeat(200));
+        let _claimed = claim(&long).expect("free");
+        assert!(matches!(claim(&long), Err(EmulatorError::LinkTaken { .. })));
+    }
+
+    #[test]
+    fn only_links_that_boards_left_behind_are_replaced_and_only_its_own_is_removed() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("board");
+        let terminal = Path::new("/dev/pts/4242");
+        for left in ["/dev/pts/4243", "/nowhere/at/all"] {
+            symlink(left, &path).expect("links");
+            link(terminal, &path).expect("replaces it");
+            assert_eq!(std::fs::read_link(&path).expect("a link"), terminal);
+            unlink(Path::new("/dev/pts/4243"), &path).expect("leaves it");
+            unlink(terminal, &path).expect("removes it");
+            assert!(std::fs::read_link(&path).is_err());
+        }
+        std::fs::write(&path, "mine").expect("writes");
+        assert_eq!(link(terminal, &path).expect_err("a file").kind(), io::ErrorKind::AlreadyExists);
+        std::fs::remove_file(&path).expect("removes");
+        symlink(folder.path(), &path).expect("links");
+        assert_eq!(link(terminal, &path).expect_err("a folder").kind(), io::ErrorKind::AlreadyExists);
+        let names = std::fs::read_dir(folder.path()).expect("reads").count();
+        assert_eq!(names, 1, "nothing is left beside it");
     }
 }

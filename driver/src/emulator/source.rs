@@ -102,14 +102,13 @@ impl FrameSource for EmulatedSource {
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         // The board falls silent both when its source has ended and when the source is slow: only the former ends it.
         loop {
-            let finished = self.board.finished();
+            let is_over = self.board.finished() || self.board.is_over();
             let polled = self.stream.poll(frame, Duration::from_millis(50));
-            // A board whose source has failed falls silent, or its line breaks: the first cause is the source's.
-            if !matches!(polled, Ok(Some(_)))
-                && (finished || polled.is_err())
-                && let Some(failure) = self.board.take_failure()
+            // A board whose source or line has failed falls silent, or breaks off: the first cause is its own.
+            if polled.is_err()
+                && let Some(reason) = self.board.failure()
             {
-                return Err(failure);
+                return Err(format!("the emulated board sends no more frames: {reason}").into());
             }
             match polled? {
                 Some(event) => {
@@ -118,7 +117,12 @@ impl FrameSource for EmulatedSource {
                     }
                     return Ok(event);
                 }
-                None if finished => return Ok(SourceEvent::End),
+                None if is_over => {
+                    return match self.board.failure() {
+                        Some(reason) => Err(format!("the emulated board sends no more frames: {reason}").into()),
+                        None => Ok(SourceEvent::End),
+                    };
+                }
                 None => {}
             }
         }

@@ -1,14 +1,20 @@
 //! What stands between a firmware and its host: the port, what waits to be sent, and what goes wrong there.
 
+use std::collections::VecDeque;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::thread;
 use std::time::{Duration, Instant};
 
-use super::port::{Place, Port, link};
-use super::{Fault, Shared};
+use super::port::{Place, Port, link, unlink};
+use super::{EmulatorOptions, Fault, Shared};
 use crate::usb::Setup;
+
+/// How long a board that is being stopped takes at most to let its host have what is under way.
+const FINISH: Duration = Duration::from_millis(500);
+/// Pieces of requests that are under way at once: a host that sends more has to wait.
+const MOST_UNDER_WAY: usize = 256;
 
 /// A board's program: it answers, and has data to send.
 pub(super) trait Firmware {
@@ -24,6 +30,12 @@ pub(super) trait Firmware {
     fn advance(&mut self);
     /// The board was without power: everything is as at first, but the world.
     fn power_up(&mut self);
+    /// Its last client has gone, perhaps in the middle of a request or of a stream: it stops and waits for another.
+    fn abandon(&mut self);
+    /// Whether the data message that was sent last is to be followed by another for the host to make sense of it.
+    fn is_amid_data(&self) -> bool {
+        false
+    }
     /// Whether it starts anew each time that a client opens the port, and sends nothing while none has.
     fn restarts_when_opened(&self) -> bool {
         false
@@ -44,6 +56,10 @@ pub(super) struct Wire {
     has_client: bool,
     /// The host takes nothing until then.
     host_reads_from: Option<Instant>,
+    /// How long what the host sends takes to reach the firmware.
+    latency: Duration,
+    /// What is on its way there, and when it arrives.
+    under_way: VecDeque<(Instant, Vec<u8>)>,
     pub shared: Arc<Shared>,
 }
 
@@ -60,17 +76,19 @@ pub(super) enum Before {
 
 impl Wire {
     /// Plugs the board in.
-    pub fn new(place: Place, faults: Vec<Fault>, shared: Arc<Shared>) -> std::io::Result<Self> {
+    pub fn new(place: Place, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
         let wire = Wire {
             port: place.open()?,
             place,
-            faults,
+            faults: options.faults.clone(),
             held: Vec::new(),
             out: Vec::new(),
             written: 0,
             unplugged: None,
             has_client: false,
             host_reads_from: None,
+            latency: options.latency,
+            under_way: VecDeque::new(),
             shared,
         };
         wire.make_link()?;
@@ -80,6 +98,14 @@ impl Wire {
     fn make_link(&self) -> std::io::Result<()> {
         match &self.place {
             Place::Pseudoterminal { link: Some(path) } => link(self.port.path(), path),
+            _ => Ok(()),
+        }
+    }
+
+    /// Removes the link, unless another's has taken its place.
+    fn remove_link(&self) -> std::io::Result<()> {
+        match &self.place {
+            Place::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
             _ => Ok(()),
         }
     }
@@ -153,6 +179,7 @@ impl Wire {
             if self.port.is_hung_up() {
                 self.unplug(Duration::ZERO, firmware)?;
             }
+            self.look_for_departure(firmware)?;
             if watches_clients {
                 let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
                 if !self.has_client {
@@ -180,28 +207,79 @@ impl Wire {
                 self.out.clear();
                 self.written = 0;
             }
-            let has_answered = match &mut self.port {
+            let (mut received, mut has_answered) = (0, false);
+            match &mut self.port {
                 Port::Endpoints(endpoints) => {
                     let count = endpoints.read(&mut buffer)?;
-                    match buffer.get(..count).and_then(|transfer| transfer.split_first_chunk()) {
-                        Some((setup, data)) => {
-                            endpoints.answer(firmware.control(setup, data).as_deref())?;
-                            true
-                        }
-                        None => false,
+                    if let Some((setup, data)) = buffer.get(..count).and_then(|transfer| transfer.split_first_chunk()) {
+                        endpoints.answer(firmware.control(setup, data).as_deref())?;
+                        has_answered = true;
                     }
                 }
-                Port::Terminal(terminal) if !is_sending => {
-                    let count = terminal.read(&mut buffer)?;
-                    firmware.receive(buffer.get(..count).unwrap_or(&[]), &mut self.out);
-                    !self.out.is_empty()
+                Port::Terminal(terminal) if !is_sending && self.under_way.len() < MOST_UNDER_WAY => {
+                    received = terminal.read(&mut buffer)?;
                 }
-                Port::Terminal(_) | Port::Gone => false,
-            };
-            if !is_sending && !has_answered && !firmware.next_message(self) {
-                self.port.wait(false, Duration::from_millis(1))?;
+                Port::Terminal(_) | Port::Gone => {}
+            }
+            if let Some(bytes) = buffer.get(..received).filter(|bytes| !bytes.is_empty()) {
+                self.under_way.push_back((Instant::now() + self.latency, bytes.to_vec()));
+            }
+            if !is_sending {
+                self.deliver(firmware);
+                if self.out.is_empty() && !has_answered && !firmware.next_message(self) {
+                    self.port.wait(false, self.until_delivery().min(Duration::from_millis(1)))?;
+                }
             }
             self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
+        }
+        self.finish(firmware)
+    }
+
+    /// Gives the firmware what has arrived by now.
+    fn deliver(&mut self, firmware: &mut dyn Firmware) {
+        while self.until_delivery().is_zero() {
+            let Some((_, bytes)) = self.under_way.pop_front() else { return };
+            firmware.receive(&bytes, &mut self.out);
+        }
+    }
+
+    /// How long it takes until something arrives.
+    fn until_delivery(&self) -> Duration {
+        self.under_way.front().map_or(Duration::MAX, |(due, _)| due.saturating_duration_since(Instant::now()))
+    }
+
+    /// Looks whether the last client has gone. The board is as good as new for the next one then.
+    fn look_for_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
+        let mut received = Vec::new();
+        if self.port.was_abandoned(&mut received)? {
+            firmware.abandon();
+            self.forget();
+            self.shared.departures.fetch_add(1, Ordering::Relaxed);
+        } else if !received.is_empty() {
+            self.under_way.push_back((Instant::now() + self.latency, received));
+        }
+        Ok(())
+    }
+
+    /// Lets a host that reads have the message that is under way, and those that belong to it.
+    fn finish(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
+        let end = Instant::now() + FINISH;
+        while Instant::now() < end {
+            if self.written >= self.out.len() {
+                self.out.clear();
+                self.written = 0;
+                if !firmware.is_amid_data() || !firmware.next_message(self) {
+                    break;
+                }
+            }
+            self.port.wait(true, Duration::from_millis(10))?;
+            self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
+        }
+        // What it has not read when the line goes it does not get. The system may yet have more for it than it has handed over.
+        let mut quiet = 0;
+        while Instant::now() < end && quiet < 5 {
+            quiet = if self.port.holds_unread() { 0 } else { quiet + 1 };
+            thread::sleep(Duration::from_millis(1));
         }
         Ok(())
     }
@@ -210,12 +288,10 @@ impl Wire {
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut is_back = None;
         match &self.place {
-            Place::Pseudoterminal { link } => {
+            Place::Pseudoterminal { .. } => {
                 // Opened before the old one goes, so that it has another name.
                 is_back = Some(self.place.open()?);
-                if let Some(link) = link {
-                    std::fs::remove_file(link)?;
-                }
+                self.remove_link()?;
             }
             Place::Terminal(_) | Place::Endpoints(_) => {}
         }
@@ -244,9 +320,15 @@ impl Wire {
 
     fn restart(&mut self, firmware: &mut dyn Firmware) {
         firmware.power_up();
+        self.forget();
+    }
+
+    /// Throws away what is under way in either direction.
+    fn forget(&mut self) {
         self.out.clear();
         self.written = 0;
         self.held.clear();
+        self.under_way.clear();
     }
 
     /// Where the host finds the board.
@@ -254,6 +336,15 @@ impl Wire {
         match &self.place {
             Place::Pseudoterminal { link: Some(link) } => link,
             _ => self.port.path(),
+        }
+    }
+}
+
+impl Drop for Wire {
+    /// The terminal's name will be another's: nothing must lead there.
+    fn drop(&mut self) {
+        if let Err(error) = self.remove_link() {
+            tracing::warn!(%error, place = %self.place.description(), "the link could not be removed");
         }
     }
 }

@@ -1,14 +1,16 @@
 //! What the emulated chip samples: codes of a frame source in FIFO order, and when.
 
 use std::collections::VecDeque;
-use std::thread;
-use std::time::Instant;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender, TryRecvError, bounded};
 use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Waveform};
 
-use super::Pace;
-use crate::chip::test_pattern;
+use super::feed::Maker;
+use super::{Feed, Pace, Shared};
+use crate::chip::{ChipConfiguration, test_pattern};
 use crate::protocol::fifo;
 use crate::timing::SampleTiming;
 
@@ -17,8 +19,14 @@ const FRAMES_AHEAD: usize = 2;
 
 enum Message {
     Frame(Frame),
-    Gap { frames: u64 },
+    Gap {
+        frames: u64,
+    },
     End,
+    /// The source gave up.
+    Failed(String),
+    /// Frames of this waveform cannot be had.
+    Refused(String),
 }
 
 /// What there is to send.
@@ -36,6 +44,19 @@ pub(super) enum Slice {
 pub(super) struct World {
     incoming: Receiver<Message>,
     spare: Sender<Frame>,
+    /// Runs the source.
+    producer: Option<JoinHandle<()>>,
+    maker: Arc<Mutex<Maker>>,
+    makes_any_waveform: bool,
+    /// Whether a source that has ended is begun again.
+    repeat: bool,
+    /// Waveform of the source's frames.
+    source: Waveform,
+    /// Frames of that waveform could not be had.
+    is_refused: bool,
+    /// The chip was started with a waveform that the source does not have.
+    is_silent: bool,
+    shared: Arc<Shared>,
     shape: FrameShape,
     timing: SampleTiming,
     /// Indices of the source's receivers that the chip has switched on.
@@ -46,6 +67,8 @@ pub(super) struct World {
     pace: Pace,
     /// A frame whose time has not come.
     upcoming: Option<Frame>,
+    /// When the source's next frame begins, ns.
+    next_ns: u64,
     /// Codes of frames not yet sent, FIFO order; those before `sent` have been.
     codes: Vec<u16>,
     sent: usize,
@@ -68,22 +91,32 @@ pub(super) struct World {
 
 impl World {
     /// Takes frames from the source in a thread of their own: a slow source must not keep the firmware from answering.
-    pub fn new(source: Box<dyn FrameSource>, pace: Pace) -> std::io::Result<Self> {
+    pub fn new(feed: Feed, pace: Pace, repeat: bool, shared: Arc<Shared>) -> std::io::Result<Self> {
+        let Feed { source, maker } = feed;
         let waveform = source.waveform().clone();
-        let (to_world, incoming) = bounded(FRAMES_AHEAD);
-        let (spare, from_world) = bounded(FRAMES_AHEAD + 2);
-        // The thread ends with the source or with the world's end of the channel.
-        thread::Builder::new().name("emulator source".into()).spawn(move || produce(source, &to_world, &from_world))?;
+        let makes_any_waveform = matches!(maker, Maker::Waveforms(_));
+        let maker = Arc::new(Mutex::new(maker));
+        let (incoming, spare, producer) =
+            Producer::start(waveform.clone(), maker.clone(), repeat, Beginning::With(source))?;
         Ok(World {
             incoming,
             spare,
+            producer: Some(producer),
+            maker,
+            makes_any_waveform,
+            repeat,
+            is_refused: false,
+            is_silent: false,
+            shared,
             shape: waveform.shape(),
             timing: SampleTiming::new(&waveform),
             channels: (0..waveform.shape().rx).collect(),
             codes_per_frame: waveform.shape().codes() as u64,
+            source: waveform,
             test_pattern: None,
             pace,
             upcoming: None,
+            next_ns: 0,
             codes: Vec::new(),
             sent: 0,
             taken: 0,
@@ -98,13 +131,45 @@ impl World {
         })
     }
 
-    /// The chip starts frames with this waveform and these receivers of the source, and sends its test pattern instead
-    /// of one of them.
-    pub fn restart(&mut self, waveform: &Waveform, channels: Vec<usize>, test_pattern: Option<usize>) {
-        self.test_pattern = test_pattern.map(|channel| (channel, test_pattern::FIRST));
+    /// Whether frames of this waveform can be had, or why not.
+    pub fn check(&self, waveform: &Waveform) -> Result<(), String> {
+        match self.makes_any_waveform {
+            true => Ok(()),
+            false => compare(&self.source, waveform),
+        }
+    }
+
+    /// Whether the source's frames are those of this waveform. Where others can be made, they are those of the same registers.
+    fn has(&self, waveform: &Waveform) -> bool {
+        !self.is_refused
+            && compare(&self.source, waveform).is_ok()
+            && (!self.makes_any_waveform || is_same_but_for_receivers(&self.source, waveform))
+    }
+
+    /// The client has asked for what cannot be: says why, and nothing is sampled.
+    pub fn refuse(&mut self, reason: &str) {
+        self.is_silent = true;
+        self.shared.refuse(reason);
+    }
+
+    /// The chip starts frames with this waveform, and sends its test pattern as RX1 if that is switched on. If the source
+    /// has no such frames it says so, and none come.
+    pub fn restart(&mut self, waveform: &Waveform, has_test_pattern: bool) {
+        self.is_silent = false;
+        self.shared.accept();
+        if !self.has(waveform) {
+            match self.check(waveform) {
+                Ok(()) => self.remake(waveform),
+                Err(reason) => self.refuse(&reason),
+            }
+        }
+        let antennas = self.source.request.rx_antennas.antennas();
+        let wanted = waveform.request.rx_antennas.antennas();
+        self.channels = wanted.iter().filter_map(|a| antennas.iter().position(|b| a == b)).collect();
+        let first_receiver = wanted.iter().position(|a| *a == 1).filter(|_| has_test_pattern);
+        self.test_pattern = first_receiver.map(|channel| (channel, test_pattern::FIRST));
         self.timing = SampleTiming::new(waveform);
-        self.codes_per_frame = (channels.len() * self.shape.chirps * self.shape.samples) as u64;
-        self.channels = channels;
+        self.codes_per_frame = (self.channels.len() * self.shape.chirps * self.shape.samples) as u64;
         self.codes.clear();
         self.sent = 0;
         self.frames.clear();
@@ -114,6 +179,23 @@ impl World {
         let stopped = self.stopped_ns.take();
         self.started_ns = self.now_ns().map(|now| stopped.filter(|s| *s <= now && at_once(now, *s)).unwrap_or(now));
         self.has_begun = true;
+    }
+
+    /// Has frames of another waveform made, from the time that it is on. The clock stands still until the first is there.
+    fn remake(&mut self, waveform: &Waveform) {
+        let from_ns = self.now_ns().unwrap_or(self.next_ns);
+        let beginning = Beginning::Made { from: Duration::from_nanos(from_ns) };
+        match Producer::start(waveform.clone(), self.maker.clone(), self.repeat, beginning) {
+            // The former producer ends when it finds its channel closed.
+            Ok((incoming, spare, producer)) => {
+                (self.incoming, self.spare, self.producer) = (incoming, spare, Some(producer));
+                self.source = waveform.clone();
+                self.shape = waveform.shape();
+                (self.upcoming, self.clock, self.stopped_ns) = (None, None, None);
+                (self.is_refused, self.ended) = (false, false);
+            }
+            Err(error) => self.refuse(&format!("no thread for frames of this waveform: {error}")),
+        }
     }
 
     /// The chip is about to be reset: nothing is sampled any more.
@@ -161,7 +243,7 @@ impl World {
     }
 
     fn pull(&mut self) {
-        if self.ended || self.missing > 0 {
+        if self.ended || self.is_silent || self.missing > 0 {
             return;
         }
         let frame = match self.upcoming.take().map_or_else(|| self.receive(), Some) {
@@ -201,12 +283,29 @@ impl World {
                 self.missing = frames;
                 return None;
             }
-            Ok(Message::End) | Err(TryRecvError::Disconnected) => {
+            Ok(Message::End) => {
                 self.ended = true;
+                return None;
+            }
+            Ok(Message::Failed(reason)) => {
+                self.ended = true;
+                self.shared.fail(reason);
+                return None;
+            }
+            Ok(Message::Refused(reason)) => {
+                self.is_refused = true;
+                self.refuse(&reason);
+                return None;
+            }
+            // It ends with a message unless it panics.
+            Err(TryRecvError::Disconnected) => {
+                self.ended = true;
+                self.shared.fail(self.producer.take().map_or_else(String::new, panic_message));
                 return None;
             }
             Err(TryRecvError::Empty) => return None,
         };
+        self.next_ns = frame.time_ns.saturating_add((self.source.frame_interval_s() * 1e9) as u64);
         // A source that is late makes the world late; it does not make the host slow.
         let is_late = self.now_ns().is_none_or(|now| now > frame.time_ns) && self.started_ns.is_none();
         if is_late && matches!(self.pace, Pace::RealTime(_)) {
@@ -310,28 +409,160 @@ impl World {
     }
 }
 
-fn produce(mut source: Box<dyn FrameSource>, to_world: &Sender<Message>, spare: &Receiver<Frame>) {
-    let shape = source.waveform().shape();
-    loop {
-        let mut frame = spare.try_recv().unwrap_or_else(|_| Frame::zeroed(shape));
-        let message = match source.next_frame(&mut frame) {
-            Ok(SourceEvent::Frame) if frame.shape == shape && frame.codes.len() == shape.codes() => {
-                Message::Frame(frame)
-            }
-            Ok(SourceEvent::Frame) => {
-                tracing::error!(got = %frame.shape, expected = %shape, "the source changed the shape of its frames");
-                Message::End
-            }
-            Ok(SourceEvent::Gap(gap)) => Message::Gap { frames: gap.frames },
-            Ok(SourceEvent::End) => Message::End,
-            Err(error) => {
-                tracing::error!(error, "the source failed");
-                Message::End
-            }
+/// What a thread said that panicked.
+fn panic_message(thread: JoinHandle<()>) -> String {
+    let Err(payload) = thread.join() else { return "the source went without a word".into() };
+    let words =
+        payload.downcast_ref::<&str>().copied().or_else(|| payload.downcast_ref::<String>().map(String::as_str));
+    format!("the source panicked: {}", words.unwrap_or("without a word"))
+}
+
+/// Whether frames of a source can stand for those of a waveform, or in which quantity they differ.
+fn compare(source: &Waveform, wanted: &Waveform) -> Result<(), String> {
+    source.check_compatible(wanted).map_err(|mismatch| {
+        let (what, expected, got) = (mismatch.what, mismatch.expected, mismatch.got);
+        format!("the client asks for another waveform than the source has: {what} {expected}, the source has {got}")
+    })
+}
+
+/// Whether the registers of a waveform stand for another, receivers aside.
+fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
+    let is_wanted = |mut waveform: Waveform| {
+        waveform.request.rx_antennas = wanted.request.rx_antennas;
+        waveform == *wanted
+    };
+    let configuration = ChipConfiguration { waveform: source.clone(), slice_samples: FIFO_SAMPLES / 2 };
+    is_wanted(source.clone()) || configuration.realised().is_ok_and(is_wanted)
+}
+
+/// Where a producer has its first source from.
+enum Beginning {
+    With(Box<dyn FrameSource>),
+    /// One has to be made, whose first frame is at this time.
+    Made {
+        from: Duration,
+    },
+}
+
+/// A thread that runs a source.
+struct Producer {
+    waveform: Waveform,
+    maker: Arc<Mutex<Maker>>,
+    repeat: bool,
+    to_world: Sender<Message>,
+    spare: Receiver<Frame>,
+}
+
+/// How a source has ended: the frames that it gave, and when the next one would begin, ns.
+struct Pass {
+    frames: u64,
+    next_ns: u64,
+}
+
+impl Producer {
+    /// Starts one. It ends with its source or with the world's end of the channel.
+    fn start(
+        waveform: Waveform,
+        maker: Arc<Mutex<Maker>>,
+        repeat: bool,
+        beginning: Beginning,
+    ) -> std::io::Result<(Receiver<Message>, Sender<Frame>, JoinHandle<()>)> {
+        let (to_world, incoming) = bounded(FRAMES_AHEAD);
+        let (to_producer, spare) = bounded(FRAMES_AHEAD + 2);
+        let producer = Producer { waveform, maker, repeat, to_world, spare };
+        let thread = thread::Builder::new().name("emulator source".into()).spawn(move || producer.run(beginning))?;
+        Ok((incoming, to_producer, thread))
+    }
+
+    fn run(self, beginning: Beginning) {
+        let mut source = match beginning {
+            Beginning::With(source) => source,
+            Beginning::Made { from } => match self.make(from) {
+                Ok(source) => source,
+                Err(reason) => return self.send(Message::Refused(reason)),
+            },
         };
-        let last = matches!(message, Message::End);
-        if to_world.send(message).is_err() || last {
-            return;
+        let mut seam_ns = None;
+        loop {
+            // Nobody takes frames any more, or it has been said why there are no more.
+            let Some(pass) = self.pass_on(source.as_mut(), seam_ns) else { return };
+            // A source without a frame would begin again for ever.
+            if !self.repeat || pass.frames == 0 {
+                return self.send(Message::End);
+            }
+            source = match self.begin_again() {
+                Ok(Some(source)) => source,
+                Ok(None) => return self.send(Message::End),
+                Err(reason) => return self.send(Message::Failed(reason)),
+            };
+            seam_ns = Some(pass.next_ns);
         }
     }
+
+    /// Hands the message to the world, if it is still there.
+    fn send(&self, message: Message) {
+        let _ = self.to_world.send(message);
+    }
+
+    /// Passes on all that a source has. If there was one before it, its first frame begins at the seam.
+    fn pass_on(&self, source: &mut dyn FrameSource, seam_ns: Option<u64>) -> Option<Pass> {
+        let shape = self.waveform.shape();
+        let interval_ns = (self.waveform.frame_interval_s() * 1e9) as u64;
+        let mut pass = Pass { frames: 0, next_ns: seam_ns.unwrap_or(0) };
+        let mut first_ns = None;
+        loop {
+            let mut frame = self.spare.try_recv().unwrap_or_else(|_| Frame::zeroed(shape));
+            let message = match source.next_frame(&mut frame) {
+                Ok(SourceEvent::Frame) if frame.shape == shape && frame.codes.len() == shape.codes() => {
+                    let first_ns = *first_ns.get_or_insert(frame.time_ns);
+                    if let Some(seam_ns) = seam_ns {
+                        frame.time_ns = seam_ns.saturating_add(frame.time_ns.saturating_sub(first_ns));
+                    }
+                    pass.frames += 1;
+                    pass.next_ns = frame.time_ns.saturating_add(interval_ns);
+                    Message::Frame(frame)
+                }
+                Ok(SourceEvent::Frame) => {
+                    let got = frame.shape;
+                    self.send(Message::Failed(format!("the source gave a frame of {got} instead of {shape}")));
+                    return None;
+                }
+                Ok(SourceEvent::Gap(gap)) => Message::Gap { frames: gap.frames },
+                Ok(SourceEvent::End) => return Some(pass),
+                Err(error) => {
+                    self.send(Message::Failed(in_words(error.as_ref())));
+                    return None;
+                }
+            };
+            self.to_world.send(message).ok()?;
+        }
+    }
+
+    /// Frames of the waveform, from this time on.
+    fn make(&self, from: Duration) -> Result<Box<dyn FrameSource>, String> {
+        let mut maker = self.maker.lock().unwrap_or_else(PoisonError::into_inner);
+        let Maker::Waveforms(make) = &mut *maker else { return Err("the source has frames of one waveform".into()) };
+        let source = make(&self.waveform, from).map_err(|error| in_words(error.as_ref()))?;
+        compare(source.waveform(), &self.waveform)?;
+        Ok(source)
+    }
+
+    /// The source that has ended, from its beginning; `None` where that cannot be had.
+    fn begin_again(&self) -> Result<Option<Box<dyn FrameSource>>, String> {
+        match &mut *self.maker.lock().unwrap_or_else(PoisonError::into_inner) {
+            Maker::Again(open) => open().map(Some).map_err(|error| in_words(error.as_ref())),
+            Maker::Waveforms(_) | Maker::None => Ok(None),
+        }
+    }
+}
+
+/// An error with its causes.
+fn in_words(error: &(dyn std::error::Error + Send + Sync + 'static)) -> String {
+    let mut words = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        words += &format!(": {error}");
+        cause = error.source();
+    }
+    words
 }

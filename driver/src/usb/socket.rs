@@ -107,6 +107,8 @@ pub(crate) struct DeviceSockets {
     listeners: [OwnedFd; 2],
     /// The host's control and bulk connections.
     host: [Option<OwnedFd>; 2],
+    /// A host has gone, and nobody has been told yet.
+    was_abandoned: bool,
 }
 
 impl DeviceSockets {
@@ -125,7 +127,12 @@ impl DeviceSockets {
             Ok(socket)
         };
         let [control, data] = NAMES;
-        Ok(DeviceSockets { folder: folder.into(), listeners: [at(control)?, at(data)?], host: [None, None] })
+        Ok(DeviceSockets {
+            folder: folder.into(),
+            listeners: [at(control)?, at(data)?],
+            host: [None, None],
+            was_abandoned: false,
+        })
     }
 
     /// Where the host finds it.
@@ -164,12 +171,17 @@ impl DeviceSockets {
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
             // The host has gone.
             Ok((0, _)) | Err(Errno::CONNRESET) => {
-                self.host = [None, None];
+                (self.host, self.was_abandoned) = ([None, None], true);
                 Ok(0)
             }
             Ok((count, _)) => Ok(count),
             Err(e) => Err(e.into()),
         }
+    }
+
+    /// Whether the host has gone since this was last asked.
+    pub fn was_abandoned(&mut self) -> bool {
+        std::mem::take(&mut self.was_abandoned)
     }
 
     /// Answers the control transfer: with the data of an IN transfer, or none of an OUT transfer, or by a stall.

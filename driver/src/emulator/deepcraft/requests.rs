@@ -1,5 +1,6 @@
 //! What the firmware answers: requests in, bytes out, and the state that the requests change.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use prost::Message;
@@ -8,7 +9,7 @@ use radome_dsp::Waveform;
 use super::{DEVICE, WATCHDOG_TIMEOUT_MS, watchdog};
 use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
 use crate::emulator::chip::Chip;
-use crate::emulator::{EmulatorError, Fault};
+use crate::emulator::{EmulatorError, Fault, Shared};
 use crate::protocol::deepcraft::{
     Answer, Board, BoardSerial, CUSTOM_DATA, CapabilitiesResponse, Command, ConfigureResponse, Custom, Device,
     DeviceOption, Dimension, ErrorCode, ErrorResponse, FIFO_LEVEL_CODES, ITEMS, MAX_REQUEST, MessageParser, OptionBlob,
@@ -17,7 +18,6 @@ use crate::protocol::deepcraft::{
 };
 
 pub(super) struct Requests {
-    source: Waveform,
     parser: MessageParser,
     /// Name of the device that ought to be the radar.
     name: String,
@@ -37,11 +37,12 @@ pub(super) struct Requests {
     pub current_frame: u32,
     pub dropped: i32,
     /// Why the radar cannot be used as it is set.
-    pub refusal: Option<String>,
+    refusal: Option<String>,
+    shared: Arc<Shared>,
 }
 
 impl Requests {
-    pub fn new(chip: Chip, source: &Waveform, faults: &[Fault]) -> Result<Self, EmulatorError> {
+    pub fn new(chip: Chip, source: &Waveform, faults: &[Fault], shared: Arc<Shared>) -> Result<Self, EmulatorError> {
         let (mut name, mut protocol_major) = ("Radar".to_owned(), PROTOCOL_VERSION[0]);
         for fault in faults {
             match *fault {
@@ -56,7 +57,6 @@ impl Requests {
         };
         let mut requests = Requests {
             chip,
-            source: source.clone(),
             parser: MessageParser::new(MAX_REQUEST),
             name,
             protocol_major,
@@ -70,6 +70,7 @@ impl Requests {
             current_frame: 0,
             dropped: 0,
             refusal: None,
+            shared,
         };
         requests.configure();
         Ok(requests)
@@ -84,28 +85,30 @@ impl Requests {
         self.chip.reset();
     }
 
+    /// The last client has gone: the watchdog would stop the radar soon, and half a request would keep the next one waiting.
+    pub fn abandon(&mut self) {
+        self.parser.clear();
+        self.stop();
+    }
+
     pub fn stop(&mut self) {
         self.active_until = None;
         self.current_frame = 0;
-        // Ending frames cannot fail.
-        let _ = self.chip.write(address::MAIN, main_bits::FSM_RESET);
+        self.chip.write(address::MAIN, main_bits::FSM_RESET);
     }
 
     /// Resets the chip, gives it its registers, with the level that the firmware reads at, and starts frames.
-    ///
-    /// # Errors
-    /// The emulator cannot start these frames, and why.
-    pub fn start_chip(&mut self) -> Result<(), String> {
-        self.chip.write(address::MAIN, main_bits::SW_RESET)?;
+    pub fn start_chip(&mut self) {
+        self.chip.write(address::MAIN, main_bits::SW_RESET);
         for register in &self.registers {
-            self.chip.write(register.address, register.value)?;
+            self.chip.write(register.address, register.value);
         }
         let fifo = self.chip.read(address::SFCTL);
         let level = (FIFO_LEVEL_CODES / 2 - 1) as u32;
-        self.chip.write(address::SFCTL, field::SFCTL::FIFO_CREF.put(fifo, level))?;
+        self.chip.write(address::SFCTL, field::SFCTL::FIFO_CREF.put(fifo, level));
         let main = self.chip.read(address::MAIN);
-        self.chip.write(address::MAIN, main | main_bits::FIFO_RESET)?;
-        self.chip.write(address::MAIN, main | main_bits::FRAME_START)
+        self.chip.write(address::MAIN, main | main_bits::FIFO_RESET);
+        self.chip.write(address::MAIN, main | main_bits::FRAME_START);
     }
 
     /// A request that is announced and does not come keeps the firmware waiting, as the real one.
@@ -171,11 +174,7 @@ impl Requests {
                     (None, Some(_)) => return Err(ErrorCode::Unspecified),
                     (None, None) => {}
                 }
-                if let Err(reason) = self.start_chip() {
-                    tracing::warn!(reason, "the emulated board does not start");
-                    self.refusal = Some(reason);
-                    return Err(ErrorCode::Unspecified);
-                }
+                self.start_chip();
                 self.active_until = Some(watchdog());
                 self.starts += 1;
                 Ok(None)
@@ -239,20 +238,21 @@ impl Requests {
         }
     }
 
-    /// The chip would measure whatever it is told; the source has frames of one waveform only. Another is refused, loudly.
+    /// The chip would measure whatever it is told. A waveform that the source does not have is refused, loudly.
     fn configure(&mut self) {
         (self.current_frame, self.dropped) = (0, 0);
         let checked = self.wanted().and_then(|(waveform, registers)| {
-            self.source.check_compatible(&waveform).map_err(|mismatch| mismatch.to_string())?;
+            self.chip.check_source(&waveform)?;
             Ok((waveform, registers))
         });
         self.refusal = match checked {
             Ok(wanted) => {
                 (self.waveform, self.registers) = wanted;
+                self.shared.accept();
                 None
             }
             Err(reason) => {
-                tracing::warn!(reason, "the emulated board cannot be set so");
+                self.shared.refuse(&reason);
                 Some(reason)
             }
         };
@@ -280,6 +280,7 @@ impl Requests {
                 dimension("Sample", shape.samples),
             ],
             frequency: stated_frequency_hz(&self.waveform),
+            // What the firmware states; its chunks hold as many as one read of the FIFO completes.
             max_frame_count: 1,
             unit: "???".into(),
             current_frame: self.current_frame as i32,

@@ -1,11 +1,13 @@
 //! What the MCU7 firmware answers: requests in, bytes out, and the state that the requests change.
 
-use crate::chip::{address, main_bits};
-use crate::emulator::Fault;
+use std::sync::Arc;
+
+use crate::chip::{address, field, main_bits};
 use crate::emulator::chip::Chip;
+use crate::emulator::{Fault, Shared};
 use crate::protocol::strata::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, Framing, HostEvent,
-    IMPLEMENTATION_AVIAN, Protocol, Request, Response, SliceLayout, SpiWord, Status,
+    IMPLEMENTATION_AVIAN, Protocol, Request, RequestKind, Response, SliceLayout, SpiWord, Status,
 };
 
 /// Longest board info that version 3 gives in a fixed length.
@@ -29,12 +31,13 @@ pub(super) struct Requests {
     data_started: bool,
     /// Counts starts of data: the sender begins afresh when it changes.
     pub starts: u64,
-    /// Why the last start was refused.
-    pub refusal: Option<String>,
+    /// Whether it has been said that a client speaks the other version.
+    has_told: bool,
+    shared: Arc<Shared>,
 }
 
 impl Requests {
-    pub fn new(chip: Chip, protocol: Protocol, framing: Framing, faults: &[Fault]) -> Self {
+    pub fn new(chip: Chip, protocol: Protocol, framing: Framing, faults: &[Fault], shared: Arc<Shared>) -> Self {
         let wrong = faults.iter().find_map(|fault| match fault {
             Fault::WrongVersion(major) => Some(*major),
             _ => None,
@@ -47,7 +50,8 @@ impl Requests {
             slice: None,
             data_started: false,
             starts: 0,
-            refusal: None,
+            has_told: false,
+            shared,
         }
     }
 
@@ -55,6 +59,12 @@ impl Requests {
     pub fn power_up(&mut self) {
         self.chip.reset();
         self.slice = None;
+        self.data_started = false;
+    }
+
+    /// The last client has gone: nothing is measured for nobody. Registers and slice stay as they are.
+    pub fn abandon(&mut self) {
+        self.chip.halt();
         self.data_started = false;
     }
 
@@ -71,6 +81,7 @@ impl Requests {
     pub fn handle(&mut self, event: &HostEvent, out: &mut Vec<u8>) {
         match event {
             HostEvent::Refused { kind_code, status } => {
+                self.notice_other_version(*kind_code);
                 Response { kind_code: *kind_code, status: *status, payload: &[] }.encode(out);
             }
             HostEvent::Request(request) => {
@@ -80,6 +91,18 @@ impl Requests {
                 };
                 Response { kind_code: request.kind_code(), status, payload: &payload }.encode(out);
             }
+        }
+    }
+
+    /// Firmware of version 4 refuses the codes of version 3, and clients that know nothing else say no more than that they cannot
+    /// communicate.
+    fn notice_other_version(&mut self, kind_code: u8) {
+        let is_former = RequestKind::from_code(kind_code).is_some_and(|(_, version)| version == Protocol::V3);
+        if self.protocol == Protocol::V4 && is_former && !self.has_told {
+            self.has_told = true;
+            tracing::warn!(
+                "a client speaks protocol 3, which firmware of protocol 4 refuses; radome emulate --protocol mcu7-3 is a board for it"
+            );
         }
     }
 
@@ -134,8 +157,7 @@ impl Requests {
                 let mut read = Vec::new();
                 for word in words {
                     self.check_start(word)?;
-                    let answer = self.chip.transfer(*word).map_err(|reason| self.refuse(reason))?;
-                    read.extend(answer.to_le_bytes());
+                    read.extend(self.chip.transfer(*word).to_le_bytes());
                 }
                 Ok(if *answer { read } else { Vec::new() })
             }
@@ -163,23 +185,20 @@ impl Requests {
 
     fn write(&mut self, address: u8, value: u32) -> Result<(), Status> {
         self.check_start(&SpiWord::write(address, value))?;
-        self.chip.write(address, value).map_err(|reason| self.refuse(reason))
+        self.chip.write(address, value);
+        Ok(())
     }
 
     /// A slice that would make the real firmware send garbage is refused, loudly, when frames are to start.
     fn check_start(&mut self, word: &SpiWord) -> Result<(), Status> {
         let starts = word.write && word.address == address::MAIN && word.value & main_bits::FRAME_START != 0;
+        let has_frames = field::MAIN::CW_MODE.of(word.value) == 0;
         match self.slice {
-            Some(slice) if starts && !slice.is_safe() => {
-                Err(self.refuse(format!("slices of {} samples make firmware 2.x send garbage", slice.samples)))
+            Some(slice) if starts && has_frames && !slice.is_safe() => {
+                self.shared.refuse(&format!("slices of {} samples make firmware 2.x send garbage", slice.samples));
+                Err(Status::Failed)
             }
             _ => Ok(()),
         }
-    }
-
-    fn refuse(&mut self, reason: String) -> Status {
-        tracing::warn!(reason, "the emulated board does not start");
-        self.refusal = Some(reason);
-        Status::Failed
     }
 }

@@ -4,15 +4,13 @@ mod control;
 mod firmware;
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
-
-use radome_dsp::FrameSource;
 
 use super::chip::Chip;
 use super::wire::{Before, Firmware, Wire};
 use super::world::Slice;
-use super::{EmulatorOptions, Shared};
+use super::{EmulatorOptions, Feed, Shared};
 use crate::protocol::packed12;
 use crate::protocol::strata::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
 use crate::usb::Setup;
@@ -43,22 +41,24 @@ pub(super) struct Mcu7 {
     counter: u16,
     /// Starts of frames and of data when the buffer was begun.
     starts: (u64, u64),
+    /// Codes of slices sent since then.
+    sent: u64,
     codes: Vec<u16>,
     shared: Arc<Shared>,
 }
 
 impl Mcu7 {
     pub fn new(
-        source: Box<dyn FrameSource>,
+        feed: Feed,
         protocol: Protocol,
         framing: Framing,
         options: &EmulatorOptions,
         shared: Arc<Shared>,
     ) -> std::io::Result<Self> {
-        let chip = Chip::new(source, options.pace, &options.faults)?;
+        let chip = Chip::new(feed, options, &shared)?;
         Ok(Mcu7 {
             powered_up_us: None,
-            requests: Requests::new(chip, protocol, framing, &options.faults),
+            requests: Requests::new(chip, protocol, framing, &options.faults, shared.clone()),
             framing,
             parser: HostParser::new(protocol),
             control: ControlEndpoint::default(),
@@ -67,6 +67,7 @@ impl Mcu7 {
             next_packet: 0,
             counter: 0,
             starts: (0, 0),
+            sent: 0,
             codes: Vec::new(),
             shared,
         })
@@ -97,7 +98,7 @@ impl Mcu7 {
         if self.starts != starts {
             self.starts = starts;
             self.clear();
-            self.counter = 0;
+            (self.counter, self.sent) = (0, 0);
         }
         while self.has_room(slice) && !self.requests.chip.fifo_failed() {
             match self.requests.chip.poll(slice.samples as u64) {
@@ -154,9 +155,12 @@ impl Mcu7 {
         wire.send(|out| packet.encode_as(self.framing, out));
     }
 
-    fn publish_refusal(&self) {
-        let mut refusal = self.shared.refusal.lock().unwrap_or_else(PoisonError::into_inner);
-        refusal.clone_from(&self.requests.refusal);
+    /// Counts the frames that a slice completes which has been sent.
+    fn count(&mut self, slice: SliceLayout) {
+        let per_frame = self.requests.chip.frames().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
+        let before = self.sent / per_frame;
+        self.sent += slice.samples as u64;
+        self.shared.frames.fetch_add(self.sent / per_frame - before, Ordering::Relaxed);
     }
 
     /// Sends the next packet of the first slice in the buffer.
@@ -192,6 +196,7 @@ impl Mcu7 {
             self.buffer.pop_front();
             self.buffered_bytes -= slice.data_bytes();
             self.next_packet = 0;
+            self.count(slice);
         }
     }
 }
@@ -201,14 +206,11 @@ impl Firmware for Mcu7 {
         self.parser.push(bytes);
         while let Some(event) = self.parser.next_event() {
             self.requests.handle(&event, out);
-            self.publish_refusal();
         }
     }
 
     fn control(&mut self, setup: &Setup, data: &[u8]) -> Option<Vec<u8>> {
-        let answer = self.control.transfer(setup, data, &mut self.requests);
-        self.publish_refusal();
-        answer
+        self.control.transfer(setup, data, &mut self.requests)
     }
 
     fn next_message(&mut self, wire: &mut Wire) -> bool {
@@ -242,5 +244,16 @@ impl Firmware for Mcu7 {
         self.control = ControlEndpoint::default();
         self.clear();
         self.powered_up_us = Some(None);
+    }
+
+    fn abandon(&mut self) {
+        self.requests.abandon();
+        self.parser = HostParser::new(self.parser.protocol());
+        self.control = ControlEndpoint::default();
+        self.clear();
+    }
+
+    fn is_amid_data(&self) -> bool {
+        self.next_packet > 0
     }
 }

@@ -1,0 +1,104 @@
+//! The chip's temperature sensor behind its slow ADC (SADC).
+//!
+//! A code stands for a voltage, and the voltage for a temperature, by the formula that the vendor's library applies
+//! (hardware notes section 7): `V = code 1.21 V / 1023`, `T = (V - 0.78984 V) / 0.00286 V/C`, so that a code is 0.41 C.
+//! The temperature itself is made up: what the seed says of the board, a warm-up over some minutes, a slow sway, and
+//! noise below a code.
+
+use std::f64::consts::TAU;
+use std::time::Instant;
+
+const REFERENCE_V: f64 = 1.21;
+const LARGEST_CODE: f64 = 1023.0;
+const OFFSET_V: f64 = 0.789_84;
+const SLOPE_V_PER_C: f64 = 0.002_86;
+/// How much warmer a board gets that has power, and how fast.
+const WARM_UP_C: f64 = 3.0;
+const WARM_UP_S: f64 = 120.0;
+const SWAY_C: f64 = 0.5;
+const SWAY_S: f64 = 300.0;
+/// Largest noise of a conversion.
+const NOISE_C: f64 = 0.4;
+
+pub(super) struct Thermometer {
+    seed: u64,
+    /// When the board was given power.
+    began: Instant,
+}
+
+impl Thermometer {
+    pub fn new(seed: u64) -> Self {
+        Thermometer { seed, began: Instant::now() }
+    }
+
+    /// What a conversion says now. Its number draws its noise.
+    pub fn code(&self, conversion: u64) -> u32 {
+        code(self.celsius(self.began.elapsed().as_secs_f64(), conversion))
+    }
+
+    fn celsius(&self, elapsed_s: f64, conversion: u64) -> f64 {
+        let board = 34.0 + 4.0 * unit(self.seed, u64::MAX);
+        let warm_up = WARM_UP_C * (1.0 - (-elapsed_s / WARM_UP_S).exp());
+        let sway = SWAY_C * (TAU * (elapsed_s / SWAY_S + unit(self.seed, u64::MAX - 1))).sin();
+        board + warm_up + sway + NOISE_C * (2.0 * unit(self.seed, conversion) - 1.0)
+    }
+}
+
+/// The code that stands for a temperature.
+fn code(celsius: f64) -> u32 {
+    let volts = OFFSET_V + SLOPE_V_PER_C * celsius;
+    (volts / REFERENCE_V * LARGEST_CODE).round().clamp(0.0, LARGEST_CODE) as u32
+}
+
+/// A number from 0 to 1 that follows from seed and index (SplitMix64).
+fn unit(seed: u64, index: u64) -> f64 {
+    let mut z = seed.wrapping_add(index.wrapping_mul(0x9E37_79B9_7F4A_7C15)).wrapping_add(0x9E37_79B9_7F4A_7C15);
+    z = (z ^ z >> 30).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+    z = (z ^ z >> 27).wrapping_mul(0x94D0_49BB_1331_11EB);
+    (z ^ z >> 31) as f64 / u64::MAX as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What the vendor's library makes of a code.
+    fn celsius(code: u32) -> f64 {
+        (f64::from(code) * 1.21 / 1023.0 - 0.789_84) / 0.002_86
+    }
+
+    #[test]
+    fn readings_are_those_of_a_chip_at_work_and_no_two_boards_are_alike() {
+        let mut first = Vec::new();
+        for seed in 0..100 {
+            let thermometer = Thermometer::new(seed);
+            let reading = |i: u32| code(thermometer.celsius(f64::from(i) * 30.0, u64::from(i)));
+            let readings: Vec<u32> = (0..100).map(reading).collect();
+            assert!(readings.iter().all(|code| (30.0..45.0).contains(&celsius(*code))), "seed {seed}: {readings:?}");
+            assert!(readings.iter().any(|code| *code != readings[0]), "seed {seed}: it never changes");
+            first.push(readings[0]);
+        }
+        first.sort_unstable();
+        first.dedup();
+        assert!(first.len() > 5, "{first:?}");
+    }
+
+    #[test]
+    fn readings_follow_from_the_seed_and_change_slowly() {
+        let (a, b) = (Thermometer::new(7), Thermometer::new(7));
+        for i in 0..1000 {
+            let elapsed_s = i as f64 * 0.1;
+            assert_eq!(a.celsius(elapsed_s, i), b.celsius(elapsed_s, i));
+            let change = a.celsius(elapsed_s + 1.0, i) - a.celsius(elapsed_s, i);
+            assert!(change.abs() < 0.1, "{change} in a second");
+        }
+    }
+
+    #[test]
+    fn a_code_is_read_back_within_half_of_itself() {
+        for tenths in 300..450_u32 {
+            let wanted = f64::from(tenths) / 10.0;
+            assert!((celsius(code(wanted)) - wanted).abs() < 0.21, "{wanted}");
+        }
+    }
+}

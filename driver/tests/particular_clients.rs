@@ -1,0 +1,353 @@
+//! Clients as particular as the vendor's: one that misses answers which come too soon, one that reads the temperature all the
+//! time, ones that are killed in the middle of everything, and one whose board is stopped.
+
+mod common;
+
+use std::io::{ErrorKind, Read, Write};
+use std::process::{Command as Process, Stdio};
+use std::time::{Duration, Instant};
+
+use common::{Pattern, waveform};
+use radome_driver::chip::{ChipConfiguration, address, field};
+use radome_driver::protocol::strata::{
+    BoardEvent, BoardParser, COMPONENT_AVIAN, Command, DataFormat, Protocol, SliceLayout, SpiWord, Status,
+};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
+use radome_dsp::Waveform;
+use serialport::TTYPort;
+
+/// Far more than any machine needs: only a hang takes so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// The vendor's library marks a command as sent after it has sent it, and drops an answer that comes before.
+const TOO_SOON: Duration = Duration::from_micros(200);
+/// MAIN as the vendor's library writes it, without its triggers.
+const MAIN: u32 = 0x1E_8270;
+const CONTINUOUS_WAVE_START: u32 = MAIN | 1 << 16 | 1;
+const STOP: u32 = MAIN | 0xC;
+
+/// A client of protocol 4.
+struct Client {
+    port: TTYPort,
+    parser: BoardParser,
+    /// It misses answers that come within this time.
+    deaf_for: Duration,
+    /// Counters of the data packets since the last start, and whether each ends a slice.
+    packets: Vec<(u16, bool)>,
+    /// Bytes that are no message.
+    damaged: usize,
+}
+
+impl Client {
+    fn open(board: &EmulatedBoard, deaf_for: Duration) -> Self {
+        let path = board.path().display().to_string();
+        let port = serialport::new(path, 921_600).timeout(Duration::from_millis(20)).open_native().expect("opens");
+        Client { port, parser: BoardParser::new(), deaf_for, packets: Vec::new(), damaged: 0 }
+    }
+
+    /// Takes what comes within some milliseconds; whether the line is still there.
+    fn receive(&mut self) -> bool {
+        let mut buffer = [0; 4096];
+        match self.port.read(&mut buffer) {
+            Ok(0) => false,
+            Ok(count) => {
+                self.parser.push(&buffer[..count]);
+                true
+            }
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted) => true,
+            Err(_) => false,
+        }
+    }
+
+    /// The next answer among what has been received; packets are counted.
+    fn next_answer(&mut self) -> Option<(Status, Vec<u8>)> {
+        loop {
+            match self.parser.next_event()? {
+                BoardEvent::Packet(packet) => self.packets.push((packet.counter, packet.flags.last)),
+                BoardEvent::Response(response) => return Some((response.status, response.payload.to_vec())),
+                BoardEvent::Damaged { bytes } => self.damaged += bytes,
+            }
+        }
+    }
+
+    /// The answer to a request.
+    fn request(&mut self, command: &Command) -> (Status, Vec<u8>) {
+        // From before it is sent: whatever else the machine does, an answer cannot seem to come sooner than it does.
+        let sent = Instant::now();
+        self.port.write_all(&command.to_request(Protocol::V4).encode()).expect("writes");
+        loop {
+            if let Some(answer) = self.next_answer() {
+                let after = sent.elapsed();
+                assert!(after >= self.deaf_for, "the answer to {command:?} came after {after:?} and was missed");
+                return answer;
+            }
+            assert!(sent.elapsed() < PATIENCE && self.receive(), "no answer to {command:?}");
+        }
+    }
+
+    fn demand(&mut self, command: &Command) -> Vec<u8> {
+        let (status, payload) = self.request(command);
+        assert_eq!(status, Status::Ok, "{command:?}");
+        payload
+    }
+
+    fn write(&mut self, registers: &[(u8, u32)]) {
+        let words = registers.iter().map(|(address, value)| SpiWord::write(*address, *value)).collect();
+        self.demand(&Command::Execute { words, answer: false });
+    }
+
+    fn read(&mut self, address: u8) -> u32 {
+        let answer = self.demand(&Command::Execute { words: vec![SpiWord::read(address)], answer: true });
+        u32::from_le_bytes(answer.try_into().expect("one word")) & 0xFF_FFFF
+    }
+
+    /// What the vendor's library asks when it opens a board.
+    fn identify(&mut self) {
+        self.demand(&Command::BoardInfo);
+        self.demand(&Command::FirmwareVersion);
+        self.demand(&Command::ComponentCount { component: COMPONENT_AVIAN });
+        self.request(&Command::WriteRegisters { address: address::SFCTL, values: vec![0x10_0000] });
+        self.demand(&Command::ReadRegisters { address: address::CHIP_ID, count: 1 });
+        self.demand(&Command::Uuid);
+        self.demand(&Command::ExtendedVersion);
+        self.demand(&Command::HardwareReset);
+    }
+
+    fn start(&mut self, waveform: &Waveform) {
+        let [configure, start, list] = start_commands(waveform);
+        self.demand(&configure);
+        self.packets.clear();
+        self.demand(&start);
+        self.demand(&list);
+    }
+
+    fn stop(&mut self) {
+        self.demand(&Command::StopData);
+        self.write(&[(address::MAIN, STOP)]);
+    }
+
+    /// Waits until so many more packets have come. None may be missing among those since the start.
+    fn stream(&mut self, more: usize) {
+        let (began, wanted) = (Instant::now(), self.packets.len() + more);
+        while self.packets.len() < wanted {
+            assert_eq!(self.next_answer(), None, "nothing was asked");
+            assert!(began.elapsed() < PATIENCE && self.receive(), "packets do not come");
+        }
+        let missing = self.packets.iter().enumerate().find(|(index, (counter, _))| *counter != *index as u16);
+        assert_eq!((missing, self.damaged), (None, 0));
+    }
+
+    /// As the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing transmitted, and
+    /// reset in the end.
+    fn measure_temperature(&mut self) -> f64 {
+        self.write(&[
+            (address::CSP_D_0, 0),
+            (address::CSCDS, 0x0BE0),
+            (address::CSP_I_0, 0),
+            (address::CSP_I_1, 0x1000),
+            (address::CSCI, 0x0F80),
+            (address::PACR1, 0x80_0000),
+            (address::MAIN, CONTINUOUS_WAVE_START),
+            (address::SFCTL, 0x10_0000),
+        ]);
+        self.wait_for("the band gap", address::STAT0, |status| field::STAT0::MADC_BGUP.of(status) == 1);
+        self.write(&[(address::CSCI, 0x0D80)]);
+        self.wait_for("the ADC", address::STAT0, |status| field::STAT0::SADC_RDY.of(status) == 1);
+        self.write(&[(address::SADC_CTRL, 0x01_0F10)]);
+        let result = self
+            .wait_for("the conversion", address::SADC_RESULT, |result| field::SADC_RESULT::SADC_BUSY.of(result) == 0);
+        self.demand(&Command::HardwareReset);
+        celsius(result)
+    }
+
+    /// Reads a register until it is as wanted, as often as the vendor's library does.
+    fn wait_for(&mut self, what: &str, address: u8, is_there: impl Fn(u32) -> bool) -> u32 {
+        for _ in 0..1000 {
+            let content = self.read(address);
+            if is_there(content) {
+                return content;
+            }
+        }
+        panic!("waited in vain for {what}");
+    }
+}
+
+/// Data configuration, data start, and the register list whose last entry starts frames.
+fn start_commands(waveform: &Waveform) -> [Command; 3] {
+    let slice = SliceLayout::for_frame(waveform.shape().codes());
+    let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
+    let words = configuration.compile().expect("fits").into_iter().map(SpiWord::from).collect();
+    [
+        Command::ConfigureData { format: DataFormat::Packed12, slice_samples: slice.samples as u16 },
+        Command::StartData,
+        Command::Execute { words, answer: false },
+    ]
+}
+
+/// The vendor's formula.
+fn celsius(sadc_result: u32) -> f64 {
+    let volts = f64::from(field::SADC_RESULT::SADC_RESULT.of(sadc_result)) * 1.21 / 1023.0;
+    (volts - 0.789_84) / 0.002_86
+}
+
+/// One packet a frame.
+fn small() -> Waveform {
+    waveform(&[1, 2, 3], 8, 64, 0.1)
+}
+
+fn board(waveform: &Waveform, latency: Duration) -> EmulatedBoard {
+    let source = Pattern::new(waveform.clone(), u64::MAX);
+    let options = EmulatorOptions { pace: Pace::AsFastAsRead, latency, ..EmulatorOptions::default() };
+    EmulatedBoard::spawn(Box::new(source), options).expect("spawns")
+}
+
+/// Waits until the board has noticed that its clients have gone, once more than so often.
+fn wait_for_departure(board: &EmulatedBoard, before: u64) {
+    let began = Instant::now();
+    while board.counts().departures <= before {
+        assert!(began.elapsed() < PATIENCE, "the board does not notice");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+#[test]
+fn two_hundred_starts_without_an_answer_that_comes_too_soon() {
+    let w = small();
+    let board = board(&w, EmulatorOptions::default().latency);
+    for _ in 0..200 {
+        let mut client = Client::open(&board, TOO_SOON);
+        client.identify();
+        client.start(&w);
+        client.stream(3);
+        client.stop();
+    }
+}
+
+/// The latency is that of requests: frames do not wait for it.
+#[test]
+fn a_long_latency_delays_answers_and_not_frames() {
+    let w = small();
+    let latency = Duration::from_millis(300);
+    let board = board(&w, latency);
+    let mut client = Client::open(&board, latency);
+    client.start(&w);
+    let began = client.packets.len();
+    // Comes while the answer is under way.
+    client.demand(&Command::DataStatus);
+    assert!(client.packets.len() > began + 100, "{} packets in 300 ms", client.packets.len() - began);
+    client.stream(1);
+}
+
+#[test]
+fn the_temperature_is_read_a_thousand_times_and_streaming_goes_on() {
+    let w = small();
+    let board = board(&w, Duration::ZERO);
+    let mut client = Client::open(&board, Duration::ZERO);
+    client.identify();
+    let mut readings = Vec::new();
+    readings.extend((0..300).map(|_| client.measure_temperature()));
+    client.start(&w);
+    for _ in 0..40 {
+        client.stream(2);
+        readings.extend((0..10).map(|_| celsius(client.read(address::SADC_RESULT))));
+    }
+    client.stream(10);
+    client.stop();
+    readings.extend((0..300).map(|_| client.measure_temperature()));
+    assert_eq!(readings.len(), 1000);
+    assert!(readings.iter().all(|reading| (30.0..45.0).contains(reading)), "{readings:?}");
+    assert!(readings.iter().any(|reading| *reading != readings[0]), "it never changes");
+    // A code is 0.41 C, and the board warms up meanwhile.
+    let (low, high) = readings.iter().fold((f64::MAX, f64::MIN), |(low, high), r| (low.min(*r), high.max(*r)));
+    assert!(high - low < 5.0, "from {low} to {high}");
+    client.start(&w);
+    client.stream(10);
+    assert_eq!((board.refusal(), board.failure()), (None, None));
+}
+
+#[test]
+fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
+    let w = small();
+    let board = board(&w, Duration::ZERO);
+    let mut client = Client::open(&board, Duration::ZERO);
+    let [configure, start, _] = start_commands(&w);
+    client.demand(&configure);
+    client.demand(&start);
+    // The chip has the source's registers, as somebody left them.
+    client.wait_for("active mode", address::STAT0, |status| field::STAT0::PM.of(status) == 5);
+    for mode in [3, 1, 1] {
+        client.write(&[(address::MAIN, CONTINUOUS_WAVE_START)]);
+        assert_eq!(field::STAT0::PM.of(client.read(address::STAT0)), mode);
+    }
+    std::thread::sleep(Duration::from_millis(100));
+    client.demand(&Command::DataStatus);
+    assert_eq!((client.packets.len(), board.refusal()), (0, None));
+    client.demand(&Command::HardwareReset);
+    client.start(&w);
+    client.stream(10);
+}
+
+/// Each client is killed while it streams and half a request of it is under way. The next one asks at once what the vendor's asks
+/// first, and is answered as by a board that nobody has used.
+#[test]
+fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
+    let w = small();
+    let board = board(&w, EmulatorOptions::default().latency);
+    let mut requests = Vec::new();
+    for command in start_commands(&w) {
+        requests.extend(command.to_request(Protocol::V4).encode());
+    }
+    requests.extend(&Command::BoardInfo.to_request(Protocol::V4).encode()[..5]);
+    for _ in 0..20 {
+        let before = board.counts().departures;
+        let script = "exec 3<>\"$0\"; cat >&3; exec cat <&3";
+        let mut killed = Process::new("sh")
+            .args(["-c", script])
+            .arg(board.path())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect("there is a shell");
+        killed.stdin.take().expect("piped").write_all(&requests).expect("writes");
+        let mut some = vec![0; 20_000];
+        killed.stdout.as_mut().expect("piped").read_exact(&mut some).expect("it streams");
+        killed.kill().expect("kills");
+        killed.wait().expect("is gone");
+        wait_for_departure(&board, before);
+
+        let before = board.counts().departures;
+        let mut client = Client::open(&board, TOO_SOON);
+        client.demand(&Command::BoardInfo);
+        assert_eq!((client.packets.len(), client.damaged), (0, 0), "nothing of what was before comes");
+        client.identify();
+        client.start(&w);
+        client.stream(5);
+        // It goes without a word as well.
+        drop(client);
+        wait_for_departure(&board, before);
+    }
+}
+
+/// A client that reads hears nothing that is cut short: a slice without its end is a dropped frame to the vendor's library.
+#[test]
+fn a_board_that_is_stopped_ends_with_a_whole_slice() {
+    let w = waveform(&[1, 2, 3], 128, 256, 0.1);
+    let (mut whole, boards) = (0, 10);
+    for _ in 0..boards {
+        let mut board = board(&w, Duration::ZERO);
+        let mut client = Client::open(&board, Duration::ZERO);
+        client.start(&w);
+        client.stream(50);
+        let reader = std::thread::spawn(move || {
+            while client.receive() {
+                assert_eq!(client.next_answer(), None);
+            }
+            client
+        });
+        board.stop();
+        let client = reader.join().expect("reads");
+        let ends = client.packets.last().is_some_and(|(_, last)| *last);
+        whole += u32::from(ends && client.damaged == 0 && !client.parser.is_waiting());
+    }
+    // A machine that does not let the client read for half a second may cut one short.
+    assert!(whole + 1 >= boards, "{whole} of {boards}");
+}
