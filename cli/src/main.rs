@@ -9,6 +9,7 @@ mod judge;
 mod labels;
 mod live;
 mod output;
+mod output_file;
 mod plot;
 mod shard;
 mod source;

@@ -43,6 +43,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         delays: Default::default(),
         view: &arguments.view,
         output: None,
+        overwrite: Default::default(),
         background: None,
         home: &Default::default(),
     })

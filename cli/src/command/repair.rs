@@ -3,7 +3,8 @@ use std::path::PathBuf;
 use radome_driver::recording::mcap;
 use serde_json::json;
 
-use crate::{files, output};
+use crate::output;
+use crate::output_file::Overwrite;
 
 /// `radome repair`
 #[derive(clap::Args)]
@@ -13,6 +14,8 @@ pub struct Arguments {
     /// MCAP file to write
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// One object at the end
     #[arg(long)]
     json: bool,
@@ -20,8 +23,8 @@ pub struct Arguments {
 
 /// Writes what can be read of a recording to a new one and says what is lost.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    files::check_parent(&arguments.output)?;
-    let report = mcap::repair(&arguments.file, &arguments.output)?;
+    arguments.overwrite.check(&arguments.output)?;
+    let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
     if !report.was_finished {
         eprintln!("the recording was never finished; what came after its last chunk is lost");
     }

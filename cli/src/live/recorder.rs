@@ -1,4 +1,4 @@
-//! Frames, what is said about them and labels into one recording, on a thread of its own that loses nothing.
+//! Frames and what is said about them into one recording, on a thread of its own that loses nothing.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -6,8 +6,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{anyhow, bail};
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, never};
-use radome_driver::{FrameResult, LabelSpan, Recorder, RecordingHeader, RecordingSummary};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
 use super::classify::{Probabilities, Summary};
@@ -36,32 +36,6 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
     }
 }
 
-/// All labels of a recording that is being made, and who waits until they are in its file.
-pub struct NewLabels {
-    spans: Vec<LabelSpan>,
-    written: Sender<()>,
-}
-
-/// Hands labels to a recorder, which may be slow.
-#[derive(Debug, Clone)]
-pub struct LabelSender(Sender<NewLabels>);
-
-impl LabelSender {
-    /// Makes these the labels, and waits until they are written. A recorder that has gone writes nothing and says why by itself.
-    pub fn write(&self, spans: &[LabelSpan]) {
-        let (written, is_written) = bounded(1);
-        if self.0.send(NewLabels { spans: spans.to_vec(), written }).is_ok() {
-            let _ = is_written.recv();
-        }
-    }
-}
-
-/// What carries labels from whoever makes them to a recorder.
-pub fn label_line() -> (LabelSender, Receiver<NewLabels>) {
-    let (sender, receiver) = bounded(1);
-    (LabelSender(sender), receiver)
-}
-
 /// Hands answers to the recorder's thread, which has frames and gaps from the pipeline.
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
@@ -74,14 +48,14 @@ impl RecorderSink {
     pub fn start(
         path: &Path,
         header: &RecordingHeader,
+        options: &RecorderOptions,
         inlet: Inlet,
-        labels: Receiver<NewLabels>,
     ) -> anyhow::Result<Self> {
-        let recorder = Recorder::create(path, header)?;
+        let recorder = Recorder::with_options(path, header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
         let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: None };
         let thread = std::thread::spawn(move || {
-            let outcome = writer.run(&inlet.receiver, &receiver, labels);
+            let outcome = writer.run(&inlet.receiver, &receiver);
             // What has been captured is made whole whatever ended it.
             let summary = writer.recorder.finish()?;
             outcome.map(|()| summary)
@@ -145,12 +119,7 @@ struct Writer {
 
 impl Writer {
     /// Until nobody answers any more, and all that had been taken from the source by then is written.
-    fn run(
-        &mut self,
-        frames: &Receiver<Delivery>,
-        results: &Receiver<FrameResult>,
-        mut labels: Receiver<NewLabels>,
-    ) -> anyhow::Result<()> {
+    fn run(&mut self, frames: &Receiver<Delivery>, results: &Receiver<FrameResult>) -> anyhow::Result<()> {
         let mut is_unflushed = false;
         let mut has_ended = false;
         loop {
@@ -168,17 +137,6 @@ impl Writer {
                             None
                         }
                         Err(_) => break,
-                    },
-                    recv(labels) -> new => {
-                        match new {
-                            Ok(NewLabels { spans, written }) => {
-                                self.recorder.set_labels(&spans)?;
-                                let _ = written.send(());
-                            }
-                            // There is no page.
-                            Err(_) => labels = never(),
-                        }
-                        None
                     },
                     recv(frames) -> delivery => Some(delivery.map_err(|_| RecvTimeoutError::Disconnected)),
                     default(SILENCE) => Some(Err(RecvTimeoutError::Timeout)),
