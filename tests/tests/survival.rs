@@ -94,7 +94,9 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
         assert_eq!(files(folder.path()), [kept.clone()], "{command:?}");
     }
-    for command in commands.iter().filter(|command| ["record", "simulate", "convert", "rdm", "export"].contains(&command[0])) {
+    for command in
+        commands.iter().filter(|command| ["record", "simulate", "convert", "rdm", "export"].contains(&command[0]))
+    {
         std::fs::write(&kept, "a night of frames").expect("writable");
         let output = radome().args(*command).arg(&kept).arg("--overwrite").output().expect("runs");
         assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));

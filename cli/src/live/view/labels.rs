@@ -288,6 +288,7 @@ impl Place {
                 if known != spans {
                     editor.stage(spans)?;
                 }
+                return Ok(spans.to_vec());
             }
             Place::Beside { recording, file } => {
                 check(&self.read()?)?;

@@ -52,7 +52,10 @@ impl LabelEditor {
     /// # Errors
     /// The labels cannot be read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
-        McapReader::open(&self.path)?.labels()
+        match staged::read(&self.path)? {
+            Some(staged) => Ok(staged.labels),
+            None => McapReader::open(&self.path)?.labels(),
+        }
     }
 
     /// Makes these all labels of the recording, in a file beside it until [`LabelEditor::write`] or [`LabelEditor::settle`]: that
