@@ -1,8 +1,11 @@
 //! Where the program's own scenes and models lie, and files that appear whole or not at all.
 
+use std::fs::File;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_driver::recording::{Existing, Partial};
 
 /// Path of a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
 pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
@@ -21,25 +24,30 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
     bail!("fixtures/{name} is not here\n\nhint: run radome in its source folder, or name a file of your own")
 }
 
-/// Writes a file under a temporary name and renames it when `write` is done: it is whole or absent.
+/// Writes a file that is whole or absent, in place of one that exists.
 pub fn write_atomically(
     path: &Path,
-    write: impl FnOnce(&mut std::io::BufWriter<std::fs::File>) -> anyhow::Result<()>,
+    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    use std::io::Write;
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(".partial");
-    let partial = path.with_file_name(name);
-    let attempt = || {
-        let file = std::fs::File::create(&partial).with_context(|| format!("cannot create {}", partial.display()))?;
-        let mut writer = std::io::BufWriter::new(file);
-        write(&mut writer)?;
-        writer.flush().with_context(|| format!("cannot write {}", partial.display()))?;
-        std::fs::rename(&partial, path).with_context(|| format!("cannot rename to {}", path.display()))
-    };
-    attempt().inspect_err(|_| {
-        let _ = std::fs::remove_file(&partial);
-    })
+    write_output(path, Existing::Replace, write)
+}
+
+/// Writes a file that is whole or absent: under a temporary name, brought to the disk, and renamed when `write` is done.
+pub fn write_output(
+    path: &Path,
+    existing: Existing,
+    write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
+    let partial = Partial::file(path, existing)?;
+    fill(&partial, write)?;
+    Ok(partial.finish()?)
+}
+
+/// Writes an output that has been started.
+pub fn fill(partial: &Partial, write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>) -> anyhow::Result<()> {
+    let mut writer = BufWriter::new(partial.open()?);
+    write(&mut writer)?;
+    writer.flush().with_context(|| format!("cannot write {}", partial.target().display()))
 }
 
 /// Length of the header of a growing array, bytes: any number of rows fits, so that it can be filled in last.

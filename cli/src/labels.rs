@@ -1,11 +1,13 @@
 //! Labels of recordings: in the recording where it can hold them, else in a file beside it.
 
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
+use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::check_spans;
-use radome_driver::recording::{Recording, label_text, mcap};
+use radome_driver::recording::{Existing, Partial, Recording, label_text};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 use crate::files;
@@ -39,14 +41,30 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 /// Writes such a file, whole or not at all.
-pub fn write(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<()> {
-    let text = match format(path)? {
+pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
+    let text = text(path, spans)?;
+    files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
+}
+
+/// What such a file holds.
+fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
+    Ok(match format(path)? {
         Format::Audacity => label_text::to_audacity(spans),
         Format::Deepcraft => label_text::to_deepcraft(spans),
-    };
-    files::write_atomically(path, |file| {
-        std::io::Write::write_all(file, text.as_bytes()).context("cannot write the labels")
     })
+}
+
+/// Replaces the labels in the file beside a recording that cannot hold any by what `change` makes of those that are there. Meanwhile
+/// nobody else writes to it.
+pub fn rewrite_beside(
+    recording: &Path,
+    file: &Path,
+    change: impl FnOnce(Vec<LabelSpan>) -> anyhow::Result<Vec<LabelSpan>>,
+) -> anyhow::Result<()> {
+    let partial = Partial::file(file, Existing::Replace)?;
+    let text = text(file, &change(of(recording)?)?)?;
+    files::fill(&partial, |out| out.write_all(text.as_bytes()).context("cannot write the labels"))?;
+    Ok(partial.finish()?)
 }
 
 /// Where the labels of a recording lie that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
@@ -84,15 +102,18 @@ pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     // What is wrong with the new ones by themselves comes first: it says most.
     check_spans(spans, None).with_context(named)?;
     check_spans(spans, extent_s(&mut source)?).with_context(named)?;
-    let mut all = of(recording)?;
-    all.extend_from_slice(spans);
-    check_spans(&all, None).with_context(named)?;
+    let with_all = |mut all: Vec<LabelSpan>| -> anyhow::Result<Vec<LabelSpan>> {
+        all.extend_from_slice(spans);
+        check_spans(&all, None).with_context(named)?;
+        Ok(all)
+    };
     if let Recording::Mcap(_) = source {
-        mcap::append_labels(recording, spans)?;
+        let editor = LabelEditor::open(recording)?;
+        editor.write(&with_all(editor.labels()?)?)?;
         return Ok(recording.to_owned());
     }
     let file = file_beside(recording).unwrap_or_else(|| name_beside(recording));
-    write(&file, &all)?;
+    rewrite_beside(recording, &file, with_all)?;
     Ok(file)
 }
 

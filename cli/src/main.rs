@@ -10,6 +10,7 @@ mod judge;
 mod labels;
 mod live;
 mod output;
+mod output_file;
 mod panics;
 mod plot;
 mod shard;

@@ -29,6 +29,9 @@ pub use emulator::{
 pub use player::{Player, Transport};
 pub use recording::RecordingError;
 pub use recording::infineon::InfineonReader;
-pub use recording::mcap::{FrameResult, Judge, LabelSpan, McapReader, Recorder, RecordingHeader, RecordingSummary};
+pub use recording::mcap::{
+    FrameResult, Judge, LabelSpan, McapReader, Recorder, RecorderOptions, RecordingHeader, RecordingSummary,
+    SyncOptions,
+};
 pub use replay::RealTime;
 pub use usb::UsbAddress;

@@ -267,9 +267,10 @@ fn native_recording_gives_everything_back() {
     assert_eq!(reader.next_frame(&mut frame).expect("end"), SourceEvent::End);
 }
 
-/// All labels anew while frames go on: in the file at once, with the frames before them, whatever comes after.
+/// All labels anew while frames go on: every reader finds them at once, whatever comes after, and the recording itself has the last
+/// ones when it is finished.
 #[test]
-fn labels_given_while_recording_are_in_the_file_when_the_call_returns() {
+fn labels_given_while_recording_are_found_when_the_call_returns() {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("a.mcap");
     let mut source = truthful(7);
@@ -279,7 +280,8 @@ fn labels_given_while_recording_are_in_the_file_when_the_call_returns() {
     for list in lists.iter().cycle().take(5) {
         source.next_frame(&mut frame).expect("frame");
         recorder.frame(&frame).expect("records");
-        recorder.set_labels(list).expect("records");
+        recorder.flush().expect("records");
+        recording::mcap::stage_labels(&path, list).expect("stages");
         let mut reader = McapReader::open(&path).expect("opens");
         assert_eq!(&reader.labels().expect("labels"), list);
         assert_eq!(readable(&mut reader).0, frame.sequence + 1);
@@ -287,6 +289,7 @@ fn labels_given_while_recording_are_in_the_file_when_the_call_returns() {
     let summary = recorder.finish().expect("finishes");
     assert_eq!((summary.frames, summary.labels), (5, 2));
     assert_eq!(McapReader::open(&path).expect("opens").labels().expect("labels"), lists[1]);
+    assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1, "nothing is left beside it");
 }
 
 #[test]

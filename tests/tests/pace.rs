@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
-use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Pace, Recorder, RecorderOptions, RecordingHeader};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 use radome_models::Model;
 use radome_tests::running::{Running, wait_up_to};
@@ -129,6 +129,46 @@ fn a_million_small_frames_in_flat_memory_and_none_lost_without_a_word() {
     );
     assert_eq!(frames + lost, end, "frames and counted gaps are what was sent");
     assert!(most <= first + 4096, "memory grows: {settled:?}");
+}
+
+/// As many small frames into a recording as fast as they go, left to the operating system and synced: what syncing costs. Memory grows
+/// by the index of chunks alone.
+#[test]
+#[ignore = "takes minutes: tests/long home"]
+#[allow(clippy::print_stderr)]
+fn a_million_small_frames_are_recorded_with_and_without_syncing() {
+    let end = setting("RADOME_FRAMES", 1_000_000);
+    let folder = tempfile::tempdir().expect("a folder");
+    for (name, sync) in [("left to the system", None), ("synced", RecorderOptions::default().sync)] {
+        let path = folder.path().join("frames.mcap");
+        let header = RecordingHeader::new(small());
+        let options = RecorderOptions { sync, ..RecorderOptions::default() };
+        let mut recorder = Recorder::with_options(&path, &header, &options).expect("creates");
+        let mut source = SmallFrames { waveform: small(), end, sent: Arc::default() };
+        let mut frame = Frame::zeroed(source.waveform.shape());
+        let mut memory = Vec::new();
+        let start = Instant::now();
+        while source.next_frame(&mut frame).expect("a frame") == SourceEvent::Frame {
+            recorder.frame(&frame).expect("records");
+            if frame.sequence.is_multiple_of((end / 10).max(1)) {
+                memory.push(resident_kib(std::process::id()));
+            }
+        }
+        let recorded_s = start.elapsed().as_secs_f64();
+        let summary = recorder.finish().expect("finishes");
+        eprintln!(
+            "{name}: {} frames, {:.0} MB, {:.0} frames/s, {:.2} s to finish; memory {memory:?} KiB",
+            summary.frames,
+            summary.bytes as f64 * 1e-6,
+            end as f64 / recorded_s,
+            start.elapsed().as_secs_f64() - recorded_s
+        );
+        assert_eq!(summary.frames, end);
+        // A chunk's entry in the index is some hundred bytes; there are two chunks a second, and a hundred frames.
+        let (first, last) = (memory.get(1).copied().unwrap_or(0), memory.last().copied().unwrap_or(0));
+        assert!(last <= first + 4096 + end / 100, "memory grows: {memory:?}");
+        std::fs::remove_file(&path).expect("removes");
+    }
 }
 
 /// `RADOME_PACE_FRAMES` frames of the paper's waveform at their own pace, a minute unless told otherwise, from a board in another

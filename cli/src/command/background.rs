@@ -6,8 +6,9 @@ use serde_json::json;
 
 use crate::judge::{Model, Verdict};
 use crate::live::background::{Background, Capture};
+use crate::output;
+use crate::output_file::Overwrite;
 use crate::source::{self, SourceOptions};
-use crate::{files, output};
 
 /// `radome background`
 #[derive(clap::Args)]
@@ -20,6 +21,8 @@ pub struct Arguments {
     /// What to write, for `live --background`
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// How long to look, by the frames' own clock
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
@@ -34,7 +37,7 @@ pub struct Arguments {
 /// Captures what an empty room shows.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
-    files::check_parent(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output)?;
     let model = Model::open(&arguments.model)?;
     let judge = model.named(&arguments.model, Default::default())?;
     let options = SourceOptions {
@@ -65,7 +68,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let background: Background =
         capture.finish(&judge).with_context(|| format!("{} is not captured", arguments.source))?;
-    background.save(&arguments.output)?;
+    background.save(&arguments.output, arguments.overwrite.existing())?;
     let file = arguments.output.display().to_string();
     if arguments.json {
         let (frames, threshold_db) = (background.frames, background.threshold_db);

@@ -7,7 +7,7 @@ use radome_dsp::slow_time::SlowTime;
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, Fit, LEAST_FRAMES};
 
-use crate::files;
+use crate::output_file::Overwrite;
 use copies::Copies;
 use recordings::Recordings;
 
@@ -31,6 +31,8 @@ pub struct Arguments {
     /// Receiver file to write
     #[arg(short, long)]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// The scene that the recordings show; an empty space without one. Its waveform must be theirs. What stands still in it and
     /// in them says how strong echoes are, and who moves is compared
     #[arg(long)]
@@ -71,7 +73,7 @@ struct Measured {
 /// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(output) = &arguments.output {
-        files::check_parent(output)?;
+        arguments.overwrite.check(output)?;
     }
     if !(arguments.part > 0.0 && arguments.part < 1.0) {
         bail!("--part is {}, expected a number between 0 and 1", arguments.part);

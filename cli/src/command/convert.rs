@@ -5,7 +5,8 @@ use radome_driver::recording::{Format, Recording, RecordingError, RecordingWrite
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use crate::{files, output};
+use crate::output;
+use crate::output_file::Overwrite;
 
 const REPAIR_HINT: &str = "\n\nhint: radome repair saves what can be read of it";
 
@@ -16,6 +17,8 @@ pub struct Arguments {
     input: PathBuf,
     /// What to write: FILE.mcap, FILE.txt (with FILE.txt_config.json), or a FOLDER/
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Format to write, where the name does not say
     #[arg(long, value_enum)]
     to: Option<To>,
@@ -50,10 +53,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             ),
         },
     };
-    files::check_parent(path)?;
     if is_same(input, path) {
         bail!("{} is input and output at once\n\nhint: choose another name", path.display());
     }
+    arguments.overwrite.check(path)?;
     let mut source = match Recording::open(input) {
         Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {
             bail!("{error}{REPAIR_HINT}")
@@ -68,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if matches!(source, Recording::Infineon(_)) {
         eprintln!("not carried over: the descriptions in meta.json");
     }
-    let mut writer = RecordingWriter::create(path, format, &source.header())?;
+    let mut writer = RecordingWriter::create_with(path, format, &source.header(), arguments.overwrite.existing())?;
     let bar = output::progress(source.frame_count().unwrap_or(0), "converting");
     let mut frame = Frame::zeroed(source.waveform().shape());
     loop {

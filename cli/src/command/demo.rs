@@ -44,6 +44,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
         delays: Default::default(),
         view: &arguments.view,
         output: None,
+        overwrite: Default::default(),
         background: None,
         home: &Default::default(),
         allow_loss: false,

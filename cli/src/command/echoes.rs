@@ -8,6 +8,7 @@ use radome_dsp::{Frame, SourceEvent};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::source::{self, SourceOptions};
 use crate::{files, output};
 
@@ -43,6 +44,8 @@ pub struct Arguments {
     /// File for it
     #[arg(short, long, requires = "reflector")]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Seed of a simulation
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -79,6 +82,9 @@ struct Said {
 /// Ranges, speeds and directions of what moves, frame by frame; or what receivers are unlike in.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
     let options = SourceOptions {
         seed: arguments.seed,
@@ -147,7 +153,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     );
     let file = AngleFile { format: 1, measured_from, calibration };
     if let Some(path) = &arguments.output {
-        files::write_atomically(path, |out| {
+        files::write_output(path, arguments.overwrite.existing(), |out| {
             std::io::Write::write_all(out, toml::to_string(&file)?.as_bytes()).context("cannot write the angles")
         })?;
     }

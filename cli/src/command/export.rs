@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use radome_models::{Model, onnx};
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::{files, output};
 
 /// What stands under the options in the help.
@@ -23,6 +24,8 @@ pub struct Arguments {
     /// ONNX file to write
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// One object
     #[arg(long)]
     json: bool,
@@ -30,10 +33,10 @@ pub struct Arguments {
 
 /// Writes a model as ONNX (opset 17), which every runtime of ONNX can read, and `live`, `evaluate` and all that takes a model too.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    files::check_parent(&arguments.output)?;
+    arguments.overwrite.check(&arguments.output)?;
     let model = Model::load(&arguments.model)?;
     let bytes = onnx::export(&model)?;
-    files::write_atomically(&arguments.output, |file| Ok(file.write_all(&bytes)?))?;
+    files::write_output(&arguments.output, arguments.overwrite.existing(), |file| Ok(file.write_all(&bytes)?))?;
     let file = arguments.output.display().to_string();
     if arguments.json {
         let input = model.card.input_shape;

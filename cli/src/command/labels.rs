@@ -4,6 +4,7 @@ use radome_driver::recording::Recording;
 use radome_driver::recording::mcap::LabelSpan;
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::{labels, output};
 
 /// `radome labels`
@@ -14,6 +15,8 @@ pub struct Arguments {
     /// Write its labels: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long, conflicts_with = "import")]
     export: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Add the labels of such a file
     #[arg(long)]
     import: Option<PathBuf>,
@@ -35,7 +38,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let spans = Recording::open(&arguments.file)?.labels()?;
     if let Some(path) = &arguments.export {
-        labels::write(path, &spans)?;
+        arguments.overwrite.check(path)?;
+        labels::write(path, arguments.overwrite.existing(), &spans)?;
     }
     if arguments.json {
         return output::json_line(&json!(spans));

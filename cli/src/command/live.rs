@@ -3,21 +3,21 @@ use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, bail};
-use radome_driver::RecordingHeader;
+use radome_driver::{RecorderOptions, RecordingHeader};
 use radome_dsp::Waveform;
 
 use crate::exit::Ended;
-use crate::files;
 use crate::judge::Model;
 use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
-use crate::live::recorder::{RecorderSink, label_line};
+use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
 use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output;
+use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceOptions};
 
 /// `radome live`
@@ -36,7 +36,8 @@ pub struct Arguments {
     /// Waveform to program a board with, for a model that names none (cfar): `paper`, a .toml file, or a model file
     #[arg(long)]
     waveform: Option<String>,
-    /// Record frames and answers to this MCAP file
+    /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
+    /// for the time
     #[arg(short, long, value_name = "FILE.mcap")]
     output: Option<PathBuf>,
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
@@ -45,6 +46,8 @@ pub struct Arguments {
     /// Seconds for which a board that is lost is looked for
     #[arg(long, hide = true, value_parser = source::seconds)]
     give_up_after_s: Option<Duration>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
@@ -77,6 +80,7 @@ pub struct Arguments {
 
 /// Online classification of any source.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+    let output = arguments.output.as_deref().map(output_file::dated);
     watch(&Watch {
         source: &arguments.source,
         model: &arguments.model,
@@ -88,7 +92,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
-        output: arguments.output.as_deref(),
+        output: output.as_deref(),
+        overwrite: arguments.overwrite,
         background: arguments.background.as_deref(),
         home: &arguments.home,
         allow_loss: arguments.allow_loss,
@@ -120,6 +125,8 @@ pub struct Watch<'a> {
     pub view: &'a view::Arguments,
     /// Recording to write.
     pub output: Option<&'a Path>,
+    /// Whether it may take the place of a file that exists.
+    pub overwrite: Overwrite,
     /// Capture of the empty room.
     pub background: Option<&'a Path>,
     /// Who else is told.
@@ -136,10 +143,10 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
     if let Some(path) = watch.output {
-        files::check_parent(path)?;
         if is_same(path, Path::new(watch.source)) {
             bail!("{} is source and output at once\n\nhint: choose another name", path.display());
         }
+        watch.overwrite.check(path)?;
     }
     let model = Model::open(watch.model)?;
     let named = model.named(watch.model, watch.delays)?;
@@ -161,8 +168,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         tape.transport.set_preroll_s(judge.memory_s());
     }
     // Before anything is written: a page that cannot be served leaves files as they are.
-    let (label_sender, labels) = label_line();
-    let page = view::Page::open(watch.view, &source, watch.model, watch.output.map(|path| (path, label_sender)))?;
+    let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
     let header = RecordingHeader {
         waveform,
         board: source.board.clone(),
@@ -178,7 +184,8 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let recorder = match watch.output {
         Some(path) => {
             let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
-            Some(RecorderSink::start(path, &header, pipeline.consumer("recorder", 64, policy), labels)?)
+            let options = RecorderOptions { existing: watch.overwrite.existing(), ..RecorderOptions::default() };
+            Some(RecorderSink::start(path, &header, &options, pipeline.consumer("recorder", 64, policy))?)
         }
         None => None,
     };

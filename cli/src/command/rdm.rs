@@ -6,6 +6,7 @@ use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent};
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::source::{self, SourceOptions};
 use crate::{files, output, plot};
 
@@ -17,6 +18,8 @@ pub struct Arguments {
     /// Array to write, f32 dB `[frame][rx][doppler][range]`
     #[arg(short, long)]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Picture of one map to write
     #[arg(long)]
     png: Option<PathBuf>,
@@ -66,6 +69,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         anyhow::bail!(
             "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
         );
+    }
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
     }
     let options = SourceOptions { seed: arguments.seed, frames: Some(arguments.frames), ..Default::default() };
     let mut source = source::open(&arguments.source, &options)?;
@@ -123,7 +129,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         Some(path) => {
             let empty = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
-            files::write_atomically(path, |file| {
+            files::write_output(path, arguments.overwrite.existing(), |file| {
                 files::write_growing_array(file, &empty, |file| {
                     each_map(&mut |map| {
                         map.db

@@ -3,14 +3,15 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use crossbeam::channel::RecvTimeoutError;
-use radome_driver::recording::mcap::{Recorder, RecordingHeader};
+use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader, SyncOptions};
 use radome_dsp::Gap;
 use serde_json::json;
 
 use crate::exit::Ended;
 use crate::live::pipeline::{Failure, Inlet, Item, Pipeline, Policy};
+use crate::output;
+use crate::output_file::{self, Overwrite};
 use crate::source::{self, SourceOptions};
-use crate::{files, output};
 
 /// `radome record`
 #[derive(clap::Args)]
@@ -21,9 +22,14 @@ use crate::{files, output};
 pub struct Arguments {
     /// serial:PORT, auto, emulated:SOURCE, or anything else that frames come from
     source: String,
-    /// MCAP file to write
+    /// MCAP file to write. In a folder it is a file with the time (UTC) as its name; {time} in a name stands for the time
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Leave it to the operating system when frames are on the disk
+    #[arg(long, hide = true)]
+    no_sync: bool,
     /// Waveform to program a board with: `paper`, a .toml file, or a model file
     #[arg(long)]
     waveform: Option<String>,
@@ -53,7 +59,8 @@ pub struct Arguments {
 /// Captures every frame, or stops and says why it cannot.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
-    files::check_parent(&arguments.output)?;
+    let path = output_file::dated(&arguments.output);
+    arguments.overwrite.check(&path)?;
     let options = SourceOptions {
         waveform: arguments.waveform.as_deref().map(source::waveform).transpose()?,
         seed: arguments.seed,
@@ -71,7 +78,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: None,
     };
-    let recorder = Recorder::create(&arguments.output, &header)?;
+    let sync = (!arguments.no_sync).then(SyncOptions::default);
+    let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
+    let recorder = Recorder::with_options(&path, &header, &recorder_options)?;
     let bar = output::progress(arguments.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
@@ -81,7 +90,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     reader.stop();
     bar.finish_and_clear();
     let Tally { frames, dropped, gaps } = tally;
-    let file = arguments.output.display().to_string();
+    let file = path.display().to_string();
     let said = match arguments.json {
         true => output::json_line(&json!({ "file": file, "frames": frames, "dropped": dropped })),
         false => output::text_line(&format!("{file}: {frames} frames, {dropped} dropped")),

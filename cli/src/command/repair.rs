@@ -4,7 +4,8 @@ use radome_driver::recording::mcap;
 use serde_json::json;
 
 use crate::exit::Ended;
-use crate::{files, output};
+use crate::output;
+use crate::output_file::Overwrite;
 
 /// `radome repair`
 #[derive(clap::Args)]
@@ -17,6 +18,8 @@ pub struct Arguments {
     /// MCAP file to write
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// One object at the end
     #[arg(long)]
     json: bool,
@@ -27,8 +30,8 @@ pub struct Arguments {
 /// A recording that was never finished counts as lost only where bytes of it cannot be read: what its recorder had in its hands
 /// when it was killed was never in the file.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
-    files::check_parent(&arguments.output)?;
-    let report = mcap::repair(&arguments.file, &arguments.output)?;
+    arguments.overwrite.check(&arguments.output)?;
+    let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
     if !report.was_finished {
         eprintln!("the recording was never finished; what came after its last chunk is lost");
     }

@@ -6,6 +6,7 @@ use radome_driver::recording::Recording;
 use radome_driver::{FrameResult, RecordingError};
 use radome_dsp::Occupancy;
 
+use crate::output_file::Overwrite;
 use crate::{files, output};
 
 /// `radome results`
@@ -16,6 +17,8 @@ pub struct Arguments {
     /// Write them to this file instead of to stdout
     #[arg(long, value_name = "FILE")]
     csv: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Only where the number of people changes
     #[arg(long)]
     changes: bool,
@@ -48,8 +51,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     });
     match &arguments.csv {
         Some(path) => {
-            files::check_parent(path)?;
-            files::write_atomically(path, |file| write_csv(file, wanted))
+            arguments.overwrite.check(path)?;
+            files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))
         }
         None if arguments.json => wanted.try_for_each(|result| output::json_line(&result?)),
         None => {

@@ -5,12 +5,14 @@ mod preview;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use anyhow::{Context, bail};
-use radome_driver::recording::mcap::{Recorder, RecordingHeader};
+use anyhow::bail;
+use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
+use radome_driver::recording::{Existing, rename_synced};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::shard::Shard;
 use crate::{files, output};
 
@@ -22,6 +24,8 @@ pub struct Arguments {
     /// MCAP file to write; without one the frames are made, and what it took is told
     #[arg(short, long)]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Frames
     #[arg(long, default_value_t = 400)]
     frames: u64,
@@ -77,6 +81,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             eprintln!("{} is there already", output.display());
             return tell_shard(arguments, output, end - first);
         }
+        arguments.overwrite.check(output)?;
     }
     // A shard takes its name when it is whole, so that it can be asked for again after anything.
     let written = file.as_ref().map(|path| match arguments.shard {
@@ -99,7 +104,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     foretell(&simulator, end - first);
     simulator.seek(first);
     let header = RecordingHeader::new(scene.waveform().clone());
-    let mut recorder = written.as_ref().map(|path| Recorder::create(path, &header)).transpose()?;
+    // What an interrupted run has left of a shard is made anew.
+    let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
+    let options_of_file = RecorderOptions { existing, ..RecorderOptions::default() };
+    let mut recorder =
+        written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
     let bar = output::progress(end - first, "simulating");
     let mut frame = Frame::zeroed(scene.waveform().shape());
     let (mut frames, mut estimate_db, mut clamped, mut clipped) = (0u64, None::<f64>, 0, 0);
@@ -126,7 +135,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             let _ = std::fs::remove_file(written);
             bail!("interrupted: {} was not finished", file.display());
         }
-        std::fs::rename(written, file).with_context(|| format!("cannot rename {}", written.display()))?;
+        rename_synced(written, file)?;
     }
     bar.finish_and_clear();
     let seconds = started.elapsed().as_secs_f64();

@@ -7,6 +7,7 @@ use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
 use radome_sim::bounded_file::named_by_spec;
 use serde_json::json;
 
+use crate::output_file::Overwrite;
 use crate::{files, output};
 
 /// `radome train`
@@ -17,6 +18,8 @@ pub struct Arguments {
     /// Model file to write
     #[arg(short, long)]
     output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// TOML file with the settings of the training; defaults for what it leaves out
     #[arg(long)]
     spec: Option<PathBuf>,
@@ -45,7 +48,16 @@ pub struct Arguments {
 
 /// Trains a network and writes the weights of its best epoch.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    files::check_parent(&arguments.output)?;
+    let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
+        let mut name = arguments.output.file_name().unwrap_or_default().to_owned();
+        name.push(".checkpoint");
+        arguments.output.with_file_name(name)
+    });
+    // A training that is carried on was allowed to begin.
+    match checkpoint.exists() {
+        true => files::check_parent(&arguments.output)?,
+        false => arguments.overwrite.check(&arguments.output)?,
+    }
     let dataset = Dataset::open(&arguments.dataset)?;
     let mut spec = read_spec(arguments.spec.as_deref())?;
     if let Some(name) = &arguments.network {
@@ -67,11 +79,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(sequence) = &arguments.hold_out {
         spec.split.held_out = Some(sequence.clone());
     }
-    let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
-        let mut name = arguments.output.file_name().unwrap_or_default().to_owned();
-        name.push(".checkpoint");
-        arguments.output.with_file_name(name)
-    });
     if checkpoint.exists() {
         eprintln!("carrying on from {}", checkpoint.display());
     }

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, bail};
 use radome_driver::Judge;
+use radome_driver::recording::Existing;
 use radome_dsp::Rdm;
 use serde::{Deserialize, Serialize};
 
@@ -132,12 +133,14 @@ impl Background {
     }
 
     /// Writes it, whole or not at all.
-    pub fn save(&self, path: &Path) -> anyhow::Result<()> {
+    pub fn save(&self, path: &Path, existing: Existing) -> anyhow::Result<()> {
         let rounded = Background {
             level_db: self.level_db.iter().map(|level| (level * 100.0).round() / 100.0).collect(),
             ..self.clone()
         };
-        files::write_atomically(path, |file| serde_json::to_writer(file, &rounded).context("cannot write the capture"))
+        files::write_output(path, existing, |file| {
+            serde_json::to_writer(file, &rounded).context("cannot write the capture")
+        })
     }
 
     /// Whether a map shows no more than the empty room did.

@@ -1,4 +1,4 @@
-//! Frames, what is said about them and labels into one recording, on a thread of its own that loses nothing.
+//! Frames and what is said about them into one recording, on a thread of its own that loses nothing.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -8,8 +8,8 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow, bail};
-use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded, never};
-use radome_driver::{FrameResult, LabelSpan, Recorder, RecordingHeader, RecordingSummary};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bounded};
+use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
 use super::classify::{Probabilities, Summary};
@@ -40,34 +40,6 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
     }
 }
 
-/// All labels of a recording that is being made, and who waits until they are in its file.
-pub struct NewLabels {
-    spans: Vec<LabelSpan>,
-    written: Sender<()>,
-}
-
-/// Hands labels to a recorder, which may be slow.
-#[derive(Debug, Clone)]
-pub struct LabelSender(Sender<NewLabels>);
-
-impl LabelSender {
-    /// Makes these the labels, and waits until they are written. A recorder that has gone writes nothing and says why by itself;
-    /// nobody waits for it.
-    pub fn write(&self, spans: &[LabelSpan]) {
-        let (written, is_written) = bounded(1);
-        if self.0.send(NewLabels { spans: spans.to_vec(), written }).is_ok() {
-            let _ = is_written.recv();
-        }
-    }
-}
-
-/// What carries labels from whoever makes them to a recorder.
-pub fn label_line() -> (LabelSender, Receiver<NewLabels>) {
-    // Without a place to wait in: labels that waited there for a recorder that ends would keep their sender for ever.
-    let (sender, receiver) = bounded(0);
-    (LabelSender(sender), receiver)
-}
-
 /// Hands answers to the recorder's thread, which has frames and gaps from the pipeline.
 ///
 /// A recorder that fails, as on a full disk, says so at once on stderr and leaves its file marked unfinished. The run goes on
@@ -93,17 +65,17 @@ impl RecorderSink {
     pub fn start(
         path: &Path,
         header: &RecordingHeader,
+        options: &RecorderOptions,
         inlet: Inlet,
-        labels: Receiver<NewLabels>,
     ) -> anyhow::Result<Self> {
-        let recorder = Recorder::create(path, header)?;
+        let recorder = Recorder::with_options(path, header, options)?;
         let (results, receiver) = bounded(WAITING_RESULTS);
         let has_gaps = Arc::new(AtomicBool::new(false));
         let mut writer =
             Writer { recorder, ahead: VecDeque::new(), newest: None, frames: 0, has_gaps: has_gaps.clone() };
         let thread = std::thread::spawn(move || -> anyhow::Result<Recorded> {
             // An error leaves the file marked unfinished. To finish it would fail again, and hide why.
-            let written = writer.run(&inlet, &receiver, labels);
+            let written = writer.run(&inlet, &receiver);
             written.with_context(|| format!("the recording ended after {} frames", writer.frames))?;
             Ok(match inlet.end.get() {
                 Some(Err(failure)) if failure.is_panic() => Recorded::Unfinished(writer.frames),
@@ -185,12 +157,7 @@ struct Writer {
 
 impl Writer {
     /// Until nobody answers any more, and all that had been taken from the source by then is written.
-    fn run(
-        &mut self,
-        inlet: &Inlet,
-        results: &Receiver<FrameResult>,
-        mut labels: Receiver<NewLabels>,
-    ) -> anyhow::Result<()> {
+    fn run(&mut self, inlet: &Inlet, results: &Receiver<FrameResult>) -> anyhow::Result<()> {
         let frames = &inlet.receiver;
         let mut is_unflushed = false;
         let mut has_ended = false;
@@ -209,17 +176,6 @@ impl Writer {
                             None
                         }
                         Err(_) => break,
-                    },
-                    recv(labels) -> new => {
-                        match new {
-                            Ok(NewLabels { spans, written }) => {
-                                self.recorder.set_labels(&spans)?;
-                                let _ = written.send(());
-                            }
-                            // There is no page.
-                            Err(_) => labels = never(),
-                        }
-                        None
                     },
                     recv(frames) -> delivery => Some(delivery.map_err(|_| RecvTimeoutError::Disconnected)),
                     default(SILENCE) => Some(Err(RecvTimeoutError::Timeout)),
@@ -323,8 +279,8 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let classifier = pipeline.consumer("classifier", 64, Policy::Wait);
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
-        let (_page, labels) = label_line();
-        let mut sink = RecorderSink::start(path, &header(source.waveform()), inlet, labels).expect("a recorder");
+        let mut sink = RecorderSink::start(path, &header(source.waveform()), &RecorderOptions::default(), inlet)
+            .expect("a recorder");
         let _reader = pipeline.start(source, None);
         while !matches!(classifier.receiver.recv().expect("an end").item, Item::End(_)) {}
         let joined = sink.join();
@@ -371,9 +327,9 @@ mod tests {
         let mut pipeline = Pipeline::new();
         let inlet = pipeline.consumer("recorder", 64, Policy::Wait);
         drop(pipeline);
-        let (_page, labels) = label_line();
         let waveform = Panicking::after(0).waveform().clone();
-        let mut sink = RecorderSink::start(&path, &header(&waveform), inlet, labels).expect("a recorder");
+        let mut sink =
+            RecorderSink::start(&path, &header(&waveform), &RecorderOptions::default(), inlet).expect("a recorder");
         let start = Instant::now();
         while !sink.thread.as_ref().is_some_and(JoinHandle::is_finished) {
             assert!(start.elapsed() < Duration::from_secs(60), "the recorder waits for a source that has gone");
@@ -382,19 +338,5 @@ mod tests {
         let error = sink.join().err().expect("an error");
         assert!(output::chain(&error).contains("without a word"), "{error:#}");
         assert!(!read(&path).0);
-    }
-
-    #[test]
-    fn labels_for_a_recorder_that_ends_keep_nobody_waiting() {
-        let (sender, receiver) = label_line();
-        let writing = std::thread::spawn(move || sender.write(&[]));
-        // The labels are on their way by now, as a rule.
-        std::thread::sleep(Duration::from_millis(100));
-        drop(receiver);
-        let start = Instant::now();
-        while !writing.is_finished() {
-            assert!(start.elapsed() < Duration::from_secs(60), "the page waits for a recorder that has gone");
-            std::thread::sleep(Duration::from_millis(5));
-        }
     }
 }

@@ -26,7 +26,6 @@ use serde_json::json;
 use super::access::{self, Token};
 use super::classify::Summary;
 use super::health::Health;
-use super::recorder::LabelSender;
 use super::sink::{Moment, Sink};
 use crate::source::{Source, Tape};
 use feed::Feed;
@@ -128,13 +127,13 @@ pub struct Page {
 }
 
 impl Page {
-    /// Starts serving if the page is wanted. Labels of a source that is no recording itself go to whoever writes `recording` as
-    /// they are made.
+    /// Starts serving if the page is wanted. Labels of a source that is no recording itself are those of `recording`, which is being
+    /// made.
     pub fn open(
         arguments: &Arguments,
         source: &Source,
         model: &Path,
-        recording: Option<(&Path, LabelSender)>,
+        recording: Option<&Path>,
     ) -> anyhow::Result<Option<Page>> {
         if !arguments.view {
             return Ok(None);

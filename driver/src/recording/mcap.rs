@@ -5,7 +5,7 @@
 //! | waveform, board, registers, format version | metadata record `radome` | JSON in string fields |
 //! | frames | channel `/radome/frames` | `radome.frame`, below |
 //! | gaps | channel `/radome/gaps` | JSON [`Gap`](radome_dsp::Gap) |
-//! | labels | channel `/radome/labels` | JSON [`LabelSpan`], or a list of them that takes the place of all before it |
+//! | labels | channel `/radome/labels`; while they are edited `.NAME.labels` beside the file | JSON [`LabelSpan`], or a list of them that takes the place of all before it |
 //! | answers of a classifier, if one listened | channel `/radome/results`; [`Judge`] in the metadata | JSON [`FrameResult`] |
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
@@ -13,10 +13,11 @@
 //! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes.
 //!
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
-//! written as a whole every second of board time or 4 MB, so that a recording can be read up to its last chunk whenever
-//! its writer dies. Results stand in chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
+//! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]), so that a
+//! recording can be read up to its last chunk whenever its writer dies. Results stand in chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
 
-mod append;
+#[cfg(test)]
+mod faults;
 mod index;
 mod label_list;
 mod lengths;
@@ -25,13 +26,16 @@ mod recorder;
 mod records;
 mod repair;
 mod results;
+mod staged;
+mod syncer;
 
-pub use append::append_labels;
-pub use label_list::set_labels;
+pub use label_list::{LabelEditor, append_labels, set_labels, stage_labels};
 pub use reader::{McapReader, Results};
-pub use recorder::{Recorder, RecordingSummary};
-pub use repair::{Damage, RepairReport, repair};
+pub use recorder::{Recorder, RecorderOptions, RecordingSummary};
+pub use repair::{Damage, RepairReport, repair, repair_with};
 pub use results::{FrameResult, Judge, RESULTS_VERSION};
+pub(super) use staged::remove_staged_labels;
+pub use syncer::SyncOptions;
 
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use serde::{Deserialize, Serialize};

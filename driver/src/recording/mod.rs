@@ -1,13 +1,17 @@
 //! Recordings on disk: the native MCAP file, the vendor's folder and the vendor's text file. [`open`] and
-//! [`Recording::open`] read them all, [`RecordingWriter`] writes them.
+//! [`Recording::open`] read them all, [`RecordingWriter`] writes them. One writer at a time has a recording: others get
+//! [`RecordingError::Locked`].
 
+mod disk;
 pub mod infineon;
 pub mod label_text;
+mod lock;
 pub mod mcap;
 mod opened;
 mod partial;
 pub mod span_check;
 pub mod text;
+pub mod utc;
 mod vendor_config;
 mod vendor_scene;
 mod writer;
@@ -15,11 +19,21 @@ mod writer;
 use std::path::{Path, PathBuf};
 
 pub use opened::Recording;
+pub use partial::Partial;
 pub(crate) use writer::Tally;
 pub use writer::{Format, RecordingWriter, WriteReport};
 
 use radome_dsp::{FrameSource, WaveformError};
 use thiserror::Error;
+
+/// Whether an output may take the place of a file that exists.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// It may not: [`RecordingError::Occupied`].
+    Refuse,
+    /// It may, once it is whole.
+    Replace,
+}
 
 /// Where a frame stands in its recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -65,19 +79,36 @@ pub enum RecordingError {
         /// File.
         path: PathBuf,
     },
-    /// The file holds what is not ours, and rewriting it would lose that.
-    #[error("{path}: holds {what}, which rewriting would lose", path = path.display())]
-    Foreign {
-        /// File.
-        path: PathBuf,
-        /// What is not ours.
-        what: String,
-    },
-    /// An output exists and would be overwritten.
-    #[error("{path}: exists and is not empty; remove it or choose another name", path = path.display())]
+    /// An output exists and must not be replaced.
+    #[error(
+        "{path}: exists already{and}\n\nhint: choose another name, or remove it",
+        path = path.display(),
+        and = if path.is_dir() { " and is not empty" } else { "" }
+    )]
     Occupied {
         /// What exists.
         path: PathBuf,
+    },
+    /// Another writer has the file.
+    #[error(
+        "{path}: another program is writing to it\n\nhint: stop that program, wait for its end, or choose another name",
+        path = path.display()
+    )]
+    Locked {
+        /// File.
+        path: PathBuf,
+    },
+    /// The disk takes what is written but does not store it.
+    #[error(
+        "{path}: the disk has not stored any of it for {waited_s:.0} s\n\nhint: record to a faster disk, and see the system's log for \
+         errors of this one",
+        path = path.display()
+    )]
+    Stalled {
+        /// File.
+        path: PathBuf,
+        /// How long it was waited for, s.
+        waited_s: f64,
     },
     /// No kind of recording.
     #[error(
@@ -205,6 +236,15 @@ impl RecordingError {
         let path = path.to_owned();
         move |source| RecordingError::Io { path, what: "cannot be written", source }
     }
+}
+
+/// Gives a file another name in the same file system, in place of one that has it, and waits until that is on the disk. Its content
+/// must be there already.
+///
+/// # Errors
+/// An input/output error.
+pub fn rename_synced(from: &Path, to: &Path) -> Result<(), RecordingError> {
+    disk::rename(from, to).and_then(|()| disk::sync_folder(to)).map_err(RecordingError::cannot_write(to))
 }
 
 /// Opens a recording of any kind.

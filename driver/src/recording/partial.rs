@@ -1,30 +1,91 @@
 //! Outputs that appear whole or not at all.
 
 use std::ffi::OsString;
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use super::RecordingError;
+use super::lock::{Locked, lock};
+use super::{Existing, RecordingError, disk};
 
-/// A file or folder under a temporary name beside its own: renamed when whole, removed if dropped before.
+/// A file or folder under a temporary name beside its own, `.NAME.partial`: renamed when whole, removed if dropped before. It is
+/// locked, so that two writers never share one, and what a killed writer left is written over.
 #[derive(Debug)]
-pub(super) struct Partial {
+pub struct Partial {
     partial: PathBuf,
     target: PathBuf,
+    existing: Existing,
+    has_name: bool,
+    /// The file or folder; folders have no lock where the system does not open them.
+    lock: Option<Locked>,
+    /// The file that will be replaced: nobody begins to write to it meanwhile.
+    _replaced: Option<Locked>,
 }
 
 impl Partial {
-    /// Decides on the temporary name, `.NAME.partial`, and removes what an interrupted run left there.
-    pub fn new(target: &Path) -> Result<Self, RecordingError> {
-        let Some(name) = target.file_name() else {
-            let source = std::io::Error::new(std::io::ErrorKind::InvalidInput, "the path names no file");
-            return Err(RecordingError::cannot_write(target)(source));
+    /// Starts a file.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another writer has
+    /// it or is about to make it, and an input/output error.
+    pub fn file(target: &Path, existing: Existing) -> Result<Self, RecordingError> {
+        let partial = hidden(target, ".partial")?;
+        let replaced = claim(target, existing)?;
+        let open = || File::options().read(true).write(true).create(true).truncate(false).open(&partial);
+        let locked = lock(&partial, Duration::ZERO, open).map_err(about(target))?;
+        let file = locked.file();
+        #[cfg(test)]
+        disk::trial::before(&partial, || disk::trial::Change::Create {
+            inode: disk::trial::inode(file),
+            path: partial.clone(),
+        })
+        .map_err(RecordingError::cannot_write(target))?;
+        disk::set_length(file, &partial, 0).map_err(RecordingError::cannot_write(target))?;
+        Ok(Partial {
+            partial,
+            target: target.to_owned(),
+            existing,
+            has_name: false,
+            lock: Some(locked),
+            _replaced: replaced,
+        })
+    }
+
+    /// Starts a folder. A folder of its name is replaced if it is empty.
+    ///
+    /// # Errors
+    /// [`RecordingError::Locked`] if another writer is about to make it, and an input/output error.
+    pub fn folder(target: &Path) -> Result<Self, RecordingError> {
+        let partial = hidden(target, ".partial")?;
+        match std::fs::create_dir(&partial) {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists => {
+                return Err(RecordingError::cannot_write(target)(error));
+            }
+            _ => {}
+        }
+        let lock = match cfg!(unix) {
+            true => Some(lock(&partial, Duration::ZERO, || File::open(&partial)).map_err(about(target))?),
+            false => None,
         };
-        let mut hidden = OsString::from(".");
-        hidden.push(name);
-        hidden.push(".partial");
-        let partial = Partial { partial: target.with_file_name(hidden), target: target.to_owned() };
-        partial.remove();
-        Ok(partial)
+        let empty = || -> io::Result<()> {
+            for entry in std::fs::read_dir(&partial)? {
+                let entry = entry?;
+                match entry.file_type()?.is_dir() {
+                    true => std::fs::remove_dir_all(entry.path())?,
+                    false => std::fs::remove_file(entry.path())?,
+                }
+            }
+            Ok(())
+        };
+        empty().map_err(RecordingError::cannot_write(target))?;
+        let (target, existing) = (target.to_owned(), Existing::Replace);
+        Ok(Partial { partial, target, existing, has_name: false, lock, _replaced: None })
+    }
+
+    /// The name that the output will have.
+    pub fn target(&self) -> &Path {
+        &self.target
     }
 
     /// Where to write.
@@ -32,22 +93,158 @@ impl Partial {
         &self.partial
     }
 
-    /// Gives the output its name. An existing file is replaced, an existing folder only if it is empty.
-    pub fn finish(self) -> Result<(), RecordingError> {
-        std::fs::rename(&self.partial, &self.target).map_err(RecordingError::cannot_write(&self.target))
+    /// The file, to be written from its start.
+    ///
+    /// # Errors
+    /// An input/output error.
+    pub fn open(&self) -> Result<File, RecordingError> {
+        let locked = self.lock.as_ref().ok_or_else(|| io::Error::from(io::ErrorKind::IsADirectory));
+        locked.and_then(|locked| locked.file().try_clone()).map_err(RecordingError::cannot_write(&self.target))
     }
 
-    fn remove(&self) {
-        // What is not there need not go.
-        let _ = match self.partial.is_dir() {
-            true => std::fs::remove_dir_all(&self.partial),
-            false => std::fs::remove_file(&self.partial),
+    /// Gives the output its name, once it is on the disk. An existing folder is replaced only if it is empty.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if there is a file of that name by now which must not be replaced, and an input/output error.
+    pub fn finish(self) -> Result<(), RecordingError> {
+        self.publish().map(drop)
+    }
+
+    /// Gives a file its name while it is still written to, and hands on its lock.
+    pub(super) fn publish(mut self) -> Result<Option<Locked>, RecordingError> {
+        let cannot = || RecordingError::cannot_write(&self.target);
+        if let Some(lock) = &self.lock {
+            disk::sync(lock.file(), &self.partial).map_err(cannot())?;
+        }
+        let renamed = match self.existing {
+            Existing::Refuse => disk::rename_new(&self.partial, &self.target),
+            Existing::Replace => disk::rename(&self.partial, &self.target),
         };
+        match renamed {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+                return Err(RecordingError::Occupied { path: self.target.clone() });
+            }
+            renamed => renamed.map_err(cannot())?,
+        }
+        self.has_name = true;
+        disk::sync_folder(&self.target).map_err(RecordingError::cannot_write(&self.target))?;
+        Ok(self.lock.take())
     }
 }
 
 impl Drop for Partial {
     fn drop(&mut self) {
-        self.remove();
+        if !self.has_name {
+            // Nobody misses what cannot be removed.
+            let _ = match self.partial.is_dir() {
+                true => std::fs::remove_dir_all(&self.partial),
+                false => disk::remove(&self.partial),
+            };
+        }
+    }
+}
+
+/// `.NAME` and an ending, beside NAME.
+pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingError> {
+    let Some(name) = target.file_name() else {
+        let source = io::Error::new(io::ErrorKind::InvalidInput, "the path names no file");
+        return Err(RecordingError::cannot_write(target)(source));
+    };
+    let mut hidden = OsString::from(".");
+    hidden.push(name);
+    hidden.push(ending);
+    Ok(target.with_file_name(hidden))
+}
+
+/// Locks a file that will be replaced, if there is one.
+fn claim(target: &Path, existing: Existing) -> Result<Option<Locked>, RecordingError> {
+    let not_a_file = |what: &str| {
+        let source = io::Error::new(io::ErrorKind::InvalidInput, format!("it is {what}, expected a file"));
+        RecordingError::cannot_write(target)(source)
+    };
+    let metadata = match std::fs::metadata(target) {
+        Ok(metadata) => metadata,
+        // A link that leads nowhere is replaced like a file.
+        Err(_) if existing == Existing::Replace || std::fs::symlink_metadata(target).is_err() => return Ok(None),
+        Err(_) => return Err(RecordingError::Occupied { path: target.to_owned() }),
+    };
+    if metadata.is_dir() {
+        return Err(not_a_file("a folder"));
+    }
+    if !metadata.is_file() {
+        return Err(not_a_file("a device"));
+    }
+    if existing == Existing::Refuse {
+        return Err(RecordingError::Occupied { path: target.to_owned() });
+    }
+    match lock(target, Duration::ZERO, || File::open(target)) {
+        // One that may not be read may still be replaced.
+        Err(RecordingError::Io { source, .. }) if source.kind() == io::ErrorKind::PermissionDenied => Ok(None),
+        locked => locked.map(Some),
+    }
+}
+
+/// The same error about the output's own name.
+fn about(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
+    let path = target.to_owned();
+    move |error| match error {
+        RecordingError::Locked { .. } => RecordingError::Locked { path },
+        RecordingError::Io { source, .. } => RecordingError::Io { path, what: "cannot be written", source },
+        RecordingError::Missing { .. } => {
+            RecordingError::Io { path, what: "cannot be written", source: io::ErrorKind::NotFound.into() }
+        }
+        other => other,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    #[test]
+    fn an_output_is_whole_or_absent_and_a_second_writer_is_refused() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.bin");
+        let partial = Partial::file(&path, Existing::Refuse).expect("starts");
+        partial.open().expect("opens").write_all(b"half").expect("writes");
+        assert!(matches!(Partial::file(&path, Existing::Refuse), Err(RecordingError::Locked { .. })));
+        assert!(!path.exists());
+        drop(partial);
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 0);
+
+        let partial = Partial::file(&path, Existing::Refuse).expect("starts");
+        partial.open().expect("opens").write_all(b"whole").expect("writes");
+        partial.finish().expect("finishes");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"whole");
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
+    }
+
+    #[test]
+    fn what_is_there_is_replaced_only_on_demand() {
+        let folder = tempfile::tempdir().expect("folder");
+        let path = folder.path().join("a.bin");
+        let early = Partial::file(&path, Existing::Refuse).expect("starts");
+        // Somebody else was faster.
+        std::fs::write(&path, "old").expect("writes");
+        assert!(matches!(early.finish(), Err(RecordingError::Occupied { .. })));
+        assert!(matches!(Partial::file(&path, Existing::Refuse), Err(RecordingError::Occupied { .. })));
+        let partial = Partial::file(&path, Existing::Replace).expect("starts");
+        partial.open().expect("opens").write_all(b"new").expect("writes");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"old");
+        partial.finish().expect("finishes");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"new");
+    }
+
+    #[test]
+    fn what_a_killed_writer_left_is_written_over() {
+        let folder = tempfile::tempdir().expect("folder");
+        std::fs::write(folder.path().join(".a.bin.partial"), "left over and longer").expect("writes");
+        let path = folder.path().join("a.bin");
+        let partial = Partial::file(&path, Existing::Refuse).expect("starts");
+        partial.open().expect("opens").write_all(b"new").expect("writes");
+        partial.finish().expect("finishes");
+        assert_eq!(std::fs::read(&path).expect("reads"), b"new");
     }
 }

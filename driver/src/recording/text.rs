@@ -14,7 +14,7 @@ use radome_dsp::{Frame, FrameSource, Gap, MAX_CODE, SourceError, SourceEvent, Wa
 use super::mcap::{FrameResult, LabelSpan, RecordingHeader};
 use super::partial::Partial;
 use super::vendor_config::{read_waveform, write_waveform};
-use super::{Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
+use super::{Existing, Extent, Position, RecordingError, Tally, WriteReport, first_index, time_ns};
 
 /// Characters of a value: `0.123456`.
 const VALUE: usize = 8;
@@ -201,9 +201,13 @@ pub struct TextWriter {
 
 impl TextWriter {
     /// Starts a text file and its configuration.
-    pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
-        let (partial, partial_config) = (Partial::new(path)?, Partial::new(&config_name(path))?);
-        let file = File::create(partial.path()).map_err(RecordingError::cannot_write(path))?;
+    ///
+    /// # Errors
+    /// One of them exists and must not be replaced, or has another writer, and an input/output error.
+    pub fn create(path: &Path, header: &RecordingHeader, existing: Existing) -> Result<Self, RecordingError> {
+        let partial = Partial::file(path, existing)?;
+        let partial_config = Partial::file(&config_name(path), existing)?;
+        let file = partial.open()?;
         write_waveform(&header.waveform, partial_config.path())?;
         let line = |code| {
             let mut line = *b"0.000000\n";

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
 
-use super::RecordingError;
 use super::infineon::InfineonWriter;
-use super::mcap::{FrameResult, LabelSpan, Recorder, RecordingHeader};
+use super::mcap::{FrameResult, LabelSpan, Recorder, RecordingHeader, remove_staged_labels};
 use super::partial::Partial;
 use super::text::TextWriter;
+use super::{Existing, RecordingError};
 
 /// Kinds of recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -130,14 +130,31 @@ pub struct RecordingWriter {
 
 impl RecordingWriter {
     /// Starts a recording. A file that exists is replaced at the end, a folder must be empty.
+    ///
+    /// # Errors
+    /// Those of [`RecordingWriter::create_with`].
     pub fn create(path: &Path, format: Format, header: &RecordingHeader) -> Result<Self, RecordingError> {
+        Self::create_with(path, format, header, Existing::Replace)
+    }
+
+    /// Starts a recording; `existing` says whether a file that exists may be replaced at the end. A folder must be empty.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if there is something of that name which must not be replaced, [`RecordingError::Locked`] if
+    /// another writer has it, and an input/output error.
+    pub fn create_with(
+        path: &Path,
+        format: Format,
+        header: &RecordingHeader,
+        existing: Existing,
+    ) -> Result<Self, RecordingError> {
         let writer = match format {
             Format::Mcap => {
-                let partial = Partial::new(path)?;
-                Writer::Mcap(Box::new(Recorder::create(partial.path(), header)?), partial)
+                let partial = Partial::file(path, existing)?;
+                Writer::Mcap(Box::new(Recorder::start(partial.open()?, path, header, None)?), partial)
             }
             Format::Infineon => Writer::Infineon(Box::new(InfineonWriter::create(path, header)?)),
-            Format::Text => Writer::Text(Box::new(TextWriter::create(path, header)?)),
+            Format::Text => Writer::Text(Box::new(TextWriter::create(path, header, existing)?)),
         };
         Ok(RecordingWriter { writer })
     }
@@ -181,12 +198,18 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Completes the recording.
+    /// Completes the recording and brings it to the disk.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] if there is a file of that name by now which must not be replaced, and an input/output error.
     pub fn finish(self) -> Result<WriteReport, RecordingError> {
         match self.writer {
             Writer::Mcap(recorder, partial) => {
+                let path = partial.target().to_owned();
                 let summary = recorder.finish()?;
                 partial.finish()?;
+                // Those of a recording that had this name before.
+                remove_staged_labels(&path)?;
                 let (frames, gaps, frames_lost, bytes) =
                     (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
                 Ok(WriteReport { frames, gaps, frames_lost, bytes, unheld: Vec::new() })

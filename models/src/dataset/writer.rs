@@ -9,6 +9,7 @@ use radome_dsp::{Rdm, RdmShape};
 use sha2::{Digest, Sha256};
 
 use super::{DatasetError, DatasetHeader, MAPS_PER_SHARD, ManifestRow, shard_name};
+use crate::whole_file::sync_folder;
 
 /// Name of the file that a writer locks, in its temporary folder.
 const LOCK: &str = ".lock";
@@ -204,9 +205,4 @@ fn remove_leftovers(folder: &Path) -> std::io::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Writes the names in a folder down to the disk, where the system lets folders be opened.
-fn sync_folder(folder: &Path) -> std::io::Result<()> {
-    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }

@@ -108,7 +108,9 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
         arguments.part,
         file_name(path)
     );
-    files::write_atomically(path, |file| file.write_all((header + &text).as_bytes()).context("writing"))
+    files::write_output(path, arguments.overwrite.existing(), |file| {
+        file.write_all((header + &text).as_bytes()).context("writing")
+    })
 }
 
 /// One object, or lines to read.

@@ -7,6 +7,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
+use radome_driver::recording::rename_synced;
 use radome_dsp::Occupancy;
 use radome_models::dataset::{self, Dataset, DatasetError, SplitSpec};
 use rayon::prelude::*;
@@ -175,8 +176,7 @@ impl Parts {
 
     /// Gives a shard's units the shard's name.
     fn finish_shard(&self, target: &Path) -> anyhow::Result<()> {
-        fs::rename(&self.folder, target)
-            .with_context(|| format!("cannot rename {} to {}", self.folder.display(), target.display()))
+        Ok(rename_synced(&self.folder, target)?)
     }
 
     fn remove(&self) -> anyhow::Result<()> {

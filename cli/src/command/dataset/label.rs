@@ -10,6 +10,7 @@ use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use serde_json::json;
 
 use super::detector;
+use crate::output_file::Overwrite;
 use crate::{labels, output};
 
 /// `radome dataset label`
@@ -30,6 +31,8 @@ pub struct Arguments {
     /// Write the labels to this file for review, .txt or .label, instead of adding them to the recording
     #[arg(short, long)]
     output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
     /// Who says so
     #[arg(long)]
     who: Option<String>,
@@ -54,6 +57,9 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
 
 /// Collects labels and writes them.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(file) = &arguments.output {
+        arguments.overwrite.check(file)?;
+    }
     let mut spans = arguments.span.clone();
     if let Some(file) = &arguments.from {
         spans.extend(labels::read(file)?);
@@ -70,7 +76,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let place = match &arguments.output {
         Some(file) => {
             check_spans(&spans, None)?;
-            labels::write(file, &spans)?;
+            labels::write(file, arguments.overwrite.existing(), &spans)?;
             file.clone()
         }
         None => labels::add(&arguments.recording, &spans)?,

@@ -7,13 +7,13 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
+use radome_driver::recording::mcap::{self, LabelEditor};
 use radome_driver::recording::span_check::check_spans;
-use radome_driver::recording::{Recording, mcap};
+use radome_driver::recording::{Recording, RecordingError};
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
 use crate::labels;
-use crate::live::recorder::LabelSender;
 use crate::source::Tape;
 
 /// More labels than anybody makes by hand.
@@ -251,12 +251,12 @@ struct Told<'a> {
 /// Where labels are kept.
 #[derive(Debug, Clone)]
 enum Place {
-    /// In the recording's channel of labels.
+    /// In a finished recording: beside it as long as they change, and in its channel of labels in the end.
     Mcap(PathBuf),
     /// In a file beside a recording that cannot hold any.
     Beside { recording: PathBuf, file: PathBuf },
-    /// In a recording that is being made, by way of its recorder; once it is finished, in its channel of labels.
-    Made { recording: PathBuf, line: LabelSender },
+    /// In a recording that is being made: beside it until it is finished, then in its channel of labels.
+    Made { recording: PathBuf },
 }
 
 impl Place {
@@ -267,27 +267,47 @@ impl Place {
         }
     }
 
-    /// Writes the labels unless somebody else has changed those that are `known`; returns them as they now are.
+    /// Writes the labels unless somebody else has changed those that are `known`; returns them as they now are. What that costs does
+    /// not depend on how often it was done or how long the recording is.
     fn write(&self, known: &[LabelSpan], spans: &[LabelSpan]) -> anyhow::Result<Vec<LabelSpan>> {
-        if let Place::Made { line, .. } = self {
-            line.write(spans);
-            return Ok(spans.to_vec());
-        }
-        if self.read()? != known {
-            bail!(
+        let check = |found: &[LabelSpan]| match found == known {
+            true => Ok(()),
+            false => bail!(
                 "another program has changed the labels in {}\n\nhint: export yours, open the page anew, and import them",
                 self.name()
-            );
-        }
-        if known == spans {
-            return Ok(known.to_vec());
-        }
+            ),
+        };
         match self {
-            Place::Mcap(recording) => mcap::set_labels(recording, spans)?,
-            Place::Beside { file, .. } => labels::write(file, spans)?,
-            Place::Made { .. } => {}
+            Place::Made { recording } => {
+                mcap::stage_labels(recording, spans)?;
+                return Ok(spans.to_vec());
+            }
+            Place::Mcap(recording) => {
+                let editor = LabelEditor::open(recording)?;
+                check(&editor.labels()?)?;
+                if known != spans {
+                    editor.stage(spans)?;
+                }
+                return Ok(spans.to_vec());
+            }
+            Place::Beside { recording, file } => {
+                check(&self.read()?)?;
+                if known != spans {
+                    labels::rewrite_beside(recording, file, |found| check(&found).map(|()| spans.to_vec()))?;
+                }
+            }
         }
         self.read()
+    }
+
+    /// Puts labels that are beside a recording into it, once they change no more. A recording that was not finished keeps them beside
+    /// it.
+    fn settle(&self) -> anyhow::Result<()> {
+        let (Place::Mcap(recording) | Place::Made { recording }) = self else { return Ok(()) };
+        match LabelEditor::open(recording).and_then(|editor| editor.settle()) {
+            Err(RecordingError::Unfinished { .. }) => Ok(()),
+            settled => Ok(settled?),
+        }
     }
 
     fn name(&self) -> String {
@@ -321,8 +341,8 @@ pub struct Keeper {
 
 impl Keeper {
     /// With the labels that the recording has; labels of what is no recording go into the one that is being made.
-    pub fn open(tape: Option<&Tape>, recording: Option<(&Path, LabelSender)>, interval_s: f64) -> anyhow::Result<Self> {
-        let made = recording.map(|(path, line)| Place::Made { recording: path.to_owned(), line });
+    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, interval_s: f64) -> anyhow::Result<Self> {
+        let made = recording.map(|path| Place::Made { recording: path.to_owned() });
         let place = tape.map(|tape| -> anyhow::Result<Place> {
             let recording = tape.path.clone();
             Ok(match Recording::open(&recording)? {
@@ -474,19 +494,22 @@ impl Keeper {
         self.changed.notify_all();
     }
 
-    /// Gives a recording that has been made its labels; says what could not be kept.
+    /// Gives the recording its labels for good; says what could not be kept.
     pub fn last_word(&self) -> anyhow::Result<()> {
         let state = self.state();
-        if let Some(Place::Made { recording, .. }) = self.place.as_ref().filter(|_| state.book.revision > 0) {
-            mcap::set_labels(recording, &state.book.labels(self.now_s()))
-                .with_context(|| format!("{} labels were not saved", state.book.spans.len()))?;
-            return Ok(());
-        }
-        if let Some(fault) = &state.fault {
-            bail!("labels were not saved: {fault}");
+        let count = state.book.spans.len();
+        if let Some(place) = self.place.as_ref().filter(|_| state.book.revision > 0) {
+            if let Place::Made { recording } = place {
+                // Those that went on have ended by now.
+                mcap::stage_labels(recording, &state.book.labels(self.now_s()))
+                    .with_context(|| format!("{count} labels were not saved"))?;
+            } else if let Some(fault) = &state.fault {
+                bail!("labels were not saved: {fault}");
+            }
+            place.settle().with_context(|| format!("{count} labels are in a file beside the recording"))?;
         }
         if self.place.is_none() && state.book.revision > 0 && !state.book.spans.is_empty() {
-            eprintln!("{} labels were made; they live in exports of the page alone", state.book.spans.len());
+            eprintln!("{count} labels were made; they live in exports of the page alone");
         }
         Ok(())
     }

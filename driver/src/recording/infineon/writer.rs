@@ -11,7 +11,7 @@ use super::{FIRST_UNIX_NS, SUPPORTED_VERSION, nominal_time_ns};
 use crate::recording::mcap::{FrameResult, LabelSpan, RecordingHeader};
 use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
-use crate::recording::{RecordingError, Tally, WriteReport};
+use crate::recording::{RecordingError, Tally, WriteReport, disk, utc};
 
 /// Length of the headers that the vendor writes, bytes: any number of frames fits, so that it can be filled in last.
 const HEADER_BYTES: usize = 1024;
@@ -53,11 +53,9 @@ impl InfineonWriter {
         if path.exists() && std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()) {
             return Err(RecordingError::Occupied { path: path.to_owned() });
         }
-        let partial = Partial::new(path)?;
+        let partial = Partial::folder(path)?;
         let folder = partial.path().join("RadarIfxAvian_00");
-        std::fs::create_dir(partial.path())
-            .and_then(|()| std::fs::create_dir(&folder))
-            .map_err(RecordingError::cannot_write(path))?;
+        std::fs::create_dir(&folder).map_err(RecordingError::cannot_write(path))?;
         let data = folder.join("radar.npy");
         let mut file = BufWriter::new(File::create(&data).map_err(RecordingError::cannot_write(&data))?);
         file.write_all(&[0; HEADER_BYTES]).map_err(RecordingError::cannot_write(&data))?;
@@ -127,6 +125,7 @@ impl InfineonWriter {
             unheld.push(format!("{} registers of the chip", self.header.registers.len()));
         }
         self.write_descriptions()?;
+        disk::sync_folder(&self.data).map_err(cannot())?;
         self.partial.finish()?;
         Ok(WriteReport { bytes, unheld, ..self.tally.report() })
     }
@@ -182,7 +181,7 @@ impl InfineonWriter {
         write_json(
             &self.partial.path().join("meta.json"),
             &json!({
-                "date_captured": self.times_ns.first().filter(|t| t.1 > 0).map(|t| iso_8601(t.1 / 1_000_000_000)),
+                "date_captured": self.times_ns.first().filter(|t| t.1 > 0).map(|t| utc::iso_8601(t.1 / 1_000_000_000)),
                 "hostname": "unknown",
                 "ifxdaq_version": "1.0.0",
                 "machine": "",
@@ -202,36 +201,4 @@ fn write_seconds(path: &Path, times_ns: impl Iterator<Item = u64>) -> Result<(),
         text += &format!("{}.{:09}\n", time / 1_000_000_000, time % 1_000_000_000);
     }
     write_file(path, text.as_bytes())
-}
-
-/// UTC, as the vendor spells it. The date by H. Hinnant, "chrono-compatible low-level date algorithms", `civil_from_days`.
-fn iso_8601(unix_s: u64) -> String {
-    let (days, second) = (unix_s / 86_400 + 719_468, unix_s % 86_400);
-    let (era, day_of_era) = (days / 146_097, days % 146_097);
-    let year_of_era = (day_of_era - day_of_era / 1_460 + day_of_era / 36_524 - day_of_era / 146_096) / 365;
-    let day_of_year = day_of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
-    let month_from_march = (5 * day_of_year + 2) / 153;
-    let day = day_of_year - (153 * month_from_march + 2) / 5 + 1;
-    let month = if month_from_march < 10 { month_from_march + 3 } else { month_from_march - 9 };
-    let year = era * 400 + year_of_era + u64::from(month <= 2);
-    let (hour, minute, second) = (second / 3600, second / 60 % 60, second % 60);
-    format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}+0000")
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// `date -u -d @SECONDS +%FT%T+0000`
-    #[test]
-    fn dates_are_those_of_the_calendar() {
-        for (unix_s, date) in [
-            (0, "1970-01-01T00:00:00+0000"),
-            (951_782_399, "2000-02-28T23:59:59+0000"),
-            (951_868_800, "2000-03-01T00:00:00+0000"),
-            (1_767_683_775, "2026-01-06T07:16:15+0000"),
-        ] {
-            assert_eq!(iso_8601(unix_s), date);
-        }
-    }
 }

@@ -5,8 +5,11 @@ use std::collections::BTreeMap;
 use mcap::records::{Record, op};
 
 use super::lengths::parse_record;
-use super::records::{Next, RECORD_HEADER, Records, Topic};
+use super::records::{Next, RECORD_HEADER, Records, Topic, read_chunk};
 use crate::recording::{Position, RecordingError};
+
+/// Chunks at the end of a file that may not have reached the disk: seconds of frames.
+const UNSYNCED_CHUNKS: usize = 8;
 
 /// Footer record and magic: the end of every finished file.
 const FOOTER: u64 = RECORD_HEADER + 20 + 8;
@@ -17,6 +20,8 @@ pub(super) struct Chunk {
     pub offset: u64,
     pub has_labels: bool,
     pub has_results: bool,
+    /// How many frames it holds, where the message indexes were read.
+    frames: u64,
     /// Its first frame, once somebody has looked: none if it holds no frame that can be read.
     pub first: Option<Option<Position>>,
 }
@@ -27,6 +32,8 @@ pub(super) struct Index {
     pub frames: u64,
     /// Whether the file was finished.
     pub complete: bool,
+    /// Where a file that was never finished can be read to, if that is before its end.
+    pub end: Option<u64>,
 }
 
 impl Index {
@@ -43,7 +50,37 @@ impl Index {
         {
             return Ok(index);
         }
-        scan(records, summary_start.is_some(), channels)
+        let mut index = scan(records, summary_start.is_some(), channels)?;
+        if summary_start.is_none() {
+            index.drop_torn_end(records, channels)?;
+        }
+        index.frames = index.chunks.iter().fold(0, |sum: u64, chunk| sum.saturating_add(chunk.frames));
+        Ok(index)
+    }
+
+    /// Ends a file that was never finished before the first of its last chunks that is damaged: a power cut has kept the disk from
+    /// storing all of them.
+    fn drop_torn_end(&mut self, records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<(), RecordingError> {
+        let mut body = Vec::new();
+        for position in self.chunks.len().saturating_sub(UNSYNCED_CHUNKS)..self.chunks.len() {
+            let Some(offset) = self.chunks.get(position).map(|chunk| chunk.offset) else { break };
+            records.go_to(offset)?;
+            let reason = match records.next(&mut body, |opcode| opcode == op::CHUNK) {
+                Ok(Next::Record(op::CHUNK, at)) => match read_chunk(records, at, &body, &mut channels.clone()) {
+                    Ok(_) => continue,
+                    Err(RecordingError::Corrupt { reason, .. }) => reason,
+                    Err(error) => return Err(error),
+                },
+                Ok(_) => "no chunk where there was one".into(),
+                Err(RecordingError::Corrupt { reason, .. }) => reason,
+                Err(error) => return Err(error),
+            };
+            warn_of_end(records, offset, &reason);
+            self.end = Some(offset);
+            self.chunks.truncate(position);
+            break;
+        }
+        Ok(())
     }
 }
 
@@ -85,7 +122,13 @@ fn from_summary(
                         topics.any(|topic| *topic == wanted)
                     };
                     let (has_labels, has_results) = (has(Topic::Label), has(Topic::Result));
-                    chunks.push(Chunk { offset: chunk.chunk_start_offset, has_labels, has_results, first: None });
+                    chunks.push(Chunk {
+                        offset: chunk.chunk_start_offset,
+                        has_labels,
+                        has_results,
+                        frames: 0,
+                        first: None,
+                    });
                 }
                 Ok(Record::Statistics(found)) => statistics = Some(found),
                 _ => return Ok(None),
@@ -99,22 +142,36 @@ fn from_summary(
     let Some(statistics) = statistics.filter(|s| s.chunk_count as usize == chunks.len()) else { return Ok(None) };
     let frames = statistics.channel_message_counts.iter().filter(|(id, _)| channels.get(id) == Some(&Topic::Frame));
     let frames = frames.fold(0, |sum: u64, (_, count)| sum.saturating_add(*count));
-    Ok(Some(Index { chunks, frames, complete: true }))
+    Ok(Some(Index { chunks, frames, complete: true, end: None }))
 }
 
 /// Goes through the file; chunks themselves are passed over.
 fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>) -> Result<Index, RecordingError> {
     records.go_to(8)?;
-    let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false });
+    let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false, end: None });
     loop {
-        match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX)? {
+        let at = records.offset;
+        let next = match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
+            // What a power cut has left of the last second is no record.
+            Err(RecordingError::Corrupt { reason, .. }) if !has_footer => {
+                warn_of_end(records, at, &reason);
+                index.end = Some(at);
+                return Ok(index);
+            }
+            next => next?,
+        };
+        match next {
             Next::Record(op::CHUNK, offset) => {
-                index.chunks.push(Chunk { offset, has_labels: false, has_results: false, first: None });
+                index.chunks.push(Chunk { offset, has_labels: false, has_results: false, frames: 0, first: None });
             }
             Next::Record(op::MESSAGE_INDEX, _) => {
                 let Ok(Record::MessageIndex(messages)) = parse_record(op::MESSAGE_INDEX, &body) else { continue };
                 match channels.get(&messages.channel_id) {
-                    Some(Topic::Frame) => index.frames += messages.records.len() as u64,
+                    Some(Topic::Frame) => {
+                        if let Some(chunk) = index.chunks.last_mut() {
+                            chunk.frames += messages.records.len() as u64;
+                        }
+                    }
                     Some(Topic::Label) => {
                         if let Some(chunk) = index.chunks.last_mut() {
                             chunk.has_labels = true;
@@ -136,4 +193,11 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
             Next::CutShort => return Ok(index),
         }
     }
+}
+
+fn warn_of_end(records: &Records, offset: u64, reason: &str) {
+    tracing::warn!(
+        "{}: never finished, and damaged at byte {offset} ({reason}): it is read up to there; radome repair looks for more behind it",
+        records.path.display()
+    );
 }

@@ -1,54 +1,161 @@
-//! All labels of a finished recording anew, without touching its frames: a chunk with the whole list goes where the data ended,
-//! and the summary behind it. Whatever happens meanwhile, frames and earlier labels stay readable.
+//! All labels of a finished recording anew, without touching its frames: a chunk with the whole list goes where the data ended, in
+//! place of such a chunk that is there, and the summary behind it. The recording does not grow by that.
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{Seek, SeekFrom, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use mcap::records::{ChunkIndex, Record, Statistics, op};
 
 use super::index::summary_start;
 use super::lengths::parse_record;
-use super::records::{MAX_RECORD, RECORD_HEADER, Records, Topic, topic};
-use super::{LABELS, LabelSpan};
-use crate::recording::RecordingError;
+use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
+use super::staged::{self, End};
+use super::{LABELS, LabelSpan, McapReader};
+use crate::recording::lock::{Locked, lock};
+use crate::recording::{RecordingError, disk};
 
 /// DATA_END: opcode, length, CRC.
 const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
 /// Footer record and magic.
 const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
+/// Another program that changes labels has done so by then; one that records has not.
+const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Makes these the labels of a finished recording, in place of those it has: in a time that does not grow with the recording's
-/// length. What others have put into the file stays.
+/// Changes the labels of a finished recording. As long as it lives nobody else does.
+#[derive(Debug)]
+pub struct LabelEditor {
+    path: PathBuf,
+    locked: Locked,
+}
+
+impl LabelEditor {
+    /// Locks a recording.
+    ///
+    /// # Errors
+    /// [`RecordingError::Locked`] if another writer has it for two seconds, [`RecordingError::Unfinished`] if it was never finished,
+    /// and what is wrong with the file otherwise.
+    pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        let open = || File::options().read(true).write(true).open(path);
+        let locked = lock(path, PATIENCE, open)?;
+        // What a power cut has interrupted.
+        if let Some(end) = staged::read(path)?.and_then(|staged| staged.end) {
+            staged::apply(locked.file(), path, &end).map_err(RecordingError::cannot_write(path))?;
+        }
+        data_end(&mut Records::open(path)?)?;
+        Ok(LabelEditor { path: path.to_owned(), locked })
+    }
+
+    /// All labels.
+    ///
+    /// # Errors
+    /// The labels cannot be read.
+    pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
+        match staged::read(&self.path)? {
+            Some(staged) => Ok(staged.labels),
+            None => McapReader::open(&self.path)?.labels(),
+        }
+    }
+
+    /// Makes these all labels of the recording, in a file beside it until [`LabelEditor::write`] or [`LabelEditor::settle`]: that
+    /// takes a time that grows with the labels alone, and every reader finds them. They are on the disk when this returns.
+    ///
+    /// # Errors
+    /// An input/output error; the labels before are then still there.
+    pub fn stage(&self, labels: &[LabelSpan]) -> Result<(), RecordingError> {
+        let end = data_end(&mut Records::open(&self.path)?)?;
+        staged::write(&self.path, end, labels, None)
+    }
+
+    /// Makes these all labels of the recording. What others have put into the file stays. At any moment, and after a power cut,
+    /// every reader finds all frames and either the old labels or the new ones.
+    ///
+    /// # Errors
+    /// An input/output error, or a summary that contradicts the file.
+    pub fn write(&self, labels: &[LabelSpan]) -> Result<(), RecordingError> {
+        let mut records = Records::open(&self.path)?;
+        let end = new_end(&mut records, labels)?;
+        disk::reserve(self.locked.file(), end.at, end.bytes.len() as u64)
+            .map_err(RecordingError::cannot_write(&self.path))?;
+        staged::write(&self.path, end.at, labels, Some(&end))?;
+        staged::apply(self.locked.file(), &self.path, &end).map_err(RecordingError::cannot_write(&self.path))
+    }
+
+    /// Puts labels that are beside the recording into it.
+    ///
+    /// # Errors
+    /// Those of [`LabelEditor::write`].
+    pub fn settle(&self) -> Result<(), RecordingError> {
+        match staged::read(&self.path)? {
+            Some(staged) => self.write(&staged.labels),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Makes these the labels of a finished recording, in place of those it has: see [`LabelEditor`].
+///
+/// # Errors
+/// Those of [`LabelEditor::open`] and [`LabelEditor::write`].
 pub fn set_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
-    let mut records = Records::open(path)?;
+    LabelEditor::open(path)?.write(labels)
+}
+
+/// Adds labels to a finished recording: see [`LabelEditor`].
+///
+/// # Errors
+/// Those of [`LabelEditor::open`] and [`LabelEditor::write`], and labels that cannot be read.
+pub fn append_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
+    let editor = LabelEditor::open(path)?;
+    let mut all = editor.labels()?;
+    all.extend_from_slice(labels);
+    editor.write(&all)
+}
+
+/// Makes these all labels of a recording that this process is making: a file beside it holds them until its recorder finishes. They
+/// are on the disk when this returns, and every reader finds them.
+///
+/// # Errors
+/// An input/output error, or there is no recording yet; the labels before are then still there.
+pub fn stage_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
+    let file =
+        File::options().read(true).write(true).open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
+    let length = file.metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
+    // They name the recording by its first bytes, which a power cut must not take.
+    disk::sync(&file, path).map_err(RecordingError::cannot_write(path))?;
+    staged::write(path, length, labels, None)
+}
+
+/// Where the data of a finished recording end: the place of its DATA_END record.
+fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     let length = records.length;
-    let unfinished = RecordingError::Unfinished { path: path.to_owned(), offset: length };
-    let Some(summary_start) = summary_start(&mut records)? else { return Err(unfinished) };
+    let unfinished = RecordingError::Unfinished { path: records.path.clone(), offset: length };
+    let Some(summary_start) = summary_start(records)? else { return Err(unfinished) };
     let no_summary = || records.corrupt(length, "its summary is not where its footer says".into());
     let end = summary_start.checked_sub(DATA_END_BYTES).filter(|_| summary_start <= length - FOOTER_BYTES);
     let end = end.ok_or_else(no_summary)?;
-    // Before anything is set aside for it: a footer may lie.
     let mut data_end = [0; RECORD_HEADER as usize];
     records.peek(end, &mut data_end)?;
+    // Before anything is set aside for it: a footer may lie.
     if data_end != [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0] || length - end > MAX_RECORD {
         return Err(records.corrupt(end, "no end of the data where the summary starts".into()));
     }
+    Ok(end)
+}
+
+/// The end of a recording with these labels, from its last frames on.
+fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, RecordingError> {
+    let (end, length) = (data_end(records)?, records.length);
     let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
     records.peek(end, &mut bytes)?;
-    let summary = bytes.get(DATA_END_BYTES as usize..bytes.len() - FOOTER_BYTES as usize).unwrap_or(&[]);
-    let summary = Summary::parse(summary).map_err(|reason| records.corrupt(summary_start, reason))?;
-    let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(path)(e.into()))?;
-    let tail = summary.with_labels(end, &json).map_err(RecordingError::cannot_write(path))?;
-    let write = || {
-        let mut file = File::options().write(true).open(path)?;
-        file.seek(SeekFrom::Start(end))?;
-        // At once, so that who reads finds either the old end or the new one.
-        file.write_all(&tail)?;
-        file.sync_all()
-    };
-    write().map_err(RecordingError::cannot_write(path))
+    let summary = bytes.len().checked_sub(FOOTER_BYTES as usize);
+    let summary = summary.and_then(|summary_end| bytes.get(DATA_END_BYTES as usize..summary_end)).unwrap_or(&[]);
+    let mut summary = Summary::parse(summary).map_err(|reason| records.corrupt(end + DATA_END_BYTES, reason))?;
+    let at = summary.drop_label_chunks(records, end)?;
+    let json = serde_json::to_vec(labels).map_err(|e| RecordingError::cannot_write(&records.path)(e.into()))?;
+    let bytes = summary.with_labels(at, &json).map_err(RecordingError::cannot_write(&records.path))?;
+    Ok(End { at, bytes })
 }
 
 /// The summary of a file, its records in their order.
@@ -85,6 +192,46 @@ impl<'a> Summary<'a> {
         let statistics = statistics.ok_or("the summary has no statistics")?;
         let channel = channel.ok_or_else(|| format!("the summary has no channel {LABELS}"))?;
         Ok(Summary { records, statistics, channel })
+    }
+
+    /// Leaves out the chunks at the end of the data that hold labels alone: a new list takes their place. Where the data end then.
+    fn drop_label_chunks(&mut self, records: &mut Records, mut end: u64) -> Result<u64, RecordingError> {
+        let label_channel = self.channel.0;
+        let mut body = Vec::new();
+        while let Some(last) = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX) {
+            let index = self.records.get(last).map(|(_, body)| parse_record(op::CHUNK_INDEX, body));
+            let Some(Ok(Record::ChunkIndex(index))) = index else { break };
+            let start = index.chunk_start_offset;
+            let length = index.chunk_length.checked_add(index.message_index_length);
+            let place = index.message_index_offsets.get(&label_channel).copied();
+            let (Some(length), Some(place), 1) = (length, place, index.message_index_offsets.len()) else { break };
+            if start.checked_add(length) != Some(end) || start.checked_add(index.chunk_length) != Some(place) {
+                break;
+            }
+            // An index may lie.
+            records.go_to(start)?;
+            match records.next(&mut body, |_| false) {
+                Ok(Next::Record(op::CHUNK, _)) if records.offset == place => {}
+                Ok(_) | Err(RecordingError::Corrupt { .. }) => break,
+                Err(error) => return Err(error),
+            }
+            let messages = match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
+                Ok(Next::Record(op::MESSAGE_INDEX, _)) => match parse_record(op::MESSAGE_INDEX, &body) {
+                    Ok(Record::MessageIndex(index)) if index.channel_id == label_channel => index.records.len() as u64,
+                    _ => break,
+                },
+                Ok(_) | Err(RecordingError::Corrupt { .. }) => break,
+                Err(error) => return Err(error),
+            };
+            let statistics = &mut self.statistics;
+            statistics.message_count = statistics.message_count.saturating_sub(messages);
+            statistics.chunk_count = statistics.chunk_count.saturating_sub(1);
+            let count = statistics.channel_message_counts.entry(label_channel).or_default();
+            *count = count.saturating_sub(messages);
+            self.records.remove(last);
+            end = start;
+        }
+        Ok(end)
     }
 
     /// What stands from the end of the data on when a chunk with this message has been added at `end`.

@@ -8,13 +8,17 @@ use radome_dsp::{Frame, FrameSource, Gap, SourceError, SourceEvent, Waveform};
 
 use super::index::Index;
 use super::records::{Next, Records, Topic, read_chunk, read_head};
-use super::{FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, take_labels};
+use super::{
+    FrameResult, LabelSpan, RESULTS_VERSION, RecordingHeader, decode_frame, frame_position, staged, take_labels,
+};
 use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
 
 /// Reads a native recording as a [`FrameSource`].
 #[derive(Debug)]
 pub struct McapReader {
     records: Records,
+    /// Labels beside the recording, in place of those in it.
+    staged: Result<Option<Vec<LabelSpan>>, RecordingError>,
     header: RecordingHeader,
     strict: bool,
     index: Index,
@@ -53,14 +57,21 @@ impl Place {
 }
 
 impl McapReader {
-    /// Opens a recording. One that was never finished is read up to its last chunk.
+    /// Opens a recording. One that was never finished is read up to its last chunk that is whole.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
+        staged::recover(path);
+        // Before the index is read: they may go into the recording meanwhile.
+        let staged = staged_labels(path);
         let mut records = Records::open(path)?;
         let (header, channels) = read_head(&mut records)?;
         let index = Index::read(&mut records, &channels)?;
+        if let Some(end) = index.end {
+            records.length = end;
+        }
         records.go_to(8)?;
         Ok(McapReader {
             records,
+            staged,
             header,
             strict: false,
             index,
@@ -91,6 +102,13 @@ impl McapReader {
 
     /// All labels, in the order of writing. Only chunks that hold labels are read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
+        let staged = match &self.staged {
+            Ok(staged) => staged.clone(),
+            Err(_) => staged_labels(&self.records.path)?,
+        };
+        if let Some(labels) = staged {
+            return Ok(labels);
+        }
         let mut records = Records::open(&self.records.path)?;
         let mut labels = Vec::new();
         for chunk in self.index.chunks.iter().filter(|chunk| chunk.has_labels) {
@@ -285,6 +303,10 @@ impl McapReader {
             }
         }
     }
+}
+
+fn staged_labels(path: &Path) -> Result<Option<Vec<LabelSpan>>, RecordingError> {
+    Ok(staged::read(path)?.map(|staged| staged.labels))
 }
 
 /// The messages of a chunk that the index names.

@@ -9,8 +9,8 @@ use radome_dsp::{Frame, Gap, GapReason};
 use super::lengths::parse_record;
 use super::reader::parse_result;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk, read_header_alone};
-use super::{LabelSpan, RecordingHeader, decode_frame, take_labels};
-use crate::recording::{Format, RecordingError, RecordingWriter};
+use super::{LabelSpan, RecordingHeader, decode_frame, staged, take_labels};
+use crate::recording::{Existing, Format, RecordingError, RecordingWriter};
 
 /// A stretch of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -57,18 +57,33 @@ impl RepairReport {
 }
 
 /// Reads what can be read of `input`, which stays as it is, and writes it to `output`: all frames of chunks whose check
-/// sum is right. What lies between them becomes gaps. The file's header must be whole.
+/// sum is right. What lies between them becomes gaps. The file's header must be whole. Labels that are staged beside the input are
+/// taken in place of those in it. A file that is at `output` is replaced.
+///
+/// # Errors
+/// Those of [`repair_with`].
 pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingError> {
+    repair_with(input, output, Existing::Replace)
+}
+
+/// [`repair`], with a choice whether a file that is at `output` may be replaced.
+///
+/// # Errors
+/// The header of the input is damaged, both are the same file, the output exists and must not be replaced or has another writer,
+/// and an input/output error.
+pub fn repair_with(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
     let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if is_same(input, output) {
         return Err(RecordingError::Occupied { path: output.to_owned() });
     }
     let mut records = Records::open(input)?;
     let header = read_header_alone(&mut records)?;
-    let writer = RecordingWriter::create(output, Format::Mcap, &header)?;
+    let writer = RecordingWriter::create_with(output, Format::Mcap, &header, existing)?;
     let frame = Frame::zeroed(header.waveform.shape());
     let report = RepairReport::default();
-    let mut repair = Repair { writer, header, frame, report, expected: None, unread: None, labels: Vec::new() };
+    let mut repair =
+        Repair { writer, header, frame, report, expected: None, unread: None, labels: Vec::new(), staged: None };
+    repair.staged = staged::read(input)?.map(|staged| staged.labels);
     repair.copy(&mut records)?;
     repair.writer.finish()?;
     Ok(repair.report)
@@ -94,6 +109,8 @@ struct Repair {
     unread: Option<Unread>,
     /// Labels so far; later ones may take the place of earlier ones.
     labels: Vec<LabelSpan>,
+    /// Labels beside the input, in place of all in it.
+    staged: Option<Vec<LabelSpan>>,
 }
 
 impl Repair {
@@ -146,6 +163,9 @@ impl Repair {
         }
         // What was lost at the end.
         self.found(None)?;
+        if let Some(staged) = self.staged.take() {
+            self.labels = staged;
+        }
         self.report.labels = self.labels.len() as u64;
         self.labels.iter().try_for_each(|label| self.writer.label(label))
     }

@@ -1,0 +1,95 @@
+//! The file that `-o` names: never in place of one that exists, unless asked for; and names with the time in them.
+
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use anyhow::bail;
+use radome_driver::recording::{Existing, utc};
+
+use crate::files;
+
+/// Stands for the time in the name of an output.
+const TIME: &str = "{time}";
+
+/// Whether the output may take the place of a file that exists.
+#[derive(Debug, Clone, Copy, Default, clap::Args)]
+pub struct Overwrite {
+    /// Replace the output file if it exists; the old one stays until the new one is whole, or begun where it is recorded
+    #[arg(long)]
+    overwrite: bool,
+}
+
+impl Overwrite {
+    /// As the libraries know it.
+    pub fn existing(self) -> Existing {
+        if self.overwrite { Existing::Replace } else { Existing::Refuse }
+    }
+
+    /// Fails early where the output could not be written in the end: its folder is missing, or a file has its name. What is no file,
+    /// such as a device, may be written to.
+    pub fn check(self, path: &Path) -> anyhow::Result<()> {
+        files::check_parent(path)?;
+        if !self.overwrite && path.is_file() {
+            bail!("{} exists already\n\nhint: --overwrite replaces it; or choose another name", path.display());
+        }
+        Ok(())
+    }
+}
+
+/// The file to record to. In a folder it is one with the time as its name; `{time}` in a name stands for the time, in UTC. Where that
+/// exists, a number follows: two runs never have the same file.
+pub fn dated(path: &Path) -> PathBuf {
+    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_secs());
+    dated_at(path, &utc::file_stamp(now_s))
+}
+
+fn dated_at(path: &Path, stamp: &str) -> PathBuf {
+    let is_folder = path.is_dir() || path.as_os_str().as_encoded_bytes().ends_with(b"/");
+    let pattern = if is_folder { path.join(format!("{TIME}.mcap")) } else { path.to_owned() };
+    let Some(name) = pattern.file_name().and_then(|name| name.to_str()).filter(|name| name.contains(TIME)) else {
+        return pattern;
+    };
+    let with = |time: &str| pattern.with_file_name(name.replace(TIME, time));
+    let numbered = (2..).map(|number: u32| with(&format!("{stamp}-{number}")));
+    let mut names = std::iter::once(with(stamp)).chain(numbered);
+    names.find(|path| path.symlink_metadata().is_err()).unwrap_or(pattern)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_and_a_pattern_give_names_that_are_free() {
+        let folder = std::env::temp_dir().join(format!("radome-dated-{}", std::process::id()));
+        std::fs::create_dir(&folder).expect("creates");
+        let stamp = "20261122T212200Z";
+        let first = dated_at(&folder, stamp);
+        assert_eq!(first, folder.join("20261122T212200Z.mcap"));
+        std::fs::write(&first, "").expect("writes");
+        assert_eq!(dated_at(&folder, stamp), folder.join("20261122T212200Z-2.mcap"));
+        let pattern = folder.join("night-{time}.mcap");
+        assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z.mcap"));
+        std::fs::write(folder.join("night-20261122T212200Z.mcap"), "").expect("writes");
+        assert_eq!(dated_at(&pattern, stamp), folder.join("night-20261122T212200Z-2.mcap"));
+        // A name is a name, and a folder that is missing is noticed by who writes.
+        assert_eq!(dated_at(&folder.join("a.mcap"), stamp), folder.join("a.mcap"));
+        assert_eq!(dated_at(Path::new("no/such/"), stamp), Path::new("no/such/20261122T212200Z.mcap"));
+        std::fs::remove_dir_all(&folder).expect("removes");
+    }
+
+    #[test]
+    fn a_file_that_exists_is_refused_and_a_device_is_not() {
+        let path = std::env::temp_dir().join(format!("radome-exists-{}", std::process::id()));
+        std::fs::write(&path, "").expect("writes");
+        let said = Overwrite::default().check(&path).expect_err("refused").to_string();
+        assert!(said.contains("exists already") && said.contains("--overwrite"), "{said}");
+        Overwrite { overwrite: true }.check(&path).expect("allowed");
+        std::fs::remove_file(&path).expect("removes");
+        Overwrite::default().check(&path).expect("free");
+        if Path::new("/dev/null").exists() {
+            Overwrite::default().check(Path::new("/dev/null")).expect("a device");
+        }
+        assert!(Overwrite::default().check(Path::new("no/such/folder/a.mcap")).is_err());
+    }
+}

@@ -1,0 +1,231 @@
+//! The operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through these
+//! functions only, so that tests can fail, forget and tear each of them.
+
+use std::fs::File;
+use std::io::{self, Seek, SeekFrom, Write};
+use std::path::Path;
+
+/// Appends to a file that is `at` bytes long and whose position is its end.
+pub(super) fn append(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
+    let _ = (path, at);
+    #[cfg(test)]
+    if let Err(error) =
+        trial::before(path, || trial::Change::Write { inode: trial::inode(file), at, bytes: bytes.into() })
+    {
+        // A full disk takes what it has room for.
+        file.write_all(bytes.get(..bytes.len() / 2).unwrap_or(&[]))?;
+        return Err(error);
+    }
+    file.write_all(bytes)
+}
+
+/// Writes over a file from `at` on.
+pub(super) fn overwrite(mut file: &File, path: &Path, at: u64, bytes: &[u8]) -> io::Result<()> {
+    file.seek(SeekFrom::Start(at))?;
+    append(file, path, at, bytes)
+}
+
+/// Cuts a file, or extends it with zeros.
+pub(super) fn set_length(file: &File, path: &Path, length: u64) -> io::Result<()> {
+    let _ = path;
+    #[cfg(test)]
+    trial::before(path, || trial::Change::SetLength { inode: trial::inode(file), length })?;
+    file.set_len(length)
+}
+
+/// Sets room on the disk aside, so that a full disk is found before anything is overwritten. File systems that cannot do this
+/// find it later.
+pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
+    #[cfg(target_os = "linux")]
+    match rustix::fs::fallocate(file, rustix::fs::FallocateFlags::KEEP_SIZE, at, bytes) {
+        Err(error) if error == rustix::io::Errno::NOSPC => return Err(error.into()),
+        _ => {}
+    }
+    let _ = (file, at, bytes);
+    Ok(())
+}
+
+/// Waits until all that was written to a file or folder is on the disk. A device or a pipe has nothing to wait for.
+pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
+    let _ = path;
+    let metadata = file.metadata()?;
+    if !metadata.is_file() && !metadata.is_dir() {
+        return Ok(());
+    }
+    #[cfg(test)]
+    trial::before(path, || trial::Change::Sync { inode: trial::inode(file) })?;
+    file.sync_data()
+}
+
+/// Waits until the names in the folder of `path` are on the disk, where the system lets folders be opened.
+pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
+    #[cfg(test)]
+    trial::before(path, || trial::Change::SyncFolder)?;
+    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if cfg!(unix) { File::open(parent)?.sync_all() } else { Ok(()) }
+}
+
+/// Renames; a file of the new name is replaced.
+pub(super) fn rename(from: &Path, to: &Path) -> io::Result<()> {
+    #[cfg(test)]
+    trial::before(to, || trial::Change::Rename { from: from.into(), to: to.into() })?;
+    std::fs::rename(from, to)
+}
+
+/// Renames, or fails with [`io::ErrorKind::AlreadyExists`].
+pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
+    #[cfg(test)]
+    trial::before(to, || trial::Change::Rename { from: from.into(), to: to.into() })?;
+    #[cfg(target_os = "linux")]
+    {
+        use rustix::fs::{CWD, RenameFlags, renameat_with};
+        use rustix::io::Errno;
+        match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
+            // This file system cannot do both at once.
+            Err(error) if error == Errno::INVAL || error == Errno::NOSYS || error == Errno::OPNOTSUPP => {}
+            done => return Ok(done?),
+        }
+    }
+    if std::fs::symlink_metadata(to).is_ok() {
+        return Err(io::ErrorKind::AlreadyExists.into());
+    }
+    std::fs::rename(from, to)
+}
+
+/// Removes a file; one that is absent already is no error.
+pub(super) fn remove(path: &Path) -> io::Result<()> {
+    #[cfg(test)]
+    trial::before(path, || trial::Change::Remove { path: path.into() })?;
+    match std::fs::remove_file(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        done => done,
+    }
+}
+
+/// What a test sees of the operations below its folder, and what it does to them.
+#[cfg(test)]
+pub(super) mod trial {
+    use std::fs::File;
+    use std::io;
+    use std::os::unix::fs::MetadataExt;
+    use std::path::{Path, PathBuf};
+    use std::sync::{Arc, Mutex, PoisonError};
+    use std::time::Duration;
+
+    /// An operation.
+    #[derive(Debug, Clone)]
+    pub enum Change {
+        /// A file that has this name now, empty.
+        Create { inode: u64, path: PathBuf },
+        /// Bytes at a place.
+        Write { inode: u64, at: u64, bytes: Vec<u8> },
+        /// A new length.
+        SetLength { inode: u64, length: u64 },
+        /// All changes of a file so far are on the disk.
+        Sync { inode: u64 },
+        /// All names of the folder so far are on the disk.
+        SyncFolder,
+        /// Another name.
+        Rename { from: PathBuf, to: PathBuf },
+        /// No name.
+        Remove { path: PathBuf },
+        /// The test has got this far; no operation.
+        Mark(u64),
+    }
+
+    impl Change {
+        fn needs_room(&self) -> bool {
+            matches!(self, Change::Create { .. } | Change::Write { .. })
+        }
+    }
+
+    /// How operations fail.
+    #[derive(Debug, Clone, Copy)]
+    pub enum Plan {
+        /// Not at all.
+        Work,
+        /// The operation with this number fails with an input/output error.
+        Fail(usize),
+        /// From the operation with this number on, the disk is full.
+        Full(usize),
+        /// Every sync takes this long.
+        Slow(Duration),
+    }
+
+    /// What has happened below a folder.
+    pub struct Trial {
+        folder: PathBuf,
+        plan: Plan,
+        changes: Mutex<Vec<Change>>,
+    }
+
+    static TRIALS: Mutex<Vec<Arc<Trial>>> = Mutex::new(Vec::new());
+
+    fn trials() -> std::sync::MutexGuard<'static, Vec<Arc<Trial>>> {
+        TRIALS.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    impl Trial {
+        /// Watches a folder until dropped.
+        pub fn start(folder: &Path, plan: Plan) -> Watched {
+            let trial = Arc::new(Trial { folder: folder.to_owned(), plan, changes: Mutex::default() });
+            trials().push(trial.clone());
+            Watched(trial)
+        }
+    }
+
+    /// A folder that is watched.
+    pub struct Watched(Arc<Trial>);
+
+    impl Watched {
+        /// All operations so far.
+        pub fn changes(&self) -> Vec<Change> {
+            self.0.changes.lock().unwrap_or_else(PoisonError::into_inner).clone()
+        }
+
+        /// Notes how far the test has got.
+        pub fn mark(&self, number: u64) {
+            self.0.changes.lock().unwrap_or_else(PoisonError::into_inner).push(Change::Mark(number));
+        }
+    }
+
+    impl Drop for Watched {
+        fn drop(&mut self) {
+            trials().retain(|trial| !Arc::ptr_eq(trial, &self.0));
+        }
+    }
+
+    /// Number of a file that stays when it is renamed.
+    pub fn inode(file: &File) -> u64 {
+        file.metadata().map_or(0, |metadata| metadata.ino())
+    }
+
+    /// Called before each operation; an error takes its place.
+    pub fn before(path: &Path, change: impl FnOnce() -> Change) -> io::Result<()> {
+        let found = trials().iter().find(|trial| path.starts_with(&trial.folder)).cloned();
+        let Some(trial) = found else { return Ok(()) };
+        let change = change();
+        let is_sync = matches!(change, Change::Sync { .. });
+        {
+            let mut changes = trial.changes.lock().unwrap_or_else(PoisonError::into_inner);
+            let number = changes.iter().filter(|change| !matches!(change, Change::Mark(_))).count();
+            let fails = match trial.plan {
+                Plan::Fail(at) => number == at,
+                Plan::Full(from) => number >= from && change.needs_room(),
+                Plan::Work | Plan::Slow(_) => false,
+            };
+            // A failed operation counts, so that one alone fails.
+            changes.push(if fails { Change::SetLength { inode: 0, length: 0 } } else { change });
+            if fails {
+                let full = matches!(trial.plan, Plan::Full(_));
+                return Err(io::Error::from_raw_os_error(if full { 28 } else { 5 }));
+            }
+        }
+        if let Plan::Slow(wait) = trial.plan
+            && is_sync
+        {
+            std::thread::sleep(wait);
+        }
+        Ok(())
+    }
+}

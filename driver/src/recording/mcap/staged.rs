@@ -1,0 +1,192 @@
+//! Labels that are not in their recording yet: a file beside it, `.NAME.labels`, holds all of them and takes the place of those in
+//! the recording.
+//!
+//! While a recording is made, and while somebody labels a finished one, each change writes this file anew: beside its name, synced
+//! and renamed, so that the old list or the new one is there at any moment and no file grows. The list goes into the recording
+//! when it is finished or the editing ends. For a finished recording that overwrites the summary, so the file first takes the new
+//! end of the recording too: whoever finds it there after a power cut writes that end once more.
+//!
+//! First a line of JSON ([`Head`]), then the new end of the recording, if there is one. A file that belongs to another recording of
+//! the same name is not believed: it states the CRC of the recording's first bytes.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::LabelSpan;
+use super::records::MAX_RECORD;
+use crate::recording::lock::lock;
+use crate::recording::partial::{Partial, hidden};
+use crate::recording::{Existing, RecordingError, disk};
+
+const VERSION: u32 = 1;
+/// The recording's first bytes that are compared, at most.
+const PREFIX_BYTES: u64 = 1 << 16;
+
+#[derive(Debug, Serialize, Deserialize)]
+struct Head {
+    version: u32,
+    /// Length of the recording's start, bytes, and its CRC-32.
+    prefix_bytes: u64,
+    prefix_crc: u32,
+    /// Where the new end of the recording belongs, its length and its CRC-32; absent if the recording is as it should be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    end: Option<EndHead>,
+    labels: Vec<LabelSpan>,
+}
+
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+struct EndHead {
+    at: u64,
+    bytes: u64,
+    crc: u32,
+}
+
+/// The end of a recording: all from a place on.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct End {
+    /// Where it begins.
+    pub at: u64,
+    /// What stands there.
+    pub bytes: Vec<u8>,
+}
+
+/// Labels beside a recording.
+#[derive(Debug)]
+pub(super) struct Staged {
+    /// All labels of the recording.
+    pub labels: Vec<LabelSpan>,
+    /// The end of the recording that holds them.
+    pub end: Option<End>,
+}
+
+fn name(recording: &Path) -> Result<PathBuf, RecordingError> {
+    hidden(recording, ".labels")
+}
+
+/// CRC-32 of the first bytes of a file; `None` if it has fewer.
+fn prefix_crc(recording: &Path, bytes: u64) -> std::io::Result<Option<u32>> {
+    let mut start = Vec::new();
+    File::open(recording)?.take(bytes).read_to_end(&mut start)?;
+    Ok((start.len() as u64 == bytes).then(|| crc32fast::hash(&start)))
+}
+
+/// Makes these all labels of a recording, until [`remove`]: they are on the disk when this returns. `data_end` is the length of that
+/// part of the recording which will not change.
+///
+/// # Errors
+/// An input/output error; the labels before are then still there.
+pub(super) fn write(
+    recording: &Path,
+    data_end: u64,
+    labels: &[LabelSpan],
+    end: Option<&End>,
+) -> Result<(), RecordingError> {
+    let path = name(recording)?;
+    let cannot = || RecordingError::cannot_write(&path);
+    let prefix_bytes = data_end.min(PREFIX_BYTES);
+    let prefix = prefix_crc(recording, prefix_bytes).map_err(RecordingError::io(recording, "cannot be read"))?;
+    let head = Head {
+        version: VERSION,
+        prefix_bytes,
+        prefix_crc: prefix.unwrap_or(0),
+        end: end.map(|end| EndHead { at: end.at, bytes: end.bytes.len() as u64, crc: crc32fast::hash(&end.bytes) }),
+        labels: labels.to_vec(),
+    };
+    let mut bytes = serde_json::to_vec(&head).map_err(|e| cannot()(e.into()))?;
+    bytes.push(b'\n');
+    if let Some(end) = end {
+        bytes.extend_from_slice(&end.bytes);
+    }
+    let partial = Partial::file(&path, Existing::Replace)?;
+    disk::append(&partial.open()?, &path, 0, &bytes).map_err(cannot())?;
+    partial.finish()
+}
+
+/// The labels beside a recording, if there are any.
+///
+/// # Errors
+/// The file cannot be read, is damaged or by a newer program.
+pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
+    let path = name(recording)?;
+    let file = match File::open(&path) {
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        file => file.map_err(RecordingError::io(&path, "cannot be opened"))?,
+    };
+    let mut bytes = Vec::new();
+    file.take(2 * MAX_RECORD).read_to_end(&mut bytes).map_err(RecordingError::io(&path, "cannot be read"))?;
+    let corrupt = |reason: String| RecordingError::Corrupt { path: path.clone(), offset: 0, reason };
+    let line = bytes.iter().position(|byte| *byte == b'\n').ok_or_else(|| corrupt("no line with labels".into()))?;
+    let (line, rest) = bytes.split_at(line);
+    let version: Version = serde_json::from_slice(line).map_err(|e| corrupt(format!("malformed labels: {e}")))?;
+    if version.version > VERSION {
+        let got = format!("{} of staged labels", version.version);
+        return Err(RecordingError::Newer { path: path.clone(), got, supported: "1" });
+    }
+    let head: Head = serde_json::from_slice(line).map_err(|e| corrupt(format!("malformed labels: {e}")))?;
+    let prefix = prefix_crc(recording, head.prefix_bytes.min(PREFIX_BYTES));
+    if prefix.map_err(RecordingError::io(recording, "cannot be read"))? != Some(head.prefix_crc) {
+        tracing::warn!("{}: labels of another recording of this name; they are left out", path.display());
+        return Ok(None);
+    }
+    let rest = rest.get(1..).unwrap_or(&[]);
+    let end = match head.end {
+        Some(end) if (rest.len() as u64, crc32fast::hash(rest)) == (end.bytes, end.crc) => {
+            Some(End { at: end.at, bytes: rest.to_vec() })
+        }
+        Some(_) => return Err(corrupt("the recording's end in it is damaged".into())),
+        None => None,
+    };
+    Ok(Some(Staged { labels: head.labels, end }))
+}
+
+#[derive(Deserialize)]
+struct Version {
+    version: u32,
+}
+
+/// Removes the labels beside a recording, once they are in it or it is gone.
+pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
+    let Ok(path) = name(recording) else { return Ok(()) };
+    if !path.exists() {
+        return Ok(());
+    }
+    disk::remove(&path)?;
+    disk::sync_folder(&path)
+}
+
+/// Removes the labels beside a recording that has taken the place of another.
+///
+/// # Errors
+/// An input/output error.
+pub(in crate::recording) fn remove_staged_labels(recording: &Path) -> Result<(), RecordingError> {
+    remove(recording).map_err(RecordingError::cannot_write(recording))
+}
+
+/// Writes the end of a recording that its staged labels hold, and removes them. The caller has locked `file`.
+pub(super) fn apply(file: &File, recording: &Path, end: &End) -> std::io::Result<()> {
+    disk::overwrite(file, recording, end.at, &end.bytes)?;
+    disk::set_length(file, recording, end.at + end.bytes.len() as u64)?;
+    disk::sync(file, recording)?;
+    remove(recording)
+}
+
+/// Completes what a power cut or a kill has interrupted while labels went into a finished recording. A recording that somebody else
+/// writes to, or that may only be read, is left as it is: its frames can be read anyway.
+pub(super) fn recover(recording: &Path) {
+    let is_interrupted = || matches!(read(recording), Ok(Some(Staged { end: Some(_), .. })));
+    if !is_interrupted() {
+        return;
+    }
+    let open = || File::options().read(true).write(true).open(recording);
+    let Ok(locked) = lock(recording, Duration::ZERO, open) else { return };
+    // Who had the lock may have done it.
+    if let Ok(Some(Staged { end: Some(end), .. })) = read(recording)
+        && let Err(error) = apply(locked.file(), recording, &end)
+    {
+        tracing::warn!(%error, "{}: labels are beside the recording and cannot be put into it", recording.display());
+    }
+}

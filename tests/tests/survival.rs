@@ -1,0 +1,308 @@
+//! Recordings outlive the program that makes them: nothing is replaced unasked, one writer at a time has a recording, and a kill or a
+//! full disk leaves a file that opens.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use radome_driver::recording::Recording;
+use radome_driver::{McapReader, Reconnect, Recorder, RecordingHeader};
+use radome_dsp::{Frame, FrameSource, RxMask, SourceEvent, Waveform, WaveformRequest};
+use radome_tests::running::{Running, wait_for};
+use radome_tests::{failure, fixture, json_lines, radome, root};
+
+/// One receiver at ten frames a second: 64 KiB a frame.
+fn waveform() -> Waveform {
+    let rx_antennas = RxMask::from_antennas(&[1]).expect("an antenna");
+    Waveform::realise(WaveformRequest { rx_antennas, ..WaveformRequest::paper() }).expect("possible")
+}
+
+/// A recording of noise, which hardly becomes shorter by compression.
+fn noise(path: &Path, frames: u64) {
+    let waveform = waveform();
+    let mut recorder = Recorder::create(path, &RecordingHeader::new(waveform.clone())).expect("creates");
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut state = 1u64;
+    for sequence in 0..frames {
+        for code in &mut frame.codes {
+            state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            *code = (state >> 52) as u16;
+        }
+        frame.sequence = sequence;
+        frame.time_ns = (sequence as f64 * waveform.frame_interval_s() * 1e9) as u64;
+        recorder.frame(&frame).expect("records");
+    }
+    recorder.finish().expect("finishes");
+}
+
+/// How many frames can be read, one after the other from the first on.
+fn readable(path: &Path) -> u64 {
+    let mut source = Recording::open(path).unwrap_or_else(|e| panic!("{e}"));
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut count = 0;
+    while source.next_frame(&mut frame).unwrap_or_else(|e| panic!("{e}")) == SourceEvent::Frame {
+        assert_eq!(frame.sequence, count);
+        count += 1;
+    }
+    count
+}
+
+fn is_complete(path: &Path) -> bool {
+    McapReader::open(path).expect("opens").is_complete()
+}
+
+/// Frames that a recording which is being made has so far.
+fn so_far(path: &Path) -> u64 {
+    McapReader::open(path).ok().and_then(|reader| reader.frame_count()).unwrap_or(0)
+}
+
+fn files(folder: &Path) -> Vec<PathBuf> {
+    let mut files: Vec<PathBuf> =
+        std::fs::read_dir(folder).expect("lists").map(|entry| entry.expect("an entry").path()).collect();
+    files.sort();
+    files
+}
+
+#[test]
+fn an_output_that_exists_is_refused_and_stays_as_it_is() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let kept = folder.path().join("kept.mcap");
+    std::fs::write(&kept, "a night of frames").expect("writable");
+    let sources = tempfile::tempdir().expect("a folder");
+    noise(&sources.path().join("noise.mcap"), 3);
+    let plain = sources.path().join("noise.mcap").display().to_string();
+    let input = |name: &str| fixture(name).display().to_string();
+    let judged = input("formats/judged.mcap");
+    let model = input("models/desk-hqnn.safetensors");
+    let scene = input("scenes/desk.toml");
+    let commands: [&[&str]; 11] = [
+        &["record", &plain, "-o"],
+        &["live", &plain, "--model", "cfar", "-o"],
+        &["simulate", &scene, "--frames", "2", "-o"],
+        &["convert", &plain],
+        &["repair", &plain, "-o"],
+        &["rdm", &plain, "-o"],
+        &["export", &model, "-o"],
+        &["background", &plain, "--model", "cfar", "-o"],
+        &["train", "no-dataset", "-o"],
+        &["labels", &plain, "--export"],
+        &["results", &judged, "--csv"],
+    ];
+    for command in commands {
+        let said = failure(radome().args(command).arg(&kept));
+        assert!(said.contains("kept.mcap exists already") && said.contains("--overwrite"), "{command:?}: {said}");
+        assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
+        assert_eq!(files(folder.path()), [kept.clone()], "{command:?}");
+    }
+    for command in
+        commands.iter().filter(|command| ["record", "simulate", "convert", "rdm", "export"].contains(&command[0]))
+    {
+        std::fs::write(&kept, "a night of frames").expect("writable");
+        let output = radome().args(*command).arg(&kept).arg("--overwrite").output().expect("runs");
+        assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
+        assert_ne!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
+        assert_eq!(files(folder.path()), [kept.clone()], "{command:?}");
+    }
+}
+
+/// What the unit runs, as systemd would put it together.
+fn service(source: &Path, options: &[&str]) -> Command {
+    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
+    let line = unit.lines().find_map(|line| line.strip_prefix("ExecStart=")).expect("a command");
+    let mut command = radome();
+    for word in line.split_whitespace().skip(1) {
+        match word {
+            "${RADOME_SOURCE}" => command.arg(source),
+            "${RADOME_MODEL}" => command.arg("cfar"),
+            "$RADOME_OPTIONS" => command.args(options),
+            word => command.arg(word),
+        };
+    }
+    command
+}
+
+#[test]
+fn a_service_that_starts_again_records_to_another_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (source, nights) = (folder.path().join("source.mcap"), folder.path().join("nights"));
+    noise(&source, 12);
+    std::fs::create_dir(&nights).expect("creates");
+    let output = format!("{}/", nights.display());
+    let mut before: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+    for run in 1..=3 {
+        let done = service(&source, &["-o", &output]).output().expect("runs");
+        assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+        for (path, bytes) in &before {
+            assert!(&std::fs::read(path).expect("readable") == bytes, "{} has changed", path.display());
+        }
+        let now = files(&nights);
+        assert_eq!(now.len(), run, "{now:?}");
+        assert!(now.iter().all(|path| readable(path) == 12 && is_complete(path)));
+        before = now.into_iter().map(|path| (path.clone(), std::fs::read(&path).expect("readable"))).collect();
+    }
+    // A file's name is no use there: the second start is refused.
+    let one = folder.path().join("one.mcap").display().to_string();
+    assert!(service(&source, &["-o", &one]).output().expect("runs").status.success());
+    assert!(failure(&mut service(&source, &["-o", &one])).contains("exists already"));
+}
+
+#[test]
+fn the_time_stands_in_a_name_where_it_is_asked_for() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let source = folder.path().join("source.mcap");
+    noise(&source, 6);
+    let pattern = folder.path().join("night-{time}.mcap");
+    for _ in 0..2 {
+        let said = json_lines(radome().arg("record").arg(&source).arg("--json").arg("-o").arg(&pattern)).remove(0);
+        let file = PathBuf::from(said["file"].as_str().expect("a name"));
+        assert_eq!(readable(&file), 6);
+        let name = file.file_name().expect("a name").to_string_lossy().into_owned();
+        let time = name.strip_prefix("night-20").expect("this century");
+        assert!(time[6..].starts_with('T') && time.contains('Z') && time.ends_with(".mcap"), "{name}");
+    }
+    assert_eq!(files(folder.path()).len(), 3);
+}
+
+#[test]
+fn the_watchdog_waits_longer_than_a_lost_board_is_looked_for() {
+    let unit = std::fs::read_to_string(root().join("packaging/systemd/radome.service")).expect("packaged");
+    let seconds = unit.lines().find_map(|line| line.strip_prefix("WatchdogSec=")).expect("a watchdog");
+    let watchdog = Duration::from_secs(seconds.parse().expect("seconds"));
+    assert!(watchdog >= 2 * Reconnect::default().give_up_after, "{watchdog:?}");
+}
+
+#[test]
+fn a_second_writer_is_refused_while_the_first_goes_on() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    noise(&at("source.mcap"), 600);
+    let made = at("made.mcap");
+    let mut recorder =
+        Running::start(radome().arg("record").arg(at("source.mcap")).args(["--speed", "1", "--json", "-o"]).arg(&made));
+    wait_for("frames in the file", || (so_far(&made) >= 5).then_some(()));
+    let busy = "another program is writing to it";
+    let source = at("source.mcap");
+    assert!(failure(radome().arg("record").arg(&source).arg("-o").arg(&made)).contains("exists already"));
+    assert!(failure(radome().arg("record").arg(&source).arg("--overwrite").arg("-o").arg(&made)).contains(busy));
+    assert!(failure(radome().arg("convert").arg(&source).arg(&made).arg("--overwrite")).contains(busy));
+    std::fs::write(at("track.txt"), "0.0\t0.3\tone\n").expect("writable");
+    let said = failure(radome().arg("labels").arg(&made).arg("--import").arg(at("track.txt")));
+    assert!(said.contains(busy) && said.contains("made.mcap"), "{said}");
+    recorder.signal("INT");
+    assert!(recorder.wait().success(), "{:?}", recorder.stderr.all());
+    assert!(is_complete(&made) && readable(&made) >= 5);
+    // Who waited may write now.
+    json_lines(radome().arg("labels").arg(&made).args(["--json", "--import"]).arg(at("track.txt")));
+    assert_eq!(McapReader::open(&made).expect("opens").labels().expect("labels").len(), 1);
+    assert_eq!(files(folder.path()), [made, source, at("track.txt")]);
+}
+
+#[test]
+fn labels_that_are_imported_at_once_are_all_there() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    noise(&at("a.mcap"), 60);
+    let imports: Vec<_> = (0..5)
+        .map(|k| {
+            let track = at(&format!("{k}.txt"));
+            std::fs::write(&track, format!("{k}.0\t{k}.5\tone\n")).expect("writable");
+            let mut command = radome();
+            command.arg("labels").arg(at("a.mcap")).args(["--json", "--import"]).arg(track);
+            command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().expect("starts")
+        })
+        .collect();
+    for import in imports {
+        let output = import.wait_with_output().expect("ends");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    }
+    let mut starts: Vec<f64> =
+        McapReader::open(&at("a.mcap")).expect("opens").labels().expect("labels").iter().map(|l| l.start_s).collect();
+    starts.sort_by(f64::total_cmp);
+    assert_eq!(starts, [0.0, 1.0, 2.0, 3.0, 4.0]);
+    assert_eq!(readable(&at("a.mcap")), 60);
+}
+
+/// By a signal that nobody can catch: what was in the file stays, the lock goes with the process, and the name is not used again.
+#[test]
+fn a_recorder_that_is_killed_leaves_what_it_had_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    noise(&at("source.mcap"), 600);
+    for (name, command) in [("record.mcap", &["record"][..]), ("live.mcap", &["live", "--model", "cfar"][..])] {
+        let made = at(name);
+        let mut recorder =
+            Running::start(radome().args(command).arg(at("source.mcap")).args(["--speed", "1", "-o"]).arg(&made));
+        let seen = wait_for("frames in the file", || Some(so_far(&made)).filter(|count| *count >= 20));
+        recorder.signal("KILL");
+        recorder.wait();
+        let count = readable(&made);
+        assert!(count >= seen && !is_complete(&made), "{count} of {seen}");
+        let repaired = at(&format!("repaired-{name}"));
+        // Its exit status says that the end was lost.
+        radome().arg("repair").arg(&made).arg("-o").arg(&repaired).output().expect("runs");
+        assert!(readable(&repaired) == count && is_complete(&repaired));
+        let again = failure(radome().arg("record").arg(at("source.mcap")).arg("-o").arg(&made));
+        assert!(again.contains("exists already"), "{again}");
+        assert_eq!(readable(&made), count);
+    }
+}
+
+/// The error of a program that has no room: the file and the first cause, nothing that followed from it.
+fn assert_names_cause(output: &Output, path: &Path, cause: &str) {
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    let error = said.lines().find(|line| line.starts_with("error: ")).unwrap_or_else(|| panic!("no error in {said}"));
+    assert!(error.contains(&path.display().to_string()) && error.contains(cause), "{said}");
+    assert!(!said.contains("after a write method failed"), "{said}");
+}
+
+/// Commands that record, before their source.
+const RECORDERS: [&[&str]; 2] = [&["record"], &["live", "--model", "cfar", "--json"]];
+
+/// A limit on the size of files stands for a full disk.
+#[test]
+fn a_file_that_may_not_grow_ends_the_recording_and_opens() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    noise(&at("source.mcap"), 60);
+    for command in RECORDERS {
+        let made = at(&format!("{}.mcap", command[0]));
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "trap '' XFSZ; ulimit -f 2000; exec \"$@\"", "sh"]).arg(radome().get_program());
+        shell.args(command).arg(at("source.mcap")).arg("-o").arg(&made).current_dir(root());
+        assert_names_cause(&shell.output().expect("runs"), &made, "File too large");
+        let count = readable(&made);
+        assert!((5..60).contains(&count) && !is_complete(&made), "{count}");
+    }
+}
+
+/// A disk of two megabytes. It needs the right to mount one, in a name space of its own.
+#[test]
+#[allow(clippy::print_stderr)]
+fn a_full_disk_ends_the_recording_and_leaves_a_file_that_opens() {
+    const SCRIPT: &str = "mount -t tmpfs -o size=2m tmpfs \"$1\" || exit 77; disk=$1; copy=$2; shift 2
+        \"$@\"; status=$?; cp \"$disk/x.mcap\" \"$copy\"; exit $status";
+    let folder = tempfile::tempdir().expect("a folder");
+    let at = |name: &str| folder.path().join(name);
+    noise(&at("source.mcap"), 60);
+    std::fs::create_dir(at("disk")).expect("creates");
+    for command in RECORDERS {
+        let (made, copy) = (at("disk/x.mcap"), at(&format!("{}.mcap", command[0])));
+        let mut shell = Command::new("unshare");
+        shell.args(["-m", "sh", "-c", SCRIPT, "sh"]).arg(at("disk")).arg(&copy).arg(radome().get_program());
+        shell.args(command).arg(at("source.mcap")).arg("-o").arg(&made).current_dir(root());
+        let output = shell.output();
+        let Some(output) = output.ok().filter(|output| output.status.code() == Some(1)) else {
+            eprintln!("skipped: a small disk cannot be mounted here");
+            return;
+        };
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        if said.contains("unshare") {
+            eprintln!("skipped: {said}");
+            return;
+        }
+        assert_names_cause(&output, &made, "No space left on device");
+        let count = readable(&copy);
+        assert!((5..60).contains(&count) && !is_complete(&copy), "{count}");
+    }
+}
