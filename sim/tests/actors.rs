@@ -353,6 +353,16 @@ mod hard_cases {
         }
     }
 
+    /// The library that reads the format checks neither and panics on both: found by fuzzing.
+    #[test]
+    fn gltf_animations_of_nothing_are_refused() {
+        for (name, value) in [("path", serde_json::json!("rotatioN")), ("node", serde_json::json!(99))] {
+            let mut file = biped::gltf(1.0);
+            file.json["animations"][0]["channels"][0]["target"][name] = value;
+            refused(parse(&file.bytes(), "a.gltf"), &["glTF", "animations[0].channels[0].target"]);
+        }
+    }
+
     #[test]
     fn gltf_counts_beyond_the_file_are_refused() {
         let wrong = |change: &dyn Fn(&mut biped::Gltf), expected: &[&str]| {

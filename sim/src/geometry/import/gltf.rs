@@ -223,11 +223,19 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
         gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
     // Only the first: there may be one for each number.
     let mut invalid = None;
-    root.validate(&root, gltf::json::Path::new, &mut |path: &dyn Fn() -> gltf::json::Path, error| {
+    let mut report = |path: &dyn Fn() -> gltf::json::Path, error: gltf::json::validation::Error| {
         if invalid.is_none() {
             invalid = Some(format!("{}: {error}", path()));
         }
-    });
+    };
+    root.validate(&root, gltf::json::Path::new, &mut report);
+    // The library checks everything but what channels of animations aim at, and panics on what is wrong there.
+    for (index, animation) in root.animations.iter().enumerate() {
+        for (channel, of) in animation.channels.iter().enumerate() {
+            let path = || gltf::json::Path::new().field("animations").index(index).field("channels").index(channel);
+            of.target.validate(&root, || path().field("target"), &mut report);
+        }
+    }
     match invalid {
         Some(problem) => Err(fault("glTF", problem)),
         None => Ok((gltf::Document::from_json_without_validation(root), blob)),
