@@ -12,7 +12,7 @@ use serde_json::Value;
 fn simulate(path: &Path, people: &str, seed: &str) {
     let mut command = radome();
     command.arg("simulate").arg(fixture("scenes/corridor.toml")).args(["--people", people, "--seed", seed]);
-    json_lines(command.args(["--frames", "300", "--json", "-o"]).arg(path));
+    json_lines(command.args(["--frames", "300", "--json", "--overwrite", "-o"]).arg(path));
 }
 
 /// The same with a fan at 3 m: three blades that come and go by 6 cm 2.3 times a second, 3 codes strong.
