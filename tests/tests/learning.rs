@@ -115,7 +115,7 @@ fn one_recording_can_be_held_out() {
             .arg(maps())
             .arg("--spec")
             .arg(&spec)
-            .args(["--hold-out", sequence, "--json", "-o"])
+            .args(["--hold-out", sequence, "--json", "--overwrite", "-o"])
             .arg(&model);
         command
     };
