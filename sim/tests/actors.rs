@@ -353,14 +353,17 @@ mod hard_cases {
         }
     }
 
-    /// The library that reads the format checks neither and panics on both: found by fuzzing.
+    /// The library that reads the format does not check these and panics: found by fuzzing.
     #[test]
-    fn gltf_animations_of_nothing_are_refused() {
+    fn gltf_references_to_nothing_are_refused() {
         for (name, value) in [("path", serde_json::json!("rotatioN")), ("node", serde_json::json!(99))] {
             let mut file = biped::gltf(1.0);
             file.json["animations"][0]["channels"][0]["target"][name] = value;
             refused(parse(&file.bytes(), "a.gltf"), &["glTF", "animations[0].channels[0].target"]);
         }
+        let mut file = biped::gltf(1.0);
+        file.json["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = serde_json::json!(99);
+        refused(parse(&file.bytes(), "a.gltf"), &["glTF primitive 0", "accessor 99", "out of bounds"]);
     }
 
     #[test]

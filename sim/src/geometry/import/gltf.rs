@@ -221,6 +221,15 @@ fn document(bytes: &[u8]) -> Result<(gltf::Document, Option<Vec<u8>>), GltfFault
     }
     let root: gltf::json::Root =
         gltf::json::deserialize::from_slice(&text).map_err(|e| fault("glTF", e.to_string()))?;
+    // The library looks into the accessors of positions before it knows that they are there.
+    for (index, primitive) in root.meshes.iter().flat_map(|mesh| &mesh.primitives).enumerate() {
+        if let Some(accessor) = primitive.attributes.values().find(|accessor| accessor.value() >= root.accessors.len())
+        {
+            let (accessor, count) = (accessor.value(), root.accessors.len());
+            let problem = format!("it names accessor {accessor}, but there are {count}: index out of bounds");
+            return Err(fault(format!("glTF primitive {index}"), problem));
+        }
+    }
     // Only the first: there may be one for each number.
     let mut invalid = None;
     let mut report = |path: &dyn Fn() -> gltf::json::Path, error: gltf::json::validation::Error| {
