@@ -23,7 +23,8 @@ pub const CFAR: &str = "cfar";
 /// (200001 to 200006).
 const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
 
-const CFAR_SMOOTHING: Smoothing = Smoothing { dwell_s: 8.0, unseen_share: 0.15, unseen_s: 3.0, weight: 1.0 };
+const CFAR_SMOOTHING: Smoothing =
+    Smoothing { dwell_s: 8.0, unseen_share: 0.15, unseen_s: 3.0, weight: Some(1.0), independent_s: None };
 
 /// A model, before it is known which frames it will see.
 pub enum Model {
@@ -124,6 +125,14 @@ impl Judge {
         match &self.0 {
             Kind::Network { map, .. } => map,
             Kind::Cfar(counter) => counter.map(),
+        }
+    }
+
+    /// The network at work, to be asked about changed maps; the detector looks at frames and has none.
+    pub fn classifier(&mut self) -> Option<&mut Classifier> {
+        match &mut self.0 {
+            Kind::Network { classifier, .. } => Some(classifier.as_mut()),
+            Kind::Cfar(_) => None,
         }
     }
 

@@ -11,6 +11,7 @@
 //! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
 //!   the same kernel level ([`layer::KernelLevel`]).
 
+pub mod ablation;
 pub mod bounded_file;
 mod classifier;
 pub mod dataset;

@@ -71,7 +71,7 @@ pub struct ModelCard {
     #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
     pub pooled: [usize; 2],
     /// How answers to frames are put together.
-    #[serde(default)]
+    #[serde(default = "Smoothing::of_old_models")]
     pub smoothing: Smoothing,
     /// Standardisation of the HQNN's latent; empty where there is none.
     pub latent: Centring,
@@ -337,6 +337,9 @@ impl ModelCard {
             return fail("latent", format!("{width} constants or none"), found);
         }
         if let Some((name, value, expected)) = self.smoothing.fault() {
+            return fail(name, expected.to_owned(), value.to_string());
+        }
+        if let Some((name, value, expected)) = self.standardisation.reference.fault() {
             return fail(name, expected.to_owned(), value.to_string());
         }
         let Standardisation { mean_db, sigma_db, .. } = self.standardisation;

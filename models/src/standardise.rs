@@ -4,8 +4,12 @@
 //! The paper standardises by scene *and occupancy*, which tells the network the label of every test map
 //! (paper.md section 4); this does not.
 
+use std::borrow::Cow;
+
 use radome_dsp::Occupancy;
 use radome_dsp::decibel::power_to_db_portable;
+use rand::Rng;
+use rand_distr::{Distribution, Exp1};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -15,7 +19,7 @@ use crate::dataset::Moments;
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
 /// What the cells of a map are measured against before mean and sigma are taken off.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MapReference {
     /// The map's own 0 dB.
@@ -28,27 +32,34 @@ pub enum MapReference {
     OverNoise {
         /// Range bins from the nearest that show leakage and not the room: they read as noise.
         skip_range_bins: usize,
+        /// Level above which all cells read the same, dB over noise. Unbounded if absent, as in models of before it.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        most_db: Option<f32>,
     },
 }
+
+/// `10 / ln 10`: dB of a natural logarithm of a power.
+pub(crate) const DB: f32 = 4.342_944_8;
+/// Natural logarithm of the largest power over noise that is told apart, 347 dB.
+const MOST: f32 = 80.0;
 
 impl MapReference {
     /// Puts the cells `[range][doppler]` dB of a map in reference to what this says.
     pub fn apply(self, cells: &mut [f32], doppler: usize) {
-        let MapReference::OverNoise { skip_range_bins } = self else { return };
-        /// `10 / ln 10`.
-        const DB: f32 = 4.342_944_8;
-        /// 347 dB over noise, natural.
-        const MOST: f32 = 80.0;
+        self.measure(cells, doppler);
+        self.bound(cells);
+    }
+
+    /// [`MapReference::apply`] without the bound, which a training applies after its augmentation.
+    pub(crate) fn measure(self, cells: &mut [f32], doppler: usize) {
+        let MapReference::OverNoise { skip_range_bins, .. } = self else { return };
         let mut sorted = Vec::with_capacity(doppler);
         for (bin, row) in cells.chunks_exact_mut(doppler.max(1)).enumerate() {
             if bin < skip_range_bins {
                 row.fill(DB * std::f32::consts::LN_2);
                 continue;
             }
-            sorted.clear();
-            sorted.extend_from_slice(row);
-            let (_, &mut quartile_db, _) = sorted.select_nth_unstable_by(row.len() / 4, f32::total_cmp);
-            let noise_db = quartile_db - DB * (4.0f32 / 3.0).ln().ln();
+            let noise_db = bin_noise_db(row, &mut sorted);
             for cell in row.iter_mut() {
                 let x = (*cell - noise_db) / DB;
                 // Not `f32::min`, which would hide what is not a number.
@@ -59,9 +70,97 @@ impl MapReference {
         }
     }
 
+    /// Cuts cells that have been measured at the bound, where there is one.
+    pub(crate) fn bound(self, cells: &mut [f32]) {
+        let MapReference::OverNoise { most_db: Some(most_db), .. } = self else { return };
+        for cell in cells {
+            // Not `f32::min`, which would hide what is not a number.
+            if *cell > most_db {
+                *cell = most_db;
+            }
+        }
+    }
+
+    /// Range bins from the nearest that show leakage and not the room; nothing where the reference does not know.
+    pub fn skipped_range_bins(self) -> Option<usize> {
+        match self {
+            MapReference::Absolute => None,
+            MapReference::OverNoise { skip_range_bins, .. } => Some(skip_range_bins),
+        }
+    }
+
+    /// The setting that is out of range: `(name, value, expected)`.
+    pub(crate) fn fault(self) -> Option<(&'static str, f32, &'static str)> {
+        match self {
+            MapReference::OverNoise { most_db: Some(most_db), .. } if !(most_db.is_finite() && most_db > 0.0) => {
+                Some(("reference.over_noise.most_db", most_db, "a finite level above 0 dB"))
+            }
+            _ => None,
+        }
+    }
+
+    /// Cells that have been measured, cut at the bound.
+    pub(crate) fn bounded(self, cells: &[f32]) -> Cow<'_, [f32]> {
+        if !matches!(self, MapReference::OverNoise { most_db: Some(_), .. }) {
+            return Cow::Borrowed(cells);
+        }
+        let mut cells = cells.to_vec();
+        self.bound(&mut cells);
+        Cow::Owned(cells)
+    }
+
     fn is_absolute(&self) -> bool {
         *self == MapReference::Absolute
     }
+}
+
+/// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is memory to work in.
+/// Of no cells, 0 dB.
+pub(crate) fn bin_noise_db(row: &[f32], sorted: &mut Vec<f32>) -> f32 {
+    if row.is_empty() {
+        return 0.0;
+    }
+    sorted.clear();
+    sorted.extend_from_slice(row);
+    let (_, &mut quartile_db, _) = sorted.select_nth_unstable_by(row.len() / 4, f32::total_cmp);
+    quartile_db - DB * (4.0f32 / 3.0).ln().ln()
+}
+
+/// Powers over noise `P / N` of cells `10 log10(1 + P / N)` dB, in place.
+pub(crate) fn powers_over_noise(cells: &mut [f32]) {
+    for cell in cells {
+        let x = *cell / DB;
+        let x = if x > MOST { MOST } else { x };
+        *cell = x.exp_m1();
+    }
+}
+
+/// Cells `10 log10(1 + P / N)` dB of powers over noise `P / N`, in place.
+pub(crate) fn levels_over_noise(powers: &mut [f32]) {
+    /// `exp(MOST)`.
+    const MOST_POWER: f32 = 5.540_622_4e34;
+    for power in powers.iter_mut() {
+        *power = 1.0 + if *power > MOST_POWER { MOST_POWER } else { *power };
+    }
+    power_to_db_portable(powers, 1.0);
+}
+
+/// Power over noise of one cell of noise, drawn from its exponential distribution; never zero.
+pub(crate) fn noise_power(rng: &mut impl Rng) -> f32 {
+    let power: f32 = Exp1.sample(rng);
+    power.max(1e-9)
+}
+
+/// Power over noise `power` of a cell after a gain on echoes. The gain in dB counts by `power / (power + 5)`, so that echoes take
+/// all of it and noise stays nearly where it is: gains of -7 and 7 dB move the mean of noise over noise by -0.5 and 0.6 dB.
+pub(crate) fn gain_of_echo(power: f32, gain_db: f32) -> f32 {
+    power * (gain_db / DB * echo_share(power)).exp()
+}
+
+/// Share of a cell's power over noise that is taken for an echo: a half at 7 dB.
+pub(crate) fn echo_share(power: f32) -> f32 {
+    // An infinite power is all echo.
+    if power < 1e30 { power / (power + 5.0) } else { 1.0 }
 }
 
 /// `(dB - mean) / sigma`, of cells in reference to what they are measured against.
@@ -123,12 +222,15 @@ pub enum StandardiseError {
 
 impl Standardisation {
     /// Mean and standard deviation over all cells of all maps, in f64. The maps are in `reference` already.
-    pub fn measure<'a>(
+    ///
+    /// # Errors
+    /// If there is no map, or if the cells have no spread to divide by.
+    pub fn measure(
         reference: MapReference,
-        maps: impl Iterator<Item = &'a [f32]>,
+        maps: impl Iterator<Item = impl AsRef<[f32]>>,
     ) -> Result<Self, StandardiseError> {
         let mut moments = Moments::default();
-        maps.for_each(|map| moments.add(map));
+        maps.for_each(|map| moments.add(map.as_ref()));
         if moments.count() == 0.0 {
             return Err(StandardiseError::Empty);
         }
@@ -140,11 +242,11 @@ impl Standardisation {
     }
 
     /// Adds the constants of one scene and class, from its training maps.
-    pub(crate) fn add_cell<'a>(
+    pub(crate) fn add_cell(
         &mut self,
         scene: &str,
         class: Occupancy,
-        maps: impl Iterator<Item = &'a [f32]>,
+        maps: impl Iterator<Item = impl AsRef<[f32]>>,
     ) -> Result<(), StandardiseError> {
         let of_cell = Self::measure(self.reference, maps);
         let of_cell =
@@ -162,17 +264,31 @@ impl Standardisation {
     /// Standardises the cells `[range][doppler]` of a map in place; `of` is its scene and label, where it has them.
     pub fn apply(&self, cells: &mut [f32], doppler: usize, of: Option<(&str, Occupancy)>) {
         self.reference.apply(cells, doppler);
-        self.scale(cells, of);
+        self.scale(of).apply(cells);
     }
 
-    /// The constants alone, for cells that are in reference already.
-    pub(crate) fn scale(&self, cells: &mut [f32], of: Option<(&str, Occupancy)>) {
+    /// The constants of a map; `of` is its scene and label, where it has them.
+    pub(crate) fn scale(&self, of: Option<(&str, Occupancy)>) -> Scale {
         let of_cell = of.and_then(|(scene, class)| {
             self.label_leaking_cells.iter().find(|cell| cell.scene == scene && cell.class == class)
         });
         let (mean_db, sigma_db) = of_cell.map_or((self.mean_db, self.sigma_db), |cell| (cell.mean_db, cell.sigma_db));
+        Scale { mean_db, sigma_db }
+    }
+}
+
+/// Mean and standard deviation that the cells of one map are freed of.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Scale {
+    mean_db: f64,
+    sigma_db: f64,
+}
+
+impl Scale {
+    /// Standardises cells that are in reference already.
+    pub(crate) fn apply(self, cells: &mut [f32]) {
         for cell in cells {
-            *cell = ((f64::from(*cell) - mean_db) / sigma_db) as f32;
+            *cell = ((f64::from(*cell) - self.mean_db) / self.sigma_db) as f32;
         }
     }
 }
@@ -180,7 +296,10 @@ impl Standardisation {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::Rng;
+
+    fn over_noise(skip_range_bins: usize) -> MapReference {
+        MapReference::OverNoise { skip_range_bins, most_db: None }
+    }
 
     #[test]
     fn moments_are_those_of_all_cells_together() {
@@ -197,7 +316,7 @@ mod tests {
     fn over_noise_is_its_definition() {
         let mut row: Vec<f32> = (0..128).map(|i| -160.0 + 1.7 * i as f32).collect();
         let given = row.clone();
-        MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut row, 128);
+        over_noise(0).apply(&mut row, 128);
         let noise_db = f64::from(given[32]) - 10.0 * (4.0f64 / 3.0).ln().log10();
         for (given, got) in given.iter().zip(&row) {
             let expected = 10.0 * (1.0 + 10f64.powf(0.1 * (f64::from(*given) - noise_db))).log10();
@@ -205,7 +324,7 @@ mod tests {
         }
         let mut broken = given;
         broken[100] = f32::NAN;
-        MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut broken, 128);
+        over_noise(0).apply(&mut broken, 128);
         assert!(broken[100].is_nan() && broken[99].is_finite());
     }
 
@@ -223,7 +342,7 @@ mod tests {
         map[7 * doppler + 40] = -40.0 - 0.8 * 7.0 + 20.0;
         map[doppler + 40] = 0.0;
         let mut louder: Vec<f32> = map.iter().map(|db| db + 11.0).collect();
-        let reference = MapReference::OverNoise { skip_range_bins: skip };
+        let reference = over_noise(skip);
         reference.apply(&mut map, doppler);
         reference.apply(&mut louder, doppler);
         for (a, b) in map.iter().zip(&louder) {
@@ -235,6 +354,80 @@ mod tests {
         let rest = &map[skip * doppler..];
         let mean = rest.iter().map(|v| f64::from(*v)).sum::<f64>() / rest.len() as f64;
         assert!((mean - 2.59).abs() < 0.25, "{mean}");
+    }
+
+    /// Powers over noise and back, from far below the noise to where both end.
+    #[test]
+    fn powers_over_noise_are_their_definition() {
+        let levels: Vec<f32> = (0..400).map(|i| i as f32).collect();
+        let mut powers = levels.clone();
+        powers_over_noise(&mut powers);
+        for (level, power) in levels.iter().zip(&powers).take(340) {
+            let expected = 10f64.powf(0.1 * f64::from(*level)) - 1.0;
+            assert!((f64::from(*power) - expected).abs() <= 1e-4 * expected, "{power} for {expected}");
+        }
+        levels_over_noise(&mut powers);
+        for (level, again) in levels.iter().zip(&powers) {
+            assert!((level.min(347.4) - again).abs() < 0.1, "{again} for {level}");
+        }
+        let mut broken = [f32::NAN, f32::INFINITY];
+        levels_over_noise(&mut broken);
+        assert!(broken[0].is_nan() && broken[1].is_finite());
+    }
+
+    /// A bound cuts what is above it and nothing else, and what is not a number stays visible.
+    #[test]
+    fn a_bound_cuts_strong_cells_only() {
+        let given: Vec<f32> = (0..128).map(|i| -160.0 + 1.7 * i as f32).collect();
+        let (mut free, mut bounded) = (given.clone(), given.clone());
+        over_noise(0).apply(&mut free, 128);
+        let reference = MapReference::OverNoise { skip_range_bins: 0, most_db: Some(50.0) };
+        reference.apply(&mut bounded, 128);
+        assert!(free.iter().any(|cell| *cell > 60.0));
+        for (free, bounded) in free.iter().zip(&bounded) {
+            assert_eq!(*bounded, if *free > 50.0 { 50.0 } else { *free });
+        }
+        let mut broken = given;
+        broken[100] = f32::NAN;
+        reference.apply(&mut broken, 128);
+        assert!(broken[100].is_nan());
+        for most_db in [0.0, -3.0, f32::NAN, f32::INFINITY] {
+            assert!(MapReference::OverNoise { skip_range_bins: 0, most_db: Some(most_db) }.fault().is_some());
+        }
+    }
+
+    /// References of models that know no bound are read and written as they were.
+    #[test]
+    fn references_without_a_bound_keep_their_bytes() {
+        let old = r#"{"over_noise":{"skip_range_bins":3}}"#;
+        let read: MapReference = serde_json::from_str(old).expect("an old reference");
+        assert_eq!(read, over_noise(3));
+        assert_eq!(serde_json::to_string(&read).expect("JSON"), old);
+        let new = MapReference::OverNoise { skip_range_bins: 3, most_db: Some(50.0) };
+        let text = serde_json::to_string(&new).expect("JSON");
+        assert_eq!(text, r#"{"over_noise":{"skip_range_bins":3,"most_db":50.0}}"#);
+        assert_eq!(serde_json::from_str::<MapReference>(&text).expect("read again"), new);
+    }
+
+    /// Echoes take the whole gain, noise keeps its level within 0.7 dB, and a stronger cell stays the stronger one.
+    #[test]
+    fn a_gain_on_echoes_leaves_noise() {
+        for gain_db in [-12.0f32, -7.0, 0.0, 7.0] {
+            let echo_db = 10.0 * gain_of_echo(1e4, gain_db).log10();
+            assert!((echo_db - 40.0 - gain_db).abs() < 0.02, "{echo_db} for {gain_db}");
+            let powers: Vec<f32> = (0..2000).map(|i| 10f32.powf(0.003 * i as f32 - 2.0)).collect();
+            assert!(powers.windows(2).all(|p| gain_of_echo(p[0], gain_db) < gain_of_echo(p[1], gain_db)));
+        }
+        let mut rng = crate::stream(5, "noise", 0);
+        let noise: Vec<f32> = (0..20_000).map(|_| noise_power(&mut rng)).collect();
+        let mean_db = |gain_db: f32| {
+            let levels = noise.iter().map(|p| 10.0 * f64::from(1.0 + gain_of_echo(*p, gain_db)).log10());
+            levels.sum::<f64>() / noise.len() as f64
+        };
+        assert!((mean_db(0.0) - 2.59).abs() < 0.05, "{}", mean_db(0.0));
+        for gain_db in [-7.0, 7.0] {
+            assert!((mean_db(gain_db) - mean_db(0.0)).abs() < 0.7, "{gain_db}: {}", mean_db(gain_db));
+        }
     }
 
     /// The paper's rule makes maps of unlike scenes and classes the same in mean and sigma; a cell that is flat is named.
@@ -267,11 +460,11 @@ mod tests {
             for (mut map, doppler, skip) in
                 [(vec![-370.0f32; 64], 8, 2), (vec![5.0], 1, 0), (vec![100.0; 16], 4, 9), (vec![], 4, 1)]
             {
-                MapReference::OverNoise { skip_range_bins: skip }.apply(&mut map, doppler);
+                over_noise(skip).apply(&mut map, doppler);
                 assert!(map.iter().all(|v| v.is_finite()), "{map:?}");
             }
             let mut spread = vec![-370.0f32, -370.0, -370.0, 60.0];
-            MapReference::OverNoise { skip_range_bins: 0 }.apply(&mut spread, 4);
+            over_noise(0).apply(&mut spread, 4);
             assert!(spread.iter().all(|v| v.is_finite()), "{spread:?}");
         }
 
@@ -281,7 +474,10 @@ mod tests {
             let error =
                 Standardisation::measure(ABSOLUTE, [&flat[..], &flat[..]].into_iter()).expect_err("sigma is zero");
             assert!(error.to_string().contains("-200 dB") && error.to_string().contains("receiver noise"), "{error}");
-            assert_eq!(Standardisation::measure(ABSOLUTE, std::iter::empty()), Err(StandardiseError::Empty));
+            assert_eq!(
+                Standardisation::measure(ABSOLUTE, std::iter::empty::<Vec<f32>>()),
+                Err(StandardiseError::Empty)
+            );
             assert!(Standardisation::measure(ABSOLUTE, [&[f32::NAN, 1.0][..]].into_iter()).is_err());
         }
     }

@@ -9,7 +9,7 @@ use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::standardise::MapReference;
-use radome_models::train::{Augmentation, LatentStandardisation};
+use radome_models::train::{Augmentation, LatentStandardisation, Superpose, Sway};
 use radome_models::{
     Classifier, ClassifyError, Dataset, Model, ModelError, TrainError, TrainSpec, train, train_with_checkpoint,
 };
@@ -22,6 +22,20 @@ fn easy() -> Maps {
 
 fn quick() -> TrainSpec {
     TrainSpec { epochs: 8, linear_epochs: Some(4), starts: 1, start_epochs: 1, ..TrainSpec::default() }
+}
+
+/// All that training maps over their own noise can be changed by.
+fn everything() -> Augmentation {
+    Augmentation {
+        noise_db: 1.0,
+        doppler_flip: true,
+        superpose: Some(Superpose { probability: 0.3 }),
+        echo_gain_db: Some([-7.0, 7.0]),
+        range_stretch: 0.1,
+        range_shift_bins: 2,
+        velocity_stretch: 0.1,
+        sway: Some(Sway { stretch_bins: [2, 5], ..Sway::default() }),
+    }
 }
 
 /// One epoch on few maps: enough where the result does not matter.
@@ -91,7 +105,10 @@ fn a_saved_model_answers_as_before() {
 #[test]
 fn one_seed_gives_one_model_on_any_number_of_threads() {
     let (set, spec) = brief();
-    let spec = TrainSpec { augmentation: Augmentation { noise_db: 1.0, doppler_flip: true }, ..spec };
+    let spec = TrainSpec {
+        augmentation: Augmentation { noise_db: 1.0, doppler_flip: true, ..Augmentation::default() },
+        ..spec
+    };
     let run = |threads: usize, spec: &TrainSpec| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
         let model = pool.install(|| train(&set, spec, &mut |_| {}).expect("training")).model;
@@ -101,8 +118,15 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     assert_eq!(one, run(3, &spec));
     assert_ne!(one, run(1, &TrainSpec { seed: 12, ..spec.clone() }));
     // The portable level is there on every machine and can be asked for.
-    let portable = TrainSpec { kernel_level: Some(KernelLevel::Portable), ..spec };
+    let portable = TrainSpec { kernel_level: Some(KernelLevel::Portable), ..spec.clone() };
     assert_eq!(run(1, &portable), run(2, &portable));
+    // With everything that maps over their own noise can be changed by.
+    let changed = TrainSpec {
+        reference: MapReference::OverNoise { skip_range_bins: 2, most_db: Some(40.0) },
+        augmentation: everything(),
+        ..spec
+    };
+    assert_eq!(run(1, &changed), run(3, &changed));
 }
 
 /// Wherever it is stopped, a training that is carried on with ends with the weights of one that was not.
@@ -193,8 +217,8 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
 #[test]
 fn reference_grid_and_smoothing_travel_with_the_model() {
     let (set, spec) = brief();
-    let smoothing = Smoothing { dwell_s: 20.0, unseen_share: 0.3, unseen_s: 1.0, weight: 0.2 };
-    let reference = MapReference::OverNoise { skip_range_bins: 2 };
+    let smoothing = Smoothing { dwell_s: 20.0, unseen_share: 0.3, ..Smoothing::default() };
+    let reference = MapReference::OverNoise { skip_range_bins: 2, most_db: Some(15.0) };
     let outcome = train(&set, &TrainSpec { reference, pooled: [4, 6], smoothing, ..spec }, &mut |_| {});
     let model = outcome.expect("training").model;
     let dir = tempfile::tempdir().expect("folder");
@@ -427,10 +451,39 @@ mod hard_cases {
             (TrainSpec { start_epochs: 0, ..spec.clone() }, "start_epochs"),
             (TrainSpec { linear_epochs: Some(99), ..spec.clone() }, "linear_epochs"),
             (TrainSpec { latent_penalty: -1.0, ..spec.clone() }, "latent_penalty"),
+            (
+                TrainSpec {
+                    reference: MapReference::OverNoise { skip_range_bins: 2, most_db: Some(-1.0) },
+                    ..spec.clone()
+                },
+                "most_db",
+            ),
+            (
+                TrainSpec {
+                    reference: MapReference::OverNoise { skip_range_bins: 2, most_db: None },
+                    augmentation: everything(),
+                    label_leaking_cells: true,
+                    ..spec.clone()
+                },
+                "label_leaking_cells",
+            ),
+            (
+                TrainSpec { smoothing: Smoothing { weight: Some(0.5), ..Smoothing::default() }, ..spec.clone() },
+                "smoothing.weight",
+            ),
         ] {
             let error = refused(&set, &bad).to_string();
             assert!(error.contains(name), "{error}");
         }
+    }
+
+    /// Maps with a 0 dB of their own do not say what an echo is.
+    #[test]
+    fn changes_of_echoes_need_maps_over_their_own_noise() {
+        let (set, spec) = brief();
+        let error = refused(&set, &TrainSpec { augmentation: everything(), ..spec });
+        assert!(matches!(error, TrainError::NeedsOverNoise { setting: "superpose" }), "{error}");
+        assert!(error.to_string().contains("hint: add [reference.over_noise]"), "{error}");
     }
 
     #[test]

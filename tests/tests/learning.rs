@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::Duration;
 
-use radome_tests::{failure, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, radome};
 
 /// A small dataset of halls, made once for all tests.
 fn maps() -> &'static Path {
@@ -167,8 +167,98 @@ fn a_study_that_is_stopped_carries_on_and_reports_what_there_is() {
     assert!(failure(&mut study()).contains("another study"));
 }
 
+/// All that maps are changed by while training, the bound and the filter's settings go into a model; parts of its maps are
+/// replaced by noise and the recalls read again, of a dataset's maps and of recordings.
+#[test]
+fn parts_of_maps_are_replaced_and_recalls_read_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = "epochs = 1\nstarts = 1\nmost_training_maps = 60\npooled = [4, 4]\nsplit = { by = \"seed\" }\n\
+                [reference.over_noise]\nskip_range_bins = 3\nmost_db = 50.0\n\
+                [smoothing]\ndwell_s = 60.0\nindependent_s = 1.0\n\
+                [augmentation]\nnoise_db = 1.0\ndoppler_flip = true\necho_gain_db = [-7, 7]\nrange_shift_bins = 6\n\
+                range_stretch = 0.1\nvelocity_stretch = 0.1\nsuperpose = { probability = 0.2 }\nsway = { probability = 0.7 }\n";
+    let spec = write(folder.path(), "training.toml", text);
+    let model = folder.path().join("model.safetensors");
+    json_lines(radome().arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--json", "-o"]).arg(&model));
+
+    let on_maps = || {
+        let mut command = radome();
+        command.arg("evaluate").arg(&model).arg(maps());
+        command
+    };
+    let answer = json_lines(on_maps().args(["--ablate", "--json"])).remove(0);
+    let rows = answer["ablation"].as_array().expect("rows");
+    assert_eq!((&rows[0]["replaced"], &rows[0]["confusion"]), (&"nothing".into(), &answer["confusion"]), "{answer}");
+    for part in ["speeds up to 0.15 m/s", "speeds above 0.35 m/s", "near ranges", "echoes 8 range bins", "12 dB weaker"]
+    {
+        let has = |row: &&serde_json::Value| row["replaced"].as_str().is_some_and(|name| name.contains(part));
+        let row = rows.iter().find(has).unwrap_or_else(|| panic!("{part}: {answer}"));
+        let recalls = row["recall"].as_array().expect("three recalls");
+        assert_eq!(recalls.len(), 3);
+        assert!(
+            recalls.iter().filter_map(serde_json::Value::as_f64).all(|recall| (0.0..=1.0).contains(&recall)),
+            "{row}"
+        );
+    }
+    // The same noise again, and no word of it where it was not asked for.
+    assert_eq!(json_lines(on_maps().args(["--ablate", "--json"])).remove(0), answer);
+    let plain = json_lines(on_maps().arg("--json")).remove(0);
+    assert!(plain.get("ablation").is_none(), "{plain}");
+    assert_eq!(plain["balanced_accuracy"], answer["balanced_accuracy"]);
+    let table = String::from_utf8(on_maps().arg("--ablate").output().expect("runs").stdout).expect("text");
+    assert!(table.contains("replaced by noise") && table.contains("far ranges"), "{table}");
+
+    let recording = folder.path().join("one.mcap");
+    let arguments = ["simulate", "--people", "1", "--seed", "9", "--frames", "6", "--json", "-o"];
+    json_lines(radome().args(arguments).arg(&recording).arg(fixture("scenes/hall.toml")));
+    let labelled = format!("{}=one", recording.display());
+    let on_recording = |name: &Path| {
+        let mut command = radome();
+        command.arg("evaluate").arg("--model").arg(name).arg(&labelled).arg("--ablate");
+        command
+    };
+    let answer = json_lines(on_recording(&model).arg("--json")).remove(0);
+    let nothing = &answer["ablation"][0];
+    assert_eq!(nothing["balanced_accuracy"], answer["balanced_accuracy_by_single_frames"], "{answer}");
+    let frames: u64 = nothing["confusion"][1].as_array().expect("a row").iter().filter_map(|n| n.as_u64()).sum();
+    assert_eq!((frames, &answer["recordings"][0]["label"]), (6, &"one".into()), "{answer}");
+    let said = failure(&mut on_recording(Path::new("cfar")));
+    assert!(said.contains("raw frames") && said.contains("hint:"), "{said}");
+}
+
+/// The settings of the shipped models can be read and trained with.
+#[test]
+fn shipped_settings_train_a_model() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let model = folder.path().join("model.safetensors");
+    for name in ["hall", "desk", "paper"] {
+        let spec = fixture("datasets").join(format!("{name}-training.toml"));
+        let mut command = radome();
+        command.arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--epochs", "1", "--json", "-o"]).arg(&model);
+        let told = json_lines(&mut command);
+        assert!(told.last().is_some_and(|last| last["training"]["epochs"] == 1), "{name}: {told:?}");
+    }
+}
+
 mod hard_cases {
     use super::*;
+
+    /// What stands above noise is not known of maps with a 0 dB of their own; a misspelt setting is no setting.
+    #[test]
+    fn settings_of_augmentation_that_cannot_be_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (augmentation, expected) in [
+            ("echo_gain_db = [-7, 7]", "[reference.over_noise]"),
+            ("sway = { probability = 2.0 }", "sway.probability"),
+            ("echo_gain = [-7, 7]", "echo_gain"),
+        ] {
+            let spec = write(folder.path(), "training.toml", &format!("[augmentation]\n{augmentation}\n"));
+            let output = folder.path().join("model.safetensors");
+            let said = failure(radome().arg("train").arg(maps()).arg("--spec").arg(&spec).arg("-o").arg(&output));
+            assert!(said.contains(expected), "{augmentation}: {said}");
+            assert!(!output.exists());
+        }
+    }
 
     #[test]
     fn studies_that_cannot_be_run_are_refused_by_name() {

@@ -1,3 +1,4 @@
+mod ablation;
 mod thermal;
 
 use std::path::{Path, PathBuf};
@@ -34,6 +35,10 @@ pub struct Arguments {
     /// Of recordings, also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's, dB
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
     thermal_snr_db: Vec<f64>,
+    /// Also with parts of the maps replaced by noise of the same level, and with echoes moved and weakened: shows what the model
+    /// goes by
+    #[arg(long)]
+    ablate: bool,
     /// One object
     #[arg(long)]
     json: bool,
@@ -55,6 +60,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         (None, None) => bail!("nothing to evaluate"),
     };
     let judging = Model::open(&model)?;
+    if arguments.ablate && matches!(judging, Model::Cfar) {
+        bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
+    }
     match inputs {
         [] => bail!("nothing to evaluate {} on\n\nhint: name a dataset folder, or RECORDING=LABEL", model.display()),
         [folder] if labelled(folder).is_err() && Path::new(folder).is_dir() => {
@@ -98,7 +106,7 @@ fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> 
     let all = inputs.iter().map(|input| labelled(input)).collect::<anyhow::Result<Vec<_>>>()?;
     let (mut confusion, mut confusion_alone) = ([Counts::default(); 3], [Counts::default(); 3]);
     let mut recordings = Vec::new();
-    for (path, label) in all {
+    for &(path, label) in &all {
         let (back, [filtered, alone]) = judge(model, path, None)?;
         model = back;
         let counts = if arguments.no_smoothing { alone } else { filtered };
@@ -123,13 +131,21 @@ fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> 
         recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
     }
     let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+    let mut ablated = Vec::new();
+    if arguments.ablate {
+        (model, ablated) = ablation::on_recordings(model, &all)?;
+    }
     let thermal = under_thermal_noise(model, inputs, arguments)?;
     if arguments.json {
-        return output::json_line(&json!({
+        let mut answer = json!({
             "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
             "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
             "thermal": thermal,
-        }));
+        });
+        if arguments.ablate {
+            answer["ablation"] = json!(ablated);
+        }
+        return output::json_line(&answer);
     }
     for of in &thermal {
         eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
@@ -148,7 +164,8 @@ fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> 
     if !arguments.no_smoothing {
         eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
     }
-    print(&metrics)
+    print(&metrics)?;
+    ablation::print(&ablated)
 }
 
 /// Scores with thermal noise on the raw samples.
@@ -184,7 +201,8 @@ fn under_thermal_noise(mut model: Model, inputs: &[String], arguments: &Argument
 fn judge(model: Model, path: &Path, noise: Option<&ThermalNoise>) -> anyhow::Result<(Model, [Counts; 2])> {
     let mut source = radome_driver::recording::open(path)?;
     let mut frame = Frame::zeroed(source.waveform().shape());
-    let (mut filter, mut counts) = (OccupancyFilter::new(model.smoothing()), [Counts::default(); 2]);
+    let mut filter = OccupancyFilter::new(model.smoothing(), source.waveform().frame_interval_s());
+    let mut counts = [Counts::default(); 2];
     let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
@@ -217,13 +235,24 @@ fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments)
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
     let metrics = evaluate(classifier, &dataset, &indices)?;
+    let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
     if classifier.card().standardisation.needs_labels() {
         eprintln!("the labels of these maps were told to the model: it standardises by scene and class");
     }
     if arguments.json {
-        return output::json_line(&metrics);
+        return output::json_line(&OfDataset { metrics: &metrics, ablation: ablated });
     }
-    print(&metrics)
+    print(&metrics)?;
+    ablation::print(&ablated.unwrap_or_default())
+}
+
+/// Scores on a dataset's maps.
+#[derive(Serialize)]
+struct OfDataset<'a> {
+    #[serde(flatten)]
+    metrics: &'a Metrics,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ablation: Option<Vec<ablation::Row>>,
 }
 
 fn print(metrics: &Metrics) -> anyhow::Result<()> {

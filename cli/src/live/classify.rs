@@ -170,7 +170,7 @@ impl FrameClassifier {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
         Ok(FrameClassifier {
-            filter: OccupancyFilter::new(smoothing),
+            filter: OccupancyFilter::new(smoothing, waveform.frame_interval_s()),
             judge: model.judge(waveform)?,
             background: None,
             people: PeopleCount::new(delays.on_s, delays.off_s),
@@ -218,7 +218,7 @@ impl FrameClassifier {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
             // A recording that was sought: what was known then says nothing of what comes before.
-            self.filter = OccupancyFilter::new(self.smoothing);
+            self.filter.reset();
             self.people = PeopleCount::new(self.delays.on_s, self.delays.off_s);
             self.judge.reset();
         }

@@ -1,26 +1,28 @@
-//! The maps of a training, standardised and in memory.
+//! The maps of a training, in memory.
 
 use std::collections::BTreeSet;
 
 use candle_core::{Device, Result as CandleResult, Tensor};
 use radome_dsp::Occupancy;
-use rand::Rng;
 use rand::seq::SliceRandom;
-use rand_distr::{Distribution, Normal};
 use rayon::prelude::*;
 
+use super::augmentation::{Partners, Showing};
 use super::{Augmentation, TrainError, TrainSpec};
 use crate::dataset::{Dataset, Split};
 use crate::model_file::input_shape;
-use crate::standardise::Standardisation;
+use crate::standardise::{Scale, Standardisation};
 use crate::stream;
 
-/// Maps `[range][doppler]`, standardised, and their classes.
+/// Maps `[range][doppler]` and their classes.
 pub(super) struct Part {
     /// Index of each map in the dataset.
     pub indices: Vec<usize>,
+    /// In reference, but neither bounded nor scaled: augmentation comes before.
     pub maps: Vec<Vec<f32>>,
     pub labels: Vec<usize>,
+    /// Constants of each map.
+    scales: Vec<Scale>,
 }
 
 pub(super) struct Data {
@@ -34,6 +36,8 @@ pub(super) struct Data {
     pub doppler: usize,
     /// Whether batches have range and Doppler exchanged.
     pub transposed: bool,
+    /// Where training maps are superposed, which on which.
+    partners: Option<Partners>,
     pub warnings: Vec<String>,
 }
 
@@ -60,9 +64,9 @@ impl Data {
                 indices = fraction_by_class(&indices, |i| rows.get(i).map(|r| r.label.index()), fraction, spec.seed);
             }
             let mut maps: Vec<Vec<f32>> = indices.iter().map(|&i| dataset.input(i, 0)).collect::<Result<_, _>>()?;
-            maps.iter_mut().for_each(|map| spec.reference.apply(map, shape.doppler));
+            maps.iter_mut().for_each(|map| spec.reference.measure(map, shape.doppler));
             let labels = indices.iter().filter_map(|&i| rows.get(i)).map(|r| r.label.index()).collect();
-            Ok(Part { indices, maps, labels })
+            Ok(Part { indices, maps, labels, scales: Vec::new() })
         };
         let (mut train, mut validation) = (part(Split::Train)?, part(Split::Validation)?);
         for (split, part) in [(Split::Train, &train), (Split::Validation, &validation)] {
@@ -89,22 +93,29 @@ impl Data {
         if test.is_empty() {
             warnings.push("the test split is empty: scores on the validation split are optimistic".to_owned());
         }
-        // n / (k n_c) over the k classes present, so that the mean weight of a map is one.
-        let class_weights = counts
-            .map(|c| match c {
-                0 => 0.0,
+        let partners = spec.augmentation.superpose.map(|superpose| {
+            let sequences = train.indices.iter().filter_map(|&i| rows.get(i)).map(|row| row.sequence.as_str());
+            Partners::new(superpose, &train.labels, sequences)
+        });
+        // n / (k n_c) over the k classes shown, so that the mean weight of a map is one.
+        let shown = partners.as_ref().map_or(counts.map(|c| c as f64), Partners::expected);
+        let classes = shown.iter().filter(|n| **n > 0.0).count();
+        let class_weights = shown
+            .map(|n| match n {
+                n if n <= 0.0 => 0.0,
                 _ if !spec.class_weights => 1.0,
-                c => train.labels.len() as f32 / (present.len() * c) as f32,
+                n => train.labels.len() as f32 / (classes as f64 * n) as f32,
             })
             .to_vec();
 
-        let mut standardisation = Standardisation::measure(spec.reference, train.maps.iter().map(Vec::as_slice))?;
+        let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
+        let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
         let cell = |index: usize| rows.get(index).map(|row| (row.scene.as_str(), row.label));
         if spec.label_leaking_cells {
             let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(index)).collect();
             for of in cells {
                 let maps = train.indices.iter().zip(&train.maps).filter(|(index, _)| cell(**index) == Some(of));
-                standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| map.as_slice()))?;
+                standardisation.add_cell(of.0, of.1, maps.map(|(_, map)| spec.reference.bounded(map)))?;
             }
             warnings.push(
                 "maps are standardised by scene and class: every map's label, those of the test split too, is told to the \
@@ -113,9 +124,7 @@ impl Data {
             );
         }
         for part in [&mut train, &mut validation] {
-            for (index, map) in part.indices.iter().zip(&mut part.maps) {
-                standardisation.scale(map, cell(*index));
-            }
+            part.scales = part.indices.iter().map(|index| standardisation.scale(cell(*index))).collect();
         }
         let (range, doppler) = (shape.range, shape.doppler);
         Ok(Data {
@@ -127,51 +136,67 @@ impl Data {
             range,
             doppler,
             transposed: spec.transposed,
+            partners,
             warnings,
         })
     }
 
     /// Maps of a part by their position in it, `[batch][range][doppler]` or with both exchanged.
     pub(super) fn batch(&self, part: &Part, positions: &[usize]) -> CandleResult<Tensor> {
-        self.tensor(self.cells(part, positions), positions.len())
+        let map = |&position: &usize| {
+            let mut cells = part.maps.get(position)?.clone();
+            self.standardise(part, position, &mut cells)?;
+            Some(cells)
+        };
+        let maps: Vec<Vec<f32>> = positions.par_iter().filter_map(map).collect();
+        self.tensor(maps)
     }
 
-    fn cells(&self, part: &Part, positions: &[usize]) -> Vec<f32> {
-        let maps: Vec<&[f32]> = positions.iter().filter_map(|&p| part.maps.get(p)).map(Vec::as_slice).collect();
-        maps.concat()
+    /// Bounds and scales a map as it is shown to the network; `None` where the part has no such map.
+    fn standardise(&self, part: &Part, position: usize, cells: &mut [f32]) -> Option<()> {
+        self.standardisation.reference.bound(cells);
+        part.scales.get(position)?.apply(cells);
+        Some(())
     }
 
-    fn tensor(&self, cells: Vec<f32>, batch: usize) -> CandleResult<Tensor> {
-        let maps = Tensor::from_vec(cells, (batch, self.range, self.doppler), &Device::Cpu)?;
+    fn tensor(&self, maps: Vec<Vec<f32>>) -> CandleResult<Tensor> {
+        let maps = Tensor::from_vec(maps.concat(), (maps.len(), self.range, self.doppler), &Device::Cpu)?;
         if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
     }
 
-    /// Training maps with augmentation: what happens to a map is a function of seed, epoch and map.
+    /// Training maps with augmentation and their classes, which it may change. What happens to a map is a function of seed, epoch
+    /// and map.
     pub(super) fn augmented(
         &self,
         positions: &[usize],
-        augmentation: Augmentation,
+        augmentation: &Augmentation,
         seed: u64,
         epoch: usize,
-    ) -> CandleResult<Tensor> {
-        if augmentation == Augmentation::default() {
-            return self.batch(&self.train, positions);
+    ) -> CandleResult<(Tensor, Vec<usize>)> {
+        let shown = |&position: &usize| {
+            let index = (epoch * self.train.maps.len() + position) as u64;
+            self.shown(position, augmentation, Showing { seed, index })
+        };
+        let shown: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(shown).collect();
+        let (maps, labels) = shown.into_iter().unzip();
+        Ok((self.tensor(maps)?, labels))
+    }
+
+    /// One showing of a training map and its class.
+    fn shown(&self, position: usize, augmentation: &Augmentation, showing: Showing) -> Option<(Vec<f32>, usize)> {
+        let part = &self.train;
+        let (mut cells, mut label) = (part.maps.get(position)?.clone(), *part.labels.get(position)?);
+        if augmentation.of_powers().is_some() {
+            let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, showing));
+            label += other.and_then(|other| part.labels.get(other)).copied().unwrap_or(0);
+            let other = other.and_then(|other| part.maps.get(other)).map(Vec::as_slice);
+            let skip = self.standardisation.reference.skipped_range_bins().unwrap_or(0);
+            augmentation.change_powers(&mut cells, other, self.doppler, skip, showing);
         }
-        let sigma = augmentation.noise_db / self.standardisation.sigma_db as f32;
-        let mut cells = self.cells(&self.train, positions);
-        let maps = cells.par_chunks_exact_mut((self.range * self.doppler).max(1)).zip(positions);
-        maps.for_each(|(map, &position)| {
-            let mut rng = stream(seed, "augmentation", (epoch * self.train.maps.len() + position) as u64);
-            if augmentation.doppler_flip && rng.random::<bool>() {
-                flip_doppler(map, self.doppler);
-            }
-            if sigma > 0.0
-                && let Ok(normal) = Normal::new(0.0f32, sigma)
-            {
-                map.iter_mut().for_each(|v| *v += normal.sample(&mut rng));
-            }
-        });
-        self.tensor(cells, positions.len())
+        self.standardise(part, position, &mut cells)?;
+        let sigma_db = self.standardisation.sigma_db as f32;
+        augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, showing);
+        Some((cells, label))
     }
 }
 
@@ -193,25 +218,112 @@ fn fraction_by_class(
     kept
 }
 
-/// Exchanges velocity `v` and `-v` in `[range][doppler]`. Zero is at `n / 2`; for an even n, bin 0 (the most negative
-/// velocity) has no partner and stays.
-fn flip_doppler(map: &mut [f32], doppler: usize) {
-    for row in map.chunks_exact_mut(doppler) {
-        if doppler.is_multiple_of(2) { row[1..].reverse() } else { row.reverse() }
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use radome_dsp::{MapFlags, Rdm, RdmSpec, Waveform, WaveformRequest};
+    use rand::Rng;
+    use rand_distr::{Distribution, Normal};
 
+    use super::*;
+    use crate::dataset::{DatasetHeader, Domain, ManifestRow};
+    use crate::standardise::MapReference;
+    use crate::train::{Superpose, Sway};
+
+    const SIZE: usize = 16;
+
+    /// Maps of noise, of all classes.
+    fn noise() -> Dataset {
+        let waveform =
+            WaveformRequest { samples_per_chirp: 2 * SIZE, chirps_per_frame: SIZE, ..WaveformRequest::paper() };
+        let waveform = Waveform::realise(waveform).expect("waveform");
+        let header = DatasetHeader::new(waveform, RdmSpec::paper()).expect("header");
+        let mut rng = stream(2, "cells", 0);
+        let maps = (0..36).map(|index| {
+            let label = Occupancy::from_index(index % 3).expect("class");
+            let mut row = ManifestRow::new(Domain::Sim, "made-up", "run", &format!("s{index}"), 0, label);
+            row.split = Some(if index < 24 { Split::Train } else { Split::Validation });
+            let db = (0..header.shape.cells()).map(|_| -80.0 + 10.0 * rng.random_range(1e-3f32..1.0).log10()).collect();
+            let shape = header.shape;
+            let (range_step_m, velocity_step_m_per_s) = (0.1, 0.1);
+            (Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: 0, flags: MapFlags::default() }, row)
+        });
+        let maps = maps.collect();
+        Dataset::from_maps(header, maps).expect("dataset")
+    }
+
+    fn load(dataset: &Dataset, augmentation: Augmentation, most_db: Option<f32>) -> Data {
+        let reference = MapReference::OverNoise { skip_range_bins: 2, most_db };
+        Data::load(dataset, &TrainSpec { reference, augmentation, ..TrainSpec::default() }).expect("data")
+    }
+
+    fn cells(tensor: &Tensor) -> Vec<f32> {
+        tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
+    }
+
+    /// The settings of old training files: maps that are standardised when they are read, then flipped, then noisy, by the same
+    /// random numbers. Their trainings give the same bytes as before there were others.
     #[test]
-    fn flipping_keeps_zero_doppler() {
-        let mut even = vec![-3.0, -2.0, -1.0, 0.0, 1.0, 2.0];
-        flip_doppler(&mut even, 6);
-        assert_eq!(even, [-3.0, 2.0, 1.0, 0.0, -1.0, -2.0]);
-        let mut odd = vec![-1.0, 0.0, 1.0];
-        flip_doppler(&mut odd, 3);
-        assert_eq!(odd, [1.0, 0.0, -1.0]);
+    fn flip_and_noise_are_what_they_were() {
+        let dataset = noise();
+        let augmentation = Augmentation { noise_db: 1.5, doppler_flip: true, ..Augmentation::default() };
+        let data = load(&dataset, augmentation, None);
+        let positions: Vec<usize> = (0..data.train.maps.len()).collect();
+        let (seed, epoch) = (7, 3);
+        let (shown, labels) = data.augmented(&positions, &augmentation, seed, epoch).expect("maps");
+        assert_eq!(labels, data.train.labels);
+        let mut expected = Vec::new();
+        for (position, &index) in data.train.indices.iter().enumerate() {
+            let mut map = dataset.input(index, 0).expect("a map");
+            data.standardisation.apply(&mut map, SIZE, None);
+            let mut rng = stream(seed, "augmentation", (epoch * positions.len() + position) as u64);
+            if rng.random::<bool>() {
+                map.chunks_exact_mut(SIZE).for_each(|row| row[1..].reverse());
+            }
+            let sigma = augmentation.noise_db / data.standardisation.sigma_db as f32;
+            let normal = Normal::new(0.0f32, sigma).expect("normal");
+            map.iter_mut().for_each(|v| *v += normal.sample(&mut rng));
+            expected.extend(map);
+        }
+        assert_eq!(cells(&shown), expected);
+        // Without any, a map is as the classifier sees it.
+        let none = data.augmented(&[5], &Augmentation::default(), seed, epoch).expect("maps").0;
+        let mut map = dataset.input(data.train.indices[5], 0).expect("a map");
+        data.standardisation.apply(&mut map, SIZE, None);
+        assert_eq!(cells(&none), map);
+        assert_eq!(cells(&data.batch(&data.train, &[5]).expect("maps")), map);
+    }
+
+    /// What is added in training is bounded as in use, whatever it comes to.
+    #[test]
+    fn the_bound_comes_after_augmentation() {
+        let dataset = noise();
+        let sway = Sway { probability: 1.0, level_db: [40.0, 40.0], ..Sway::default() };
+        let augmentation = Augmentation { sway: Some(sway), ..Augmentation::default() };
+        let positions: Vec<usize> = (0..24).collect();
+        for most_db in [6.0f32, 20.0] {
+            let data = load(&dataset, augmentation, Some(most_db));
+            let shown = cells(&data.augmented(&positions, &augmentation, 1, 1).expect("maps").0);
+            let most = shown.iter().copied().fold(f32::MIN, f32::max);
+            let expected = (f64::from(most_db) - data.standardisation.mean_db) / data.standardisation.sigma_db;
+            assert!((f64::from(most) - expected).abs() < 1e-6, "{most} {expected}");
+        }
+    }
+
+    /// Classes change with what is superposed, weights with how many of each are shown then.
+    #[test]
+    fn superposed_maps_have_the_class_of_both() {
+        let dataset = noise();
+        let augmentation = Augmentation { superpose: Some(Superpose { probability: 1.0 }), ..Augmentation::default() };
+        let data = load(&dataset, augmentation, None);
+        let positions: Vec<usize> = (0..24).collect();
+        let (_, labels) = data.augmented(&positions, &augmentation, 1, 1).expect("maps");
+        let grown = labels.iter().zip(&data.train.labels).filter(|(shown, own)| shown > own).count();
+        assert!(grown > 1, "{labels:?}");
+        assert!(labels.iter().zip(&data.train.labels).all(|(shown, own)| shown >= own && *shown <= 2));
+        // Of eight maps of each class: 8/3 empty, 8/3 + 4 of one, the others of two.
+        for (weight, n) in data.class_weights.iter().zip([8.0 / 3.0, 8.0 / 3.0 + 4.0, 8.0 / 3.0 + 4.0 + 8.0]) {
+            assert!((f64::from(*weight) - 24.0 / (3.0 * n)).abs() < 1e-5, "{:?}", data.class_weights);
+        }
+        assert_eq!(load(&dataset, Augmentation::default(), None).class_weights, [1.0; 3]);
     }
 }

@@ -22,6 +22,7 @@
 //! narrow latent are trained by the same steps but for 1 to 4, from one start.
 
 mod adam;
+mod augmentation;
 mod checkpoint;
 mod data;
 mod head_start;
@@ -32,6 +33,7 @@ mod trainer;
 
 use std::path::{Path, PathBuf};
 
+pub use augmentation::{Augmentation, Superpose, Sway};
 pub use trainer::Trainer;
 
 use radome_dsp::Occupancy;
@@ -67,22 +69,6 @@ pub enum LatentStandardisation {
         /// Weight of the newest batch, in (0, 1].
         momentum: f32,
     },
-}
-
-/// Changes made to training maps each time they are shown.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(default)]
-pub struct Augmentation {
-    /// Standard deviation of Gaussian noise added to each cell, dB; 0 for none.
-    pub noise_db: f32,
-    /// Exchange receding and approaching in half of the maps (zero Doppler stays where it is).
-    pub doppler_flip: bool,
-}
-
-impl Default for Augmentation {
-    fn default() -> Self {
-        Augmentation { noise_db: 0.0, doppler_flip: false }
-    }
 }
 
 /// Everything that decides what a training does, except the data.
@@ -239,6 +225,14 @@ pub enum TrainError {
         /// What is allowed.
         expected: &'static str,
     },
+    /// Maps with a 0 dB of their own do not say what stands above noise.
+    #[error(
+        "training: augmentation.{setting} changes what stands above the noise, and maps of an absolute reference do not say how strong that is\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
+    )]
+    NeedsOverNoise {
+        /// Field of [`Augmentation`].
+        setting: &'static str,
+    },
     /// Networks take one channel.
     #[error(
         "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"
@@ -382,8 +376,12 @@ impl TrainSpec {
         {
             return fail("head.circuit", error.to_string(), "a circuit that can be run");
         }
-        if !(self.augmentation.noise_db >= 0.0 && self.augmentation.noise_db.is_finite()) {
-            return fail("augmentation.noise_db", self.augmentation.noise_db.to_string(), "0 or more");
+        if let Some((name, value, expected)) = self.reference.fault() {
+            return fail(name, value.to_string(), expected);
+        }
+        self.augmentation.check(self.reference)?;
+        if self.augmentation.superpose.is_some() && self.label_leaking_cells {
+            return fail("label_leaking_cells", "true".to_owned(), "false where augmentation.superpose changes labels");
         }
         if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
             return fail("pooled", format!("{:?}", self.pooled), "1 to 64 rows and columns");

@@ -296,8 +296,7 @@ impl<'a> Run<'a> {
     /// One step; gives the loss and appends (truth, prediction).
     fn train_batch(&mut self, batch: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<f64, TrainError> {
         self.step += 1;
-        let labels: Vec<usize> = batch.iter().filter_map(|&p| self.data.train.labels.get(p)).copied().collect();
-        let input = self.data.augmented(batch, self.spec.augmentation, self.spec.seed, self.epoch)?;
+        let (input, labels) = self.data.augmented(batch, &self.spec.augmentation, self.spec.seed, self.epoch)?;
         // Another start is another draw of what is dropped.
         let step = (self.start << 32) + self.step as u64;
         let output = self.output();
