@@ -99,6 +99,10 @@ impl Data {
             .to_vec();
 
         let mut standardisation = Standardisation::measure(spec.reference, train.maps.iter().map(Vec::as_slice))?;
+        if spec.network.reads_descriptors() {
+            // They are of levels in dB.
+            (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
+        }
         let cell = |index: usize| rows.get(index).map(|row| (row.scene.as_str(), row.label));
         if spec.label_leaking_cells {
             let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(index)).collect();
