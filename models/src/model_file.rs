@@ -52,7 +52,7 @@ pub struct ModelCard {
     pub format_version: u32,
     /// Which network.
     pub network: NetworkKind,
-    /// What stands behind the HQNN's latent.
+    /// What stands behind the latent of the HQNN or of descriptors.
     #[serde(default, skip_serializing_if = "is_default_head")]
     pub head: Head,
     /// Classes in the order of the probabilities.
@@ -73,7 +73,7 @@ pub struct ModelCard {
     /// How answers to frames are put together.
     #[serde(default = "Smoothing::of_old_models")]
     pub smoothing: Smoothing,
-    /// Standardisation of the HQNN's latent; empty where there is none.
+    /// Standardisation of the latent; empty where there is none.
     pub latent: Centring,
     /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
     pub temperature: f64,
@@ -331,7 +331,7 @@ impl ModelCard {
             );
         }
         let Centring { mean, sigma } = &self.latent;
-        let width = if self.network == NetworkKind::Hqnn { self.head.width() } else { 0 };
+        let width = if self.network.has_latent() { self.head.width() } else { 0 };
         if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
             let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
             return fail("latent", format!("{width} constants or none"), found);
@@ -339,10 +339,18 @@ impl ModelCard {
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return fail(name, expected.to_owned(), value.to_string());
         }
-        if let Some((name, value, expected)) = self.standardisation.reference.fault() {
+        let Standardisation { reference, mean_db, sigma_db, .. } = self.standardisation;
+        if let Some((name, value, expected)) = reference.fault() {
             return fail(name, expected.to_owned(), value.to_string());
         }
-        let Standardisation { mean_db, sigma_db, .. } = self.standardisation;
+        let readable = self.network.check_maps(reference, self.is_transposed(), self.standardisation.needs_labels());
+        if let Err(error) = readable {
+            return fail("standardisation", "dB over noise, range by velocity".to_owned(), error.found.to_owned());
+        }
+        if self.network.reads_descriptors() && (mean_db != 0.0 || sigma_db != 1.0) {
+            let found = format!("mean {mean_db} dB, sigma {sigma_db} dB");
+            return fail("standardisation", "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned(), found);
+        }
         let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
         let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
         if !positive || !mean_db.is_finite() || mean.iter().any(|v| !v.is_finite()) {

@@ -107,6 +107,9 @@ const SIZES: [[usize; 2]; 3] = [[128, 128], [64, 61], [32, 32]];
 fn every_network_answers_alike_in_onnxruntime() {
     for network in networks() {
         let spec = NetworkSpec::named(&network.name).expect("known");
+        if spec.kind.reads_descriptors() {
+            continue;
+        }
         let values = trained(&spec);
         for size in SIZES {
             let Some(worst) = difference(&network.name, &spec, &values, size) else { return };
@@ -219,6 +222,17 @@ mod hard_cases {
         let noise = Noise { depolarising_one_qubit: 0.01, ..Default::default() };
         let erring = refusal(CircuitSpec { noise, ..Default::default() });
         assert!(erring.contains("gates err"), "{erring}");
+    }
+
+    #[test]
+    fn networks_of_descriptors_are_refused() {
+        for name in ["descriptor_linear", "descriptor_hqnn"] {
+            let spec = NetworkSpec::named(name).expect("known");
+            let network = Network::initialise(&spec, 3, 0, KernelLevel::detect()).expect("network");
+            let error = onnx::export_network(&network, 32, 32).expect_err("refused");
+            assert!(matches!(error, ExportError::Descriptors { .. }), "{error}");
+            assert!(error.to_string().contains("hint: "), "{error}");
+        }
     }
 
     #[test]

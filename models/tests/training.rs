@@ -7,6 +7,7 @@ use std::path::Path;
 use radome_dsp::{MapFlags, Occupancy, Rdm};
 use radome_models::dataset::{Domain, ManifestRow, Split};
 use radome_models::layer::KernelLevel;
+use radome_models::network::NetworkKind;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::standardise::MapReference;
 use radome_models::train::{Augmentation, LatentStandardisation, Superpose, Sway};
@@ -54,6 +55,11 @@ fn brief() -> (Dataset, TrainSpec) {
     )
 }
 
+/// The same training of a network that describes maps.
+fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
+    TrainSpec { network, reference: MapReference::OverNoise { skip_range_bins: 0 }, ..spec }
+}
+
 fn rdm(set: &Dataset, index: usize) -> Rdm {
     let header = set.header();
     let (range_step_m, velocity_step_m_per_s) = header.rdm_spec.steps(&header.waveform);
@@ -77,6 +83,42 @@ fn every_seed_learns_to_count() {
         let test = outcome.test.expect("test split");
         assert!(test.balanced_accuracy > 0.6, "seed {seed}: {test:?}");
         assert!(test.absent.is_empty() && outcome.warnings.is_empty());
+    }
+}
+
+/// Forty numbers of a map suffice, with a linear head and with the circuit; the model answers the same from its file, and
+/// another gain is no other map.
+#[test]
+fn descriptors_learn_to_count() {
+    let set = dataset(easy());
+    let dir = tempfile::tempdir().expect("folder");
+    for network in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
+        for seed in [11, 22, 33] {
+            let spec = TrainSpec { seed, epochs: 12, linear_epochs: Some(6), learning_rate: 5e-3, ..quick() };
+            let outcome = train(&set, &descriptors(network, spec), &mut |_| {}).expect("training");
+            let last = outcome.history.last().expect("history");
+            assert!(last.training_balanced_accuracy > 0.65, "{network:?} seed {seed}: {last:?}");
+            let test = outcome.test.expect("test split");
+            assert!(test.balanced_accuracy > 0.55, "{network:?} seed {seed}: {test:?}");
+            let path = dir.path().join("model.safetensors");
+            outcome.model.save(&path).expect("save");
+            let (mut loaded, mut original) = (Classifier::load(&path).expect("load"), Classifier::new(outcome.model));
+            assert_eq!(loaded.card(), original.card());
+            let standardisation = &loaded.card().standardisation;
+            assert_eq!((standardisation.mean_db, standardisation.sigma_db), (0.0, 1.0));
+            for index in [0, 200, 300] {
+                let map = rdm(&set, index);
+                let answer = loaded.classify(&map).expect("classify");
+                assert_eq!(answer, original.classify(&map).expect("classify"));
+                let width = if network == NetworkKind::DescriptorHqnn { 2 } else { 0 };
+                assert_eq!(loaded.latent(&map).expect("latent").len(), width);
+                let mut louder = map.clone();
+                louder.db.iter_mut().for_each(|db| *db += 13.0);
+                for (a, b) in answer.iter().zip(loaded.classify(&louder).expect("classify")) {
+                    assert!((a - b).abs() < 1e-2, "{network:?} seed {seed}: {a} {b}");
+                }
+            }
+        }
     }
 }
 
@@ -133,9 +175,10 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
 #[test]
 fn a_stopped_training_ends_as_if_it_had_not_been() {
     let (set, spec) = brief();
-    let doppler_net = TrainSpec { network: radome_models::network::NetworkKind::DopplerNet, ..spec.clone() };
+    let doppler_net = TrainSpec { network: NetworkKind::DopplerNet, ..spec.clone() };
     let large = dataset(Maps { size: 32, sequences: [3, 2, 1], length: 3, ..Maps::default() });
-    for (set, spec) in [(&set, spec), (&large, doppler_net)] {
+    let described = descriptors(NetworkKind::DescriptorHqnn, spec.clone());
+    for (set, spec) in [(&set, spec), (&large, doppler_net), (&set, described)] {
         let whole = train(set, &spec, &mut |_| {}).expect("training");
         let epochs = whole.history.len();
         assert!(epochs >= 2);
@@ -254,7 +297,7 @@ fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
 /// Steps that go nowhere leave the weights that were started from.
 #[test]
 fn a_training_starts_from_given_weights() {
-    use radome_models::network::{Network, NetworkKind};
+    use radome_models::network::Network;
     use safetensors::tensor::{Dtype, TensorView};
     let (set, spec) = brief();
     let spec = TrainSpec {
@@ -438,6 +481,46 @@ mod hard_cases {
                 );
             }
             other => panic!("{other}"),
+        }
+    }
+
+    /// Neither in training nor in a file.
+    #[test]
+    fn descriptors_of_other_maps_than_over_noise_are_refused() {
+        let (set, spec) = brief();
+        for network in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
+            let described = descriptors(network, spec.clone());
+            for bad in [
+                TrainSpec { reference: MapReference::Absolute, ..described.clone() },
+                TrainSpec { transposed: true, ..described.clone() },
+                TrainSpec { label_leaking_cells: true, ..described.clone() },
+            ] {
+                let error = refused(&set, &bad);
+                assert!(matches!(error, TrainError::Maps(_)) && error.to_string().contains("hint: "), "{error}");
+            }
+            let mut model = train(&set, &described, &mut |_| {}).expect("training").model;
+            let dir = tempfile::tempdir().expect("folder");
+            let path = dir.path().join("model.safetensors");
+            let mut reload = |change: &dyn Fn(&mut Model)| {
+                let kept = model.card.clone();
+                change(&mut model);
+                model.save(&path).expect("save");
+                model.card = kept;
+                Model::load(&path)
+            };
+            assert!(reload(&|_| {}).is_ok());
+            let changes: [fn(&mut Model); 3] = [
+                |model| model.card.standardisation.mean_db = 1.0,
+                |model| model.card.standardisation.sigma_db = 2.0,
+                |model| model.card.standardisation.reference = MapReference::Absolute,
+            ];
+            for change in changes {
+                let error = reload(&change).err().expect("refused");
+                assert!(
+                    matches!(&error, ModelError::Inconsistent { what, .. } if what == "standardisation"),
+                    "{error}"
+                );
+            }
         }
     }
 

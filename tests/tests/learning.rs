@@ -75,7 +75,8 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     let spec = write(
         folder.path(),
         "training.toml",
-        "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n",
+        "epochs = 1\nstarts = 1\nmost_training_maps = 40\nsplit = { by = \"seed\" }\n\
+         reference = { over_noise = { skip_range_bins = 3 } }\n",
     );
     let networks = json_lines(radome().args(["models", "--json"])).remove(0);
     for network in networks.as_array().expect("a list") {
@@ -96,6 +97,12 @@ fn every_network_can_be_trained_by_name_and_says_what_it_is() {
     }
     let said = failure(radome().arg("train").arg(maps()).args(["--network", "hqmm", "-o", "x"]));
     assert!(said.contains("no network 'hqmm'") && said.contains("doppler_net"), "{said}");
+    // Descriptors are of levels over noise, which the default settings do not give.
+    let said = failure(radome().arg("train").arg(maps()).args(["--network", "descriptor_linear", "-o", "x"]));
+    assert!(said.contains("reference is absolute") && said.contains("hint: "), "{said}");
+    let said =
+        failure(radome().arg("export").arg(folder.path().join("descriptor_linear.safetensors")).args(["-o", "x.onnx"]));
+    assert!(said.contains("no ONNX form") && said.contains("hint: "), "{said}");
 }
 
 /// With a dozen recordings each in turn is the test split.

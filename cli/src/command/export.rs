@@ -13,7 +13,8 @@ The input `map` is float32 [batch, 1, range, doppler], standardised; the output 
 maps the model wants and how they are standardised stands in the metadata, as JSON under the key `radome`, so that the file \
 is put to work as the model itself: --model FILE.onnx. That needs onnxruntime:\n\n  \
 pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
-A library of its own is named by ORT_DYLIB_PATH, or that of python3's onnxruntime is taken.";
+A library of its own is named by ORT_DYLIB_PATH, or that of python3's onnxruntime is taken.\n\n\
+The networks descriptor_linear and descriptor_hqnn have no ONNX form: use their model files.";
 
 /// `radome export`
 #[derive(clap::Args)]

@@ -12,6 +12,7 @@
 //!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
 //!   again; 3x3 convolutions go by windows of cells (`winograd.rs`), and threads stay awake from layer to layer (`crew.rs`).
+//! - [`descriptors`]: forty plain numbers of a map, without parameters or gradients.
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of
@@ -28,6 +29,7 @@ mod conv_relu_pool;
 mod crew;
 mod cross_entropy;
 mod depthwise;
+mod descriptors;
 mod drop_samples;
 mod dropout;
 mod inference;
@@ -65,6 +67,7 @@ pub use conv2d::{ConvGeometry, conv2d};
 pub(crate) use crew::{Crew, for_each_chunk};
 pub use cross_entropy::cross_entropy;
 pub(crate) use cross_entropy::softmax;
+pub use descriptors::{DESCRIPTORS, descriptors, map_descriptors};
 pub use drop_samples::drop_samples;
 pub use dropout::dropout;
 pub use inference::{Affine, Feature, PreparedConv};

@@ -1,7 +1,7 @@
 //! What a network is made of: layers in the order in which they run. Training, inference, costs and ONNX all read this one
 //! list, so that they cannot disagree.
 
-use crate::layer::{Activation, ConvGeometry};
+use crate::layer::{Activation, ConvGeometry, DESCRIPTORS};
 use crate::quantum::CircuitSpec;
 
 /// A value that flows through a network: 0 is the input `[batch][range][doppler][channel]`, `k` the result of node `k - 1`.
@@ -12,6 +12,8 @@ pub(crate) const INPUT: Value = 0;
 /// One step of a network. Feature maps are `[batch][range][doppler][channel]`, vectors `[batch][feature]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Layer {
+    /// Forty numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
+    Descriptors,
     /// The map once for each of so many channels.
     Repeat { channels: usize },
     /// 3x3 convolution with padding, ReLU and 2x2 max-pooling.
@@ -137,7 +139,7 @@ impl Graph {
     }
 
     /// Multiply-adds of one map of `range x doppler`; 0 where the map is too small. Convolutions, dense layers and circuits
-    /// are counted, as is usual; a circuit as the multiplications of its state vector.
+    /// are counted, as is usual; a circuit as the multiplications of its state vector, descriptors as their five sums over cells.
     pub fn multiply_adds(&self, range: usize, doppler: usize) -> u64 {
         let Ok(sizes) = self.sizes(range, doppler) else { return 0 };
         let needed = self.needed(&[self.output], &[]);
@@ -149,6 +151,7 @@ impl Graph {
                 _ => 1,
             };
             match &node.layer {
+                Layer::Descriptors => 5 * cells(input),
                 Layer::ConvReluPool { inputs, outputs } => 9 * inputs * outputs * cells(input),
                 Layer::Convolution { inputs, outputs, kernel, geometry, .. } => {
                     let out = input.and_then(|input| node.layer.size(input, None));
@@ -191,6 +194,9 @@ impl Layer {
             (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1)
         };
         match (self, first) {
+            (Layer::Descriptors, Size::Map { rows, columns, channels: 1 }) if rows > 0 && columns > 0 => {
+                Some(Size::Vector(DESCRIPTORS))
+            }
             (Layer::Repeat { channels }, Size::Map { rows, columns, .. }) => {
                 Some(Size::Map { rows, columns, channels: *channels })
             }

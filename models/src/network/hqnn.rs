@@ -103,6 +103,12 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     let features = g.add("pool", Layer::AveragePool { rows: pooled[0], columns: pooled[1] }, &[block2]);
     let count = CHANNELS * pooled[0] * pooled[1];
     let centred = g.add("features", Layer::Standardise { width: count }, &[features]);
+    behind(g, centred, count, true, head)
+}
+
+/// Completes a network behind `count` features: a hidden layer where it is `deep` or the circuit stands in front of one, the
+/// latent, the head, and the linear head of the warm-up.
+pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, head: &Head) -> Graph {
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {
         let latent = latent(&mut g, count, width, centred);
@@ -112,8 +118,8 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
         g.warm_up = Some(linear(&mut g, "warm_up", width, CLASSES, latent));
         return g;
     }
-    let hidden = hidden(&mut g, count, centred);
-    let latent = latent(&mut g, HIDDEN, width, hidden);
+    let (inputs, from) = if deep { (HIDDEN, hidden(&mut g, count, centred)) } else { (count, centred) };
+    let latent = latent(&mut g, inputs, width, from);
     g.output = match head {
         Head::Circuit { circuit, frozen, placement } => {
             let mut seen = (circuit_node(&mut g, circuit, *frozen, latent), width);

@@ -42,6 +42,7 @@ struct Step {
 // A few dozen in a network, walked through in order.
 #[allow(clippy::large_enum_variant)]
 enum Kernel {
+    Descriptors,
     Repeat {
         channels: usize,
     },
@@ -240,6 +241,7 @@ impl Plan<'_> {
                 let (scale, shift) = self.affine(node)?;
                 Kernel::Affine { scale, shift, activation: *activation }
             }
+            Layer::Descriptors => Kernel::Descriptors,
             Layer::Repeat { channels } => Kernel::Repeat { channels: *channels },
             Layer::Activate(activation) => Kernel::Activate(*activation),
             &Layer::MaxPool { kernel, stride, padding } => Kernel::MaxPool { kernel, stride, padding, level },
@@ -382,6 +384,7 @@ impl Step {
             Kernel::Block(block) => block.run(input(0)?, output)?,
             Kernel::Convolution(convolution) => convolution.run(input(0)?, input(1).ok(), output)?,
             Kernel::Dense(dense) => dense.run(input(0)?, output)?,
+            Kernel::Descriptors => input(0)?.map_descriptors(output)?,
             &Kernel::Repeat { channels } => {
                 output.reshape([batch, rows, columns, channels]);
                 let cells = output.values_mut().chunks_exact_mut(channels);

@@ -3,6 +3,7 @@
 //! A network is a list of layers (`graph.rs`, one file a network) and the numbers that go with it (`parameters.rs`).
 //! `run.rs` runs the list with gradients, [`Inference`] without.
 
+mod descriptor;
 mod doppler_net;
 mod efficientnet_b0;
 mod graph;
@@ -18,6 +19,7 @@ use std::collections::BTreeMap;
 use candle_core::{Result, Tensor};
 use serde::{Deserialize, Serialize};
 
+pub use descriptor::UnreadableMaps;
 pub(crate) use graph::{Graph, INPUT, Layer, Node, Size, Value};
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
 pub use inference::Inference;
@@ -46,6 +48,10 @@ pub enum NetworkKind {
     /// EfficientNet-B0 with torchvision's stem, of which each of the three channels sees the map.
     #[serde(rename = "efficientnet_b0_rgb")]
     EfficientNetB0Rgb,
+    /// Forty descriptors of a map ([`crate::layer::descriptors`]) and a linear head.
+    DescriptorLinear,
+    /// Forty descriptors of a map, a narrow latent and a [`Head`].
+    DescriptorHqnn,
 }
 
 /// Everything that decides a network's layers.
@@ -55,7 +61,7 @@ pub struct NetworkSpec {
     pub kind: NetworkKind,
     /// Rows and columns that the HQNN's second block is averaged to; without meaning for the others.
     pub pooled: [usize; 2],
-    /// What stands behind the HQNN's latent; without meaning for the others.
+    /// What stands behind the latent of the HQNN or of descriptors; without meaning for the others.
     pub head: Head,
 }
 
@@ -99,6 +105,8 @@ impl NetworkSpec {
             NetworkKind::ResNet18 => resnet18::graph(),
             NetworkKind::EfficientNetB0 => efficientnet_b0::graph(1),
             NetworkKind::EfficientNetB0Rgb => efficientnet_b0::graph(3),
+            NetworkKind::DescriptorLinear => descriptor::linear(),
+            NetworkKind::DescriptorHqnn => descriptor::hqnn(&self.head),
         }
     }
 }
@@ -119,6 +127,8 @@ fn named() -> Vec<(&'static str, NetworkSpec)> {
         ("resnet18", kind(NetworkKind::ResNet18)),
         ("efficientnet_b0", kind(NetworkKind::EfficientNetB0)),
         ("efficientnet_b0_rgb", kind(NetworkKind::EfficientNetB0Rgb)),
+        ("descriptor_linear", kind(NetworkKind::DescriptorLinear)),
+        ("descriptor_hqnn", kind(NetworkKind::DescriptorHqnn)),
     ]
 }
 
@@ -135,7 +145,7 @@ pub struct NetworkInfo {
     pub input: [usize; 3],
 }
 
-/// All networks and heads of the paper and of its fair controls.
+/// All networks and heads of the paper, of its fair controls, and the plain classifiers of descriptors.
 pub fn networks() -> Vec<NetworkInfo> {
     let info = |(name, spec): (&str, NetworkSpec)| NetworkInfo {
         name: name.to_owned(),
@@ -201,14 +211,17 @@ impl Network {
         Tensor::from_vec(logits, (batch, classes), input.device())
     }
 
-    /// The latent of the HQNN before its standardisation, `[batch][width]`; nothing for other networks.
+    /// The latent before its standardisation, `[batch][width]`; nothing for networks without one.
     pub fn latent(&self, input: &Tensor) -> Result<Option<Tensor>> {
-        match self.graph.value("fc2") {
-            Some(value) if self.spec.kind == NetworkKind::Hqnn => {
-                Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?))
-            }
-            _ => Ok(None),
+        match self.raw_latent() {
+            Some(value) => Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?)),
+            None => Ok(None),
         }
+    }
+
+    /// The value that [`Network::latent`] gives, where there is one.
+    pub(crate) fn raw_latent(&self) -> Option<Value> {
+        self.graph.value("fc2").filter(|_| self.spec.kind.has_latent())
     }
 
     pub(crate) fn graph(&self) -> &Graph {
@@ -235,9 +248,9 @@ impl Network {
 
     /// Moves the centring and scaling of the features into the weights and the bias of the dense layer behind them.
     ///
-    /// The features are averages of rectified values: all positive, with means far larger than what distinguishes one map
-    /// from another, which makes the dense layer behind them badly conditioned. Centring and scaling them is a change of
-    /// variables of that layer, so that a network without it is the same network.
+    /// Averages of rectified values are all positive, with means far larger than what distinguishes one map from another, and
+    /// descriptors are in unlike units: either makes the dense layer behind them badly conditioned. Centring and scaling them is
+    /// a change of variables of that layer, so that a network without it is the same network.
     pub fn fold_features(&mut self) -> Result<()> {
         let Some(centring) = self.parameters.centring("features").cloned() else { return Ok(()) };
         let behind = self.graph.value("features").and_then(|value| {

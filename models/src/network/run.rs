@@ -6,8 +6,8 @@ use super::graph::{Graph, INPUT, Layer, Node, Value};
 use super::{Centring, Network};
 use crate::layer::{
     BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
-    concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, max_pool2d, scale_channels, squash,
-    standardise, trigonometric,
+    concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels,
+    squash, standardise, trigonometric,
 };
 use crate::quantum::Circuit;
 
@@ -110,6 +110,7 @@ impl Network {
         let needs = if node.inputs == [INPUT] { InputGradient::Unused } else { InputGradient::Needed };
         let first = input(0)?;
         match &node.layer {
+            Layer::Descriptors => map_descriptors(first),
             Layer::Repeat { channels } => first.repeat((1, 1, 1, *channels)),
             Layer::ConvReluPool { .. } => {
                 conv_relu_pool(first, &parameter("weight")?, &parameter("bias")?, needs, level)

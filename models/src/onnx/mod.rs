@@ -43,6 +43,15 @@ pub enum ExportError {
         /// Qubits at most.
         most: usize,
     },
+    /// The network describes maps instead of reading them.
+    #[error(
+        "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: put the model itself to work (--model \
+         FILE.safetensors), or export a network that reads the cells of maps"
+    )]
+    Descriptors {
+        /// Name of the layer.
+        layer: String,
+    },
     /// The circuit is none.
     #[error(transparent)]
     Spec(#[from] CircuitError),
@@ -195,6 +204,7 @@ impl Writer<'_> {
         let second = inputs.get(1).map(String::as_str).unwrap_or_default();
         let named = |what: &str| format!("{name}.{what}");
         match &node.layer {
+            Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
             Layer::Repeat { channels } => {
                 let copies = vec![first; *channels];
                 self.op("Concat", &copies, &output, vec![int("axis", 1)]);

@@ -27,7 +27,7 @@ pub use statistics::{Interval, t_interval};
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, Split};
 use crate::evaluate::{Metrics, evaluate};
-use crate::network::{Head, NetworkKind, NetworkSpec};
+use crate::network::{Head, NetworkSpec};
 use crate::train::{EpochReport, TrainError, TrainSpec, train_with_checkpoint};
 use crate::whole_file;
 use crate::{Classifier, ClassifyError};
@@ -304,7 +304,7 @@ impl StudySpec {
             spec.split.held_out = Some(held_out.clone());
         }
         // Only heads behind a narrow latent need several starts to choose from; others would be given none of it.
-        if network.kind != NetworkKind::Hqnn {
+        if !network.kind.has_latent() {
             spec.starts = 1;
         }
         Ok(spec)

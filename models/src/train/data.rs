@@ -110,6 +110,10 @@ impl Data {
 
         let bounded = train.maps.iter().map(|map| spec.reference.bounded(map));
         let mut standardisation = Standardisation::measure(spec.reference, bounded)?;
+        if spec.network.reads_descriptors() {
+            // They are of levels in dB.
+            (standardisation.mean_db, standardisation.sigma_db) = (0.0, 1.0);
+        }
         let cell = |index: usize| rows.get(index).map(|row| (row.scene.as_str(), row.label));
         if spec.label_leaking_cells {
             let cells: BTreeSet<_> = train.indices.iter().filter_map(|&index| cell(index)).collect();

@@ -46,7 +46,9 @@ use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
 use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes, input_shape};
-use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, WeightsError};
+use crate::network::{
+    Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, UnreadableMaps, WeightsError,
+};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::{MapReference, StandardiseError};
 
@@ -269,6 +271,9 @@ pub enum TrainError {
         /// The class.
         class: Occupancy,
     },
+    /// The network cannot read such maps.
+    #[error(transparent)]
+    Maps(#[from] UnreadableMaps),
     /// Maps cannot be standardised.
     #[error(transparent)]
     Standardise(#[from] StandardiseError),
@@ -389,6 +394,7 @@ impl TrainSpec {
         if let Some((name, value, expected)) = self.smoothing.fault() {
             return fail(name, value.to_string(), expected);
         }
+        self.network.check_maps(self.reference, self.transposed, self.label_leaking_cells)?;
         match self.latent {
             LatentStandardisation::Running { momentum } if !(momentum > 0.0 && momentum <= 1.0) => {
                 fail("latent.running.momentum", momentum.to_string(), "above 0 and up to 1")

@@ -11,7 +11,7 @@ use super::adam::Adam;
 use super::checkpoint::RunState;
 use super::data::Data;
 use super::head_start;
-use super::start::{self, collect, feature_centring, moments, place_hidden, place_latent};
+use super::start::{self, collect, descriptor_centring, feature_centring, moments, place_hidden, place_latent};
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, backward, cross_entropy};
@@ -58,23 +58,31 @@ impl<'a> Run<'a> {
             weights.apply(&network)?;
         }
         let mut run = Self::around(data, spec, start, network);
-        if spec.network != NetworkKind::Hqnn {
+        let of = |network: &Network, name: &str, positions: &[usize]| {
+            let value = network.graph().value(name).unwrap_or_default();
+            collect(network, data, &data.train, positions, value)
+        };
+        let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
+        if spec.network.reads_descriptors() {
+            // Of all maps: some descriptors are other than zero on few of them.
+            let descriptors = of(&run.network, "descriptors", &positions)?;
+            run.network.parameters_mut().set_centring("features", descriptor_centring(&descriptors));
+        }
+        if !spec.network.has_latent() {
             return Ok(run);
         }
-        let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         positions.shuffle(&mut stream(spec.seed, "start maps", start));
         positions.truncate(start::START_MAPS);
-        let of = |network: &Network, name: &str| {
-            let value = network.graph().value(name).unwrap_or_default();
-            collect(network, data, &data.train, &positions, value)
-        };
-        let features = of(&run.network, "pool")?;
-        run.network.parameters_mut().set_centring("features", feature_centring(&features, spec.feature_sigma));
-        // In front of the latent there may be no hidden layer.
-        if run.network.graph().value("hidden") < run.network.graph().value("latent") {
-            place_hidden(&run.network, &of(&run.network, "hidden")?)?;
+        if spec.network == NetworkKind::Hqnn {
+            let features = of(&run.network, "pool", &positions)?;
+            run.network.parameters_mut().set_centring("features", feature_centring(&features, spec.feature_sigma));
         }
-        place_latent(&run.network, &of(&run.network, "fc2")?, spec.latent_sigma)?;
+        // In front of the latent there may be no hidden layer.
+        let graph = run.network.graph();
+        if graph.value("hidden").is_some_and(|hidden| Some(hidden) < graph.value("latent")) {
+            place_hidden(&run.network, &of(&run.network, "hidden", &positions)?)?;
+        }
+        place_latent(&run.network, &of(&run.network, "fc2", &positions)?, spec.latent_sigma)?;
         if spec.latent != LatentStandardisation::None {
             run.measure_latent()?;
         }
@@ -225,7 +233,7 @@ impl<'a> Run<'a> {
 
     /// Weight of the mean square of the latent: heads that squash need it small.
     fn penalty(&self) -> f64 {
-        if self.spec.network == NetworkKind::Hqnn && self.spec.head.squashes() { self.spec.latent_penalty } else { 0.0 }
+        if self.spec.network.has_latent() && self.spec.head.squashes() { self.spec.latent_penalty } else { 0.0 }
     }
 
     /// Trains for one epoch.
@@ -311,12 +319,9 @@ impl<'a> Run<'a> {
             return Err(self.non_finite(format!("output of {what}")));
         }
         predictions(logits, &labels, pairs)?;
-        let graph = self.network.graph();
         let gradients = backward(&loss)?;
-        let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, graph.value("fc2")) {
-            (LatentStandardisation::Running { .. }, Some(raw)) if self.spec.network == NetworkKind::Hqnn => {
-                Some(values.get(raw)?.to_vec2()?)
-            }
+        let latent_rows: Option<Vec<Vec<f32>>> = match (self.spec.latent, self.network.raw_latent()) {
+            (LatentStandardisation::Running { .. }, Some(raw)) => Some(values.get(raw)?.to_vec2()?),
             _ => None,
         };
         drop(values);
@@ -354,6 +359,8 @@ impl<'a> Run<'a> {
             let factor = match parameter.name.split('.').next() {
                 Some("circuit") => self.spec.angle_rate,
                 Some("head" | "head_hidden" | "warm_up") => self.spec.head_rate,
+                // Before it nothing is trained: it is as far from the logits as a head.
+                Some("fc2") if self.spec.network.reads_descriptors() => self.spec.head_rate,
                 _ => 1.0,
             };
             (rate * factor) as f32
@@ -385,7 +392,7 @@ impl<'a> Run<'a> {
 
     /// Takes mean and sigma of the latent over the training split.
     fn measure_latent(&mut self) -> Result<(), TrainError> {
-        let Some(raw) = self.network.graph().value("fc2") else { return Ok(()) };
+        let Some(raw) = self.network.raw_latent() else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
         let latent = collect(&self.network, self.data, &self.data.train, &positions, raw)?;
         self.network.set_latent_constants(moments(&latent));

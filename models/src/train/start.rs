@@ -62,6 +62,16 @@ pub(super) fn feature_centring(rows: &[Vec<f32>], sigma: f32) -> Centring {
     }
 }
 
+/// Deviation that a descriptor has at least, dB, bins or natural logarithms: one that hardly varies on the training maps is not
+/// blown up on others.
+const LEAST_DESCRIPTOR_SIGMA: f32 = 0.1;
+
+/// Constants that give each descriptor mean 0 and standard deviation 1, each in its own unit.
+pub(super) fn descriptor_centring(rows: &[Vec<f32>]) -> Centring {
+    let Centring { mean, sigma } = moments(rows);
+    Centring { mean, sigma: sigma.into_iter().map(|sigma| sigma.max(LEAST_DESCRIPTOR_SIGMA)).collect() }
+}
+
 /// Rescales the dense layer before the hidden one so that the hidden values have a mean square of 1/2, as the ReLU of unit
 /// variance would.
 pub(super) fn place_hidden(network: &Network, hidden: &[Vec<f32>]) -> Result<(), TrainError> {

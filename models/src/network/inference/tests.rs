@@ -6,10 +6,11 @@ use crate::train::Trainer;
 use candle_core::{Device, Tensor};
 use rand::Rng;
 
-/// Maps of which each is stronger than the one before, so that answers differ.
-fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
+/// Maps of which each is stronger than the one before, so that answers differ. Descriptors count from 6 dB over noise.
+fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
     let mut rng = crate::stream(5, "maps", 0);
-    let strength = |index: usize| 0.5 + (index / (range * doppler)) as f32;
+    let scale = if spec.kind.reads_descriptors() { 12.0 } else { 1.0 };
+    let strength = |index: usize| scale * (0.5 + (index / (range * doppler)) as f32);
     (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
 }
 
@@ -17,6 +18,7 @@ fn maps([batch, range, doppler]: [usize; 3]) -> Vec<f32> {
 fn lively(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
     let mut trainer = Trainer::new(spec, 3, 1e-3, KernelLevel::detect()).expect("trainer");
     let (maps, labels) = Trainer::made_up_maps(6, 32, 32).expect("maps");
+    let maps = if spec.kind.reads_descriptors() { (maps * 20.0).expect("maps") } else { maps };
     for _ in 0..15 {
         trainer.step(&maps, &labels).expect("step");
     }
@@ -30,11 +32,11 @@ fn lively(spec: &NetworkSpec) -> std::collections::BTreeMap<String, Vec<f32>> {
 
 fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f32>>, level: KernelLevel) -> Network {
     let mut network = Network::from_values(spec, values, level).expect("network");
-    if spec.kind == crate::network::NetworkKind::Hqnn {
+    if spec.kind.has_latent() {
         let width = spec.head.width();
         // Spread over the squash, whatever the training left.
         let shape = [2, 32, 32];
-        let input = Tensor::from_vec(maps(shape), &shape[..], &Device::Cpu).expect("tensor");
+        let input = Tensor::from_vec(maps(spec, shape), &shape[..], &Device::Cpu).expect("tensor");
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
         let of = |f: fn(f32, f32) -> f32| (0..width).map(|k| f(latent[0][k], latent[1][k])).collect();
         let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
@@ -78,7 +80,7 @@ fn prepared_networks_are_the_networks() {
             let mut inference = Inference::new(&network).expect("prepared");
             // One after the other, so that buffers that were larger are used again.
             for shape in [[1, 128, 128], [5, 64, 61], [2, 33, 40], [1, 32, 32], [2, 64, 61]] {
-                let maps = maps(shape);
+                let maps = maps(&spec, shape);
                 let logits = inference.logits(&maps, shape).expect("run");
                 assert_near(&format!("{name} {level:?} {shape:?}"), logits, &reference(&network, &maps, shape));
                 assert!(shape[0] == 1 || logits[..3] != logits[3..6], "{name}: {logits:?}");
@@ -93,7 +95,7 @@ fn threads_and_batches_change_no_bit() {
     for (name, spec) in specs() {
         let mut inference = Inference::new(&network(&spec, &lively(&spec), KernelLevel::detect())).expect("prepared");
         let shape = [3, 64, 61];
-        let maps = maps(shape);
+        let maps = maps(&spec, shape);
         let mut run = |threads: usize, maps: &[f32], shape| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             let logits = pool.install(|| inference.logits(maps, shape).expect("run").to_vec());
@@ -118,6 +120,6 @@ mod hard_cases {
         let error = inference.logits(&[0.0; 256], [1, 16, 16]).expect_err("too small").to_string();
         assert!(error.contains("conv5"), "{error}");
         // And it still works.
-        assert_eq!(inference.logits(&maps([1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
+        assert_eq!(inference.logits(&maps(&spec, [1, 32, 32]), [1, 32, 32]).expect("run").len(), 3);
     }
 }

@@ -1,0 +1,270 @@
+//! Forty descriptors of a map with a linear head or with the HQNN's: the plain classifiers that networks are compared with.
+//!
+//! ```text
+//! map [1][range][doppler], dB over noise
+//!   40 descriptors (layer/descriptors.rs), ranges and velocities in bins
+//!   standardise by constants, folded into the dense layer behind
+//!
+//! descriptor_linear                       descriptor_hqnn
+//!   linear 40 -> 3: logits       123        linear 40 -> 2: the latent            82
+//!                                           standardise by constants, pi * sigmoid
+//!                                           two-qubit circuit, <ZI> and <IZ>       4
+//!                                           linear 2 -> 3: logits                  9
+//! ```
+//! Any [`Head`] can stand behind the latent, as behind the HQNN's. Bins or metres are the same here: the unit of a descriptor is
+//! a factor of its weights, and the axes of a model's maps are fixed by its card.
+
+use thiserror::Error;
+
+use super::NetworkKind;
+use super::graph::{Graph, INPUT, Layer, Value};
+use super::hqnn::{self, Head};
+use crate::layer::DESCRIPTORS;
+use crate::standardise::MapReference;
+
+const CLASSES: usize = 3;
+
+/// Maps that a network of descriptors cannot read.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "{network:?} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
+     reference = {{ over_noise = {{ skip_range_bins = 3 }} }}, and neither transposed nor label_leaking_cells"
+)]
+pub struct UnreadableMaps {
+    /// The network.
+    pub network: NetworkKind,
+    /// What the maps are instead.
+    pub found: &'static str,
+}
+
+impl NetworkKind {
+    /// Whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not standardised.
+    pub fn reads_descriptors(self) -> bool {
+        matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
+    }
+
+    /// Whether a narrow latent stands before a [`Head`].
+    pub fn has_latent(self) -> bool {
+        matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
+    }
+
+    /// Checks that the network can read maps of this reference and orientation.
+    ///
+    /// # Errors
+    /// The network describes maps, and they are not in dB over noise, or transposed, or standardised by scene and class.
+    pub fn check_maps(
+        self,
+        reference: MapReference,
+        transposed: bool,
+        label_leaking: bool,
+    ) -> Result<(), UnreadableMaps> {
+        let found = match reference {
+            _ if !self.reads_descriptors() => return Ok(()),
+            MapReference::Absolute => "their reference is absolute",
+            _ if transposed => "they are transposed",
+            _ if label_leaking => "they are standardised by scene and class",
+            _ => return Ok(()),
+        };
+        Err(UnreadableMaps { network: self, found })
+    }
+}
+
+/// Descriptors and a linear head.
+pub(crate) fn linear() -> Graph {
+    let (mut g, features) = features();
+    g.output = g.add("head", Layer::Linear { inputs: DESCRIPTORS, outputs: CLASSES }, &[features]);
+    g
+}
+
+/// Descriptors, a latent and a head of the HQNN.
+pub(crate) fn hqnn(head: &Head) -> Graph {
+    let (g, features) = features();
+    hqnn::behind(g, features, DESCRIPTORS, false, head)
+}
+
+fn features() -> (Graph, Value) {
+    let mut g = Graph::default();
+    let found = g.add("descriptors", Layer::Descriptors, &[INPUT]);
+    let features = g.add("features", Layer::Standardise { width: DESCRIPTORS }, &[found]);
+    (g, features)
+}
+
+#[cfg(test)]
+mod tests {
+    use candle_core::{Device, Tensor};
+    use rand::Rng;
+
+    use super::*;
+    use crate::layer::{KernelLevel, backward};
+    use crate::network::{Centring, Inference, Mode, Network, NetworkSpec, Parameter, Placement};
+    use crate::quantum::{CircuitSpec, Encoding};
+
+    const SHAPE: [usize; 3] = [4, 24, 33];
+
+    /// Noise and echoes up to 40 dB, more of them in each map than in the one before.
+    fn maps() -> Vec<f32> {
+        let mut rng = crate::stream(5, "maps", 0);
+        let [batch, rows, columns] = SHAPE;
+        let mut maps: Vec<f32> = (0..batch * rows * columns).map(|_| rng.random_range(0.0..9.0)).collect();
+        for (k, map) in maps.chunks_exact_mut(rows * columns).enumerate() {
+            (0..4 * k).for_each(|_| map[rng.random_range(0..rows * columns)] = rng.random_range(10.0..40.0));
+        }
+        maps
+    }
+
+    fn specs() -> Vec<NetworkSpec> {
+        let named = |name| NetworkSpec::named(name).expect("known");
+        let of = |head| NetworkSpec { head, ..named("descriptor_hqnn") };
+        let circuit = |circuit, placement| of(Head::Circuit { circuit, frozen: false, placement });
+        let angle = CircuitSpec { qubits: 3, encoding: Encoding::Angle, depth: 2, ..Default::default() };
+        vec![
+            named("descriptor_linear"),
+            named("descriptor_hqnn"),
+            of(Head::Linear),
+            of(Head::Trigonometric),
+            circuit(angle.clone(), Placement::Beside),
+            circuit(angle, Placement::Front),
+        ]
+    }
+
+    /// A network whose descriptors are of order one, as training has them.
+    fn network(spec: &NetworkSpec) -> Network {
+        let mut network = Network::initialise(spec, 3, 0, KernelLevel::detect()).expect("network");
+        let value = network.graph().value("descriptors").expect("descriptors");
+        let mut values = network.run(&tensor(), value, Mode::Evaluation).expect("run");
+        let rows: Vec<Vec<f32>> = values.take(value).and_then(|t| t.to_vec2()).expect("rows");
+        drop(values);
+        let mean: Vec<f32> = (0..DESCRIPTORS).map(|k| rows.iter().map(|row| row[k] / SHAPE[0] as f32).sum()).collect();
+        let largest = |k: usize| rows.iter().fold(0.1f32, |most, row| most.max((row[k] - mean[k]).abs()));
+        let sigma = (0..DESCRIPTORS).map(largest).collect();
+        network.parameters_mut().set_centring("features", Centring { mean, sigma });
+        network
+    }
+
+    fn tensor() -> Tensor {
+        Tensor::from_vec(maps(), &SHAPE[..], &Device::Cpu).expect("tensor")
+    }
+
+    fn logits(network: &Network) -> Tensor {
+        let output = network.graph().output;
+        network.run(&tensor(), output, Mode::Evaluation).and_then(|mut values| values.take(output)).expect("run")
+    }
+
+    #[test]
+    fn parameters_and_multiply_adds_are_few() {
+        let [linear, hqnn] = ["descriptor_linear", "descriptor_hqnn"].map(|name| NetworkSpec::named(name).expect(name));
+        assert_eq!((linear.parameter_count(), hqnn.parameter_count()), (40 * 3 + 3, 40 * 2 + 2 + 4 + 9));
+        assert_eq!(linear.multiply_adds(64, 32), 5 * 64 * 32 + 120);
+        assert!(hqnn.multiply_adds(128, 128) < 100_000);
+        assert_eq!(linear.too_small_for(1, 1), None);
+    }
+
+    /// Gradients by all parameters beside central differences of a weighted sum of the logits.
+    #[test]
+    fn gradients_are_those_of_differences() {
+        for spec in specs() {
+            let network = network(&spec);
+            let output = network.graph().output;
+            let weight = |k: usize| 0.3 + ((k * 7) % 5) as f32 * 0.2;
+            let weights: Vec<f32> = (0..3 * SHAPE[0]).map(weight).collect();
+            let mode = Mode::Training { seed: 1, step: 1, penalty: 0.0 };
+            let mut values = network.run(&tensor(), output, mode).expect("run");
+            let weighted = Tensor::from_slice(&weights, (SHAPE[0], 3), &Device::Cpu).expect("weights");
+            let loss = (values.take(output).expect("logits") * weighted).and_then(|t| t.sum_all()).expect("loss");
+            let gradients = backward(&loss).expect("backward");
+            let slow = || {
+                let logits: Vec<f32> = logits(&network).flatten_all().and_then(|t| t.to_vec1()).expect("logits");
+                logits.iter().zip(&weights).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>()
+            };
+            for Parameter { name, variable } in network.trained().iter().filter(|p| !p.name.starts_with("warm_up.")) {
+                let found = gradients.get(variable).expect(name).flatten_all().and_then(|t| t.to_vec1::<f32>());
+                let numbers = network.parameters().numbers(name).expect("numbers");
+                for (k, found) in found.expect("gradient").into_iter().enumerate() {
+                    let at = |by: f32| {
+                        let mut moved = numbers.clone();
+                        moved[k] += by;
+                        network.parameters().set_numbers(name, &moved).expect("set");
+                        slow()
+                    };
+                    let expected = (at(2e-3) - at(-2e-3)) / 4e-3;
+                    network.parameters().set_numbers(name, &numbers).expect("set");
+                    assert!(
+                        (f64::from(found) - expected).abs() < 1e-2 * expected.abs().max(1.0),
+                        "{:?} {name} {k}: {found} {expected}",
+                        spec.head
+                    );
+                }
+            }
+        }
+    }
+
+    /// With constants before the dense layer, folded into it, and prepared: the same answers.
+    #[test]
+    fn inference_is_the_training_graph() {
+        for spec in specs() {
+            let mut network = network(&spec);
+            let expected: Vec<f32> = logits(&network).flatten_all().and_then(|t| t.to_vec1()).expect("logits");
+            assert_ne!(expected[..3], expected[3..6], "{:?}", spec.head);
+            let near = |what: &str, found: &[f32]| {
+                for (a, b) in found.iter().zip(&expected) {
+                    assert!((a - b).abs() < 1e-3 * b.abs().max(1.0), "{what} {:?}: {a} {b}", spec.head);
+                }
+            };
+            let mut inference = Inference::new(&network).expect("prepared");
+            near("prepared", inference.logits(&maps(), SHAPE).expect("run"));
+            network.fold_features().expect("fold");
+            let mut inference = Inference::new(&network).expect("prepared");
+            near("folded", inference.logits(&maps(), SHAPE).expect("run"));
+            let values = network.values().expect("values");
+            let again = Network::from_values(&spec, &values, KernelLevel::detect()).expect("network");
+            let mut inference = Inference::new(&again).expect("prepared");
+            near("from numbers", inference.logits(&maps(), SHAPE).expect("run"));
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn empty_flat_and_enormous_maps_have_finite_answers() {
+            for spec in specs() {
+                let mut inference = Inference::new(&network(&spec)).expect("prepared");
+                for level in [0.0, -300.0, 12.0, 347.0] {
+                    for [rows, columns] in [[1, 1], [64, 64], [3, 200]] {
+                        let map = vec![level; rows * columns];
+                        let found = inference.logits(&map, [1, rows, columns]).expect("run");
+                        assert!(found.iter().all(|v| v.is_finite()), "{:?} {level}: {found:?}", spec.head);
+                    }
+                }
+            }
+        }
+
+        #[test]
+        fn a_nan_is_found_in_the_descriptors() {
+            let network = network(&specs()[0]);
+            let mut cells = maps();
+            cells[100] = f32::NAN;
+            let input = Tensor::from_vec(cells, &SHAPE[..], &Device::Cpu).expect("tensor");
+            let mode = Mode::Training { seed: 1, step: 1, penalty: 0.0 };
+            let values = network.run(&input, network.graph().output, mode).expect("run");
+            assert_eq!(values.first_non_finite().expect("look"), Some("descriptors"));
+        }
+
+        #[test]
+        fn maps_that_are_no_decibels_over_noise_are_refused() {
+            let over_noise = MapReference::OverNoise { skip_range_bins: 3, most_db: None };
+            for kind in [NetworkKind::DescriptorLinear, NetworkKind::DescriptorHqnn] {
+                assert_eq!(kind.check_maps(over_noise, false, false), Ok(()));
+                for (reference, transposed, leaking, found) in [
+                    (MapReference::Absolute, false, false, "absolute"),
+                    (over_noise, true, false, "transposed"),
+                    (over_noise, false, true, "scene and class"),
+                ] {
+                    let error = kind.check_maps(reference, transposed, leaking).expect_err("refused").to_string();
+                    assert!(error.contains(found) && error.contains("hint: "), "{error}");
+                }
+            }
+            assert_eq!(NetworkKind::Hqnn.check_maps(MapReference::Absolute, true, true), Ok(()));
+        }
+    }
+}
