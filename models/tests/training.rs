@@ -57,7 +57,7 @@ fn brief() -> (Dataset, TrainSpec) {
 
 /// The same training of a network that describes maps.
 fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
-    TrainSpec { network, reference: MapReference::OverNoise { skip_range_bins: 0 }, ..spec }
+    TrainSpec { network, reference: MapReference::OverNoise { skip_range_bins: 0, most_db: None }, ..spec }
 }
 
 fn rdm(set: &Dataset, index: usize) -> Rdm {
