@@ -135,6 +135,14 @@ impl Actor {
         let bound = refine(&mesh, &rig.weights, &standing)?;
         let parts = parts(&bound, &standing, height_m);
         let rest = Mesh { vertices: bound.posed(&standing), triangles: bound.mesh.triangles.clone() };
+        let hint = "check the inverse bind matrices, the scale of the bones and the keys of the clip";
+        rest.check().map_err(|error| FileFault::new("skin", format!("where the actor stands, {error}"), hint))?;
+        if rest.triangles.is_empty() {
+            return Err(FileFault::new("skin", "it has no triangle with an area, expected a closed surface", hint));
+        }
+        if let Some(bone) = poses.iter().find_map(|pose| pose.iter().position(|map| !map.is_finite())) {
+            return Err(FileFault::new("skin", format!("a key of its clip puts bone {bone} nowhere"), hint));
+        }
         let influences: Vec<Vec<(usize, f64, DVec3)>> = bound
             .weights
             .iter()

@@ -427,6 +427,10 @@ impl Map {
     pub(super) fn of(e: &Ellipsoid) -> Self {
         Map { centre: e.centre, stretch: e.axes * DMat3::from_diagonal(e.semi_axes_m) }
     }
+
+    pub(super) fn is_finite(&self) -> bool {
+        self.centre.is_finite() && self.stretch.is_finite()
+    }
 }
 
 impl Map {
