@@ -238,7 +238,8 @@ mod tests {
         let map = noise();
         let zero = SHAPE.doppler / 2;
         let slow = |d: usize, bins: usize| d.abs_diff(zero) <= bins;
-        let parts: [(Ablation, &dyn Fn(usize, usize, usize) -> bool); 6] = [
+        type Part<'a> = (Ablation, &'a dyn Fn(usize, usize, usize) -> bool);
+        let parts: [Part; 6] = [
             (Ablation::Nothing, &|_, _, _| false),
             (Ablation::Slow { most_m_per_s: 0.15 }, &|_, d, r| r >= SKIP && slow(d, 1)),
             (Ablation::Slow { most_m_per_s: 0.35 }, &|_, d, r| r >= SKIP && slow(d, 3)),

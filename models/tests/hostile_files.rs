@@ -92,7 +92,7 @@ mod hard_cases {
             let path = folder.path().join(name);
             // A file of this length that takes no room on the disk.
             std::fs::File::create(&path).and_then(|file| file.set_len(MODEL_LIMIT_BYTES + 1)).expect("made");
-            let error = ModelCard::load(&path).err().expect("too large").to_string();
+            let error = ModelCard::load(&path).expect_err("too large").to_string();
             assert!(error.contains(name) && error.contains("at most") && error.contains("hint: "), "{error}");
         }
         let error = Model::load(folder.path()).err().expect("a folder").to_string();
@@ -127,7 +127,7 @@ mod hard_cases {
             &[0x39, 0x00, 0x00],
         ];
         for bytes in hostile {
-            let error = load(bytes).err().expect("refused");
+            let error = load(bytes).expect_err("refused");
             assert!(matches!(error, ModelError::NotOnnx { .. } | ModelError::NoCard { .. }), "{bytes:?}: {error}");
         }
         // Empty messages by the million: none of them is kept.

@@ -92,7 +92,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         let said = failure(radome().args(command).arg(&kept));
         assert!(said.contains("kept.mcap exists already") && said.contains("--overwrite"), "{command:?}: {said}");
         assert_eq!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
-        assert_eq!(files(folder.path()), [kept.clone()], "{command:?}");
+        assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
     for command in
         commands.iter().filter(|command| ["record", "simulate", "convert", "rdm", "export"].contains(&command[0]))
@@ -101,7 +101,7 @@ fn an_output_that_exists_is_refused_and_stays_as_it_is() {
         let output = radome().args(*command).arg(&kept).arg("--overwrite").output().expect("runs");
         assert!(output.status.success(), "{command:?}: {}", String::from_utf8_lossy(&output.stderr));
         assert_ne!(std::fs::read(&kept).expect("readable"), b"a night of frames", "{command:?}");
-        assert_eq!(files(folder.path()), [kept.clone()], "{command:?}");
+        assert_eq!(files(folder.path()), std::slice::from_ref(&kept), "{command:?}");
     }
 }
 

@@ -33,6 +33,8 @@ pub use doctor::WireLog;
 use crate::exit::Ended;
 
 /// What the program can do.
+// There is one in a program: its size does not matter.
+#[allow(clippy::large_enum_variant)]
 #[derive(Subcommand)]
 pub enum Command {
     /// The main job with nothing attached: an emulated board streams a simulated corridor, a trained network watches

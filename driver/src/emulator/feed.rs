@@ -5,6 +5,7 @@ use std::time::Duration;
 use radome_dsp::{FrameSource, SourceError, Waveform};
 
 type Made = Result<Box<dyn FrameSource>, SourceError>;
+type MakeWaveform = Box<dyn FnMut(&Waveform, Duration) -> Made + Send>;
 
 /// The frames of an emulated board. Any boxed [`FrameSource`] is one, with frames of its own waveform until it ends.
 pub struct Feed {
@@ -19,7 +20,7 @@ pub(super) enum Maker {
     /// Opens the same frames again.
     Again(Box<dyn FnMut() -> Made + Send>),
     /// Makes frames of a waveform, the first of them at this time of the source or at the next frame after it.
-    Waveforms(Box<dyn FnMut(&Waveform, Duration) -> Made + Send>),
+    Waveforms(MakeWaveform),
 }
 
 impl Feed {

@@ -412,7 +412,7 @@ mod tests {
         assert_eq!(output.dims(), [3, DESCRIPTORS]);
         assert_eq!(output.flatten_all().and_then(|t| t.to_vec1::<f32>()).expect("numbers"), expected);
         let loss = output.sum_all().expect("loss");
-        let error = crate::layer::backward(&loss).err().expect("refused").to_string();
+        let error = crate::layer::backward(&loss).expect_err("refused").to_string();
         assert!(error.contains("no gradient"), "{error}");
         let (feature, mut prepared) = (Feature::new([3, rows, columns, 1], maps).expect("maps"), Feature::default());
         feature.map_descriptors(&mut prepared).expect("descriptors");

@@ -63,7 +63,7 @@ impl Failure {
                     Some(code) => io::Error::from_raw_os_error(*code),
                     None => io::Error::new(*kind, text.clone()),
                 };
-                RecordingError::Io { path, what: *what, source }
+                RecordingError::Io { path, what, source }
             }
             Failure::Stalled(waited) => RecordingError::Stalled { path, waited_s: waited.as_secs_f64() },
         }
