@@ -364,7 +364,7 @@ mod hard_cases {
     /// The library that reads the format does not check these and panics: found by fuzzing.
     #[test]
     fn gltf_references_to_nothing_are_refused() {
-        for (name, value) in [("path", serde_json::json!("rotatioN")), ("node", serde_json::json!(99))] {
+        for (name, value) in [("path", serde_json::json!("turn")), ("node", serde_json::json!(99))] {
             let mut file = biped::gltf(1.0);
             file.json["animations"][0]["channels"][0]["target"][name] = value;
             refused(parse(&file.bytes(), "a.gltf"), &["glTF", "animations[0].channels[0].target"]);
