@@ -6,6 +6,8 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use serde::Deserialize;
 
+const SCRIPT: &str = include_str!("../../../bench/networks.py");
+
 /// A network in another program, prepared and waiting for its turns.
 pub struct Peer {
     /// What it is called; empty before its first turn.
@@ -35,7 +37,8 @@ impl Peer {
         onnx: Option<&Path>,
     ) -> Option<Self> {
         let mut command = Command::new(python.map_or_else(|| PathBuf::from("python3"), Path::to_owned));
-        command.args(["cli/bench/networks.py", what, network, "--turns", "--threads", &threads.to_string()]);
+        // The script is in the program, so that it is found wherever that runs.
+        command.args(["-c", SCRIPT, what, network, "--turns", "--threads", &threads.to_string()]);
         command.args(["--batch", &batch.to_string(), "--repeats", &repeats.to_string()]);
         if let Some(folder) = onnx {
             command.arg("--onnx").arg(folder);

@@ -93,7 +93,8 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
 /// What the script of the peer says, or nothing where it cannot run.
 fn scipy_ms(python: Option<&Path>) -> Option<f64> {
     let python = python.unwrap_or(Path::new("python3"));
-    let output = Command::new(python).args(["cli/bench/rdm.py", "--peer"]).output().ok()?;
+    // The script is in the program, so that it is found wherever that runs.
+    let output = Command::new(python).args(["-c", include_str!("../../../bench/rdm.py"), "--peer"]).output().ok()?;
     let said: serde_json::Value = serde_json::from_slice(&output.stdout).ok()?;
     Some(said.get("scipy_f32_microseconds")?.as_f64()? * 1e-3)
 }
