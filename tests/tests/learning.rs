@@ -237,11 +237,14 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
 #[test]
 fn shipped_settings_train_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
-    let model = folder.path().join("model.safetensors");
-    for name in ["hall", "desk", "paper"] {
+    for (name, network) in
+        [("hall", "hqnn"), ("desk", "hqnn"), ("paper", "hqnn"), ("hall-descriptors", "descriptor_linear")]
+    {
         let spec = fixture("datasets").join(format!("{name}-training.toml"));
+        let model = folder.path().join(format!("{name}.safetensors"));
         let mut command = radome();
-        command.arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--epochs", "1", "--json", "-o"]).arg(&model);
+        command.arg("train").arg(maps()).arg("--spec").arg(&spec).args(["--network", network]);
+        command.args(["--epochs", "1", "--json", "-o"]).arg(&model);
         let told = json_lines(&mut command);
         assert!(told.last().is_some_and(|last| last["training"]["epochs"] == 1), "{name}: {told:?}");
     }
