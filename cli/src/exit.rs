@@ -1,4 +1,4 @@
-//! How a command ends, and the exit status that says so.
+//! Outcome of a command and its exit status.
 
 use std::process::ExitCode;
 
@@ -8,7 +8,7 @@ use crate::output;
 pub const HELP: &str = "Exit status: 0 done, 1 failed, 2 wrong use, 3 done but something was lost. A closed stdout ends a command \
                         quietly with 0. Ctrl-C and SIGTERM end it in order; a second one ends it at once with 130.";
 
-/// How a command ended that did not fail.
+/// Outcome of a command that did not fail.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Ended {
     /// All is done.

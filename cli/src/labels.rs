@@ -46,7 +46,7 @@ pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Re
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
 }
 
-/// What such a file holds.
+/// Content of such a file.
 fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
     Ok(match format(path)? {
         Format::Audacity => label_text::to_audacity(spans),

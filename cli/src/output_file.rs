@@ -20,7 +20,7 @@ pub struct Overwrite {
 }
 
 impl Overwrite {
-    /// As the libraries know it.
+    /// The same choice as the recording library's type.
     pub fn existing(self) -> Existing {
         if self.overwrite { Existing::Replace } else { Existing::Refuse }
     }

@@ -41,7 +41,7 @@ pub struct SourceOptions {
     pub speed: Option<f64>,
     /// Whether a recording is to be a [`Tape`], by default at the pace at which it was taken.
     pub as_tape: bool,
-    /// How long a board that is lost is looked for, if not as long as by default.
+    /// Time for which a lost board is looked for; the default if `None`.
     pub give_up_after: Option<Duration>,
 }
 
@@ -161,7 +161,7 @@ fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator
     Ok(Simulator::new(scene, simulate)?.on_own_threads()?)
 }
 
-/// What an emulated board measures, and one line that says what it is. A scene is simulated in whatever waveform a client
+/// Feed of an emulated board and a one-line description. A scene is simulated in whatever waveform a client
 /// programs; a recording can be begun again.
 pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String)> {
     let Source { frames, description, .. } = open(spec, options)?;

@@ -48,7 +48,7 @@ impl Arguments {
         self.bundle.as_ref().map(|_| &self.wire)
     }
 
-    /// What replaces names in the archive: it knows this machine, its user, and what the arguments name.
+    /// Replacer of names in the archive. It knows this machine, its user, and the names in the arguments.
     fn redactor(&self, bundle: &Path) -> Redactor {
         let mut redactor = Redactor::of_this_machine();
         let source = self.source.as_deref().map(|spec| {

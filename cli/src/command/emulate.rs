@@ -50,7 +50,7 @@ pub struct Arguments {
     /// Begin the recording again each time that it ends; counters and time go on
     #[arg(long = "loop")]
     repeat: bool,
-    /// How long a request takes to reach the board, as over USB, before it is answered; frames do not wait
+    /// Time that a request takes to reach the board, as over USB; frames do not wait
     #[arg(long, value_name = "MS", default_value = "1.5", value_parser = milliseconds)]
     latency_ms: Duration,
     /// What goes wrong: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0

@@ -7,7 +7,7 @@ use serde_json::json;
 use crate::output_file::Overwrite;
 use crate::{files, output};
 
-/// What stands under the options in the help.
+/// Text below the options in the help.
 const NOTES: &str = "\
 The input `map` is float32 [batch, 1, range, doppler], standardised; the output `logits` is [batch, 3]: empty, one, two. What \
 maps the model wants and how they are standardised stands in the metadata, as JSON under the key `radome`, so that the file \

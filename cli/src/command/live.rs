@@ -133,7 +133,7 @@ pub struct Watch<'a> {
     pub home: &'a home::Arguments,
     /// Whether gaps in the recording count as success.
     pub allow_loss: bool,
-    /// How long a board that is lost is looked for, if not as long as by default.
+    /// Time for which a lost board is looked for; the default if `None`.
     pub give_up_after: Option<Duration>,
 }
 

@@ -1,6 +1,6 @@
 use crate::output;
 
-/// What stands under the options in the help.
+/// Text below the options in the help.
 const NOTES: &str = "\
 hqnn                     the paper's: two convolutions, two numbers, a circuit of two qubits
 estimator_matched, dequantization, squashed_linear, squashed_dequantization, trigonometric, frozen_angles

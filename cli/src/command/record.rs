@@ -106,7 +106,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }
 
-/// What has been recorded, and what could not be.
+/// Counts of recorded and lost frames.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 struct Tally {
     frames: u64,

@@ -1,4 +1,4 @@
-//! Who may use the ports that the program serves: the names of this machine, sites of other origins, and the token.
+//! Access to the ports that the program serves: checks of host name, origin and token.
 //!
 //! A browser on this machine runs scripts of any site. A request therefore names its host and, where it has one, its origin, and
 //! both must be this server's: otherwise a site could read through its visitors' browsers (cross-site requests, rebound names).
@@ -21,9 +21,9 @@ const TOKEN_BYTES: usize = 16;
 const LEAST_TOKEN: usize = 16;
 /// Longest token that a file may hold, characters.
 const MOST_TOKEN: usize = 256;
-/// How long the answer to a wrong token takes. Only the client that sent it waits.
+/// Delay of the answer to a wrong token. Only the client that sent it waits.
 const WRONG_TOKEN_DELAY: Duration = Duration::from_secs(1);
-/// How long a browser keeps the cookie, s: 30 days.
+/// Lifetime of the cookie in the browser, s: 30 days.
 const COOKIE_AGE_S: u32 = 30 * 24 * 3600;
 
 /// Options of all ports that are served.
@@ -147,7 +147,7 @@ fn read_token_file(path: &Path) -> anyhow::Result<String> {
     Ok(text.to_owned())
 }
 
-/// Why a request is not answered.
+/// Reason for refusing a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
     /// It names a host that is not this server.
@@ -195,13 +195,13 @@ impl Refusal {
     }
 }
 
-/// Who may use one port.
+/// Access policy of one port.
 pub struct Access {
     hosts: Hosts,
     login: Option<Login>,
 }
 
-/// What opens a port that has a token.
+/// Secret of a port: its token and the cookie derived from it.
 struct Login {
     token: String,
     /// Name of the cookie. Browsers send cookies to every port of a machine: each port has a name of its own.

@@ -50,7 +50,7 @@ impl Default for Limits {
     }
 }
 
-/// Why a connection ended without an answer.
+/// Reason why a connection ended without an answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Event {
     /// It was replaced by a newer one.
@@ -62,7 +62,7 @@ pub enum Event {
 /// The client of a request; handlers find it among the request's extensions.
 #[derive(Debug, Clone)]
 pub struct Client {
-    /// Its address.
+    /// Network address.
     pub address: SocketAddr,
     admitted: Arc<AtomicBool>,
 }
@@ -122,7 +122,7 @@ struct Connections {
 
 struct Connection {
     id: u64,
-    /// What [`Limits::per_address`] counts; `None` for programs on this machine.
+    /// Key that [`Limits::per_address`] counts by; `None` for programs on this machine.
     network: Option<IpAddr>,
     client: Client,
     task: AbortHandle,

@@ -22,10 +22,10 @@ pub enum Item {
     End(End),
 }
 
-/// How a stream of frames ended.
+/// Result of a stream of frames.
 pub type End = Result<(), Failure>;
 
-/// Why a source failed. Consumers share it.
+/// Failure of a source. Consumers share it.
 #[derive(Debug, Clone)]
 pub struct Failure(Arc<dyn Error + Send + Sync>);
 
@@ -100,7 +100,7 @@ pub struct Inlet {
     pub receiver: Receiver<Delivery>,
     /// Frames dropped because this consumer was too slow.
     pub missed: Arc<AtomicU64>,
-    /// How the stream ended: set before any consumer is told.
+    /// Result of the stream. It is set before any consumer is told.
     pub end: Arc<OnceLock<End>>,
 }
 

@@ -47,7 +47,7 @@ pub fn frame_result(moment: &Moment) -> FrameResult {
 pub struct RecorderSink {
     results: Option<Sender<FrameResult>>,
     thread: Option<JoinHandle<anyhow::Result<Recorded>>>,
-    /// Why the recorder ended before the run did.
+    /// Error that ended the recorder before the run ended.
     failure: Option<anyhow::Error>,
     has_gaps: Arc<AtomicBool>,
     file: String,

@@ -58,7 +58,7 @@ impl Arguments {
         self.view
     }
 
-    /// Who may use the ports.
+    /// Access policy of the ports.
     pub fn access(&self) -> &access::Arguments {
         &self.access
     }

@@ -17,7 +17,7 @@ pub(super) fn opened(carrier: &dyn fmt::Display) {
     tracing::trace!(target: TARGET, opened = %carrier);
 }
 
-/// What tells this board from all others, in hexadecimal.
+/// Identifier of this board, in hexadecimal.
 pub(super) fn identity(uuid: &str) {
     tracing::trace!(target: TARGET, identity = %uuid);
 }

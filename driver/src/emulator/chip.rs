@@ -204,7 +204,7 @@ impl Chip {
         flags.iter().fold(status, |status, (flag, is_set)| flag.put(status, u32::from(*is_set)))
     }
 
-    /// What the slow ADC has converted last: the temperature in each chirp, while frames run with the sensor switched on.
+    /// Last result of the slow ADC: the temperature in each chirp, while frames run with the sensor switched on.
     fn slow_adc(&self) -> u32 {
         match &self.frames {
             Some(waveform) if self.registers.field(field::CS1_U_1::TEMP_MEAS_EN) == 1 => {

@@ -1,4 +1,4 @@
-//! What an emulated board measures: a source of frames, and how to have it again or in another waveform.
+//! Feed of an emulated board: a source of frames, and a way to restart it or to make it in another waveform.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ pub struct Feed {
     pub(super) maker: Maker,
 }
 
-/// How to have more sources like the first.
+/// Way to make more sources like the first.
 pub(super) enum Maker {
     /// There is only the first.
     None,

@@ -48,7 +48,7 @@ use port::Place;
 pub use source::{EmulatedSource, EmulatedSourceError};
 use wire::{Firmware, Wire};
 
-/// What a request takes to reach a board on USB and its answer to come back.
+/// Round-trip time of a request to a board on USB.
 const LATENCY: Duration = Duration::from_micros(1500);
 
 /// How fast the emulated world goes.
@@ -85,7 +85,7 @@ pub struct EmulatorOptions {
     pub kind: Kind,
     /// What goes wrong.
     pub faults: Vec<Fault>,
-    /// How long a request takes to reach the firmware over the serial port: no answer comes sooner after the request's last byte.
+    /// Delay of a request to the firmware over the serial port: no answer comes sooner after the request's last byte.
     /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that come
     /// within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
     pub latency: Duration,
@@ -175,9 +175,9 @@ pub struct EmulatorCounts {
     pub packets: u64,
     /// FIFO overflows.
     pub overflows: u64,
-    /// Whole frames sent.
+    /// Number of whole frames sent.
     pub frames: u64,
-    /// How often the last client has left: closed the port or gone without a word.
+    /// Number of times the last client has closed the port or vanished.
     pub departures: u64,
 }
 
@@ -202,7 +202,7 @@ impl Shared {
         *self.refusal.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason.to_owned());
     }
 
-    /// What a client asks for can be.
+    /// Clears the refusal: the client's request can be served.
     fn accept(&self) {
         *self.refusal.lock().unwrap_or_else(PoisonError::into_inner) = None;
     }
@@ -323,12 +323,12 @@ impl EmulatedBoard {
         self.shared.finished.load(Ordering::Acquire)
     }
 
-    /// Why the board sends no frames of what its client has asked for last, if it does not.
+    /// Reason why the board sends no frames for its client's last request, if it sends none.
     pub fn refusal(&self) -> Option<String> {
         self.shared.refusal()
     }
 
-    /// What went wrong with the source or with the line, if anything did. The board sends nothing more then.
+    /// Failure of the source or of the line, if there was one. The board then sends nothing more.
     pub fn failure(&self) -> Option<String> {
         let failure = self.shared.failure.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let has_panicked = self.is_over() && !self.shared.dead.load(Ordering::Acquire);

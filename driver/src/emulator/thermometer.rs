@@ -12,7 +12,7 @@ const REFERENCE_V: f64 = 1.21;
 const LARGEST_CODE: f64 = 1023.0;
 const OFFSET_V: f64 = 0.789_84;
 const SLOPE_V_PER_C: f64 = 0.002_86;
-/// How much warmer a board gets that has power, and how fast.
+/// Temperature rise of a powered board, and its time constant.
 const WARM_UP_C: f64 = 3.0;
 const WARM_UP_S: f64 = 120.0;
 const SWAY_C: f64 = 0.5;
@@ -31,7 +31,7 @@ impl Thermometer {
         Thermometer { seed, began: Instant::now() }
     }
 
-    /// What a conversion says now. Its number draws its noise.
+    /// Code of a conversion made now. Its number draws its noise.
     pub fn code(&self, conversion: u64) -> u32 {
         code(self.celsius(self.began.elapsed().as_secs_f64(), conversion))
     }
@@ -62,7 +62,7 @@ fn unit(seed: u64, index: u64) -> f64 {
 mod tests {
     use super::*;
 
-    /// What the vendor's library makes of a code.
+    /// Temperature that the vendor's library computes from a code.
     fn celsius(code: u32) -> f64 {
         (f64::from(code) * 1.21 / 1023.0 - 0.789_84) / 0.002_86
     }

@@ -11,7 +11,7 @@ use super::port::{Place, Port, link, unlink};
 use super::{EmulatorOptions, Fault, Shared};
 use crate::usb::Setup;
 
-/// How long a board that is being stopped takes at most to let its host have what is under way.
+/// Longest time in which a stopping board completes the slice that it is sending.
 const FINISH: Duration = Duration::from_millis(500);
 /// Pieces of requests that are under way at once: a host that sends more has to wait.
 const MOST_UNDER_WAY: usize = 256;
@@ -30,7 +30,7 @@ pub(super) trait Firmware {
     fn advance(&mut self);
     /// The board was without power: everything is as at first, but the world.
     fn power_up(&mut self);
-    /// Its last client has gone, perhaps in the middle of a request or of a stream: it stops and waits for another.
+    /// Stops after the last client has left, perhaps in the middle of a request or of a stream, and waits for another.
     fn abandon(&mut self);
     /// Whether the data message that was sent last is to be followed by another for the host to make sense of it.
     fn is_amid_data(&self) -> bool {
@@ -56,9 +56,9 @@ pub(super) struct Wire {
     has_client: bool,
     /// The host takes nothing until then.
     host_reads_from: Option<Instant>,
-    /// How long what the host sends takes to reach the firmware.
+    /// Delay of the host's bytes to the firmware.
     latency: Duration,
-    /// What is on its way there, and when it arrives.
+    /// Bytes on their way to the firmware, with their times of arrival.
     under_way: VecDeque<(Instant, Vec<u8>)>,
     pub shared: Arc<Shared>,
 }
@@ -243,7 +243,7 @@ impl Wire {
         }
     }
 
-    /// How long it takes until something arrives.
+    /// Time until the next bytes arrive.
     fn until_delivery(&self) -> Duration {
         self.under_way.front().map_or(Duration::MAX, |(due, _)| due.saturating_duration_since(Instant::now()))
     }

@@ -409,7 +409,7 @@ impl World {
     }
 }
 
-/// What a thread said that panicked.
+/// Message of a thread that panicked.
 fn panic_message(thread: JoinHandle<()>) -> String {
     let Err(payload) = thread.join() else { return "the source went without a word".into() };
     let words =
@@ -435,7 +435,7 @@ fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
     is_wanted(source.clone()) || configuration.realised().is_ok_and(is_wanted)
 }
 
-/// Where a producer has its first source from.
+/// Origin of a producer's first source.
 enum Beginning {
     With(Box<dyn FrameSource>),
     /// One has to be made, whose first frame is at this time.
@@ -453,7 +453,7 @@ struct Producer {
     spare: Receiver<Frame>,
 }
 
-/// How a source has ended: the frames that it gave, and when the next one would begin, ns.
+/// End of a source: number of frames, and start of the frame that would follow, ns.
 struct Pass {
     frames: u64,
     next_ns: u64,

@@ -102,7 +102,7 @@ pub(super) fn remove(path: &Path) -> io::Result<()> {
     }
 }
 
-/// What a test sees of the operations below its folder, and what it does to them.
+/// Record of the disk operations below a test's folder, and the faults injected into them.
 #[cfg(test)]
 pub(super) mod trial {
     use std::fs::File;
@@ -139,7 +139,7 @@ pub(super) mod trial {
         }
     }
 
-    /// How operations fail.
+    /// Plan of the injected faults.
     #[derive(Debug, Clone, Copy)]
     pub enum Plan {
         /// Not at all.
@@ -152,7 +152,7 @@ pub(super) mod trial {
         Slow(Duration),
     }
 
-    /// What has happened below a folder.
+    /// Operations below the folder so far.
     pub struct Trial {
         folder: PathBuf,
         plan: Plan,

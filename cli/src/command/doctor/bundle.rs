@@ -1,4 +1,4 @@
-//! What a bug report needs, in one archive. Names of people, machines and networks are replaced by tokens.
+//! Archive for a bug report. Tokens replace names of people, machines and networks.
 
 use std::io::{Cursor, Write};
 use std::path::Path;

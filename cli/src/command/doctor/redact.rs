@@ -84,7 +84,7 @@ fn matched(pattern: &Option<Regex>, text: &str) -> Option<usize> {
     pattern.as_ref()?.find(text).map(|found| found.end()).filter(|&length| length > 0)
 }
 
-/// What stands at the beginning of a text, and how many bytes of it.
+/// Kind of name at the beginning of a text, and its length in bytes.
 enum Found {
     /// Text that may be shown.
     Public(usize),
@@ -156,7 +156,7 @@ impl Redactor {
         }
     }
 
-    /// How many different texts of each kind have been replaced.
+    /// Number of different texts replaced, by kind.
     pub fn counts(&self) -> Vec<(Kind, usize)> {
         let mut counts = std::collections::BTreeMap::new();
         for (kind, _) in self.tokens.keys() {
@@ -279,7 +279,7 @@ fn is_word(c: char) -> bool {
     c.is_alphanumeric() || c == '_'
 }
 
-/// What a text begins with by its form, where no word goes on.
+/// Names at the beginning of a text, recognised by their form. Callers ask only at the beginning of a word.
 fn formed_at(rest: &str) -> Vec<Found> {
     let mut found = Vec::new();
     let Some(first) = rest.chars().next() else { return found };
@@ -464,7 +464,7 @@ mod tests {
         }
 
         proptest! {
-            /// Wherever a name stands in a text, it does not survive.
+            /// A name does not survive at any place of a text.
             #[test]
             fn no_name_survives(
                 names in prop::collection::vec(named(), 1..4),

@@ -15,7 +15,7 @@ use crate::output;
 /// Scores with one part of the maps replaced, by single maps.
 #[derive(Serialize)]
 pub struct Row {
-    /// What became noise, and what was done to echoes.
+    /// Name of the ablation: the cells that noise replaced, or the change of the echoes.
     replaced: String,
     /// Recall of empty, one and two; absent where there is no map of it.
     recall: [Option<f64>; Occupancy::ALL.len()],

@@ -348,7 +348,7 @@ mod tests {
         }
 
         proptest! {
-            /// Wherever a password stands in an address, well formed or not, it is refused and not echoed.
+            /// A password in an address is refused and not echoed, whether the address is well formed or not.
             #[test]
             fn no_password_in_an_address_is_taken_or_quoted(
                 scheme in prop::sample::select(vec!["mqtt://", "mqtts://", "ssl://", "http://", "mqtt:", ""]),

@@ -137,7 +137,7 @@ struct PageState {
     told: u64,
 }
 
-/// What the classifier's thread hands to the pages' thread.
+/// Data that the classifier's thread hands to the pages' thread.
 #[derive(Default)]
 struct Handover {
     /// The newest frame, if it has not been taken.
@@ -171,7 +171,7 @@ pub struct Feed {
     arrivals: Mutex<VecDeque<Instant>>,
     waveform: Waveform,
     is_tape: bool,
-    /// Where a test holds up the thread that writes messages.
+    /// Lock with which a test stops the thread that writes messages.
     #[cfg(test)]
     hold_up: Mutex<()>,
 }

@@ -1,5 +1,5 @@
-//! What the page's port serves, to whom, and how much of it. `access.rs` decides who may ask, `http_server.rs` limits connections.
-//! Whatever is refused is counted, and costs the pipeline nothing.
+//! Server of the page. `access.rs` decides who may ask; `http_server.rs` limits connections.
+//! Refusals are counted and cost the pipeline nothing.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -62,7 +62,7 @@ const FILES: [(&str, &str, &str); 12] = [
     ("health.js", JS, include_str!("page/health.js")),
 ];
 
-/// Why a connection, a request, a page or a message was refused.
+/// Reason for refusing a connection, a request, a page or a message.
 #[derive(Debug, Clone, Copy)]
 enum Refusal {
     Connection,
@@ -109,7 +109,7 @@ impl From<access::Refusal> for Refusal {
     }
 }
 
-/// Who may use the page, how many pages there may be, and what was refused.
+/// Access policy of the page, limit of pages, and counters of refusals.
 pub struct Policy {
     access: Access,
     pages: Arc<Semaphore>,
@@ -213,7 +213,7 @@ async fn guard(
     response
 }
 
-/// What a request that is not refused asks for.
+/// Kind of an admitted request.
 enum Admitted {
     /// To be given the cookie.
     ByLink,

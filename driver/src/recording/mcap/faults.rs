@@ -258,7 +258,7 @@ fn labels_beside_another_recording_of_the_same_name_are_left_out() {
     assert!(labels_of(&path).is_empty());
 }
 
-/// What a disk holds.
+/// Content of a disk.
 #[derive(Clone, Default)]
 struct Disk {
     names: BTreeMap<PathBuf, u64>,

@@ -20,7 +20,7 @@ pub(super) struct Chunk {
     pub offset: u64,
     pub has_labels: bool,
     pub has_results: bool,
-    /// How many frames it holds, where the message indexes were read.
+    /// Number of frames, where the message indexes were read.
     frames: u64,
     /// Its first frame, once somebody has looked: none if it holds no frame that can be read.
     pub first: Option<Option<Position>>,
@@ -32,7 +32,7 @@ pub(super) struct Index {
     pub frames: u64,
     /// Whether the file was finished.
     pub complete: bool,
-    /// Where a file that was never finished can be read to, if that is before its end.
+    /// End of the readable part of an unfinished file, if that is before its end.
     pub end: Option<u64>,
 }
 

@@ -127,7 +127,7 @@ pub fn stage_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingEr
     staged::write(path, length, labels, None)
 }
 
-/// Where the data of a finished recording end: the place of its DATA_END record.
+/// Offset of the DATA_END record of a finished recording.
 fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     let length = records.length;
     let unfinished = RecordingError::Unfinished { path: records.path.clone(), offset: length };

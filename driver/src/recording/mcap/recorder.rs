@@ -47,12 +47,12 @@ pub struct RecordingSummary {
     pub bytes: u64,
 }
 
-/// How a recording is made.
+/// Options of a recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecorderOptions {
     /// Whether a file of its name may be replaced.
     pub existing: Existing,
-    /// How soon frames are on the disk; `None` leaves that to the operating system until the recording is finished.
+    /// Synchronisation with the disk; `None` leaves it to the operating system until the recording is finished.
     pub sync: Option<SyncOptions>,
 }
 
@@ -104,7 +104,7 @@ struct Pending(Arc<Mutex<Bytes>>);
 
 #[derive(Default)]
 struct Bytes {
-    /// Where in the file they belong.
+    /// Offset in the file.
     start: u64,
     bytes: Vec<u8>,
 }

@@ -32,7 +32,7 @@ struct Head {
     /// Length of the recording's start, bytes, and its CRC-32.
     prefix_bytes: u64,
     prefix_crc: u32,
-    /// Where the new end of the recording belongs, its length and its CRC-32; absent if the recording is as it should be.
+    /// Offset, length and CRC-32 of the recording's new end; absent if the recording needs none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     end: Option<EndHead>,
     labels: Vec<LabelSpan>,
@@ -48,9 +48,9 @@ struct EndHead {
 /// The end of a recording: all from a place on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct End {
-    /// Where it begins.
+    /// Offset of the beginning.
     pub at: u64,
-    /// What stands there.
+    /// Bytes at that place.
     pub bytes: Vec<u8>,
 }
 

@@ -13,7 +13,7 @@ use crate::recording::{RecordingError, disk};
 /// A sync that takes longer is said in the log.
 const SLOW: Duration = Duration::from_secs(1);
 
-/// How far a disk may lag behind a recording.
+/// Limits on how far the disk lags behind a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SyncOptions {
     /// Frames wait no longer than this for the chunk that they are written in, by their own clock.
@@ -54,7 +54,7 @@ impl Failure {
         Failure::io("cannot be brought to the disk", source)
     }
 
-    /// As an error about this recording.
+    /// The failure as an error that names the recording.
     pub fn error(&self, path: &Path) -> RecordingError {
         let path = path.to_owned();
         match self {
@@ -73,7 +73,7 @@ impl Failure {
 /// Hands requests to the thread.
 #[derive(Debug)]
 pub(super) struct Syncer {
-    /// Who wants to hear of it waits for the answer.
+    /// Requests; one that carries a sender is answered when its sync is done.
     requests: Sender<Option<Sender<()>>>,
     /// The first error; success once nobody asks any more.
     outcome: Receiver<io::Result<()>>,
@@ -101,7 +101,7 @@ impl Syncer {
         let _ = self.requests.try_send(None);
     }
 
-    /// What has gone wrong since, if anything.
+    /// Checks whether a sync has failed or hangs.
     pub fn check(&self) -> Result<(), Failure> {
         if let Ok(Err(source)) = self.outcome.try_recv() {
             return Err(Failure::sync(&source));
@@ -128,7 +128,7 @@ impl Syncer {
         }
     }
 
-    /// Why the thread has ended.
+    /// Failure that ended the thread.
     fn ended(&self) -> Failure {
         match self.outcome.recv_timeout(self.patience) {
             Ok(Err(source)) => Failure::sync(&source),
@@ -146,7 +146,7 @@ struct Work {
 }
 
 impl Work {
-    /// Until nobody can ask any more, or a sync fails.
+    /// Serves requests until all senders have gone or a sync fails.
     fn run(&self) -> io::Result<()> {
         let mut earliest = Instant::now();
         while let Ok(first) = self.requests.recv() {

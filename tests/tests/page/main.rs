@@ -1,0 +1,373 @@
+//! The live page in a browser, and what it does to those who mean it ill.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use radome_tests::browser::{Browser, Served};
+use radome_tests::{fixture, json_lines, radome};
+use serde_json::{Value, json};
+
+/// A corridor in which one person walks between two ranges, as a recording.
+fn walk(folder: &Path, from_m: f64, to_m: f64, frames: u32) -> PathBuf {
+    let corridor = std::fs::read_to_string(fixture("scenes/corridor.toml")).expect("readable");
+    let head = &corridor[..corridor.find("[people").expect("a people table")];
+    let head = head.replace("../receivers", &fixture("receivers").display().to_string());
+    let scene = folder.join("walk.toml");
+    let people = format!(
+        "[people]\n[[people.actor]]\nstep = [{{ walk_to_m = [{from_m}, 1.0] }}, {{ walk_to_m = [{to_m}, 1.0], speed_m_per_s = 1.2 }}]\n"
+    );
+    std::fs::write(&scene, format!("{head}{people}")).expect("writable");
+    let recording = folder.join("walk.mcap");
+    let frames = frames.to_string();
+    json_lines(radome().arg("simulate").arg(&scene).args(["--frames", &frames, "--json", "-o"]).arg(&recording));
+    recording
+}
+
+/// The command that watches a recording.
+fn watch(recording: &Path, speed: &str) -> Command {
+    let mut command = radome();
+    command.arg("live").arg(recording).arg("--model").arg(fixture("models/paper-hqnn.safetensors"));
+    command.args(["--speed", speed]).stdout(Stdio::null());
+    command
+}
+
+fn replay(recording: &Path, speed: &str) -> Served {
+    Served::start(&mut watch(recording, speed))
+}
+
+fn labels(recording: &Path) -> Vec<(f64, f64, String)> {
+    let spans = json_lines(radome().arg("labels").arg(recording).arg("--json")).remove(0);
+    let span = |s: &Value| {
+        let time = |name: &str| s[name].as_f64().expect("a time");
+        (time("start_s"), time("end_s"), s["label"].as_str().expect("a label").to_owned())
+    };
+    spans.as_array().expect("a list").iter().map(span).collect()
+}
+
+fn sequence(browser: &mut Browser) -> u64 {
+    browser.evaluate("radome.header.answer.sequence").as_u64().expect("a number")
+}
+
+#[test]
+fn the_map_moves_with_who_walks_and_velocity_has_the_right_sign() {
+    for (from_m, to_m, sign) in [(2.0, 8.0, 1.0), (8.0, 2.0, -1.0)] {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = walk(folder.path(), from_m, to_m, 50);
+        let served = replay(&recording, "2");
+        let Some(mut browser) = Browser::open(&served.url(), 1280, 900) else { return };
+        browser.wait_until("window.radome?.header");
+        browser.key(" ");
+        browser.wait_until("radome.playback && !radome.playback.playing");
+        let (mut ranges, mut with, mut pictures) = (Vec::new(), 0, std::collections::BTreeSet::new());
+        for at in [10, 20, 30, 40] {
+            browser.evaluate(&format!("radome.send({{do: 'seek_frame', sequence: {at}}})"));
+            browser.wait_until(&format!("radome.header.answer.sequence === {at}"));
+            let echo = browser.evaluate("radome.map.strongest");
+            ranges.push(echo["range_m"].as_f64().expect("a range"));
+            with += i32::from(echo["velocity_m_per_s"].as_f64().expect("a velocity") * sign > 0.2);
+            browser.evaluate("new Promise(r => requestAnimationFrame(() => requestAnimationFrame(r)))");
+            pictures.insert(browser.evaluate("document.getElementById('map').toDataURL()").to_string());
+        }
+        assert_eq!(pictures.len(), 4, "each frame looks different");
+        assert!(with >= 3, "sign {sign}: {with} of 4 frames");
+        assert!(sign * (ranges[3] - ranges[0]) > 2.0, "{ranges:?}");
+        let said = browser.evaluate("document.getElementById('echo').textContent");
+        assert!(said.as_str().expect("text").contains(" m/s "), "{said}");
+        assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+        drop(browser);
+        assert!(served.stop(), "an orderly end");
+    }
+}
+
+#[test]
+fn a_recording_is_sought_stepped_through_and_labelled_by_keys_alone() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = walk(folder.path(), 2.0, 8.0, 60);
+    let before =
+        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("a.npy")));
+    let served = replay(&recording, "1");
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1000) else { return };
+    browser.wait_until("window.radome?.header && radome.labels");
+    browser.key(" ");
+    browser.wait_until("radome.playback && !radome.playback.playing");
+
+    // To the first frame, ten on, one back; the frame shown is the frame meant.
+    browser.key("Home");
+    browser.wait_until("radome.header.answer.sequence === 0");
+    for _ in 0..10 {
+        browser.key("ArrowRight");
+    }
+    browser.wait_until("radome.header.answer.sequence === 10");
+    browser.key("ArrowLeft");
+    browser.wait_until("radome.header.answer.sequence === 9");
+    let at_9 = browser.evaluate("Array.from(radome.map.db)");
+    browser.key("End");
+    browser.wait_until("radome.header.answer.sequence === 59 && radome.header.answer.label");
+    browser.evaluate("radome.send({do: 'seek', time_s: 0.85})");
+    browser.wait_until("radome.header.answer.sequence === 9");
+    assert_eq!(browser.evaluate("Array.from(radome.map.db)"), at_9, "the same frame is the same map");
+    // A seek brings what came before along: the filter is not at its start.
+    browser.evaluate("radome.send({do: 'seek_frame', sequence: 50})");
+    browser.wait_until("radome.header.answer.sequence === 50");
+    let sure = browser.evaluate("Math.max(...Object.values(radome.header.answer.probabilities))");
+    assert!(sure.as_f64().expect("a probability") > 0.8, "{sure}");
+
+    // One from frame 10, two from 20, nothing from 30.
+    browser.evaluate("radome.send({do: 'seek_frame', sequence: 10})");
+    browser.wait_until("radome.header.answer.sequence === 10");
+    browser.key("1");
+    browser.wait_until("radome.labels.open?.label === 'one'");
+    for (key, open) in [("2", "radome.labels.open?.label === 'two'"), ("e", "!radome.labels.open")] {
+        let from = sequence(&mut browser);
+        for _ in 0..10 {
+            browser.key("ArrowRight");
+        }
+        browser.wait_until(&format!("radome.header.answer.sequence === {}", from + 10));
+        browser.key(key);
+        browser.wait_until(open);
+    }
+    browser.wait_until("radome.labels.saved && radome.labels.spans.length === 2");
+    let near = |a: f64, b: f64| (a - b).abs() < 1e-6;
+    let kept = labels(&recording);
+    assert!(near(kept[0].0, 1.0) && near(kept[0].1, 2.0) && kept[0].2 == "one", "{kept:?}");
+    assert!(near(kept[1].0, 2.0) && near(kept[1].1, 3.0) && kept[1].2 == "two", "{kept:?}");
+
+    // An edge is drawn to another frame, and taken back.
+    let place = |browser: &mut Browser, time_s: f64| {
+        let at = browser.evaluate(&format!(
+            "(() => {{ const g = radome.timeline.geometry(), b = radome.timeline.canvas.getBoundingClientRect(); \
+             return [b.left + g.x({time_s}), b.top + g.rows.labels[0] + g.rows.labels[1] / 2]; }})()"
+        ));
+        (at[0].as_f64().expect("x"), at[1].as_f64().expect("y"))
+    };
+    browser.evaluate("document.getElementById('timeline').scrollIntoView()");
+    let (from, to) = (place(&mut browser, 3.0), place(&mut browser, 4.0));
+    browser.drag((from.0 - 1.0, from.1), to);
+    browser.wait_until("radome.labels.saved && Math.abs(radome.labels.spans[1].end_s - 4) < 1e-6");
+    assert!(near(labels(&recording)[1].1, 4.0));
+    browser.key("u");
+    browser.wait_until("radome.labels.saved && Math.abs(radome.labels.spans[1].end_s - 3) < 1e-6");
+    assert!(near(labels(&recording)[1].1, 3.0));
+
+    // Exports, and a label that goes on at the end of the run.
+    let text = browser.evaluate("fetch('labels.txt').then(r => r.text())");
+    assert_eq!(text.as_str().expect("text").lines().count(), 2, "{text}");
+    browser.key("0");
+    browser.wait_until("radome.labels.open?.label === 'empty'");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+    drop(browser);
+    assert!(served.stop());
+    let kept = labels(&recording);
+    assert!(kept.len() == 3 && kept[2].2 == "empty" && near(kept[2].0, 3.0) && near(kept[2].1, 3.1), "{kept:?}");
+    let after =
+        json_lines(radome().arg("rdm").arg(&recording).arg("--json").arg("-o").arg(folder.path().join("b.npy")));
+    assert_eq!(before[0]["frames"], after[0]["frames"]);
+    let read = |name: &str| std::fs::read(folder.path().join(name)).expect("maps");
+    assert!(read("a.npy") == read("b.npy"), "labels leave frames alone");
+}
+
+#[test]
+fn the_page_fits_a_phone_asks_for_nothing_from_elsewhere_and_shows_what_it_is_told_to() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let served = replay(&walk(folder.path(), 2.0, 8.0, 30), "1");
+    let Some(mut browser) = Browser::open(&served.url(), 390, 844) else { return };
+    browser.wait_until("window.radome?.header && radome.hello");
+    let width = browser.evaluate("document.documentElement.scrollWidth").as_f64().expect("a width");
+    assert!(width <= 390.0, "{width}");
+    let from = browser.evaluate("performance.getEntriesByType('resource').map(e => e.name)");
+    let from = from.as_array().expect("a list");
+    assert!(from.len() >= 11 && from.iter().all(|u| u.as_str().expect("text").starts_with(&served.url())), "{from:?}");
+    // Every control has a name.
+    let nameless = browser.evaluate(
+        "[...document.querySelectorAll('button, select, input, canvas, summary')].filter(e => !(e.labels?.length || \
+         e.getAttribute('aria-label') || e.textContent.trim())).map(e => e.id)",
+    );
+    assert_eq!(nameless, json!([]));
+    // By keys: channel, what stands still, raw chirps; the answer is of what was asked.
+    for (key, holds) in [
+        ("c", "radome.header.look.channel.rx === 0"),
+        ("s", "radome.header.look.removal === 'mti'"),
+        ("s", "radome.header.look.removal === 'none'"),
+        ("h", "radome.map.held"),
+        ("r", "radome.header.chirps?.samples === radome.hello.samples"),
+    ] {
+        browser.key(key);
+        browser.wait_until(holds);
+    }
+    let same = "radome.map.held.every((v, i) => v >= radome.map.db[i])";
+    assert_eq!(browser.evaluate(same), json!(true));
+    // Through all controls by Tab alone.
+    let mut seen = std::collections::BTreeSet::new();
+    for _ in 0..60 {
+        browser.key("Tab");
+        seen.insert(browser.evaluate("document.activeElement.id || document.activeElement.textContent").to_string());
+    }
+    for id in ["channel", "removal", "hold", "map", "play", "seek", "at", "undo", "help-open"] {
+        // Those that cannot be used now are passed over.
+        let usable = browser.evaluate(&format!("!document.getElementById('{id}').disabled")) == json!(true);
+        assert!(!usable || seen.contains(&format!("\"{id}\"")), "{id} in {seen:?}");
+    }
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}
+
+#[test]
+fn a_simulated_partner_stands_beside_its_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = walk(folder.path(), 2.0, 6.0, 30);
+    let pair = folder.path().join("walk-pair");
+    let mut command = radome();
+    command.args(["dataset", "pair"]).arg(&recording).arg(fixture("scenes/corridor.toml")).arg("-o").arg(&pair);
+    json_lines(command.args(["--people", "1", "--corrections", "0", "--json"]));
+    let served = replay(&recording, "1");
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1200) else { return };
+    browser.wait_until("window.radome?.hello?.partner && radome.header?.partner");
+    browser.evaluate("radome.send({do: 'pause'})");
+    browser.evaluate("radome.send({do: 'seek_frame', sequence: 20})");
+    browser.wait_until("radome.header.answer.sequence === 20 && radome.header.partner");
+    let [real, simulated] =
+        ["map", "partner"].map(|view| browser.evaluate(&format!("radome.{view}.strongest.range_m")));
+    let apart = real.as_f64().expect("a range") - simulated.as_f64().expect("a range");
+    assert!(apart.abs() < 1.0, "{real} and {simulated}");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}
+
+/// Pictures for the README.
+#[test]
+#[ignore = "makes files: RADOME_PICTURES=docs cargo test --release --workspace --test page -- --ignored pictures"]
+fn pictures() {
+    let Some(to) = std::env::var_os("RADOME_PICTURES").map(|to| radome_tests::root().join(to)) else { return };
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("evening.mcap");
+    json_lines(
+        radome()
+            .arg("simulate")
+            .arg(fixture("scenes/corridor.toml"))
+            .args(["--frames", "300", "--seed", "100001", "--json", "-o"])
+            .arg(&recording),
+    );
+    let served = replay(&recording, "3");
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1060) else { return };
+    browser.wait_until("window.radome?.header && radome.labels");
+    let shot = |browser: &mut Browser, name: &str| {
+        browser.evaluate("new Promise(r => setTimeout(r, 600))");
+        browser.screenshot(&to.join(name));
+    };
+    let label = |browser: &mut Browser, start_s: f64, end_s: f64, occupancy: &str| {
+        browser.evaluate(&format!(
+            "radome.send({{do: 'add', start_s: {start_s}, end_s: {end_s}, occupancy: '{occupancy}', who: 'A. Reader'}})"
+        ));
+    };
+    browser.wait_until("radome.header.answer.sequence > 275");
+    browser.evaluate("radome.send({do: 'pause'})");
+    browser.evaluate("radome.send({do: 'seek_frame', sequence: 269})");
+    browser.wait_until("radome.header.answer.sequence === 269");
+    for (start_s, end_s, occupancy) in [(0.0, 2.3, "empty"), (2.3, 3.5, "one"), (3.5, 14.1, "two"), (14.1, 15.2, "one")]
+    {
+        label(&mut browser, start_s, end_s, occupancy);
+    }
+    browser.wait_until("radome.labels.spans.length === 4 && radome.labels.saved");
+    shot(&mut browser, "live-page.png");
+
+    browser.call(
+        "Emulation.setEmulatedMedia",
+        json!({ "features": [{ "name": "prefers-color-scheme", "value": "dark" }] }),
+    );
+    browser.resize(390, 844, 2.0);
+    shot(&mut browser, "live-page-phone.png");
+
+    browser.call("Emulation.setEmulatedMedia", json!({ "features": [] }));
+    browser.resize(1280, 1120, 1.0);
+    browser
+        .evaluate("document.getElementById('chirps-card').open = document.getElementById('labels-card').open = true");
+    browser.wait_until("radome.header.chirps");
+    browser.evaluate("document.getElementById('time-card').scrollIntoView()");
+    shot(&mut browser, "live-page-labels.png");
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+}
+
+mod hard_cases;
+
+/// Resident memory of a process and of all that it started, bytes.
+fn memory_bytes(id: u32) -> f64 {
+    let mut parents = std::collections::BTreeMap::new();
+    for entry in std::fs::read_dir("/proc").expect("a list").flatten() {
+        let Some(process) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else { continue };
+        let Ok(status) = std::fs::read_to_string(entry.path().join("status")) else { continue };
+        let field = |name: &str| -> f64 {
+            let line = status.lines().find_map(|line| line.strip_prefix(name));
+            line.and_then(|l| l.split_whitespace().next()).and_then(|n| n.parse().ok()).unwrap_or(0.0)
+        };
+        // Pages that processes share with files on the disk are not theirs alone.
+        parents.insert(process, (field("PPid:") as u32, 1024.0 * field("RssAnon:")));
+    }
+    let is_of = |mut process: u32| {
+        while process != id && process > 1 {
+            process = parents.get(&process).map_or(0, |p| p.0);
+        }
+        process == id
+    };
+    parents.iter().filter(|(process, _)| is_of(**process)).map(|(_, (_, bytes))| bytes).sum()
+}
+
+/// `tests/long page`: a page that stays open at ten times real time, `RADOME_PAGE_S` seconds of it.
+#[test]
+#[ignore = "takes half an hour: tests/long page"]
+#[allow(clippy::print_stderr)]
+fn hours_of_frames_leave_no_trace_in_memory() {
+    let length_s: f64 = std::env::var("RADOME_PAGE_S").ok().and_then(|s| s.parse().ok()).unwrap_or(1800.0);
+    // The desk's frames come twenty times a second, and are simulated fast enough.
+    let frames = (200.0 * (length_s + 120.0)) as u64;
+    let served = Served::start(
+        radome()
+            .args(["demo", "--frames", &frames.to_string(), "--speed", "10", "--json", "--scene"])
+            .arg(fixture("scenes/desk-person.toml"))
+            .arg("--model")
+            .arg(fixture("models/desk-hqnn.safetensors"))
+            .stdout(Stdio::null()),
+    );
+    let Some(mut browser) = Browser::open(&served.url(), 1280, 1100) else { return };
+    browser.wait_until("window.radome?.header");
+    browser.key("r");
+    browser.key("h");
+    // Until what has a fixed size is full: the server's history is after a minute at this pace, the page's is made at once.
+    let settle_s = (0.2 * length_s).clamp(20.0, 400.0);
+    let begun = std::time::Instant::now();
+    let mut heard = Vec::new();
+    let mut next_s = settle_s;
+    while begun.elapsed().as_secs_f64() < length_s {
+        std::thread::sleep(std::time::Duration::from_secs(1));
+        if begun.elapsed().as_secs_f64() >= next_s {
+            let (heap, server) = (browser.heap_bytes(), memory_bytes(served.id()));
+            let (whole, pictures) = (memory_bytes(browser.id()), browser.evaluate("radome.pictures"));
+            eprintln!(
+                "{next_s:6.0} s: server {:.1} MB, browser {:.1} MB of which objects {:.2} MB, {pictures} pictures, frame {}, lost {}",
+                server * 1e-6,
+                whole * 1e-6,
+                heap * 1e-6,
+                browser.evaluate("radome.header.answer.sequence"),
+                browser.evaluate("radome.header.health.dropped"),
+            );
+            heard.push((server, whole, heap));
+            next_s += (length_s - settle_s) / 10.0;
+        }
+    }
+    assert!(browser.faults.is_empty(), "{:?}", browser.faults);
+    // Medians of the first and the last three: single readings differ by what has just been asked for.
+    let median = |of: &[(f64, f64, f64)], which: fn(&(f64, f64, f64)) -> f64| {
+        let mut values: Vec<f64> = of.iter().map(which).collect();
+        values.sort_by(f64::total_cmp);
+        values[values.len() / 2]
+    };
+    for (name, which) in
+        [("server", (|m| m.0) as fn(&(f64, f64, f64)) -> f64), ("browser", |m| m.1), ("the page's objects", |m| m.2)]
+    {
+        let (first, last) = (median(&heard[..3], which), median(&heard[heard.len() - 3..], which));
+        eprintln!(
+            "{name}: {:.1} MB, then {:.1} MB ({:+.1} %)",
+            first * 1e-6,
+            last * 1e-6,
+            100.0 * (last / first - 1.0)
+        );
+        assert!(last < 1.1 * first, "{name} grew from {first} to {last} bytes");
+    }
+}
