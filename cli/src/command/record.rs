@@ -101,7 +101,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         bail!("{dropped} frames were lost, at most {most} allowed");
     }
     if gaps > 0 && !arguments.allow_loss {
-        eprintln!("the recording has {gaps} gaps; --allow-loss takes that for success");
+        eprintln!("frames are missing (gaps: {gaps}); --allow-loss takes that for success");
     }
     Ok(Ended::with_loss(gaps > 0 && !arguments.allow_loss))
 }
