@@ -127,6 +127,26 @@ impl Classifier {
         &self.card
     }
 
+    /// The network, if it is one of our own.
+    pub(crate) fn network(&self) -> Option<&Network> {
+        match &self.engine {
+            Engine::Native { network, .. } => Some(network),
+            Engine::Onnx(_) => None,
+        }
+    }
+
+    /// What the network sees of a map without a label.
+    pub(crate) fn unlabelled_input(
+        &self,
+        db: &[f32],
+        shape: RdmShape,
+        sequence: u64,
+    ) -> Result<Vec<f32>, ClassifyError> {
+        self.check_unlabelled()?;
+        self.check_sequence(db, shape, sequence)?;
+        self.input(db, shape, None)
+    }
+
     /// Gives the model back, if it is one of our own.
     pub fn into_model(self) -> Option<Model> {
         match self.engine {

@@ -16,6 +16,7 @@ use crate::occupancy_filter::Smoothing;
 use crate::onnx;
 use crate::onnx_runtime::OnnxError;
 use crate::standardise::Standardisation;
+use crate::train::Adapted;
 use crate::whole_file;
 
 /// Version of the format that is written; older ones are read.
@@ -83,6 +84,9 @@ pub struct ModelCard {
     pub seed: u64,
     /// How it went.
     pub training: TrainingSummary,
+    /// What the model was last adapted on, behind its training.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapted: Option<Adapted>,
 }
 
 /// A network with its card.

@@ -1,5 +1,6 @@
 //! One file per command.
 
+mod adapt;
 mod background;
 mod bench;
 mod calibrate;
@@ -77,6 +78,8 @@ pub enum Command {
     Train(train::Arguments),
     /// Metrics of a model on a dataset or on labelled recordings
     Evaluate(evaluate::Arguments),
+    /// Adapt a model to one room by labelled recordings of it, or by a minute of it empty
+    Adapt(adapt::Arguments),
     /// Compare networks over seeds, noise and shares of the labels: one report, carried on with where it was stopped
     Study(study::Arguments),
     /// A model as ONNX
@@ -116,6 +119,7 @@ pub fn run(command: Command) -> anyhow::Result<Ended> {
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Train(arguments) => train::run(&arguments),
         Command::Evaluate(arguments) => evaluate::run(&arguments),
+        Command::Adapt(arguments) => adapt::run(&arguments),
         Command::Study(arguments) => study::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Models(arguments) => models::run(&arguments),

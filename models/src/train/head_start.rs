@@ -123,7 +123,7 @@ fn fit(
 }
 
 /// Parameters of the layers between the latent and the logits.
-fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parameter> {
+pub(super) fn parameters_behind(network: &Network, latent: Value) -> Vec<&Parameter> {
     let graph = network.graph();
     let needed = graph.needed(&[graph.output], &[latent]);
     let nodes = graph.nodes.iter().zip(needed).filter(|(_, needed)| *needed);

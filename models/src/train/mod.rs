@@ -22,6 +22,7 @@
 //! narrow latent are trained by the same steps but for 1 to 4, from one start.
 
 mod adam;
+mod adapt;
 mod augmentation;
 mod checkpoint;
 mod data;
@@ -33,6 +34,7 @@ mod trainer;
 
 use std::path::{Path, PathBuf};
 
+pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapted, Adapter, BeforeAfter, Scores};
 pub use augmentation::{Augmentation, Superpose, Sway};
 pub use trainer::Trainer;
 
@@ -462,6 +464,7 @@ pub fn train_with_checkpoint(
             validation: Metrics::from_predictions([]),
             test: None,
         },
+        adapted: None,
     };
     let mut warnings = data.warnings.clone();
     warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));

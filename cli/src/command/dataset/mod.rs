@@ -20,6 +20,7 @@ mod unit;
 mod verify;
 
 pub use build::whole as build;
+pub use unit::by_span;
 
 /// `radome dataset`
 #[derive(clap::Args)]

@@ -1,0 +1,205 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_driver::recording::span_check::check_spans;
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_models::Dataset;
+use radome_models::train::{AdaptFrame, AdaptRecording, Adaptation, Adapter, BeforeAfter};
+use serde_json::json;
+
+use super::dataset::by_span;
+use crate::judge::{CFAR, Model, Verdict};
+use crate::output_file::Overwrite;
+use crate::{labels, output};
+
+/// `radome adapt`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Model file
+    model: PathBuf,
+    /// Recordings of the room: with labels of their own, or RECORDING=empty, RECORDING=one, RECORDING=two where all of it shows
+    /// that. Two or more that show the same can be held out in turn, which measures what is gained
+    #[arg(value_name = "RECORDING[=LABEL]", required_unless_present = "empty")]
+    recordings: Vec<String>,
+    /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
+    #[arg(long, value_name = "RECORDING")]
+    empty: Vec<PathBuf>,
+    /// Dataset folder with simulated maps to mix in, so that the model keeps what it knows of other rooms
+    #[arg(long, value_name = "DATASET")]
+    simulated: Option<PathBuf>,
+    /// Model file to write; without one, only what would be gained is told
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Write the model even where it judges recordings that were held out worse than before
+    #[arg(long)]
+    force: bool,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Adapts a model to a room and tells what that changes on recordings that were held out.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
+    if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
+        bail!(
+            "{}: an ONNX file cannot be adapted\n\nhint: adapt the .safetensors file that it was exported from, and export that",
+            arguments.model.display()
+        );
+    }
+    let mut judging = Model::open(&arguments.model)?;
+    if matches!(judging, Model::Cfar) {
+        bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
+    }
+    let mut adapter = Adapter::new(radome_models::Model::load(&arguments.model)?)?;
+    let inputs = inputs(arguments)?;
+    let bar = output::progress(inputs.len() as u64, "reading");
+    let mut recordings = Vec::with_capacity(inputs.len());
+    for (path, label) in &inputs {
+        let (back, recording) = read(judging, &adapter, path, *label)?;
+        judging = back;
+        recordings.push(recording);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    if let Some(folder) = &arguments.simulated {
+        adapter.mix(&Dataset::open(folder)?).with_context(|| folder.display().to_string())?;
+    }
+    let adaptation = adapter.adapt(&recordings)?;
+    let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
+    let written = arguments.output.as_ref().filter(|_| !is_refused);
+    if let Some(path) = written {
+        adaptation.model.save(path)?;
+    }
+    tell(arguments, &inputs, &recordings, &adaptation, written)?;
+    if let Some(path) = arguments.output.as_ref().filter(|_| is_refused) {
+        bail!(
+            "{} is not written: the adapted model judges recordings that were held out worse than the model before\n\nhint: \
+             label more recordings, or --force",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
+/// Recordings, each with what all of it shows where that was said.
+fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<(PathBuf, Option<Occupancy>)>> {
+    let mut inputs = Vec::new();
+    for input in &arguments.recordings {
+        inputs.push(match input.rsplit_once('=') {
+            Some((path, label)) if !Path::new(input).exists() => {
+                let label = Occupancy::from_name(label);
+                (PathBuf::from(path), Some(label.with_context(|| format!("{input}: not empty, one or two"))?))
+            }
+            _ => (PathBuf::from(input), None),
+        });
+    }
+    inputs.extend(arguments.empty.iter().map(|path| (path.clone(), Some(Occupancy::Empty))));
+    // The same frames to learn from and to judge by would say that all is well.
+    for (index, (path, _)) in inputs.iter().enumerate() {
+        let is_same = |other: &PathBuf| match (path.canonicalize(), other.canonicalize()) {
+            (Ok(path), Ok(other)) => path == other,
+            _ => false,
+        };
+        if inputs.iter().skip(index + 1).any(|(other, _)| is_same(other)) {
+            bail!("{} is named twice", path.display());
+        }
+    }
+    Ok(inputs)
+}
+
+/// The frames of a recording; and the model again. Frames in which a label changes have none.
+fn read(
+    model: Model,
+    adapter: &Adapter,
+    path: &Path,
+    label: Option<Occupancy>,
+) -> anyhow::Result<(Model, AdaptRecording)> {
+    let mut source = radome_driver::recording::open(path)?;
+    let waveform = source.waveform().clone();
+    let spans = if label.is_none() { labels::of(path)? } else { Vec::new() };
+    check_spans(&spans, None).with_context(|| path.display().to_string())?;
+    if label.is_none() && !spans.iter().any(|span| span.occupancy().is_some()) {
+        bail!(
+            "{}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome dataset label; or say what all of \
+             it shows: {0}=empty",
+            path.display()
+        );
+    }
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut frames = Vec::new();
+    let mut judge = model.judge(&waveform).with_context(|| path.display().to_string())?;
+    loop {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => break,
+            SourceEvent::Gap(_) => judge.reset(),
+            SourceEvent::Frame => {
+                if let Verdict::Probabilities(_) = judge.frame(&frame)? {
+                    let features = adapter.features(judge.map())?;
+                    let of_span = || by_span(&spans, &frame, &waveform).filter(|truth| !truth.transition);
+                    let label = label.or_else(|| of_span().map(|truth| truth.occupancy));
+                    frames.push(AdaptFrame { time_s: frame.time_s(), features, label });
+                }
+            }
+        }
+    }
+    Ok((judge.into_model(), AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames }))
+}
+
+fn tell(
+    arguments: &Arguments,
+    inputs: &[(PathBuf, Option<Occupancy>)],
+    recordings: &[AdaptRecording],
+    adaptation: &Adaptation,
+    written: Option<&PathBuf>,
+) -> anyhow::Result<()> {
+    let Adaptation { adapted, held_out, recordings_by_class, .. } = adaptation;
+    let file = written.map(|path| path.display().to_string());
+    let mut not_measured = Vec::new();
+    for (class, count) in Occupancy::ALL.into_iter().zip(*recordings_by_class).filter(|(_, count)| *count < 2) {
+        let why = match count {
+            0 => "no recording shows it; only the pull towards the model before keeps it".to_owned(),
+            _ => "only one recording shows it; held out, nothing would be left to adapt to".to_owned(),
+        };
+        eprintln!("warning: {class} cannot be measured: {why}");
+        not_measured.push(json!({ "class": class, "recordings": count, "why": why }));
+    }
+    let all = inputs.iter().zip(recordings).zip(held_out);
+    if arguments.json {
+        let recordings: Vec<_> = all
+            .map(|(((path, _), recording), held_out)| {
+                json!({ "path": path.display().to_string(), "seconds": recording.seconds(), "held_out": held_out })
+            })
+            .collect();
+        return output::json_line(&json!({
+            "file": file, "adapted": adapted, "recordings": recordings, "not_measured": not_measured,
+        }));
+    }
+    for (((path, _), recording), held_out) in all {
+        let [empty, one, two] = recording.seconds();
+        let scores = held_out.map_or("not measured".to_owned(), |scores| said(&scores));
+        let seconds = format!("{empty:.0} s empty, {one:.0} s one, {two:.0} s two");
+        output::text_line(&format!("{}: {seconds}; held out: {scores}", path.display()))?;
+    }
+    match adapted.held_out {
+        Some(scores) => output::text_line(&format!("all, each held out in turn: {}", said(&scores)))?,
+        None => output::text_line("nothing is measured: a class has to be in two recordings or more")?,
+    }
+    match file {
+        Some(file) => output::text_line(&format!("{file} written, pulled with a strength of {} s", adapted.strength)),
+        None => Ok(()),
+    }
+}
+
+/// Scores as people read them.
+fn said(scores: &BeforeAfter) -> String {
+    let BeforeAfter { before, after } = scores;
+    format!(
+        "balanced accuracy by frame {:.3}, before {:.3}; filtered {:.3}, before {:.3}",
+        after.by_frame, before.by_frame, after.filtered, before.filtered
+    )
+}
