@@ -1,0 +1,203 @@
+//! A model is adapted to a room that sways as none did that it was trained on: by labelled recordings, or by the empty room alone.
+
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::OnceLock;
+
+use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
+use radome_models::ModelCard;
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+const TRAINING: &str = "epochs = 25\nlearning_rate = 0.01\nstarts = 1\nreference = { over_noise = { skip_range_bins = 3 } }\n\
+    smoothing = { dwell_s = 60.0, unseen_share = 0.0, independent_s = 1.0 }\nsplit = { by = \"seed\" }\n\
+    [augmentation]\ndoppler_flip = true\necho_gain_db = [-7.0, 7.0]\nrange_shift_bins = 6\n\
+    [augmentation.sway]\nprobability = 0.7\nlevel_db = [0.0, 18.0]\nvelocity_bins = 3\nstretches = [1, 3]\n\
+    stretch_bins = [4, 16]\n";
+
+/// A small dataset of halls in `maps`, a model of it in `model.safetensors`, and recordings `PEOPLE-SEED.mcap` of 15 s of a hall that
+/// sways, of which `1-1.mcap` has a label.
+fn made() -> &'static Path {
+    static MADE: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let folder = MADE.get_or_init(|| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let at = |name: &str| folder.path().join(name);
+        let write = |name: &str, text: &str| std::fs::write(at(name), text).expect("writable");
+        let path = |name: &str| fixture(name).canonicalize().expect(name).display().to_string();
+        let quick = std::fs::read_to_string(fixture("datasets/quick.toml")).expect("quick.toml");
+        let halls = quick.replace("[1, 24]", "[1, 12]").replace("../scenes/hall.toml", &path("scenes/hall.toml"));
+        write("maps.toml", &halls);
+        json_lines(radome().args(["dataset", "build", "--json"]).arg(at("maps.toml")).arg("-o").arg(at("maps")));
+        write("training.toml", TRAINING);
+        let mut train = radome();
+        train
+            .arg("train")
+            .arg(at("maps"))
+            .arg("--spec")
+            .arg(at("training.toml"))
+            .args(["--network", "descriptor_linear"]);
+        json_lines(train.args(["--json", "-o"]).arg(at("model.safetensors")));
+        let scene = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("hall.toml");
+        let (hall, _) = scene.split_once("\n[random]").expect("a table");
+        let hall = hall.replace("../receivers/typical.toml", &path("receivers/typical.toml"));
+        let receiver = "\"receiver.antenna.azimuth_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
+                        \"receiver.antenna.elevation_beamwidth_deg\" = { between = [90.0, 90.0] }\n\
+                        \"receiver.gain_correction_db\" = { between = [4.0, 4.0] }\n";
+        write("room.toml", &format!("{hall}\n\n[random]\n{receiver}"));
+        for (people, seed) in (0..3).flat_map(|people| (1..4).map(move |seed| (people, seed))) {
+            let args = ["--people", &people.to_string(), "--seed", &seed.to_string(), "--frames", "150"];
+            let mut simulate = radome();
+            simulate.arg("simulate").arg(at("room.toml")).args(args).args(["--json", "--overwrite", "-o"]);
+            json_lines(simulate.arg(at("still.mcap")));
+            with_sway(&at("still.mcap"), &at(&format!("{people}-{seed}.mcap")), f64::from(10 * people + seed));
+        }
+        json_lines(radome().args(["dataset", "label", "--json", "--span", "0:15=one"]).arg(at("1-1.mcap")));
+        folder
+    });
+    folder.path()
+}
+
+/// The same with three things that sway by 2 cm about once a second, 8 codes strong, at 2.6 to 3.6 m.
+fn with_sway(from: &Path, to: &Path, phase: f64) {
+    let mut source = Recording::open(from).expect("opens");
+    let waveform = source.waveform().clone();
+    let mut writer = RecordingWriter::create(to, Format::Mcap, &source.header()).expect("creates");
+    let shape = waveform.shape();
+    let slope = waveform.sampled_bandwidth_hz() * waveform.sample_rate_hz / shape.samples as f64;
+    let start_hz = waveform.centre_frequency_hz() - 0.5 * waveform.sampled_bandwidth_hz();
+    let mut frame = Frame::zeroed(shape);
+    loop {
+        match source.next_frame(&mut frame).expect("reads") {
+            SourceEvent::End => break,
+            SourceEvent::Gap(gap) => writer.gap(&gap).expect("writes"),
+            SourceEvent::Frame => {
+                for (i, code) in frame.codes.iter_mut().enumerate() {
+                    let (chirp, sample) = (i / shape.samples % shape.chirps, i % shape.samples);
+                    let time_s = frame.time_ns as f64 * 1e-9 + chirp as f64 * waveform.chirp_interval_s;
+                    let echo = |thing: f64| {
+                        let turn = TAU * (0.7 + 0.1 * thing) * time_s + phase + thing;
+                        let delay_s = 2.0 * (2.6 + 0.5 * thing + 0.02 * turn.sin()) / 299_792_458.0;
+                        let in_chirp_s = sample as f64 / waveform.sample_rate_hz;
+                        8.0 * (TAU * delay_s * (start_hz + slope * in_chirp_s)).cos()
+                    };
+                    let value = f64::from(*code) + echo(0.0) + echo(1.0) + echo(2.0);
+                    *code = value.round().clamp(0.0, f64::from(MAX_CODE)) as u16;
+                }
+                writer.frame(&frame).expect("writes");
+            }
+        }
+    }
+    writer.finish().expect("finishes");
+}
+
+/// `radome adapt` of the model with recordings such as `0-1=empty`.
+fn adapt(recordings: &[&str]) -> Command {
+    let mut command = radome();
+    command.arg("adapt").arg(made().join("model.safetensors")).arg("--json");
+    command.args(recordings.iter().map(|recording| {
+        let (name, label) =
+            recording.split_once('=').map_or((*recording, String::new()), |(n, l)| (n, format!("={l}")));
+        format!("{}{label}", made().join(format!("{name}.mcap")).display())
+    }));
+    command
+}
+
+const ROOM: [&str; 6] = ["0-1=empty", "0-2=empty", "1-1", "1-2=one", "2-1=two", "2-2=two"];
+
+fn evaluate(model: &Path, args: &[&str], inputs: &[PathBuf]) -> Value {
+    json_lines(radome().arg("evaluate").arg(model).args(inputs).arg("--json").args(args)).remove(0)
+}
+
+fn score(answer: &Value) -> f64 {
+    answer["balanced_accuracy"].as_f64().expect("a score")
+}
+
+#[test]
+fn labelled_recordings_of_a_room_help_on_others_of_it_and_halls_are_not_forgotten() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let model = made().join("model.safetensors");
+    let run = |name: &str| {
+        let output = folder.path().join(name);
+        let answer =
+            json_lines(adapt(&ROOM).arg("--simulated").arg(made().join("maps")).arg("-o").arg(&output)).remove(0);
+        (answer, std::fs::read(&output).expect("written"))
+    };
+    let ((answer, bytes), (_, again)) = (run("a.safetensors"), run("b.safetensors"));
+    assert!(bytes == again, "a second run gives other bytes");
+    let adapted = folder.path().join("a.safetensors");
+    let [before, after] = ["before", "after"].map(|when| {
+        let by_frame = &answer["adapted"]["held_out"][when]["by_frame"];
+        by_frame.as_f64().unwrap_or_else(|| panic!("{answer}"))
+    });
+    assert!(after > before + 0.05, "{answer}");
+    assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(0), "{answer}");
+    assert!(answer["recordings"][2]["held_out"]["after"]["filtered"].is_number(), "{answer}");
+    let card = ModelCard::load(&adapted).expect("a model").adapted.expect("an entry");
+    assert!(card.recordings == 6 && card.simulated_maps > 100, "{card:?}");
+    assert!(card.seconds.iter().all(|seconds| (29.0..31.0).contains(seconds)), "{card:?}");
+    assert!(!String::from_utf8_lossy(&bytes).contains(".mcap"), "the card names files");
+    let said = failure(adapt(&ROOM).arg("-o").arg(&adapted));
+    assert!(said.contains("exists already"), "{said}");
+
+    let others = ["0-3.mcap=empty", "1-3.mcap=one", "2-3.mcap=two"].map(|name| made().join(name));
+    let of_room = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &others));
+    let (before, after) = (of_room(&model), of_room(&adapted));
+    assert!(after > before + 0.08, "other recordings of the room: {before}, then {after}");
+    let of_halls = |model: &Path| score(&evaluate(model, &[], &[made().join("maps")]));
+    let (before, after) = (of_halls(&model), of_halls(&adapted));
+    assert!(after > before - 0.02, "halls: {before}, then {after}");
+}
+
+#[test]
+fn the_empty_room_alone_lowers_false_alarms() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let output = folder.path().join("a.safetensors");
+    let mut command = adapt(&[]);
+    command.arg("--empty").arg(made().join("0-1.mcap")).arg("-o").arg(&output);
+    let answer = json_lines(&mut command).remove(0);
+    // One recording cannot be held out, and nobody was there to be missed.
+    assert_eq!(answer["not_measured"].as_array().map(Vec::len), Some(3), "{answer}");
+    assert!(answer["adapted"]["held_out"].is_null() && answer["file"].is_string(), "{answer}");
+    let of = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &[made().join("0-3.mcap=empty")]));
+    let (before, after) = (of(&made().join("model.safetensors")), of(&output));
+    assert!(after > before + 0.15, "frames of the empty room that are called empty: {before}, then {after}");
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn wrong_labels_are_refused_unless_forced() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let output = folder.path().join("a.safetensors");
+        let wrong = ["0-1=one", "0-2=two", "1-1=two", "1-2=one"];
+        let said = failure(adapt(&wrong).arg("-o").arg(&output));
+        assert!(said.contains("worse") && said.contains("--force") && !output.exists(), "{said}");
+        assert!(said.contains("warning: empty cannot be measured: no recording"), "{said}");
+        json_lines(adapt(&wrong).arg("--force").arg("-o").arg(&output));
+        assert!(output.exists());
+    }
+
+    #[test]
+    fn recordings_that_are_missing_damaged_unlabelled_or_named_twice_are_refused() {
+        let text = tempfile::NamedTempFile::new().expect("a file");
+        std::fs::write(text.path(), "no recording").expect("writable");
+        let said = failure(adapt(&[]).arg("nowhere.mcap=empty"));
+        assert!(said.contains("nowhere.mcap"), "{said}");
+        let said = failure(adapt(&[]).arg(text.path()));
+        assert!(said.contains(&text.path().display().to_string()), "{said}");
+        for (recordings, expected) in [
+            (&["0-1"][..], "no label"),
+            (&["0-1=empty", "0-1=one"][..], "named twice"),
+            (&["0-1=three"][..], "not empty, one or two"),
+        ] {
+            let said = failure(&mut adapt(recordings));
+            assert!(said.contains(expected), "{said}");
+        }
+        let said = failure(radome().args(["adapt", "cfar"]).arg(text.path()));
+        assert!(said.contains("cannot be adapted"), "{said}");
+        assert_eq!(radome().arg("adapt").arg("a.safetensors").output().expect("runs").status.code(), Some(2));
+    }
+}
