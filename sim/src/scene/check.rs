@@ -9,6 +9,8 @@ use crate::actor::low::DEEPEST_SQUAT;
 
 /// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
 const MOST_TABLES: f64 = 1000.0;
+/// People with scripts or visits at most. Labels end at two, which means two or more.
+const MOST_PEOPLE: f64 = 8.0;
 /// Steps of one person's script at most.
 const MOST_STEPS: f64 = 10_000.0;
 
@@ -258,7 +260,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("roughness_m", c.roughness_m, 0.0, 0.01, "m")?;
         within("fold_slope_deg", c.fold_slope_deg, 10.0, 60.0, "degrees")?;
     }
-    within("actor", people.actor.len() as f64, 0.0, 2.0, "people (the classes end at two)")?;
+    within("actor", people.actor.len() as f64, 0.0, MOST_PEOPLE, "people")?;
     for actor in &people.actor {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
         check_actor_file(people.body, actor)?;
@@ -342,7 +344,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         if file.door.is_empty() {
             return fault("visits", "without a door", "at least one [[door]] to come in by");
         }
-        within("max_people", v.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        within("max_people", v.max_people as f64, 0.0, MOST_PEOPLE, "people")?;
         interval("first_absence_s", v.first_absence_s, 0.0, 1e6, "s")?;
         interval("absence_s", v.absence_s, 0.1, 1e6, "s")?;
         interval("speed_m_per_s", v.speed_m_per_s, 0.05, 5.0, "m/s")?;
@@ -379,7 +381,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
     }
     if let Some(d) = &people.desk {
-        within("max_people", d.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        within("max_people", d.max_people as f64, 0.0, 2.0, "people (a desk has places for two)")?;
         interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
         within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
         within(

@@ -387,7 +387,7 @@ pub struct StepFile {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VisitsFile {
-    /// Slots: the most people at a time. Default 2.
+    /// Slots: the most people at a time. Default 2; of three or more labels say "two", which means two or more.
     pub max_people: usize,
     /// Before the first visit of a slot, s. Default [1.5, 5].
     pub first_absence_s: [f64; 2],
