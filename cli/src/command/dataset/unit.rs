@@ -45,7 +45,7 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
         }
         UnitSource::Recording { path, label, label_file } => {
             let mut recording = Recording::open(path)?;
-            // A recording's own axes may differ from the first's within what counts as the same.
+            // A recording's own axes may differ from the first's within what counts as the same; on physical axes its waveform may.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, recording.waveform(), plan.kernel)?;
             let spans = match (label, label_file) {
                 (Some(_), _) => Vec::new(),
