@@ -292,10 +292,10 @@ mod tests {
             let h = 1e-4;
             for time_s in [0.0, 0.37, 1234.5] {
                 let [before, now, after] = [time_s - h, time_s, time_s + h].map(|t| sway.at(t));
-                for order in 0..3 {
-                    let slope = (after[order] - before[order]) / (2.0 * h);
-                    let scale = 2e-3 * (TAU * 6.0f64).powi(order as i32 + 1);
-                    assert!((slope - now[order + 1]).abs() < 1e-4 * scale, "{bandwidth} {time_s} {order}");
+                for (order, ((before, after), derivative)) in before.iter().zip(&after).zip(&now[1..]).enumerate() {
+                    let slope = (after - before) / (2.0 * h);
+                    let scale = 2e-3 * (TAU * 6.0).powi(order as i32 + 1);
+                    assert!((slope - derivative).abs() < 1e-4 * scale, "{bandwidth} {time_s} {order}");
                 }
             }
         }
