@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile};
+use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile};
 use super::material::Material;
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
@@ -154,6 +154,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     }
     let tables = [
         ("furniture", file.furniture.len()),
+        ("sway", room.sway.len()),
         ("seat", file.seat.len()),
         ("bed", file.bed.len()),
         ("door", file.door.len()),
@@ -163,6 +164,12 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     }
     within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
     within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
+    if let Some(VibrationFile { amplitude_m, frequency_hz, bandwidth }) = radar.vibration {
+        within("amplitude_m", amplitude_m, 0.0, 0.01, "m")?;
+        within("frequency_hz", frequency_hz, 0.01, 200.0, "Hz")?;
+        within("bandwidth", bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
+    }
+    room.sway.iter().try_for_each(|sway| check_sway(sway, size))?;
     for f in &file.furniture {
         let fits = (0..3)
             .all(|i| f.position_m[i] >= 0.0 && f.size_m[i] >= 0.0 && f.position_m[i] + f.size_m[i] <= size[i] + 1e-9);
@@ -202,6 +209,22 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
         within("width_m", door.width_m, 0.4, 10.0, "m")?;
     }
     check_people(file)
+}
+
+fn check_sway(sway: &SwayFile, size: [f64; 3]) -> Result<(), Fault> {
+    within("reflectors", sway.reflectors as f64, 0.0, 64.0, "reflectors")?;
+    within("probability", sway.probability, 0.0, 1.0, "(probability)")?;
+    within("cross_section_dbsm", sway.cross_section_dbsm, -200.0, 20.0, "dBsm")?;
+    within("spread_db", sway.spread_db, 0.0, 60.0, "dB")?;
+    interval("amplitude_m", sway.amplitude_m, 1e-7, 0.5, "m")?;
+    interval("frequency_hz", sway.frequency_hz, 0.01, 200.0, "Hz")?;
+    within("bandwidth", sway.bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
+    if let Some(position_m) = sway.position_m
+        && !position_m.iter().zip(size).all(|(&p, s)| p >= 0.0 && p <= s)
+    {
+        return fault("position_m", position_m, format!("a place in the room {size:?}"));
+    }
+    Ok(())
 }
 
 /// What goes with an actor's file, and what only with one.
