@@ -1,12 +1,14 @@
 //! What judges frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
 
+use std::collections::BTreeSet;
 use std::path::Path;
+use std::sync::{Mutex, PoisonError};
 
 use anyhow::Context;
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::people::PeopleCounter;
-use radome_dsp::rdm::SlowTime;
+use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, Waveform};
 use radome_models::bounded_file::read;
 use radome_models::occupancy_filter::Smoothing;
@@ -61,7 +63,7 @@ impl Model {
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
 
-    /// The waveform that a board has to be programmed with; the detector takes any.
+    /// The waveform that a board is programmed with; the detector takes any.
     pub fn waveform(&self) -> Option<&Waveform> {
         match self {
             Model::Network(classifier) => Some(classifier.waveform()),
@@ -103,11 +105,30 @@ impl Model {
         }
     }
 
-    /// Puts it to work on frames of a waveform; refuses those that the model was not made for.
+    /// Checks whether frames of a waveform can be judged.
+    ///
+    /// # Errors
+    /// The quantity in which the waveform differs from the model's own; of a model on physical axes, the limit that it exceeds.
+    pub fn check_waveform(&self, waveform: &Waveform) -> anyhow::Result<()> {
+        match self {
+            Model::Network(classifier) => {
+                Ok(classifier.rdm_spec().check_compatible(waveform, classifier.waveform())?)
+            }
+            Model::Cfar => Ok(()),
+        }
+    }
+
+    /// Puts it to work on frames of a waveform, and says on stderr what is lost where these are not the model's own.
+    ///
+    /// # Errors
+    /// If the model cannot judge frames of the waveform.
     pub fn judge(self, waveform: &Waveform) -> anyhow::Result<Judge> {
+        self.check_waveform(waveform)?;
         Ok(Judge(match self {
             Model::Network(classifier) => {
-                waveform.check_compatible(classifier.waveform())?;
+                if let Some(axes) = classifier.rdm_spec().physical_axes {
+                    say_losses(&losses(&axes, waveform, classifier.waveform()));
+                }
                 let processor = RdmProcessor::new(classifier.rdm_spec(), waveform)?;
                 let map = processor.empty_map();
                 Kind::Network { classifier, processor, map }
@@ -116,6 +137,58 @@ impl Model {
                 Kind::Cfar(Box::new(PeopleCounter::new(waveform).context("the detector cannot look at these frames")?))
             }
         }))
+    }
+}
+
+/// What frames of a waveform show less of a map than frames of the model's own; empty if nothing.
+fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<String> {
+    let (given, own) = (axes.coverage(waveform), axes.coverage(nominal));
+    let mut losses = Vec::new();
+    if given.range_bins < own.range_bins {
+        losses.push(format!(
+            "range ends at {:.2} m, not at {:.2} m",
+            given.range_bins as f64 * axes.range_step_m,
+            own.range_bins as f64 * axes.range_step_m
+        ));
+    }
+    if given.velocity_bins.len() < own.velocity_bins.len() {
+        losses.push(format!(
+            "speeds above {:.2} m/s are not told from others, with the model's own waveform above {:.2} m/s",
+            waveform.max_velocity_m_per_s(),
+            nominal.max_velocity_m_per_s()
+        ));
+    }
+    // A tenth is not worth a word.
+    let is_coarser = |given: f64, own: f64| given > 1.1 * own;
+    if is_coarser(given.range_resolution_m, own.range_resolution_m) {
+        losses.push(format!(
+            "range resolution is {:.2} m, not {:.2} m",
+            given.range_resolution_m, own.range_resolution_m
+        ));
+    }
+    if is_coarser(given.velocity_resolution_m_per_s, own.velocity_resolution_m_per_s) {
+        losses.push(format!(
+            "velocity resolution is {:.2} m/s, not {:.2} m/s",
+            given.velocity_resolution_m_per_s, own.velocity_resolution_m_per_s
+        ));
+    }
+    let samples = |of: &AxesCoverage| (of.samples.len() * of.chirps.len()) as f64;
+    let gain_db = 10.0 * (samples(&given) / samples(&own)).log10();
+    if gain_db < -1.0 {
+        losses.push(format!("echoes are {:.0} dB lower over noise, by fewer samples or chirps", -gain_db));
+    }
+    losses
+}
+
+/// Writes losses to stderr, the same ones once in a run of the program.
+fn say_losses(losses: &[String]) {
+    static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+    if losses.is_empty() {
+        return;
+    }
+    let text = losses.join("; ");
+    if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(text.clone()) {
+        eprintln!("note: frames of another waveform than the model's own are brought onto its axes: {text}");
     }
 }
 
@@ -164,5 +237,46 @@ impl Judge {
             Kind::Network { classifier, .. } => Model::Network(classifier),
             Kind::Cfar(_) => Model::Cfar,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::{RxMask, WaveformRequest};
+
+    use super::*;
+
+    fn waveform(change: impl FnOnce(&mut WaveformRequest)) -> Waveform {
+        let mut request = WaveformRequest {
+            start_frequency_hz: 60.5e9,
+            end_frequency_hz: 61.5e9,
+            samples_per_chirp: 128,
+            chirps_per_frame: 64,
+            sample_rate_hz: 2e6,
+            chirp_interval_s: 391.55e-6,
+            ..WaveformRequest::paper()
+        };
+        change(&mut request);
+        Waveform::realise(request).expect("a valid waveform")
+    }
+
+    #[test]
+    fn what_another_waveform_loses_is_said_by_quantity() {
+        let axes = PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 };
+        let own = waveform(|_| ());
+        let lost = |given: Waveform| losses(&axes, &given, &own).join("; ");
+        assert_eq!(lost(own.clone()), "");
+        // Other receivers, gain and frame rate lose nothing.
+        let one = RxMask::from_antennas(&[1]).expect("a receiver");
+        assert_eq!(lost(waveform(|w| (w.rx_antennas, w.if_gain_db, w.frame_interval_s) = (one, 33.0, 0.05))), "");
+        assert_eq!(lost(waveform(|w| (w.chirps_per_frame, w.frame_interval_s) = (512, 0.25))), "");
+        let short = lost(waveform(|w| (w.samples_per_chirp, w.chirps_per_frame) = (64, 16)));
+        assert!(short.contains("range ends at 5.40 m, not at 9.60 m"), "{short}");
+        assert!(short.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{short}");
+        assert!(short.contains("9 dB lower"), "{short}");
+        let narrow = lost(waveform(|w| w.end_frequency_hz = w.start_frequency_hz + 0.33e9));
+        assert_eq!(narrow, "range resolution is 0.47 m, not 0.16 m");
+        let slow = lost(waveform(|w| w.chirp_interval_s = 780e-6));
+        assert!(slow.contains("speeds above 1.57 m/s"), "{slow}");
     }
 }

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::mcap::LabelEditor;
-use radome_driver::recording::span_check::check_spans;
+use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
-use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Truth, Waveform};
 
 use crate::files;
 
@@ -92,6 +92,20 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
         Recording::Mcap(reader) => Ok(reader.labels()?),
         _ => file_beside(recording).map_or(Ok(Vec::new()), |file| read(&file)),
     }
+}
+
+/// What labels say of a frame: the class at its first chirp, and whether it is another at its last.
+pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
+    let at = |time_s: f64| {
+        let holds = |span: &&LabelSpan| {
+            span.occupancy().is_some() && span.start_s <= time_s + ROUNDING_S && time_s + ROUNDING_S < span.end_s
+        };
+        spans.iter().find(holds)?.occupancy()
+    };
+    let first_s = frame.time_s();
+    let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
+    let occupancy = at(first_s)?;
+    Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
 }
 
 /// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's

@@ -32,7 +32,7 @@ impl std::fmt::Display for FrameShape {
     }
 }
 
-/// How many people a room holds, as far as this program distinguishes: the class of a map.
+/// How many people a room holds, as far as this program distinguishes: nobody, one, or two or more. The class of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Occupancy {
@@ -40,7 +40,7 @@ pub enum Occupancy {
     Empty,
     /// One person.
     One,
-    /// Two people.
+    /// Two people or more.
     Two,
 }
 
@@ -48,7 +48,7 @@ impl Occupancy {
     /// All classes, in the order of their index.
     pub const ALL: [Occupancy; 3] = [Occupancy::Empty, Occupancy::One, Occupancy::Two];
 
-    /// Index of the class: the number of people.
+    /// Index of the class: the number of people, or 2 if there are more.
     pub fn index(self) -> usize {
         self as usize
     }

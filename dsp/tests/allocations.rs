@@ -3,7 +3,7 @@
 mod counting;
 
 use counting::ALLOCATIONS;
-use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
+use radome_dsp::rdm::{Channels, PhysicalAxes, SlowTime, StaticRemoval};
 use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
 
 #[test]
@@ -18,12 +18,14 @@ fn no_chain_allocates_once_it_is_planned() {
         Waveform::realise(request).expect("valid")
     };
     let base = RdmSpec::default();
+    let axes = PhysicalAxes { range_step_m: 0.4, range_bins: 60, velocity_step_m_per_s: 0.1, velocity_bins: 90 };
     let specs = [
         base,
         RdmSpec::paper(),
         RdmSpec { channels: Channels::IncoherentSum, static_removal: StaticRemoval::SlowTimeMean, ..base },
         RdmSpec { static_removal: StaticRemoval::RecursiveMti { alpha: 0.6 }, chirp_mean_removal: true, ..base },
         RdmSpec { slow_time: SlowTime::Frames { frames: 8 }, ..base },
+        RdmSpec { channels: Channels::IncoherentSum, physical_axes: Some(axes), ..base },
     ];
     // Sizes of the lane kernel, and such as go through the library.
     for waveform in [waveform(128, 256), waveform(32, 64), waveform(20, 100)] {

@@ -112,7 +112,7 @@ impl Classifier {
         Classifier { card, engine: Engine::Native { network, inference: None } }
     }
 
-    /// Waveform that maps must come from.
+    /// Waveform that maps must come from, or with physical axes the nominal one ([`ModelCard::waveform`]).
     pub fn waveform(&self) -> &Waveform {
         &self.card.waveform
     }

@@ -81,6 +81,160 @@ pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize
     Ok(Metrics::from_predictions(pairs))
 }
 
+/// Prediction of one frame of a recording, beside its label.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FramePrediction {
+    /// Time of the frame on its recording's clock, s.
+    pub time_s: f64,
+    /// Label; `None` where the frame has none, or where someone is entering or leaving.
+    pub truth: Option<Occupancy>,
+    /// Probabilities of empty, one and two.
+    pub probabilities: [f32; CLASSES],
+}
+
+impl FramePrediction {
+    /// The most probable class.
+    pub fn predicted(&self) -> Occupancy {
+        most_probable(&self.probabilities)
+    }
+}
+
+/// Labelled frames of one label that follow each other in a recording. Frames without a label do not end it.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Stretch {
+    /// The label.
+    pub label: Occupancy,
+    /// Time of its first frame, s.
+    pub start_s: f64,
+    /// Time from its first frame to the end of its last one, s.
+    pub duration_s: f64,
+    /// Time from its first frame to the first one of it that was predicted right, s; `None` if none was.
+    pub found_within_s: Option<f64>,
+}
+
+/// Scores over the labelled frames of one recording.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RecordingScores {
+    /// `confusion[truth][prediction]`, counts.
+    pub confusion: [[u64; CLASSES]; CLASSES],
+    /// Stretches of one label, in the order of time.
+    pub stretches: Vec<Stretch>,
+    /// Times at which a frame labelled empty is predicted populated and the labelled frame before it was not, or there is none.
+    /// A prediction of people that outlasts them is no alarm: it counts among the wrong frames.
+    pub false_alarms: u64,
+    /// Length of the frames labelled empty together, s.
+    pub empty_s: f64,
+}
+
+impl RecordingScores {
+    /// Scores of predictions in the order of time, one each frame interval.
+    pub fn new(predictions: &[FramePrediction], frame_interval_s: f64) -> Self {
+        let mut scores = RecordingScores::default();
+        let mut before: Option<Occupancy> = None;
+        for prediction in predictions {
+            let Some(truth) = prediction.truth else { continue };
+            let (predicted, time_s) = (prediction.predicted(), prediction.time_s);
+            scores.confusion[truth.index()][predicted.index()] += 1;
+            if scores.stretches.last().is_none_or(|stretch| stretch.label != truth) {
+                let stretch = Stretch { label: truth, start_s: time_s, duration_s: 0.0, found_within_s: None };
+                scores.stretches.push(stretch);
+            }
+            if let Some(stretch) = scores.stretches.last_mut() {
+                stretch.duration_s = time_s + frame_interval_s - stretch.start_s;
+                if predicted == truth && stretch.found_within_s.is_none() {
+                    stretch.found_within_s = Some(time_s - stretch.start_s);
+                }
+            }
+            if truth == Occupancy::Empty {
+                scores.empty_s += frame_interval_s;
+                let begins = before.is_none_or(|before| before == Occupancy::Empty);
+                scores.false_alarms += u64::from(begins && predicted != Occupancy::Empty);
+            }
+            before = Some(predicted);
+        }
+        scores
+    }
+
+    /// Number of labelled frames.
+    pub fn frames(&self) -> u64 {
+        self.confusion.iter().flatten().sum()
+    }
+
+    /// The label of all labelled frames; `None` if there are several labels, or none.
+    pub fn label(&self) -> Option<Occupancy> {
+        match self.stretches.as_slice() {
+            [stretch] => Some(stretch.label),
+            _ => None,
+        }
+    }
+
+    /// Counts of the predictions by class.
+    pub fn predicted(&self) -> [u64; CLASSES] {
+        std::array::from_fn(|class| self.confusion.iter().map(|row| row[class]).sum())
+    }
+
+    /// The class that most labelled frames were predicted; the first of equals.
+    pub fn majority(&self) -> Occupancy {
+        let predicted = self.predicted();
+        let most = predicted.iter().copied().max().unwrap_or_default();
+        Occupancy::ALL.into_iter().find(|class| predicted[class.index()] == most).unwrap_or(Occupancy::Empty)
+    }
+
+    /// Number of labelled frames that were predicted right.
+    pub fn right(&self) -> u64 {
+        (0..CLASSES).map(|class| self.confusion[class][class]).sum()
+    }
+
+    /// Whether the recording as a whole was predicted right: with one label the majority is that label; with several, more
+    /// than half of the labelled frames are right.
+    pub fn is_right(&self) -> bool {
+        match self.label() {
+            Some(label) => self.majority() == label,
+            None => 2 * self.right() > self.frames(),
+        }
+    }
+}
+
+/// How long it takes until a label is predicted, over stretches of it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct FoundTimes {
+    /// Number of stretches.
+    pub stretches: u64,
+    /// Those in which it never was.
+    pub never: u64,
+    /// Median over all stretches of the time until the first right prediction, s. Stretches without one count as longer than
+    /// any other: absent if they are the larger half, or if there is no stretch.
+    pub median_s: Option<f64>,
+}
+
+impl FoundTimes {
+    /// Shortest stretch that counts, s: who stays for less need not be noticed.
+    pub const LEAST_STRETCH_S: f64 = 1.0;
+
+    /// Over those stretches of a label that last for [`FoundTimes::LEAST_STRETCH_S`] or more.
+    pub fn of<'a>(label: Occupancy, stretches: impl IntoIterator<Item = &'a Stretch>) -> Self {
+        let counted = stretches.into_iter().filter(|s| s.label == label && s.duration_s >= Self::LEAST_STRETCH_S);
+        let mut times: Vec<f64> = counted.map(|stretch| stretch.found_within_s.unwrap_or(f64::INFINITY)).collect();
+        times.sort_by(f64::total_cmp);
+        let middle = times.len() / 2;
+        let median = match times.as_slice() {
+            [] => f64::INFINITY,
+            times if times.len() % 2 == 1 => times[middle],
+            times => 0.5 * (times[middle - 1] + times[middle]),
+        };
+        FoundTimes {
+            stretches: times.len() as u64,
+            never: times.iter().filter(|time| time.is_infinite()).count() as u64,
+            median_s: median.is_finite().then_some(median),
+        }
+    }
+}
+
+/// Alarms by the hour of so many seconds; `None` of no time.
+pub fn per_hour(alarms: u64, time_s: f64) -> Option<f64> {
+    (time_s > 0.0).then(|| alarms as f64 * 3600.0 / time_s)
+}
+
 /// The class with the largest probability; the first of equals.
 pub fn most_probable(probabilities: &[f32; CLASSES]) -> Occupancy {
     let mut best = Occupancy::Empty;
@@ -109,8 +263,71 @@ mod tests {
         assert!(m.absent.is_empty());
     }
 
+    /// Predictions every 0.1 s: the label (`-` for none) and the class predicted, by their first letters.
+    fn predictions(labels: &str, predicted: &str) -> Vec<FramePrediction> {
+        let class = |letter: char| Occupancy::ALL.into_iter().find(|class| class.name().starts_with(letter));
+        let frames = labels.chars().zip(predicted.chars()).enumerate();
+        let frames = frames.map(|(index, (label, predicted))| {
+            let mut probabilities = [0.1; CLASSES];
+            probabilities[class(predicted).expect("a class").index()] = 0.8;
+            FramePrediction { time_s: 2.0 + 0.1 * index as f64, truth: class(label), probabilities }
+        });
+        frames.collect()
+    }
+
+    /// Somebody comes at 2.5 s (a frame of transition before), is found 0.2 s later, leaves at 2.9 s and is believed to be there
+    /// for another frame; one alarm at the beginning and one of two frames at the end.
+    #[test]
+    fn a_recording_is_scored_by_label() {
+        let scores = RecordingScores::new(&predictions("eeee-ooooeeeee", "oeeeoeeoooeeto"), 0.1);
+        assert_eq!(scores.confusion, [[5, 3, 1], [2, 2, 0], [0, 0, 0]]);
+        assert_eq!((scores.frames(), scores.right(), scores.predicted()), (13, 7, [7, 5, 1]));
+        assert_eq!((scores.label(), scores.majority(), scores.is_right()), (None, Occupancy::Empty, true));
+        assert_eq!(scores.false_alarms, 2);
+        assert!((scores.empty_s - 0.9).abs() < 1e-9);
+        let labels: Vec<Occupancy> = scores.stretches.iter().map(|stretch| stretch.label).collect();
+        assert_eq!(labels, [Occupancy::Empty, Occupancy::One, Occupancy::Empty]);
+        let found: Vec<f64> = scores.stretches.iter().filter_map(|stretch| stretch.found_within_s).collect();
+        assert!(
+            found.iter().zip([0.1, 0.2, 0.1]).all(|(found, expected)| (found - expected).abs() < 1e-9),
+            "{found:?}"
+        );
+        let one = &scores.stretches[1];
+        assert!((one.start_s - 2.5).abs() < 1e-9 && (one.duration_s - 0.4).abs() < 1e-9, "{one:?}");
+        assert_eq!(per_hour(2, 1800.0), Some(4.0));
+    }
+
+    #[test]
+    fn a_recording_of_one_label_is_right_by_majority() {
+        let scores = RecordingScores::new(&predictions("oo-ooo", "eeooot"), 0.1);
+        // Two each of empty and one: the first of equals.
+        assert_eq!((scores.label(), scores.majority()), (Some(Occupancy::One), Occupancy::Empty));
+        assert!(!scores.is_right());
+        assert!(RecordingScores::new(&predictions("ooooo", "eootto"), 0.1).is_right());
+    }
+
+    #[test]
+    fn times_until_somebody_is_found_have_a_median() {
+        let stretch = |label, duration_s, found_within_s| Stretch { label, start_s: 0.0, duration_s, found_within_s };
+        let two = |found| stretch(Occupancy::Two, 5.0, found);
+        let others = [stretch(Occupancy::One, 5.0, Some(9.0)), stretch(Occupancy::Two, 0.5, None)];
+        let all = [two(Some(1.0)), two(None), two(Some(3.0)), others[0], others[1]];
+        let found = FoundTimes::of(Occupancy::Two, &all);
+        assert_eq!(found, FoundTimes { stretches: 3, never: 1, median_s: Some(3.0) });
+        assert_eq!(FoundTimes::of(Occupancy::Two, &all[..2]).median_s, None);
+        assert_eq!(FoundTimes::of(Occupancy::Two, [&all[0], &all[2]]).median_s, Some(2.0));
+        assert_eq!(FoundTimes::of(Occupancy::Two, &others), FoundTimes::default());
+    }
+
     mod hard_cases {
         use super::*;
+
+        #[test]
+        fn a_recording_without_a_label_has_no_scores() {
+            let scores = RecordingScores::new(&predictions("---", "eot"), 0.1);
+            assert_eq!((scores.frames(), scores.label(), scores.is_right()), (0, None, false));
+            assert_eq!(per_hour(scores.false_alarms, scores.empty_s), None);
+        }
 
         #[test]
         fn an_empty_class_is_left_out_and_named() {

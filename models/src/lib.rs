@@ -13,6 +13,7 @@
 
 pub mod ablation;
 pub mod bounded_file;
+pub mod calibration;
 mod classifier;
 pub mod dataset;
 pub mod evaluate;

@@ -62,7 +62,8 @@ pub struct ModelCard {
     pub input_shape: [usize; 3],
     /// Names of the axes of the input, slowest first.
     pub axes: [String; 3],
-    /// Waveform that maps must come from.
+    /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may come
+    /// from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
     pub waveform: Waveform,
     /// How maps must be made.
     pub rdm_spec: RdmSpec,

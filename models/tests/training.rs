@@ -86,7 +86,7 @@ fn every_seed_learns_to_count() {
     }
 }
 
-/// Forty numbers of a map suffice, with a linear head and with the circuit; the model answers the same from its file, and
+/// Plain numbers of a map suffice, with a linear head and with the circuit; the model answers the same from its file, and
 /// another gain is no other map.
 #[test]
 fn descriptors_learn_to_count() {

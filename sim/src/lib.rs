@@ -31,6 +31,7 @@ pub mod shadow;
 pub mod simulator;
 pub mod slow_time;
 pub mod stage;
+pub mod sway;
 pub mod synthesis;
 pub mod trace;
 

@@ -38,6 +38,16 @@ pub enum Purpose {
     ClutterStep,
     /// Ways from wall to wall.
     WallWalks,
+    /// Small reflectors that sway.
+    Sway,
+    /// Vibration of the radar.
+    Vibration,
+    /// Spurious tones of the receiver, and their phases.
+    Spur,
+    /// Slow changes of the gain.
+    GainDrift,
+    /// Jitter of the chirps' times in a frame.
+    ChirpJitter,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

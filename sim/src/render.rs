@@ -23,13 +23,16 @@ use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_by_delay_lsb_s, leakage_chirp_lsb, quantise};
+use crate::receiver::chirp_turn::{ChirpTurn, ChirpTurns};
 use crate::receiver::noise::{NoiseScratch, NoiseShaper, channel_density_lsb2};
 use crate::receiver::phase_noise::PhaseRates;
+use crate::receiver::spurs::Spurs;
 use crate::scene::Scene;
-use crate::scene::file::BodyFile;
-use crate::shadow;
+use crate::scene::file::{BodyFile, ShadowFile};
+use crate::shadow::{self, Column};
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
-use crate::stage::{Stage, drift_phases, threshold_lsb};
+use crate::stage::{Stage, drift, drift_phases, threshold_lsb};
+use crate::sway::SwayingReflectors;
 use crate::synthesis::{CHIRPS, ChirpGrids, Grid, SynthesisScratch, Synthesiser, Tone};
 
 /// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
@@ -58,6 +61,11 @@ pub(crate) struct Renderer {
     pub(crate) options: SimulateOptions,
     program: Program,
     stage: Stage,
+    sway: SwayingReflectors,
+    /// Errors that all echoes of a chirp share; `None` where there are none.
+    turns: Option<ChirpTurns>,
+    /// Spurious tones of each receiver.
+    spurs: Vec<Spurs>,
     synthesiser: Synthesiser,
     noise: Vec<(NoiseShaper, f32)>,
     leakage: Vec<Vec<f32>>,
@@ -109,6 +117,35 @@ struct NoisyPhase<'a> {
     rates: &'a PhaseRates,
 }
 
+/// Everything that the receivers' parts of a frame share.
+struct OfFrame<'a> {
+    index: u64,
+    /// Its first sample, s.
+    start_s: f64,
+    traced: &'a Traced,
+    phase: Option<&'a NoisyPhase<'a>>,
+    clutter: &'a Clutter,
+    /// Errors of the chirps; empty where there are none.
+    turns: &'a [ChirpTurn],
+}
+
+/// Weights of static paths in a frame.
+struct Clutter {
+    /// `[time][path]`.
+    weights: Vec<Vec<Complex64>>,
+    /// Whether the times are the middles of all chirps; the ends of the frame's stretches if not.
+    by_chirp: bool,
+}
+
+/// Grids of static paths at the same times.
+struct StaticGrids {
+    grids: Vec<Grid>,
+    by_chirp: bool,
+}
+
+/// Nothing static.
+const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
+
 /// Skins of this many people are kept: those in the room, and who comes next.
 const MOST_SKINS: usize = 8;
 
@@ -134,11 +171,15 @@ impl Renderer {
         };
         let noise = stage.channels.iter().map(noise).collect();
         let leakage = stage.channels.iter().map(|c| leakage_chirp_lsb(c, waveform)).collect();
+        let spurs = |rx| Spurs::draw(&scene.receiver().noise, waveform.sample_rate_hz, options.seed, rx);
         tracing::debug!(scene = scene.name(), static_paths = stage.static_paths.len(), "scene traced");
         Renderer {
             scene: scene.clone(),
             options,
             program: Program::new(scene, options.seed, options.people),
+            sway: SwayingReflectors::new(scene, &stage, options.seed),
+            turns: ChirpTurns::new(scene, options.seed),
+            spurs: (0..stage.channels.len()).map(spurs).collect(),
             stage,
             synthesiser: Synthesiser::new(samples),
             noise,
@@ -305,14 +346,31 @@ impl Renderer {
         frame.truth = Some(self.truth_from(start_s));
 
         let mut traced = self.traced(start_s, None);
+        self.add_sway(start_s, &mut traced);
         let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });
         let mut report = traced.report;
-        let clutter = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
+        let clutter = self.clutter(index, start_s, &traced);
+        let middles_s = (0..shape.chirps).map(|chirp| self.middle_s(chirp));
+        let turns = self.turns.as_ref().map(|turns| turns.of_frame(index, start_s, middles_s)).unwrap_or_default();
         let mut scratch = Scratch::default();
         for rx in 0..shape.rx {
-            self.render_channel(rx, index, &traced, phase.as_ref(), &clutter, frame, &mut scratch, &mut report);
+            let of_frame =
+                OfFrame { index, start_s, traced: &traced, phase: phase.as_ref(), clutter: &clutter, turns: &turns };
+            self.render_channel(rx, &of_frame, frame, &mut scratch, &mut report);
         }
         report
+    }
+
+    /// Middle of a chirp, counted from the frame's first sample, s.
+    fn middle_s(&self, chirp: usize) -> f64 {
+        chirp as f64 * self.waveform().chirp_interval_s + self.stage.chirp.middle_s
+    }
+
+    /// Adds the echoes of swaying reflectors to the paths of a frame.
+    fn add_sway(&self, start_s: f64, traced: &mut Traced) {
+        traced.paths.resize(self.waveform().shape().rx, Stretches::default());
+        let columns = columns(&traced.snapshots);
+        self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.paths);
     }
 
     /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
@@ -418,7 +476,7 @@ impl Renderer {
         let mut scratch = Scratch::default();
         let mut all = Vec::with_capacity(self.waveform().shape().codes());
         for rx in 0..self.waveform().shape().rx {
-            self.each_chirp(rx, &traced, &[], |_, grid| {
+            self.each_chirp(rx, &traced, &NO_STATIC, &[], |_, grid| {
                 scratch.chirp.clear();
                 scratch.chirp.resize(samples, 0.0);
                 self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -459,6 +517,32 @@ impl Renderer {
             }
         }
         sum
+    }
+
+    /// Weights of all static paths in a frame: in every chirp where people diffract them, at the ends of stretches if not.
+    fn clutter(&self, index: u64, start_s: f64, traced: &Traced) -> Clutter {
+        let is_strip = self.scene.file().people.shadow == ShadowFile::Strip;
+        let has_people = traced.snapshots.iter().any(|people| !people.is_empty());
+        if !(is_strip && has_people) {
+            let weights = self.clutter_weights(index, &self.ends_s(start_s, traced.halvings), &traced.snapshots);
+            return Clutter { weights, by_chirp: false };
+        }
+        let without_people = self.clutter_weights(index, &[start_s], &[Vec::new()]);
+        let without_people = without_people.first().map(Vec::as_slice).unwrap_or_default();
+        let (at_ends, active_s) = (columns(&traced.snapshots), self.active_s());
+        let weights: Vec<Vec<Complex64>> = (0..self.waveform().shape().chirps)
+            .map(|chirp| {
+                let people = columns_between(&at_ends, self.middle_s(chirp) / active_s);
+                let paths = self.stage.static_paths.iter().zip(without_people);
+                // Conjugated, as amplitudes at the ADC are.
+                paths
+                    .map(|(path, weight)| {
+                        weight * shadow::along_strips(&path.polyline, &people, self.stage.wavelength_m).conj()
+                    })
+                    .collect()
+            })
+            .collect();
+        Clutter { weights, by_chirp: true }
     }
 
     /// Complex weight of every static path at the ends of stretches: `[end][path]`.
@@ -520,21 +604,18 @@ impl Renderer {
         self.stage.static_paths.iter().map(phase).collect()
     }
 
-    #[allow(clippy::too_many_arguments)]
     fn render_channel(
         &self,
         rx: usize,
-        index: u64,
-        traced: &Traced,
-        phase: Option<&NoisyPhase>,
-        clutter: &[Vec<Complex64>],
+        of_frame: &OfFrame,
         frame: &mut Frame,
         scratch: &mut Scratch,
         report: &mut FrameReport,
     ) {
+        let &OfFrame { index, start_s, traced, phase, clutter, turns } = of_frame;
         let shape = self.waveform().shape();
-        let static_grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights, false)).collect();
-        let by_delay = phase.map(|phase| self.by_delay(rx, phase, clutter, scratch));
+        let static_grids = self.static_grids(rx, clutter, false);
+        let by_delay = phase.map(|phase| self.by_delay(rx, phase, clutter, turns, scratch));
         // The same phase in all receivers.
         let mut phase_rng = generator(self.options.seed, Purpose::PhaseNoise, [index, 0]);
         // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
@@ -542,13 +623,19 @@ impl Renderer {
         let mut rng = generator(self.options.seed, Purpose::Noise, [index, people | rx as u64]);
         let (offset, leakage_scale) = self.offset(rx, index);
         let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
-        self.each_chirp(rx, traced, &static_grids, |chirp, grid| {
+        let spurs = self.spurs.get(rx);
+        let mut spur_phases = spurs.map(|spurs| spurs.phases(index));
+        self.each_chirp(rx, traced, &static_grids, turns, |chirp, grid| {
             scratch.chirp.clear();
             scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
             if let (Some(phase), Some(by_delay)) = (phase, &by_delay) {
                 let beside = by_delay.chunks(shape.samples).nth(chirp).unwrap_or_default();
                 phase.rates.add(&mut phase_rng, beside, &mut scratch.chirp);
+            }
+            if let (Some(spurs), Some(phases)) = (spurs, &mut spur_phases) {
+                let first_s = start_s + chirp as f64 * self.waveform().chirp_interval_s;
+                spurs.add(first_s, phases, &mut scratch.chirp);
             }
             if let Some((shaper, scale)) = self.noise.get(rx) {
                 shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
@@ -563,13 +650,26 @@ impl Renderer {
         });
     }
 
+    /// Grids of static paths at the times of their weights; with every tone times `j` and its delay if so asked.
+    fn static_grids(&self, rx: usize, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
+        let grids = clutter.weights.iter().map(|weights| self.static_grid(rx, weights, is_by_delay)).collect();
+        StaticGrids { grids, by_chirp: clutter.by_chirp }
+    }
+
     /// What stands beside the phase's rate in every sample, LSB s: `[chirp][sample]`.
-    fn by_delay(&self, rx: usize, phase: &NoisyPhase, clutter: &[Vec<Complex64>], scratch: &mut Scratch) -> Vec<f32> {
-        let grids: Vec<Grid> = clutter.iter().map(|weights| self.static_grid(rx, weights, true)).collect();
+    fn by_delay(
+        &self,
+        rx: usize,
+        phase: &NoisyPhase,
+        clutter: &Clutter,
+        turns: &[ChirpTurn],
+        scratch: &mut Scratch,
+    ) -> Vec<f32> {
+        let grids = self.static_grids(rx, clutter, true);
         let channel = self.stage.channels.get(rx);
         let leakage = channel.map(|c| leakage_by_delay_lsb_s(c, self.waveform())).unwrap_or_default();
         let mut all = Vec::with_capacity(self.waveform().shape().codes());
-        self.each_chirp(rx, &phase.traced, &grids, |_, grid| {
+        self.each_chirp(rx, &phase.traced, &grids, turns, |_, grid| {
             scratch.chirp.clear();
             scratch.chirp.extend(&leakage);
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
@@ -578,17 +678,24 @@ impl Renderer {
         all
     }
 
-    /// The frequency grid of every chirp in turn: static grids at the ends of stretches, blended, paths, and skins.
-    fn each_chirp(&self, rx: usize, traced: &Traced, static_grids: &[Grid], mut visit: impl FnMut(usize, &Grid)) {
-        let (waveform, chirps, active_s) = (self.waveform(), self.waveform().shape().chirps, self.active_s());
+    /// The frequency grid of every chirp in turn: static grids, paths, and skins, with the errors that all echoes of the chirp
+    /// share, if there are any.
+    fn each_chirp(
+        &self,
+        rx: usize,
+        traced: &Traced,
+        static_grids: &StaticGrids,
+        turns: &[ChirpTurn],
+        mut visit: impl FnMut(usize, &Grid),
+    ) {
+        let (chirps, active_s) = (self.waveform().shape().chirps, self.active_s());
         let (mut grids, mut grid) = (self.synthesiser.grids(), self.synthesiser.grid());
         let paths = traced.paths.get(rx);
         let finest = paths.map_or(0, Stretches::most_halvings).max(traced.halvings);
         // Stretch of a chirp where the frame is halved so often, and its place there.
         let place = |chirp: usize, halvings: u32| {
             let stretches = 1usize << halvings;
-            let time_s = chirp as f64 * waveform.chirp_interval_s + self.stage.chirp.middle_s;
-            let at = time_s / active_s * stretches as f64;
+            let at = self.middle_s(chirp) / active_s * stretches as f64;
             let stretch = (at as usize).min(stretches - 1);
             (stretch, at - stretch as f64)
         };
@@ -602,7 +709,8 @@ impl Renderer {
                 (place(begin, halvings).0, std::array::from_fn(|lane| place(chirp(lane), halvings).1))
             };
             let (stretch, places) = at(traced.halvings);
-            match (static_grids.get(stretch), static_grids.get(stretch + 1)) {
+            let at_ends: &[Grid] = if static_grids.by_chirp { &[] } else { static_grids.grids.as_slice() };
+            match (at_ends.get(stretch), at_ends.get(stretch + 1)) {
                 (Some(a), Some(b)) => grids.blend(a, b, &places.map(|u| u as f32)),
                 _ => grids.clear(),
             }
@@ -615,6 +723,15 @@ impl Renderer {
                 grids.extract(lane, &mut grid);
                 if let Some(skins) = &traced.skins {
                     skins.add_to(rx, chirp, &mut grid);
+                }
+                if static_grids.by_chirp
+                    && let Some(own) = static_grids.grids.get(chirp)
+                {
+                    grid.add(own);
+                }
+                if let Some(turn) = turns.get(chirp) {
+                    let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
+                    self.synthesiser.turn(factor, turn.late_s * self.stage.chirp.sample_rate_hz, &mut grid);
                 }
                 visit(chirp, &grid);
             }
@@ -660,10 +777,26 @@ impl Renderer {
     }
 }
 
-/// A slow wander whose change over ten seconds has a standard deviation of about 1.
-fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
-    const PERIODS_S: [f64; 3] = [17.0, 29.0, 53.0];
-    let waves =
-        PERIODS_S.iter().zip(phases).map(|(period, phase)| (std::f64::consts::TAU * time_s / period + phase).sin());
-    0.5 * waves.sum::<f64>()
+/// People as columns in other paths' way, at each of several times.
+fn columns(snapshots: &[Vec<Snapshot>]) -> Vec<Vec<Column>> {
+    snapshots.iter().map(|people| people.iter().map(|person| person.column).collect()).collect()
+}
+
+/// The same at a place, 0 to 1, between times that are evenly spread.
+fn columns_between(at_times: &[Vec<Column>], at: f64) -> Vec<Column> {
+    let place = at.clamp(0.0, 1.0) * at_times.len().saturating_sub(1) as f64;
+    let whole = place as usize;
+    let Some(here) = at_times.get(whole) else { return Vec::new() };
+    let next = at_times.get(whole + 1).unwrap_or(here);
+    let part = place - whole as f64;
+    let between = |a: f64, b: f64| a + (b - a) * part;
+    here.iter()
+        .zip(next)
+        .map(|(a, b)| Column {
+            x: between(a.x, b.x),
+            y: between(a.y, b.y),
+            radius_m: between(a.radius_m, b.radius_m),
+            height_m: between(a.height_m, b.height_m),
+        })
+        .collect()
 }

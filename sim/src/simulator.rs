@@ -38,7 +38,7 @@ impl Default for SimulateOptions {
 /// Options that cannot be met.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SimError {
-    /// More people than there are classes or actors for.
+    /// More people than the scene has actors, slots or places for.
     #[error("simulation: {asked} people asked for, {scene} has room for at most {most}")]
     TooManyPeople {
         /// Asked for.
@@ -134,7 +134,11 @@ impl Simulator {
     /// Prepares a scene: draws what differs between seeds, traces what is static, draws who comes.
     pub fn new(scene: &Scene, options: SimulateOptions) -> Result<Self, SimError> {
         let people = &scene.file().people;
-        let most = if people.actor.is_empty() { 2 } else { people.actor.len() };
+        let most = match &people.visits {
+            _ if !people.actor.is_empty() => people.actor.len(),
+            Some(visits) => visits.max_people.max(2),
+            None => 2,
+        };
         if let Some(asked) = options.people
             && asked > most
         {

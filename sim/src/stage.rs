@@ -25,6 +25,18 @@ pub struct StaticPath {
     pub drift: [f64; 3],
 }
 
+/// Echo of a point by a pair of images at one receiver.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct PointEcho {
+    /// Field amplitude, but for the propagation phase.
+    pub(crate) amplitude: Complex64,
+    /// Length of the path, m.
+    pub(crate) length_m: f64,
+    /// Sum of the unit vectors from both images to the point: how much longer the path becomes for each metre that the point
+    /// moves along an axis.
+    pub(crate) directions: DVec3,
+}
+
 /// Geometry, link budget and static paths of a scene for one seed.
 #[derive(Debug, Clone)]
 pub struct Stage {
@@ -69,6 +81,14 @@ pub fn threshold_lsb(receiver: &Receiver, waveform: &Waveform, margin_db: f64) -
 pub fn drift_phases(seed: u64, of: [u64; 2]) -> [f64; 3] {
     let mut rng = generator(seed, Purpose::Drift, of);
     std::array::from_fn(|_| rng.random_range(0.0..std::f64::consts::TAU))
+}
+
+/// A slow wander whose change over ten seconds has a standard deviation of about 1.
+pub fn drift(time_s: f64, phases: &[f64; 3]) -> f64 {
+    const PERIODS_S: [f64; 3] = [17.0, 29.0, 53.0];
+    let waves =
+        PERIODS_S.iter().zip(phases).map(|(period, phase)| (std::f64::consts::TAU * time_s / period + phase).sin());
+    0.5 * waves.sum::<f64>()
 }
 
 impl Stage {
@@ -162,38 +182,45 @@ impl Stage {
         }
     }
 
-    /// Echo of an isotropic point of a cross-section by a pair of images.
-    fn point_path(
+    /// Echoes of an isotropic point of a cross-section by a pair of images, at each receiver.
+    pub(crate) fn point_echoes(
         &self,
         point: DVec3,
         cross_section_m2: f64,
         phase: f64,
         p: ImageIndex,
         q: ImageIndex,
-    ) -> Vec<(f64, f64, Complex64)> {
+    ) -> Vec<PointEcho> {
         let there = self.room.illuminate(&self.tx, p, point);
         self.rx
             .iter()
-            .enumerate()
-            .map(|(i, rx)| {
+            .map(|rx| {
                 let back = self.room.illuminate(rx, q, point);
                 let (r_t, r_r) = (there.distance_m.max(0.1), back.distance_m.max(0.1));
                 let aperture = self.wavelength_m / (4.0 * std::f64::consts::PI);
                 let scatter = (cross_section_m2 / (4.0 * std::f64::consts::PI)).sqrt();
                 let amplitude = there.field.received_by(back.field)
                     * Complex64::from_polar(aperture * scatter / (r_t * r_r), phase);
-                self.static_tone(i, amplitude, there.distance_m + back.distance_m)
+                let length_m = there.distance_m + back.distance_m;
+                PointEcho { amplitude, length_m, directions: there.direction + back.direction }
             })
             .collect()
     }
 
+    /// The way from the radar to a point and back by a pair of images, folded into the room.
+    pub(crate) fn point_polyline(&self, point: DVec3, p: ImageIndex, q: ImageIndex) -> Vec<DVec3> {
+        let mut polyline = self.room.polyline(p, self.tx.position, point);
+        let mut back = self.room.polyline(q, self.tx.position, point);
+        back.reverse();
+        polyline.extend(back.into_iter().skip(1));
+        polyline
+    }
+
     fn add_point(&mut self, point: DVec3, cross_section_m2: f64, phase: f64) {
         for (p, q) in self.body_pairs.clone() {
-            let tones = self.point_path(point, cross_section_m2, phase, p, q);
-            let mut polyline = self.room.polyline(p, self.tx.position, point);
-            let mut back = self.room.polyline(q, self.tx.position, point);
-            back.reverse();
-            polyline.extend(back.into_iter().skip(1));
+            let echoes = self.point_echoes(point, cross_section_m2, phase, p, q);
+            let tones = echoes.iter().enumerate().map(|(i, e)| self.static_tone(i, e.amplitude, e.length_m)).collect();
+            let polyline = self.point_polyline(point, p, q);
             self.keep(tones, polyline);
         }
     }

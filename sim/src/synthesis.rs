@@ -103,6 +103,13 @@ impl Grid {
         self.cells.fill(Complex::default());
     }
 
+    /// Adds another grid.
+    pub fn add(&mut self, other: &Grid) {
+        for (cell, other) in self.cells.iter_mut().zip(&other.cells) {
+            *cell += *other;
+        }
+    }
+
     /// `self = a (1 - w) + b w`.
     pub fn blend(&mut self, a: &Grid, b: &Grid, w: f32) {
         for ((x, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
@@ -174,6 +181,20 @@ impl Synthesiser {
                 cell.re += phasor.re * w;
                 cell.im += phasor.im * w;
             }
+        }
+    }
+
+    /// Multiplies every tone on a grid by a factor, and samples it later by a part of a sample: a tone of `f` cycles per sample
+    /// (taken within half a cycle of zero) turns by `f` times that in cycles.
+    pub fn turn(&self, factor: Complex<f32>, late_samples: f64, grid: &mut Grid) {
+        if late_samples == 0.0 {
+            grid.cells.iter_mut().for_each(|cell| *cell *= factor);
+            return;
+        }
+        for (i, cell) in grid.cells.iter_mut().enumerate() {
+            // Cell `i` of the buffer is cell `i - WIDTH/2` of the circle.
+            let cycles = (i as f64 - (WIDTH / 2) as f64) / self.cells as f64;
+            *cell *= factor * phasor(late_samples * (cycles - nearest_integer(cycles)));
         }
     }
 
@@ -308,6 +329,36 @@ mod tests {
             let error_db = compare(samples, &tones);
             assert!(error_db < -90.0, "{samples} samples: {error_db} dBc");
         }
+    }
+
+    #[test]
+    fn a_turned_grid_is_the_later_samples_times_the_factor() {
+        let (samples, late_samples) = (128, 0.02);
+        let synthesiser = Synthesiser::new(samples);
+        let factor = Complex::new(0.9f32, -0.2);
+        let tone = |cycles_per_sample: f64| Tone {
+            phase_cycles: 0.3 + 7.0 * cycles_per_sample,
+            cycles_per_sample,
+            amplitude: Complex::new(1.0, 0.4),
+        };
+        let tones: Vec<Tone> = [0.004, 0.03, 0.11, 0.249, 0.4].map(tone).to_vec();
+        let mut grid = synthesiser.grid();
+        tones.iter().for_each(|tone| synthesiser.add(tone, &mut grid));
+        synthesiser.turn(factor, late_samples, &mut grid);
+        let mut fast = vec![0f32; samples];
+        synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
+        let later: Vec<Tone> = tones
+            .iter()
+            .map(|tone| Tone {
+                phase_cycles: tone.phase_cycles + late_samples * tone.cycles_per_sample,
+                amplitude: tone.amplitude * factor,
+                ..*tone
+            })
+            .collect();
+        let exact = exact_chirp(&later, samples);
+        let error: f64 = exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
+        let power: f64 = exact.iter().map(|e| e * e).sum();
+        assert!(error < 1e-5 * power, "{:.1} dB", 10.0 * (error / power).log10());
     }
 
     mod hard_cases {

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
+use radome_dsp::rdm::{Channels, PhysicalAxes};
+use radome_models::Model;
 use radome_tests::{failure, fixture, json_lines, radome};
 
 /// A spec of `runs` short runs of the paper's two scenes; every unit takes a moment.
@@ -475,4 +477,92 @@ fn shards_of_a_simulation_are_its_frames_cut_into_pieces() {
         pieces == read("run.mcap"),
         "the frames of the shards are those of the whole, numbers, times and truth too"
     );
+}
+
+/// Writes the hall with other values of these keys of its waveform.
+fn hall_in(path: &Path, changes: &[(&str, &str)]) {
+    let hall = std::fs::read_to_string(fixture("scenes/hall.toml")).expect("reads");
+    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
+    let mut text = hall.replace("../receivers/typical.toml", &receiver.display().to_string());
+    for (key, value) in changes {
+        let line = text.lines().find(|line| line.starts_with(key)).expect("a key of the waveform").to_owned();
+        text = text.replace(&line, &format!("{key} = {value}"));
+    }
+    std::fs::write(path, text).expect("writable");
+}
+
+#[test]
+fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    hall_in(&path("own.toml"), &[]);
+    hall_in(
+        &path("short.toml"),
+        &[
+            ("samples_per_chirp", "64"),
+            ("chirps_per_frame", "16"),
+            ("frame_interval_s", "0.05"),
+            ("rx_antennas", "[1, 3]"),
+        ],
+    );
+    hall_in(&path("slow.toml"), &[("chirp_interval_s", "500e-6"), ("end_frequency_hz", "61.1e9")]);
+    hall_in(&path("narrow.toml"), &[("end_frequency_hz", "60.75e9")]);
+    let axes =
+        "physical_axes = { range_step_m = 0.15, range_bins = 64, velocity_step_m_per_s = 0.098, velocity_bins = 64 }";
+    let write = |axes: &str, scenes: &[&str]| {
+        let source = |scene: &&str| {
+            format!("[[simulated]]\nscene = \"{scene}.toml\"\nseeds = [1, 2]\npeople = [0, 2]\nframes = 8\nevery = 4\n")
+        };
+        let sources: String = scenes.iter().map(source).collect();
+        std::fs::write(path("spec.toml"), format!("format = 1\n[map]\n{axes}\n{sources}")).expect("writable");
+        path("spec.toml")
+    };
+    let said = json_lines(&mut build(&write(axes, &["own", "short", "slow"]), &path("set"))).remove(0);
+    assert_eq!((said["maps"].as_u64(), said["units"].as_u64()), (Some(24), Some(12)), "{said}");
+    let header = std::fs::read_to_string(path("set/dataset.json")).expect("reads");
+    let header: serde_json::Value = serde_json::from_str(&header).expect("JSON");
+    assert_eq!(header["waveform"]["request"]["samples_per_chirp"], 128, "the first waveform is the nominal one");
+    assert_eq!(header["rdm_spec"]["physical_axes"]["velocity_bins"], 64);
+    assert_eq!(header["shape"], serde_json::json!({ "rx": 1, "doppler": 64, "range": 64 }));
+
+    let said = failure(&mut build(&write(axes, &["own", "narrow"]), &path("no")));
+    assert!(said.contains("the sampled band is 0.2") && said.contains("0.300 GHz or more"), "{said}");
+    let said = failure(&mut build(&write("", &["own", "short"]), &path("no")));
+    assert!(
+        said.contains("sources of one dataset must agree") && said.contains("waveforms differ in map size"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_lost() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16"), ("rx_antennas", "[1, 3]")]);
+    let mut simulate = radome();
+    simulate.arg("simulate").arg(path("short.toml")).args(["--people", "1", "--frames", "6", "--json", "-o"]);
+    json_lines(simulate.arg(path("short.mcap")));
+    // A network told that its maps are on physical axes: its answers mean nothing, it takes the frames.
+    let mut model = Model::load(&fixture("models/hall-hqnn.safetensors")).expect("loads");
+    model.card.rdm_spec.channels = Channels::IncoherentSum;
+    model.card.rdm_spec.physical_axes =
+        Some(PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 });
+    model.save(&path("any.safetensors")).expect("saves");
+    let evaluate = |model: &Path| {
+        let mut command = radome();
+        let input = format!("{}=one", path("short.mcap").display());
+        command.args(["evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
+        command
+    };
+    let output = evaluate(&path("any.safetensors")).output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    let answer: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
+    // Once, although the recording is judged twice.
+    assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
+    assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
+
+    let said = failure(&mut evaluate(&fixture("models/hall-hqnn.safetensors")));
+    assert!(said.contains("waveforms differ in map size") && said.contains("hint: "), "{said}");
 }

@@ -1,34 +1,48 @@
 mod ablation;
+mod candidate;
+mod labelled;
+mod ladder;
 mod thermal;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, bail};
+use anyhow::bail;
+use radome_driver::RecordingError;
+use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::Classifier;
+use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
-use radome_models::evaluate::{Metrics, evaluate, most_probable};
-use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::evaluate::{Metrics, RecordingScores, Stretch, evaluate};
 use serde::Serialize;
 use serde_json::json;
 
+use self::candidate::{Candidate, Predictions, Refused, add_confusion};
+use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
-use crate::judge::{CFAR, Model, Verdict};
+use crate::judge::{CFAR, Model};
 use crate::output;
 
 /// `radome evaluate`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Model file, or cfar for the classical detector; the first of what follows if not given here
+    /// Model file, or cfar for the classical detector; the first of what follows if not given here. With --ladder several can be
+    /// given
     #[arg(long)]
-    model: Option<PathBuf>,
-    /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two
-    #[arg(required = true, value_name = "DATASET|RECORDING=LABEL")]
+    model: Vec<PathBuf>,
+    /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two (two people or
+    /// more), RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it holds labels. Frames
+    /// without a label are left out. With --ladder: further models
+    #[arg(required_unless_present = "ladder", value_name = "DATASET|RECORDING[=LABEL]")]
     inputs: Vec<String>,
     /// Each frame of a recording by itself, as a dataset's maps are, rather than as `live` answers: through the causal filter
     /// over the frames before it
     #[arg(long)]
     no_smoothing: bool,
+    /// Ends with status 0 although the model refused some recordings. They are listed and left out either way; without this the
+    /// status is 1
+    #[arg(long)]
+    skip_refused: bool,
     /// Which split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
@@ -39,6 +53,13 @@ pub struct Arguments {
     /// goes by
     #[arg(long)]
     ablate: bool,
+    /// A folder of rungs, or one rung: sets of recordings that are simulated and put to all models. Every set differs in one way
+    /// from what models are trained on. Frames in which someone enters or leaves are left out
+    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused"])]
+    ladder: Option<PathBuf>,
+    /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
+    #[arg(long, value_name = "DIR", requires = "ladder")]
+    keep: Option<PathBuf>,
     /// One object
     #[arg(long)]
     json: bool,
@@ -52,120 +73,211 @@ enum Split {
     All,
 }
 
-/// Metrics of a model on one split of a dataset, or on recordings of which each shows one thing.
+/// Metrics of a model on one split of a dataset or on labelled recordings; of several models on a ladder.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let (model, inputs) = match (&arguments.model, arguments.inputs.split_first()) {
-        (Some(model), _) => (model.clone(), arguments.inputs.as_slice()),
-        (None, Some((model, inputs))) => (PathBuf::from(model), inputs),
-        (None, None) => bail!("nothing to evaluate"),
+    if let Some(path) = &arguments.ladder {
+        let models: Vec<PathBuf> =
+            arguments.model.iter().cloned().chain(arguments.inputs.iter().map(PathBuf::from)).collect();
+        return ladder::run(&models, path, arguments.keep.as_deref(), arguments.json);
+    }
+    let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
+        ([model], _) => (model.clone(), arguments.inputs.as_slice()),
+        ([], Some((model, inputs))) => (PathBuf::from(model), inputs),
+        ([], None) => bail!("nothing to evaluate"),
+        (models, _) => bail!(
+            "{} models were given\n\nhint: --ladder compares several; on datasets and recordings evaluate them one by one",
+            models.len()
+        ),
     };
     let judging = Model::open(&model)?;
     if arguments.ablate && matches!(judging, Model::Cfar) {
         bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
     }
     match inputs {
-        [] => bail!("nothing to evaluate {} on\n\nhint: name a dataset folder, or RECORDING=LABEL", model.display()),
-        [folder] if labelled(folder).is_err() && Path::new(folder).is_dir() => {
+        [] => bail!(
+            "nothing to evaluate {} on\n\nhint: name a dataset folder, RECORDING=LABEL, or a ladder with --ladder",
+            model.display()
+        ),
+        [folder] if is_dataset(Path::new(folder)) => {
             let Model::Network(mut classifier) = judging else {
                 bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
             };
             on_dataset(&mut classifier, Path::new(folder), arguments)
         }
-        recordings => on_recordings(judging, recordings, arguments),
+        recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
     }
 }
 
-/// A recording and what it shows.
-fn labelled(input: &str) -> anyhow::Result<(&Path, Occupancy)> {
-    let (path, label) = input.rsplit_once('=').with_context(|| {
-        format!(
-            "{input}: no label\n\nhint: RECORDING=empty, RECORDING=one or RECORDING=two, or one dataset folder alone"
-        )
-    })?;
-    let label = Occupancy::from_name(label).with_context(|| format!("{input}: {label} is not empty, one or two"))?;
-    Ok((Path::new(path), label))
+/// Whether a path is a folder in which there is no recording: a dataset, or what was meant as one.
+fn is_dataset(path: &Path) -> bool {
+    path.is_dir() && matches!(Recording::open(path), Err(RecordingError::Unknown { .. }))
 }
 
 /// How a recording was judged.
 #[derive(Serialize)]
 struct Judged {
     path: PathBuf,
-    label: Occupancy,
-    /// What most of its frames were called, and the share of them.
+    /// Its label, or "mixed" where it has several.
+    label: &'static str,
+    /// What most of its labelled frames were called, and the share of them.
     majority: Occupancy,
     share: f64,
+    /// Labelled frames.
     frames: u64,
-    /// Share of its frames that were called what the label says.
+    /// Share of them that were called what their label says.
+    right: f64,
+    /// The same label by label.
+    by_label: Vec<OfLabel>,
+    /// Stretches of one label, and the seconds until the first frame of each that was called right.
+    stretches: Vec<Stretch>,
+    #[serde(skip)]
+    is_right: bool,
+}
+
+/// Frames of one label.
+#[derive(Serialize)]
+struct OfLabel {
+    label: Occupancy,
+    frames: u64,
+    /// How many were called empty, one and two.
+    called: [u64; Occupancy::ALL.len()],
+    /// Share of them that were called right.
     right: f64,
 }
 
-/// How often each class was what frames were called.
-type Counts = [u64; Occupancy::ALL.len()];
+impl Judged {
+    fn new(path: &Path, scores: &RecordingScores) -> Self {
+        let (frames, majority) = (scores.frames(), scores.majority());
+        let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
+        let of_label = |label: Occupancy| {
+            let called = scores.confusion[label.index()];
+            let frames: u64 = called.iter().sum();
+            (frames > 0).then(|| OfLabel { label, frames, called, right: share(called[label.index()], frames) })
+        };
+        Judged {
+            path: path.to_owned(),
+            label: scores.label().map_or("mixed", Occupancy::name),
+            majority,
+            share: share(scores.predicted()[majority.index()], frames),
+            frames,
+            right: share(scores.right(), frames),
+            by_label: Occupancy::ALL.into_iter().filter_map(of_label).collect(),
+            stretches: scores.stretches.clone(),
+            is_right: scores.is_right(),
+        }
+    }
 
-fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
-    let all = inputs.iter().map(|input| labelled(input)).collect::<anyhow::Result<Vec<_>>>()?;
-    let (mut confusion, mut confusion_alone) = ([Counts::default(); 3], [Counts::default(); 3]);
-    let mut recordings = Vec::new();
-    for &(path, label) in &all {
-        let (back, [filtered, alone]) = judge(model, path, None)?;
-        model = back;
-        let counts = if arguments.no_smoothing { alone } else { filtered };
-        for (sum, count) in confusion_alone[label.index()].iter_mut().zip(alone) {
-            *sum += count;
-        }
-        let frames: u64 = counts.iter().sum();
-        if frames == 0 {
-            bail!(
-                "{}: no frame of it makes a map\n\nhint: it is shorter than the slow time of the model's maps",
-                path.display()
-            );
-        }
-        for (sum, count) in confusion[label.index()].iter_mut().zip(counts) {
-            *sum += count;
-        }
-        // The first of equals, as for a map.
-        let most = counts.iter().copied().max().unwrap_or_default();
-        let majority = Occupancy::ALL.into_iter().find(|o| counts[o.index()] == most).unwrap_or(Occupancy::Empty);
-        let share = |count: u64| count as f64 / frames as f64;
-        let (share, right) = (share(most), share(counts[label.index()]));
-        recordings.push(Judged { path: path.to_owned(), label, majority, share, frames, right });
-    }
-    let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
-    let mut ablated = Vec::new();
-    if arguments.ablate {
-        (model, ablated) = ablation::on_recordings(model, &all)?;
-    }
-    let thermal = under_thermal_noise(model, inputs, arguments)?;
-    if arguments.json {
-        let mut answer = json!({
-            "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
-            "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
-            "thermal": thermal,
-        });
-        if arguments.ablate {
-            answer["ablation"] = json!(ablated);
-        }
-        return output::json_line(&answer);
-    }
-    for of in &thermal {
-        eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
-    }
-    for of in &recordings {
-        let mark = if of.majority == of.label { ' ' } else { '!' };
+    fn print(&self) -> anyhow::Result<()> {
+        let mark = if self.is_right { ' ' } else { '!' };
         output::text_line(&format!(
             "{mark} {}: {} frames, {:.0} % {} (is {})",
-            of.path.display(),
-            of.frames,
-            100.0 * of.share,
-            of.majority,
-            of.label
+            self.path.display(),
+            self.frames,
+            100.0 * self.share,
+            self.majority,
+            self.label
         ))?;
+        if self.stretches.len() < 2 {
+            return Ok(());
+        }
+        for stretch in &self.stretches {
+            let found = match stretch.found_within_s {
+                Some(seconds) => format!("found within {seconds:.1} s"),
+                None => "not found".to_owned(),
+            };
+            output::text_line(&format!(
+                "    {} from {:.1} s for {:.1} s: {found}",
+                stretch.label, stretch.start_s, stretch.duration_s
+            ))?;
+        }
+        for of in &self.by_label {
+            output::text_line(&format!("    {}: {} frames, {:.0} % right", of.label, of.frames, 100.0 * of.right))?;
+        }
+        Ok(())
     }
-    if !arguments.no_smoothing {
-        eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
+}
+
+/// How often each class was what frames of each class were called.
+type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+
+fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    let (mut confusion, mut confusion_alone) = (Confusion::default(), Confusion::default());
+    let (mut recordings, mut taken) = (Vec::new(), Vec::new());
+    let (mut refused, mut first_refusal) = (Vec::new(), None);
+    let mut reliability = ReliabilitySums::default();
+    for recording in &all {
+        let predictions = match judge(&mut candidate, recording, None)? {
+            Ok(predictions) => predictions,
+            Err(refusal) => {
+                refused.push(Refused::new(recording.path.display().to_string(), &refusal));
+                first_refusal.get_or_insert(refusal.context(recording.path.display().to_string()));
+                continue;
+            }
+        };
+        let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
+        if predictions.alone.is_empty() {
+            bail!(
+                "{}: no frame of it makes a map\n\nhint: it is shorter than the slow time of the model's maps",
+                recording.path.display()
+            );
+        }
+        if alone.frames() == 0 {
+            bail!(
+                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or                  RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
+                recording.path.display()
+            );
+        }
+        add_confusion(&mut confusion_alone, &alone.confusion);
+        let scores = if arguments.no_smoothing { alone } else { filtered };
+        add_confusion(&mut confusion, &scores.confusion);
+        predictions.count_reliability(&mut reliability);
+        recordings.push(Judged::new(&recording.path, &scores));
+        taken.push(recording);
     }
-    print(&metrics)?;
-    ablation::print(&ablated)
+    if !recordings.is_empty() {
+        let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+        let mut ablated = Vec::new();
+        if arguments.ablate {
+            let (model, rows) = ablation::on_recordings(candidate.take()?, &taken)?;
+            candidate.put_back(model);
+            ablated = rows;
+        }
+        let thermal = under_thermal_noise(&mut candidate, &taken, arguments)?;
+        if arguments.json {
+            let mut answer = json!({
+                "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
+                "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
+                "refused": refused, "reliability": reliability.reliability(), "thermal": thermal,
+            });
+            if arguments.ablate {
+                answer["ablation"] = json!(ablated);
+            }
+            output::json_line(&answer)?;
+        } else {
+            for of in &thermal {
+                eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+            }
+            recordings.iter().try_for_each(Judged::print)?;
+            for of in &refused {
+                output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
+            }
+            if !arguments.no_smoothing {
+                eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
+            }
+            print(&metrics)?;
+            ablation::print(&ablated)?;
+        }
+    }
+    match first_refusal {
+        Some(refusal) if recordings.is_empty() => Err(refusal),
+        Some(refusal) if !arguments.skip_refused => Err(refusal.context(format!(
+            "{} of {} recordings were refused\n\nhint: with --skip-refused that is no failure",
+            refused.len(),
+            all.len()
+        ))),
+        _ => Ok(()),
+    }
 }
 
 /// Scores with thermal noise on the raw samples.
@@ -173,23 +285,26 @@ fn on_recordings(mut model: Model, inputs: &[String], arguments: &Arguments) -> 
 struct Thermal {
     snr_db: f64,
     balanced_accuracy: f64,
-    confusion: [Counts; Occupancy::ALL.len()],
+    confusion: Confusion,
 }
 
-fn under_thermal_noise(mut model: Model, inputs: &[String], arguments: &Arguments) -> anyhow::Result<Vec<Thermal>> {
+fn under_thermal_noise(
+    candidate: &mut Candidate,
+    recordings: &[&LabelledRecording],
+    arguments: &Arguments,
+) -> anyhow::Result<Vec<Thermal>> {
     let mut all = Vec::new();
     for &snr_db in &arguments.thermal_snr_db {
         if !snr_db.is_finite() {
             bail!("--thermal-snr-db is {snr_db}, expected a finite number");
         }
-        let mut confusion = [Counts::default(); Occupancy::ALL.len()];
-        for input in inputs {
-            let (path, label) = labelled(input)?;
-            let noise = ThermalNoise::of(path, snr_db)?;
-            let (back, [filtered, alone]) = judge(model, path, Some(&noise))?;
-            model = back;
-            let counts = if arguments.no_smoothing { alone } else { filtered };
-            confusion[label.index()].iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+        let mut confusion = Confusion::default();
+        for recording in recordings {
+            let noise = ThermalNoise::of(&recording.path, snr_db)?;
+            let predictions = judge(candidate, recording, Some(&noise))??;
+            let scores =
+                if arguments.no_smoothing { predictions.alone_scores() } else { predictions.filtered_scores() };
+            add_confusion(&mut confusion, &scores.confusion);
         }
         let balanced_accuracy = Metrics::from_confusion(confusion).balanced_accuracy;
         all.push(Thermal { snr_db, balanced_accuracy, confusion });
@@ -197,27 +312,27 @@ fn under_thermal_noise(mut model: Model, inputs: &[String], arguments: &Argument
     Ok(all)
 }
 
-/// How often frames of a recording were called each class, through the filter and by themselves; and the model again.
-fn judge(model: Model, path: &Path, noise: Option<&ThermalNoise>) -> anyhow::Result<(Model, [Counts; 2])> {
-    let mut source = radome_driver::recording::open(path)?;
+/// What the model predicts for the frames of a recording. The inner error is the model's refusal of its waveform.
+fn judge(
+    candidate: &mut Candidate,
+    recording: &LabelledRecording,
+    noise: Option<&ThermalNoise>,
+) -> anyhow::Result<anyhow::Result<Predictions>> {
+    let mut source = radome_driver::recording::open(&recording.path)?;
     let mut frame = Frame::zeroed(source.waveform().shape());
-    let mut filter = OccupancyFilter::new(model.smoothing(), source.waveform().frame_interval_s());
-    let mut counts = [Counts::default(); 2];
-    let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
+    let mut run = match candidate.start(source.waveform()) {
+        Ok(run) => run,
+        Err(refusal) => return Ok(Err(refusal)),
+    };
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => return Ok((judge.into_model(), counts)),
-            SourceEvent::Gap(_) => judge.reset(),
+            SourceEvent::End => return Ok(Ok(candidate.end(run))),
+            SourceEvent::Gap(_) => run.gap(),
             SourceEvent::Frame => {
                 if let Some(noise) = noise {
                     noise.add(&mut frame);
                 }
-                if let Verdict::Probabilities(alone) = judge.frame(&frame)? {
-                    let filtered = filter.update(frame.time_s(), alone);
-                    for (counts, probabilities) in counts.iter_mut().zip([filtered, alone]) {
-                        counts[most_probable(&probabilities).index()] += 1;
-                    }
-                }
+                run.frame(&frame, recording.truth(&frame, source.waveform()))?;
             }
         }
     }

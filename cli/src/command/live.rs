@@ -215,15 +215,13 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
 fn waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
     let Some(named) = watch.waveform else { return Ok(model.waveform().cloned()) };
     let waveform = source::waveform(named)?;
-    if let Some(needed) = model.waveform() {
-        waveform.check_compatible(needed).with_context(|| {
-            format!(
-                "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; --model \
-                 cfar takes any",
-                watch.model.display()
-            )
-        })?;
-    }
+    model.check_waveform(&waveform).with_context(|| {
+        format!(
+            "--waveform {named} contradicts {}\n\nhint: leave --waveform away and the board is programmed with the model's own; --model \
+             cfar takes any",
+            watch.model.display()
+        )
+    })?;
     Ok(Some(waveform))
 }
 

@@ -48,7 +48,7 @@ pub enum Command {
     Config(config::Arguments),
     /// Capture a source to a file, lossless or loud
     Record(record::Arguments),
-    /// Say while it happens whether the room is empty or holds one person or two
+    /// Say while it happens whether the room is empty, holds one person, or holds two or more
     Live(live::Arguments),
     /// Capture what an empty room shows, so that fans and curtains are not taken for people
     Background(background::Arguments),
@@ -76,7 +76,7 @@ pub enum Command {
     Dataset(dataset::Arguments),
     /// Train a network on a dataset
     Train(train::Arguments),
-    /// Metrics of a model on a dataset or on labelled recordings
+    /// Metrics of a model on a dataset or on labelled recordings; several models compared on a ladder of simulated recordings
     Evaluate(evaluate::Arguments),
     /// Adapt a model to one room by labelled recordings of it, or by a minute of it empty
     Adapt(adapt::Arguments),

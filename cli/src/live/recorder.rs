@@ -229,10 +229,11 @@ impl Writer {
         Ok(self.recorder.gap(gap)?)
     }
 
-    /// Writes the answers to frames that are written.
+    /// Writes the answers to frames that are written. A source that numbers its frames anew does not make more than a queue of them
+    /// wait: an answer may stand before its frame.
     fn write_results(&mut self) -> anyhow::Result<()> {
         while let Some(result) = self.ahead.front()
-            && self.newest.is_some_and(|newest| result.sequence <= newest)
+            && (self.ahead.len() > WAITING_RESULTS || self.newest.is_some_and(|newest| result.sequence <= newest))
         {
             self.recorder.result(result)?;
             self.ahead.pop_front();
@@ -246,7 +247,8 @@ mod tests {
     use std::time::Instant;
 
     use radome_driver::chip::RegisterList;
-    use radome_driver::{BoardError, McapReader};
+    use radome_driver::recording::mcap::RESULTS_VERSION;
+    use radome_driver::{BoardError, Judge, McapReader};
     use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
     use super::*;
@@ -299,6 +301,43 @@ mod tests {
                 SourceEvent::End => return (reader.is_complete(), frames, gaps),
             }
         }
+    }
+
+    #[test]
+    fn answers_to_frames_that_never_come_do_not_pile_up() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("night.mcap");
+        let judge = Judge {
+            version: RESULTS_VERSION,
+            model: "a".into(),
+            model_hash: "b".into(),
+            on_delay_s: 0.5,
+            off_delay_s: 3.0,
+        };
+        let header = RecordingHeader { judge: Some(judge), ..header(Panicking::after(0).waveform()) };
+        let recorder = Recorder::create(&path, &header).expect("creates");
+        let has_gaps = Arc::default();
+        // The frames are numbered anew: none has the number of an answer.
+        let mut writer = Writer { recorder, ahead: VecDeque::new(), newest: Some(0), frames: 0, has_gaps };
+        for sequence in 1..=2 * WAITING_RESULTS as u64 {
+            writer.ahead.push_back(FrameResult {
+                sequence,
+                time_ns: 0,
+                host_time_ns: 0,
+                label: None,
+                probabilities: None,
+                frame_probabilities: None,
+                occupied: false,
+                people: 0,
+                latency_ns: 0,
+            });
+            writer.write_results().expect("writes");
+            assert!(writer.ahead.len() <= WAITING_RESULTS);
+        }
+        writer.newest = Some(u64::MAX);
+        writer.write_results().expect("writes");
+        let summary = writer.recorder.finish().expect("finishes");
+        assert_eq!(summary.results, 2 * WAITING_RESULTS as u64);
     }
 
     #[test]

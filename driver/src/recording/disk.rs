@@ -61,8 +61,18 @@ pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
 pub(super) fn sync_folder(path: &Path) -> io::Result<()> {
     #[cfg(test)]
     trial::before(path, || trial::Change::SyncFolder)?;
-    let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    if cfg!(unix) { File::open(parent)?.sync_all() } else { Ok(()) }
+    if cfg!(unix) { File::open(folder(path))?.sync_all() } else { Ok(()) }
+}
+
+/// Folder that a path is in.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Creates an empty file without a name, to write and to read, in the folder of `path`, or among the system's temporary files if
+/// `file`, which has that path, is a device or a pipe. It is gone when it is closed, and with its process.
+pub(super) fn unnamed(file: &File, path: &Path) -> io::Result<File> {
+    if file.metadata()?.is_file() { tempfile::tempfile_in(folder(path)) } else { tempfile::tempfile() }
 }
 
 /// Renames; a file of the new name is replaced.

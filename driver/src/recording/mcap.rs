@@ -15,7 +15,12 @@
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
 //! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]), so that a
 //! recording can be read up to its last chunk whenever its writer dies. Results stand in chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
+//!
+//! A recorder needs the same memory however long its recording is. The index of chunks, which the summary at the end of the file
+//! holds, is in a file without a name meanwhile, in the folder of the recording: some 90 bytes for each chunk.
 
+mod chunk_indexes;
+mod encode;
 #[cfg(test)]
 mod faults;
 mod index;

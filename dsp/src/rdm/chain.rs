@@ -14,7 +14,8 @@ pub(super) struct ChainPlan {
     pub channels: std::ops::Range<usize>,
     /// `(factor, offset)` from code to sample.
     pub scale: (f64, f64),
-    /// Normalised so that power comes out in the spec's amplitude scale, shared among channels if they are summed.
+    /// Normalised so that power comes out in the spec's amplitude scale, shared among channels if they are summed. As long as what is
+    /// transformed of a chirp and of slow time.
     pub range_window: Vec<f64>,
     pub doppler_window: Vec<f64>,
     /// Factor on range bin 0: a one-sided amplitude counts DC once, not twice.
@@ -35,14 +36,18 @@ impl ChainPlan {
             Channels::All | Channels::IncoherentSum => 0..frame_shape.rx,
         };
         let is_sum = spec.channels == Channels::IncoherentSum;
-        let range_weights = spec.range_window.weights(frame_shape.samples);
-        let doppler_weights = spec.doppler_window.weights(slow_length);
+        // On physical axes a part of the frame may do.
+        let coverage = spec.physical_axes.map(|axes| axes.coverage(waveform));
+        let (samples, slow) =
+            coverage.map_or((frame_shape.samples, slow_length), |c| (c.samples.len(), c.chirps.len()));
+        let range_weights = spec.range_window.weights(samples);
+        let doppler_weights = spec.doppler_window.weights(slow);
         let (range_norm, doppler_norm) = match spec.amplitude {
             AmplitudeScale::FullScaleSine => {
                 (2.0 / range_weights.iter().sum::<f64>(), 1.0 / doppler_weights.iter().sum::<f64>())
             }
             AmplitudeScale::Unnormalised => (1.0, 1.0),
-            AmplitudeScale::Vendor => (2.0 / frame_shape.samples as f64, 1.0 / slow_length as f64),
+            AmplitudeScale::Vendor => (2.0 / samples as f64, 1.0 / slow as f64),
         };
         let share = if is_sum { (1.0 / channels.len() as f64).sqrt() } else { 1.0 };
         Ok(ChainPlan {

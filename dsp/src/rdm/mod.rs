@@ -1,15 +1,18 @@
 //! Range-Doppler maps: what to compute ([`RdmSpec`]), how (`RdmProcessor`), and the slow reference.
 
+mod axes;
 mod chain;
 mod fourier;
 mod lanes;
+mod physical;
 mod processor;
 pub mod reference;
 mod saturation;
 mod spec;
 
+pub use axes::{AxesCoverage, LEAST_CHIRPS, LEAST_SAMPLED_BAND_HZ, LEAST_SAMPLES, MOST_AXIS_BINS, PhysicalAxes};
 pub use processor::{MapError, MapStatus, RdmProcessor};
-pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, SpecError, StaticRemoval};
+pub use spec::{AmplitudeScale, Channels, MapMismatch, RdmSpec, SampleScale, SlowTime, SpecError, StaticRemoval};
 
 /// Lengths of the axes of a map, in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]

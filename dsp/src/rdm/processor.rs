@@ -5,6 +5,7 @@ use thiserror::Error;
 use super::chain::ChainPlan;
 use super::fourier::FourierChain;
 use super::lanes::{Input, LaneChain, Output};
+use super::physical::PhysicalChain;
 use super::saturation::saturated_codes;
 use super::{MapFlags, Rdm, RdmShape, RdmSpec, SpecError, StaticRemoval};
 use crate::{Frame, FrameShape, KernelLevel, Waveform, decibel};
@@ -54,7 +55,8 @@ pub enum MapError {
 /// when sequence numbers do not follow one another, and on [`reset`](Self::reset).
 ///
 /// Frames with powers of two on both axes go through a kernel of its own at the machine's [`KernelLevel`], other sizes
-/// and slow time across frames through `realfft`.
+/// and slow time across frames through `realfft`. Maps on [`PhysicalAxes`](super::PhysicalAxes) are sums of products: cells that the
+/// waveform does not measure hold noise at the level of their range bin, drawn by sequence number and cell.
 pub struct RdmProcessor {
     spec: RdmSpec,
     plan: ChainPlan,
@@ -74,6 +76,7 @@ pub struct RdmProcessor {
 enum Chain {
     Lanes(LaneChain),
     Fourier(Box<FourierChain>),
+    Physical(Box<PhysicalChain>),
 }
 
 impl RdmProcessor {
@@ -95,9 +98,12 @@ impl RdmProcessor {
         let codes = plan.frame_shape.codes();
         let floor_power = 10f64.powf(spec.floor_db / 10.0) as f32;
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
-        let chain = match LaneChain::new(&plan, level) {
-            Some(lanes) => Chain::Lanes(lanes),
-            None => Chain::Fourier(Box::new(FourierChain::new(&plan, level))),
+        let chain = if let Some(axes) = spec.physical_axes {
+            Chain::Physical(Box::new(PhysicalChain::new(&plan, &axes, waveform, level)))
+        } else if let Some(lanes) = LaneChain::new(&plan, level) {
+            Chain::Lanes(lanes)
+        } else {
+            Chain::Fourier(Box::new(FourierChain::new(&plan, level)))
         };
         Ok(RdmProcessor {
             spec: *spec,
@@ -126,9 +132,12 @@ impl RdmProcessor {
     }
 
     /// Uses the `realfft` chain, which takes any size, even where the lane kernel would do: for benchmarks that
-    /// compare the two. Forgets all frames.
+    /// compare the two. Forgets all frames. Maps on physical axes are made as before.
     pub fn use_realfft(&mut self) {
         self.reset();
+        if matches!(self.chain, Chain::Physical(_)) {
+            return;
+        }
         self.chain = Chain::Fourier(Box::new(FourierChain::new(&self.plan, self.level)));
     }
 
@@ -225,6 +234,9 @@ impl RdmProcessor {
     /// From `samples` to the map.
     fn transform(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
         let used = self.plan.used();
+        if let Chain::Physical(chain) = &mut self.chain {
+            chain.find_alive(&self.plan, &self.samples[used.clone()]);
+        }
         if self.plan.removes_chirp_mean {
             for chirp in self.samples[used.clone()].chunks_exact_mut(self.plan.frame_shape.samples) {
                 let mean = (chirp.iter().map(|x| f64::from(*x)).sum::<f64>() / chirp.len() as f64) as f32;
@@ -256,6 +268,10 @@ impl RdmProcessor {
                 for (index, channel) in channels.enumerate() {
                     chain.channel(plan, index, channel, &mut map.db[plan.cells(index)]);
                 }
+                Cells::Power
+            }
+            Chain::Physical(chain) => {
+                chain.map(plan, samples, sequence, &mut map.db);
                 Cells::Power
             }
         };

@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use num_complex::Complex64;
 
 use super::{AmplitudeScale, Channels, RdmSpec, SlowTime, SpecError, StaticRemoval};
-use crate::{Frame, Waveform};
+use crate::{Frame, MAX_CODE, Waveform};
 
 /// Map of the last of `frames` in dB, `[rx][doppler][range]`, in f64.
 ///
@@ -13,24 +13,56 @@ use crate::{Frame, Waveform};
 /// `X[l, k] = sum_m sum_n w_m w_n x[m, n] exp(-j 2 pi (l m / M + k n / N))`, and the cell is
 /// `20 log10(a_k |X[l, k]|)` with the scale `a_k` of the spec's [`AmplitudeScale`].
 /// With [`SlowTime::Frames`] exactly the window must be given; recursive MTI runs over all frames given.
+///
+/// On physical axes `k / N` is the range of a cell over the range of one cycle per sample, `l / M` its velocity over that of one
+/// cycle per chirp. Cells that the waveform does not measure read the floor: what they hold elsewhere is drawn.
+///
+/// # Errors
+/// If the spec cannot be applied to the waveform.
 pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<f64>, SpecError> {
     let shape = spec.shape(waveform)?;
     let frame_shape = waveform.shape();
     let (n, slow) = (frame_shape.samples, spec.slow_time_length(waveform));
     let (factor, offset) = spec.scale.affine();
-    let channels: Vec<usize> = match spec.channels {
+    let mut channels: Vec<usize> = match spec.channels {
         Channels::One(index) => vec![index],
         Channels::All | Channels::IncoherentSum => (0..frame_shape.rx).collect(),
     };
-    let range_window = spec.range_window.weights(n);
-    let doppler_window = spec.doppler_window.weights(slow);
+    let axes = spec.physical_axes.map(|axes| (axes, axes.coverage(waveform)));
+    if let (Some(_), Channels::IncoherentSum, Some(frame)) = (&axes, spec.channels, frames.last()) {
+        let alive: Vec<usize> = channels.iter().copied().filter(|rx| !is_dead(frame, *rx)).collect();
+        channels = if alive.is_empty() { channels } else { alive };
+    }
+    // Samples and chirps that are transformed, and the cells that are measured.
+    let (samples, chirps, range_bins, velocity_bins) = match &axes {
+        Some((_, c)) => (c.samples.clone(), c.chirps.clone(), 0..c.range_bins, c.velocity_bins.clone()),
+        None => (0..n, 0..slow, 0..shape.range, 0..shape.doppler),
+    };
+    let range_window = spec.range_window.weights(samples.len());
+    let doppler_window = spec.doppler_window.weights(chirps.len());
     let range_fft = spec.range_fft_length.unwrap_or(n);
+    // Phases in cycles.
+    let range_cycles = |k: usize, s: usize| match &axes {
+        Some((axes, _)) => k as f64 * axes.range_step_m / waveform.range_step_m(1) * s as f64,
+        None => ((k * s) % range_fft) as f64 / range_fft as f64,
+    };
+    let doppler_cycles = |i: usize, m: usize| match &axes {
+        Some((axes, _)) => {
+            let velocity_m_per_s = (i as f64 - (shape.doppler / 2) as f64) * axes.velocity_step_m_per_s;
+            velocity_m_per_s / waveform.velocity_step_m_per_s(1) * m as f64
+        }
+        None => {
+            // Index i holds the Doppler bin i - M/2.
+            let l = (i + shape.doppler - shape.doppler / 2) % shape.doppler;
+            ((l * m) % shape.doppler) as f64 / shape.doppler as f64
+        }
+    };
     let window_sum = range_window.iter().sum::<f64>() * doppler_window.iter().sum::<f64>();
     let one_sided = |bin: usize| if bin == 0 { 1.0 } else { 2.0 };
     let amplitude = |bin: usize| match spec.amplitude {
         AmplitudeScale::FullScaleSine => one_sided(bin) / window_sum,
         AmplitudeScale::Unnormalised => 1.0,
-        AmplitudeScale::Vendor => one_sided(bin) / (n * slow) as f64,
+        AmplitudeScale::Vendor => one_sided(bin) / (samples.len() * chirps.len()) as f64,
     };
 
     let mut power = vec![0.0; channels.len() * shape.doppler * shape.range];
@@ -71,33 +103,30 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
                 .map(|frame| (0..n).map(|s| frame.iter().map(|row| row[s]).sum::<f64>() / frame.len() as f64).collect())
                 .collect(),
         };
-        for k in 0..shape.range {
+        for k in range_bins.clone() {
             let mut profile: Vec<Complex64> = slow_time
                 .iter()
+                .take(chirps.end)
+                .skip(chirps.start)
                 .map(|row| {
-                    row.iter()
+                    row[samples.clone()]
+                        .iter()
                         .zip(&range_window)
                         .enumerate()
-                        .map(|(s, (v, w))| {
-                            Complex64::from_polar(v * w, -TAU * ((k * s) % range_fft) as f64 / range_fft as f64)
-                        })
+                        .map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * range_cycles(k, s)))
                         .sum()
                 })
                 .collect();
             if spec.static_removal == StaticRemoval::SlowTimeMean {
-                let mean = profile.iter().sum::<Complex64>() / slow as f64;
+                let mean = profile.iter().sum::<Complex64>() / profile.len() as f64;
                 profile.iter_mut().for_each(|v| *v -= mean);
             }
-            for i in 0..shape.doppler {
-                // Index i holds the Doppler bin i - M/2.
-                let l = (i + shape.doppler - shape.doppler / 2) % shape.doppler;
+            for i in velocity_bins.clone() {
                 let sum: Complex64 = profile
                     .iter()
                     .zip(&doppler_window)
                     .enumerate()
-                    .map(|(m, (v, w))| {
-                        v * Complex64::from_polar(*w, -TAU * ((l * m) % shape.doppler) as f64 / shape.doppler as f64)
-                    })
+                    .map(|(m, (v, w))| v * Complex64::from_polar(*w, -TAU * doppler_cycles(i, m)))
                     .sum();
                 power[(index * shape.doppler + i) * shape.range + k] = (amplitude(k) * sum.norm()).powi(2);
             }
@@ -111,4 +140,11 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
     }
     let floor_power = 10f64.powf(spec.floor_db / 10.0);
     Ok(power.into_iter().map(|p| 10.0 * if p < floor_power { floor_power } else { p }.log10()).collect())
+}
+
+/// Whether a receiver says nothing: all codes are the same, or at least half of them lie at the ends of the ADC.
+fn is_dead(frame: &Frame, rx: usize) -> bool {
+    let codes: Vec<u16> = (0..frame.shape.chirps).flat_map(|chirp| frame.chirp(rx, chirp).iter().copied()).collect();
+    let at_ends = codes.iter().filter(|code| **code == 0 || **code >= MAX_CODE).count();
+    codes.iter().all(|code| *code == codes[0]) || 2 * at_ends >= codes.len()
 }

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use super::RdmShape;
-use crate::{KernelLevel, Waveform, Window};
+use super::{PhysicalAxes, RdmShape};
+use crate::{KernelLevel, Waveform, WaveformMismatch, Window};
 
 /// Points of an FFT at most: eight times the samples that a chirp can have.
 pub const MOST_FFT_POINTS: usize = 1 << 15;
@@ -42,7 +42,8 @@ pub enum Channels {
     All,
     /// One channel by its index in the frame, 0-based.
     One(usize),
-    /// One map: the mean power of all channels.
+    /// One map: the mean power of all channels. On [`PhysicalAxes`] a receiver that says nothing is left out: one whose samples are
+    /// all the same, or half of them at the ends of the ADC.
     IncoherentSum,
 }
 
@@ -109,6 +110,9 @@ pub struct RdmSpec {
     /// Points of the Doppler FFT; the length of slow time if absent.
     #[serde(default)]
     pub doppler_fft_length: Option<usize>,
+    /// Fixed axes in metres and metres a second, on which frames of any waveform make like maps; those of the waveform if absent.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub physical_axes: Option<PhysicalAxes>,
     /// What slow time is.
     pub slow_time: SlowTime,
     /// What 0 dB is.
@@ -129,6 +133,7 @@ impl Default for RdmSpec {
             doppler_window: Window::Hann,
             range_fft_length: None,
             doppler_fft_length: None,
+            physical_axes: None,
             slow_time: SlowTime::Chirps,
             amplitude: AmplitudeScale::FullScaleSine,
             floor_db: -200.0,
@@ -173,6 +178,9 @@ impl RdmSpec {
     }
 
     /// Shape of the maps that this makes of a waveform's frames.
+    ///
+    /// # Errors
+    /// [`SpecError`] if the spec contradicts itself or cannot be applied to the waveform.
     pub fn shape(&self, waveform: &Waveform) -> Result<RdmShape, SpecError> {
         let frame = waveform.shape();
         let rx = match self.channels {
@@ -206,15 +214,56 @@ impl RdmSpec {
         if !self.floor_db.is_finite() || self.floor_db < -370.0 {
             return Err(SpecError::Floor { floor_db: self.floor_db });
         }
-        let cells = rx * doppler * (range_fft / 2);
+        let (doppler, range) = match self.physical_axes {
+            None => (doppler, range_fft / 2),
+            Some(axes) => {
+                self.check_axes(&axes, waveform)?;
+                (axes.velocity_bins, axes.range_bins)
+            }
+        };
+        let cells = rx * doppler * range;
         if cells > MOST_CELLS {
             return Err(SpecError::TooManyCells { cells });
         }
-        Ok(RdmShape { rx, doppler, range: range_fft / 2 })
+        Ok(RdmShape { rx, doppler, range })
+    }
+
+    fn check_axes(&self, axes: &PhysicalAxes, waveform: &Waveform) -> Result<(), SpecError> {
+        for (is_given, key) in [
+            (self.range_fft_length.is_some(), "range_fft_length"),
+            (self.doppler_fft_length.is_some(), "doppler_fft_length"),
+            (self.slow_time != SlowTime::Chirps, "a slow_time across frames"),
+        ] {
+            if is_given {
+                return Err(SpecError::AxesExclude { key });
+            }
+        }
+        axes.check()?;
+        axes.check_waveform(waveform)
+    }
+
+    /// Checks whether maps of `given` frames may stand beside those of `nominal` frames, which a model was trained on or a dataset
+    /// begins with: the waveforms must be alike ([`Waveform::check_compatible`]), or with physical axes within their limits.
+    ///
+    /// # Errors
+    /// [`MapMismatch`] that names the quantity, what is needed and what was given.
+    pub fn check_compatible(&self, given: &Waveform, nominal: &Waveform) -> Result<(), MapMismatch> {
+        if self.physical_axes.is_none() {
+            return Ok(given.check_compatible(nominal)?);
+        }
+        let (got, expected) = (self.shape(given)?, self.shape(nominal)?);
+        if got != expected {
+            let (what, expected, got) = ("map shape", expected.to_string(), got.to_string());
+            return Err(WaveformMismatch { what, expected, got }.into());
+        }
+        Ok(())
     }
 
     /// Range and velocity step of the maps that this makes of a waveform's frames: (m, m/s).
     pub fn steps(&self, waveform: &Waveform) -> (f64, f64) {
+        if let Some(axes) = self.physical_axes {
+            return (axes.range_step_m, axes.velocity_step_m_per_s);
+        }
         let range_fft = self.range_fft_length.unwrap_or(waveform.request.samples_per_chirp);
         let doppler_fft = self.doppler_fft_length.unwrap_or(self.slow_time_length(waveform));
         let velocity = match self.slow_time {
@@ -225,9 +274,49 @@ impl RdmSpec {
     }
 }
 
+/// Frames whose maps cannot stand beside those of another waveform.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum MapMismatch {
+    /// The waveforms differ, and the axes of the maps with them.
+    #[error(transparent)]
+    Waveform(#[from] WaveformMismatch),
+    /// The waveform is out of the limits of physical axes.
+    #[error(transparent)]
+    Spec(#[from] SpecError),
+}
+
 /// A spec that cannot be applied to a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SpecError {
+    /// A physical axis is out of range.
+    #[error("map spec: physical_axes.{key} is {value}, expected {expected}")]
+    Axis {
+        /// Key of [`PhysicalAxes`].
+        key: &'static str,
+        /// What was given.
+        value: f64,
+        /// What is allowed.
+        expected: &'static str,
+    },
+    /// Physical axes and another key contradict each other.
+    #[error("map spec: physical_axes and {key} exclude each other\n\nhint: leave one of them out")]
+    AxesExclude {
+        /// The other key.
+        key: &'static str,
+    },
+    /// Frames of the waveform cannot be brought onto physical axes.
+    #[error(
+        "waveform: {quantity} is {given}, maps on physical axes need {needed}\n\nhint: capture with a waveform within this limit; \
+         `radome config` shows the sampled band of one"
+    )]
+    Waveform {
+        /// Quantity that is out of the limits.
+        quantity: &'static str,
+        /// Its value, with unit.
+        given: String,
+        /// Values that are allowed, with unit.
+        needed: String,
+    },
     /// The channel does not exist.
     #[error("map spec: channel index {index} asked for, but frames have {rx} channels (0 to {max})", max = rx - 1)]
     NoSuchChannel {

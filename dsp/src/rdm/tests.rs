@@ -302,3 +302,4 @@ fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
 }
 
 mod hard_cases;
+mod physical;

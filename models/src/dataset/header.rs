@@ -11,7 +11,7 @@ pub const FORMAT_VERSION: u32 = 1;
 pub struct DatasetHeader {
     /// [`FORMAT_VERSION`] of the writer.
     pub format_version: u32,
-    /// Waveform of the frames, as realised.
+    /// Waveform of the frames, as realised. With physical axes the first of several.
     pub waveform: Waveform,
     /// How maps were made of frames.
     pub rdm_spec: RdmSpec,
@@ -25,6 +25,9 @@ pub struct DatasetHeader {
 
 impl DatasetHeader {
     /// The header for maps that `rdm_spec` makes of the frames of `waveform`.
+    ///
+    /// # Errors
+    /// If the spec cannot be applied to the waveform.
     pub fn new(waveform: Waveform, rdm_spec: RdmSpec) -> Result<Self, SpecError> {
         Ok(DatasetHeader {
             format_version: FORMAT_VERSION,

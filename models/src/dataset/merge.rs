@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
-use super::{Dataset, DatasetError, DatasetWriter, SplitSpec};
+use super::{Dataset, DatasetError, DatasetHeader, DatasetWriter, SplitSpec};
 
 /// Writes the maps of all `parts`, in order, as one dataset at `dir`; returns how many there are. With `split`, every row
 /// gets its split ([`SplitSpec::assign`]), fixed from then on.
 ///
 /// The result depends on the parts' maps and rows alone, not on how they were cut into parts. Every map is compared with
 /// its hash on the way.
+///
+/// The waveform of parts on physical axes is the nominal one: it may differ, and the first part's is kept.
 ///
 /// # Errors
 /// Parts with another header than the first one's; a damaged map; what [`DatasetWriter`] and [`SplitSpec`] refuse.
@@ -22,10 +24,13 @@ pub fn merge(parts: &[(&Path, &Dataset)], dir: &Path, split: Option<&SplitSpec>)
     };
     for (path, part) in parts {
         let (header, expected) = (part.header(), first.header());
+        let is_any_waveform = expected.rdm_spec.physical_axes.is_some();
+        let waveform = if is_any_waveform { &expected.waveform } else { &header.waveform };
+        let compared = DatasetHeader { waveform: waveform.clone(), ..header.clone() };
         let what = match () {
             () if header.rdm_spec != expected.rdm_spec => "the map spec",
-            () if header.waveform != expected.waveform => "the waveform",
-            () if header != expected => "the header",
+            () if compared.waveform != expected.waveform => "the waveform",
+            () if compared != *expected => "the header",
             () => continue,
         };
         return Err(DatasetError::Unlike {

@@ -1,3 +1,4 @@
+use radome_dsp::rdm::PhysicalAxes;
 use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
 use super::*;
@@ -157,6 +158,32 @@ fn merged_parts_are_what_one_writer_would_have_written() {
     let error = merge(&[(dir.path(), &a), (dir.path(), &other)], &dir.path().join("no"), None).expect_err("unlike");
     assert!(error.to_string().contains("the map spec is not that of"), "{error}");
     assert!(!dir.path().join("no").exists());
+}
+
+#[test]
+fn parts_on_physical_axes_merge_whatever_their_nominal_waveforms() {
+    let axes = PhysicalAxes { range_step_m: 0.2, range_bins: 4, velocity_step_m_per_s: 0.1, velocity_bins: 6 };
+    let header = |axes: Option<PhysicalAxes>, chirps_per_frame: usize| {
+        let request = WaveformRequest { samples_per_chirp: 32, chirps_per_frame, ..WaveformRequest::paper() };
+        let spec = RdmSpec { physical_axes: axes, ..RdmSpec::paper() };
+        DatasetHeader::new(Waveform::realise(request).expect("waveform"), spec).expect("header")
+    };
+    let dir = tempfile::tempdir().expect("folder");
+    let path = dir.path().join("merged");
+    let part = |header: &DatasetHeader, frame: u64| {
+        let maps = vec![(map(header, frame), row("a", frame, Occupancy::One))];
+        Dataset::from_maps(header.clone(), maps).expect("in memory")
+    };
+    let headers = [8, 16].map(|chirps| header(Some(axes), chirps));
+    let parts = [part(&headers[0], 0), part(&headers[1], 1)];
+    assert_eq!(merge(&[(dir.path(), &parts[0]), (dir.path(), &parts[1])], &path, None).expect("merges"), 2);
+    assert_eq!(Dataset::open(&path).expect("open").header(), &headers[0]);
+
+    let headers = [8, 16].map(|chirps| header(None, chirps));
+    let parts = headers.map(|header| Dataset::from_maps(header, Vec::new()).expect("in memory"));
+    let refused = merge(&[(dir.path(), &parts[0]), (dir.path(), &parts[1])], &dir.path().join("no"), None);
+    let error = refused.expect_err("unlike").to_string();
+    assert!(error.contains("the waveform is not that of"), "{error}");
 }
 
 mod hard_cases {

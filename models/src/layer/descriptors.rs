@@ -1,4 +1,9 @@
-//! Forty plain numbers that describe a map: what a linear classifier needs to count people, without any training.
+//! Plain numbers that describe a map: what a linear classifier needs to count people, without any training.
+//!
+//! One person moves one way at a time, and so do most of the echoes of that person by way of walls: they are spread over ranges, not
+//! over directions. A second person mostly moves another way or at another speed. Numbers of cells above levels do not tell a
+//! near person with many such echoes from two, so nearly all numbers here are relative to the strongest cell: its level, its range and
+//! its velocity. In real rooms this decides between one and two; in simulated ones counts did as well.
 //!
 //! `dataset/features.rs` is something else: quantiles over many maps, by which simulated rooms are held against real ones.
 
@@ -9,12 +14,8 @@ use super::crew::for_each_chunk;
 use super::operation::{Argument, Gradients, Operation, apply};
 
 /// Numbers that describe a map.
-pub const DESCRIPTORS: usize = 40;
+pub const DESCRIPTORS: usize = 42;
 
-/// Levels above which cells are counted, dB over noise.
-const CELL_LEVELS_DB: [f32; 6] = [6.0, 10.0, 15.0, 20.0, 25.0, 30.0];
-/// Levels above which the strongest cells of range bins are counted, dB over noise.
-const BIN_LEVELS_DB: [f32; 6] = [10.0, 15.0, 20.0, 25.0, 30.0, 35.0];
 /// Level above which a cell stands out of noise, dB: of 8,192 cells of noise one does.
 const STANDS_OUT_DB: f32 = 10.0;
 /// The same as `1 + P / N`.
@@ -23,24 +24,37 @@ const STANDS_OUT: f64 = 10.0;
 const VELOCITY_KNOWN_DB: f32 = 15.0;
 /// Level that stronger cells are taken for, dB, so that sums of powers stay finite.
 const MOST_DB: f32 = 350.0;
-/// Local maxima that are described.
-const MAXIMA: usize = 8;
-/// Cells to either side that a local maximum is the largest of, in range and in velocity.
-const REACH: usize = 2;
+/// Range bins to either side of the strongest cell that count as its range.
+const SAME_RANGE_BINS: i64 = 2;
+/// Velocity bins to either side of the strongest cell that count as its velocity: limbs move that much faster and slower.
+const SAME_VELOCITY_BINS: i64 = 4;
+/// Velocity bins to either side of zero that are slow: a room at rest reaches them.
+const SLOW_BINS: i64 = 1;
+/// Levels below the strongest cell down to which cells are counted, dB.
+const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
+/// By so many dB one direction has to be stronger than the other in a range bin to own it.
+const OWNS_DB: f32 = 3.0;
 const NAME: &str = "map_descriptors";
+
+/// Where a cell is in range, held against the strongest one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    Nearer,
+    Farther,
+    Same,
+}
 
 /// A cell that stands out of noise.
 struct Cell {
-    index: usize,
     row: usize,
-    range: f64,
-    velocity: f64,
+    /// Velocity bins from zero.
+    speed: i64,
     level_db: f32,
     /// `1 + P / N` less that at which cells begin to stand out, so that a cell does not enter a sum with a step.
     excess: f64,
 }
 
-/// Descriptors of a map: energies, places, counts and the strongest local maxima.
+/// Descriptors of a map: energies, places, and what lies apart from the strongest cell.
 ///
 /// `map_db` is `[range][velocity]`, `10 log10(1 + P / N)` of power over noise
 /// ([`OverNoise`](crate::standardise::MapReference::OverNoise)).
@@ -51,23 +65,33 @@ struct Cell {
 /// | 1, 2 | energy-weighted mean and spread of range | that of `range_step` |
 /// | 3, 4 | magnitude of the energy-weighted mean of velocity, and its spread | that of `velocity_step` |
 /// | 5 | spread over range bins of the bins' mean velocity | that of `velocity_step` |
-/// | 6 to 11 | cells above 6, 10, 15, 20, 25 and 30 dB, `ln(1 + count)` | 1 |
-/// | 12 to 17 | range bins whose strongest cell is above 10, 15, 20, 25, 30 and 35 dB, `ln(1 + count)` | 1 |
-/// | 18 to 25 | levels of the eight strongest local maxima, the strongest first | dB |
-/// | 26 to 32 | ranges of the second to the eighth less that of the first | that of `range_step` |
-/// | 33 to 39 | distances of their velocities from that of the first | that of `velocity_step` |
+/// | 6 | level of the strongest cell | dB |
+/// | 7, 8 | its range, and `ln(1 + range bin)` | that of `range_step`, 1 |
+/// | 9 | magnitude of its velocity | that of `velocity_step` |
+/// | 10 to 15 | cells of the opposite direction, nearer, farther and at the same range: strongest level less that of the strongest cell, energy less the total energy | dB |
+/// | 16 to 21 | the same for cells of another velocity | dB |
+/// | 22 to 25 | the same for cells of the same velocity, nearer and farther | dB |
+/// | 26 to 28 | strongest slow cell nearer, farther and at the same range, less the strongest cell | dB |
+/// | 29 | energy of slow cells less the total energy | dB |
+/// | 30, 31 | range bins in which the opposite direction is the stronger one by 3 dB, and in which it is the weaker one, `ln(1 + count)` | 1 |
+/// | 32 to 36 | cells of the opposite direction down to 10, 15, 20, 25 and 30 dB below the strongest cell, `ln(1 + count)` | 1 |
+/// | 37 to 41 | the same for cells of another velocity that are not at the same range | 1 |
+///
+/// The same range is within two bins of the strongest cell, the same velocity within four, and slow is within one bin of zero. The
+/// opposite direction is more than a bin beyond zero as seen from the strongest cell; where that one stands still, as seen from
+/// the energy-weighted mean velocity.
 ///
 /// None of them changes when approaching and receding are exchanged about zero Doppler: the direction of motion says nothing
 /// about the number of people, and a linear classifier can use the magnitude of a velocity only if it is given one.
 ///
-/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Energies are
-/// `1 + P / N` less 10, of the cells above 10 dB: cells of noise do not count. Means and spreads of range and velocity are
+/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above 10
+/// dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
 /// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single
-/// cell of noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0.
+/// cell of noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The
+/// spread over range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
 ///
-/// A local maximum is above 10 dB and the largest of the 5 x 5 cells about it that the map has; of equals the one of the smallest
-/// index. Maxima of equal level are in the order of their indices. Those that a map lacks have a level of 10 dB and the place of
-/// the first. The spread over range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
+/// Of equals, the strongest cell is the one of the smallest index. A map without cells above 10 dB has a strongest cell of 10 dB in
+/// the middle of the range axis that stands still; so has a region without cells a strongest level of 10 dB and no energy.
 ///
 /// Finite for any finite cells; all are NaN if a cell is not finite.
 pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, velocity_step: f64) -> [f32; DESCRIPTORS] {
@@ -76,55 +100,108 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
     }
     let columns = velocity_bins.max(1);
     let rows = map_db.len() / columns;
-    let map = &map_db[..rows * columns];
-    let cells: Vec<Cell> = map
+    let cells: Vec<Cell> = map_db[..rows * columns]
         .iter()
         .enumerate()
         .filter(|(_, level_db)| **level_db > STANDS_OUT_DB)
         .map(|(index, &level_db)| {
-            let (row, level_db) = (index / columns, level_db.min(MOST_DB));
+            let level_db = level_db.min(MOST_DB);
             Cell {
-                index,
-                row,
-                range: row as f64 * range_step,
-                velocity: ((index % columns) as f64 - (columns / 2) as f64) * velocity_step,
+                row: index / columns,
+                speed: (index % columns) as i64 - (columns / 2) as i64,
                 level_db,
                 excess: 10f64.powf(0.1 * f64::from(level_db)) - STANDS_OUT,
             }
         })
         .collect();
-    let bins: Vec<&[Cell]> = cells.chunk_by(|a, b| a.row == b.row).collect();
-    let mut maxima: Vec<&Cell> = cells.iter().filter(|cell| is_maximum(map, columns, cell.index)).collect();
-    // Stable: of equals the first stays first.
-    maxima.sort_by(|a, b| b.level_db.total_cmp(&a.level_db));
+    let mut values = moments(&cells, rows, range_step, velocity_step);
+    values.extend(beside_the_strongest(&cells, rows, range_step, velocity_step));
+    std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
+}
 
+/// Descriptors 0 to 5.
+fn moments(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> Vec<f64> {
+    let range_of = |cell: &Cell| cell.row as f64 * range_step;
+    let velocity_of = |cell: &Cell| cell.speed as f64 * velocity_step;
     let energy: f64 = cells.iter().map(|cell| cell.excess).sum();
     let share = energy / (energy + STANDS_OUT);
-    let (range, velocity) = (weighted_mean(&cells, |cell| cell.range), weighted_mean(&cells, |cell| cell.velocity));
-    let range_variance = weighted_mean(&cells, |cell| (cell.range - range).powi(2));
-    let velocity_variance = weighted_mean(&cells, |cell| (cell.velocity - velocity).powi(2));
+    let (range, velocity) = (weighted_mean(cells, range_of), weighted_mean(cells, velocity_of));
+    let range_variance = weighted_mean(cells, |cell| (range_of(cell) - range).powi(2));
+    let velocity_variance = weighted_mean(cells, |cell| (velocity_of(cell) - velocity).powi(2));
     let middle = 0.5 * rows.saturating_sub(1) as f64 * range_step;
-    let known = bins.iter().copied().filter(|bin| strongest_db(bin) > VELOCITY_KNOWN_DB);
-    let velocities: Vec<f64> = known.map(|bin| weighted_mean(bin, |cell| cell.velocity)).collect();
-
-    let mut values = vec![
-        10.0 * (1.0 + energy).log10(),
+    let known = cells.chunk_by(|a, b| a.row == b.row).filter(|bin| strongest_db(*bin) > VELOCITY_KNOWN_DB);
+    let velocities: Vec<f64> = known.map(|bin| weighted_mean(bin, velocity_of)).collect();
+    vec![
+        decibel(energy),
         middle + share * (range - middle),
         share * range_variance.sqrt(),
         share * velocity.abs(),
         share * velocity_variance.sqrt(),
         standard_deviation(&velocities),
-    ];
-    values.extend(CELL_LEVELS_DB.map(|least| logarithm_of(map.iter().filter(|level| **level > least).count())));
-    values.extend(BIN_LEVELS_DB.map(|least| logarithm_of(bins.iter().filter(|bin| strongest_db(bin) > least).count())));
-    values.extend((0..MAXIMA).map(|k| f64::from(maxima.get(k).map_or(STANDS_OUT_DB, |cell| cell.level_db))));
-    let from_first = |k: usize, of: fn(&Cell) -> f64| match (maxima.first(), maxima.get(k)) {
-        (Some(first), Some(cell)) => of(cell) - of(first),
-        _ => 0.0,
+    ]
+}
+
+/// Descriptors 6 to 41.
+fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> Vec<f64> {
+    let middle = Cell { row: rows.saturating_sub(1) / 2, speed: 0, level_db: STANDS_OUT_DB, excess: 0.0 };
+    let peak = cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best });
+    let toward = match peak.speed {
+        0 if weighted_mean(cells, |cell| cell.speed as f64) < 0.0 => -1,
+        0 => 1,
+        speed => speed.signum(),
     };
-    values.extend((1..MAXIMA).map(|k| from_first(k, |cell| cell.range)));
-    values.extend((1..MAXIMA).map(|k| from_first(k, |cell| cell.velocity).abs()));
-    std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
+    let place = |cell: &Cell| match cell.row as i64 - peak.row as i64 {
+        bins if bins < -SAME_RANGE_BINS => Place::Nearer,
+        bins if bins > SAME_RANGE_BINS => Place::Farther,
+        _ => Place::Same,
+    };
+    let is_opposite = |cell: &Cell| cell.speed * toward < -SLOW_BINS;
+    let is_along = |cell: &Cell| cell.speed * toward > SLOW_BINS;
+    let is_slow = |cell: &Cell| cell.speed.abs() <= SLOW_BINS;
+    let is_other = |cell: &Cell| (cell.speed - peak.speed).abs() > SAME_VELOCITY_BINS;
+    let total_db = energy_db(cells.iter());
+
+    let mut values = vec![
+        f64::from(peak.level_db),
+        peak.row as f64 * range_step,
+        (peak.row as f64).ln_1p(),
+        peak.speed.abs() as f64 * velocity_step,
+    ];
+    let level_of = |region: &dyn Fn(&Cell) -> bool| {
+        f64::from(strongest_db(cells.iter().filter(|cell| region(cell))) - peak.level_db)
+    };
+    let mut level_and_energy = |region: &dyn Fn(&Cell) -> bool| {
+        values.push(level_of(region));
+        values.push(energy_db(cells.iter().filter(|cell| region(cell))) - total_db);
+    };
+    let places = [Place::Nearer, Place::Farther, Place::Same];
+    for at in places {
+        level_and_energy(&|cell| is_opposite(cell) && place(cell) == at);
+    }
+    for at in places {
+        level_and_energy(&|cell| is_other(cell) && place(cell) == at);
+    }
+    for at in [Place::Nearer, Place::Farther] {
+        level_and_energy(&|cell| !is_other(cell) && place(cell) == at);
+    }
+    values.extend(places.map(|at| level_of(&|cell| is_slow(cell) && place(cell) == at)));
+    values.push(energy_db(cells.iter().filter(|cell| is_slow(cell))) - total_db);
+
+    let (mut against, mut along) = (0, 0);
+    for bin in cells.chunk_by(|a, b| a.row == b.row) {
+        let opposite_db = strongest_db(bin.iter().filter(|cell| is_opposite(cell)));
+        let along_db = strongest_db(bin.iter().filter(|cell| is_along(cell)));
+        against += usize::from(opposite_db > along_db + OWNS_DB);
+        along += usize::from(along_db > opposite_db + OWNS_DB);
+    }
+    values.extend([logarithm_of(against), logarithm_of(along)]);
+    let count = |within_db: f32, region: &dyn Fn(&Cell) -> bool| {
+        let least = peak.level_db - within_db;
+        logarithm_of(cells.iter().filter(|cell| cell.level_db > least && region(cell)).count())
+    };
+    values.extend(COUNTED_DB.map(|within_db| count(within_db, &is_opposite)));
+    values.extend(COUNTED_DB.map(|within_db| count(within_db, &|cell| is_other(cell) && place(cell) != Place::Same)));
+    values
 }
 
 /// Mean of `of` over cells, weighted by their energy; 0 without any.
@@ -134,8 +211,17 @@ fn weighted_mean(cells: &[Cell], of: impl Fn(&Cell) -> f64) -> f64 {
     sum / energy.max(f64::MIN_POSITIVE)
 }
 
-fn strongest_db(cells: &[Cell]) -> f32 {
-    cells.iter().fold(0.0, |most, cell| cell.level_db.max(most))
+/// Level of the strongest of cells, at least that of a cell that just stands out.
+fn strongest_db<'a>(cells: impl IntoIterator<Item = &'a Cell>) -> f32 {
+    cells.into_iter().fold(STANDS_OUT_DB, |most, cell| cell.level_db.max(most))
+}
+
+fn energy_db<'a>(cells: impl Iterator<Item = &'a Cell>) -> f64 {
+    decibel(cells.map(|cell| cell.excess).sum())
+}
+
+fn decibel(energy: f64) -> f64 {
+    10.0 * (1.0 + energy).log10()
 }
 
 fn standard_deviation(values: &[f64]) -> f64 {
@@ -148,19 +234,7 @@ fn logarithm_of(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// Whether a cell is the largest of those about it, and the first of equals.
-fn is_maximum(map: &[f32], columns: usize, index: usize) -> bool {
-    let level = map[index];
-    let near = |at: usize, length: usize| at.saturating_sub(REACH)..(at + REACH + 1).min(length);
-    near(index / columns, map.len() / columns).all(|row| {
-        near(index % columns, columns).all(|column| {
-            let other = row * columns + column;
-            map[other] < level || (map[other] == level && other >= index)
-        })
-    })
-}
-
-/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][40]`, ranges and velocities in bins.
+/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][42]`, ranges and velocities in bins.
 ///
 /// The input has no gradient: to ask for one is an error of the backward pass.
 ///
@@ -186,7 +260,7 @@ fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
 }
 
 impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][40]`.
+    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][42]`.
     ///
     /// # Errors
     /// Maps have more than one channel or no cells.
@@ -226,11 +300,13 @@ mod tests {
 
     const RANGE_STEP_M: f64 = 0.15;
     const VELOCITY_STEP_M_PER_S: f64 = 0.1;
-    const CELLS: usize = 6;
-    const BINS: usize = 12;
-    const LEVELS: usize = 18;
-    const RANGES: usize = 26;
-    const VELOCITIES: usize = 33;
+    const PEAK: usize = 6;
+    const OPPOSITE: usize = 10;
+    const OTHER: usize = 16;
+    const LIKE: usize = 22;
+    const SLOW: usize = 26;
+    const OWNED: usize = 30;
+    const COUNTS: usize = 32;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
@@ -263,10 +339,20 @@ mod tests {
             for spread in [2, 4, 5] {
                 near("spread", found[spread], 0.0, 1e-6);
             }
-            found[CELLS..LEVELS].iter().for_each(|&count| near("count", count, 2f64.ln(), 1e-6));
-            assert_eq!(found[LEVELS], 40.0);
-            assert!(found[LEVELS + 1..RANGES].iter().all(|&level| level == STANDS_OUT_DB), "{found:?}");
-            assert!(found[RANGES..].iter().all(|&difference| difference == 0.0), "{found:?}");
+            assert_eq!(found[PEAK], 40.0);
+            near("range", found[PEAK + 1], 20.0 * RANGE_STEP_M, 1e-6);
+            near("logarithm of range", found[PEAK + 2], 21f64.ln(), 1e-6);
+            near("speed", found[PEAK + 3], speed, 1e-6);
+            // Nothing else stands out: 30 dB less, and no energy.
+            for k in 0..8 {
+                near("level apart", found[OPPOSITE + 2 * k], -30.0, 1e-6);
+                near("energy apart", found[OPPOSITE + 2 * k + 1], -40.0, 0.01);
+            }
+            let is_slow = speed == 0.0;
+            near("slow at the range", found[SLOW + 2], if is_slow { 0.0 } else { -30.0 }, 1e-6);
+            near("slow energy", found[SLOW + 3], if is_slow { 0.0 } else { -40.0 }, 0.01);
+            near("bins along", found[OWNED + 1], if is_slow { 0.0 } else { 2f64.ln() }, 1e-6);
+            assert!(found[OWNED] == 0.0 && found[COUNTS..].iter().all(|&count| count == 0.0), "{found:?}");
         }
     }
 
@@ -275,23 +361,37 @@ mod tests {
         let of = |row, column| describe(&echoes(&[(row, column, 50.0)]), 64);
         for bins in 1..20 {
             let (near_by, further) = (of(10, 33), of(10 + bins, 33 + bins));
-            near("range", further[1] - near_by[1], bins as f64 * RANGE_STEP_M, 1e-3);
-            near("speed", further[3] - near_by[3], bins as f64 * VELOCITY_STEP_M_PER_S, 1e-3);
+            for range in [1, PEAK + 1] {
+                near("range", further[range] - near_by[range], bins as f64 * RANGE_STEP_M, 1e-3);
+            }
+            for speed in [3, PEAK + 3] {
+                near("speed", further[speed] - near_by[speed], bins as f64 * VELOCITY_STEP_M_PER_S, 1e-3);
+            }
         }
     }
 
+    /// Somebody who comes, an echo of the same motion by way of a wall, and a second one who goes.
     #[test]
-    fn two_echoes_are_described_by_level_and_by_where_the_second_is() {
-        let found = describe(&echoes(&[(20, 40, 37.0), (12, 30, 40.0), (13, 31, 39.0)]), 64);
-        // The third is beside the second, so no local maximum.
-        assert_eq!(found[LEVELS..LEVELS + 3], [40.0, 37.0, STANDS_OUT_DB]);
-        near("range of the second", found[RANGES], 8.0 * RANGE_STEP_M, 1e-6);
-        near("speed of the second", found[VELOCITIES], 10.0 * VELOCITY_STEP_M_PER_S, 1e-6);
-        let velocities = [-0.2, -0.1, 0.8];
-        let mean = velocities.iter().sum::<f64>() / 3.0;
-        let variance = velocities.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / 3.0;
-        near("spread over bins", found[5], variance.sqrt(), 1e-6);
-        found[CELLS..LEVELS].iter().for_each(|&count| near("count", count, 4f64.ln(), 1e-6));
+    fn who_goes_the_other_way_stands_apart() {
+        let (first, ghost, second) = ((20, 40, 40.0), (30, 41, 25.0), (12, 26, 31.0));
+        let alone = describe(&echoes(&[first, ghost]), 64);
+        near("the ghost", alone[LIKE + 2], -15.0, 1e-6);
+        for (k, level) in [(OPPOSITE, -30.0), (OPPOSITE + 2, -30.0), (OTHER, -30.0), (OTHER + 2, -30.0)] {
+            near("apart", alone[k], level, 1e-6);
+        }
+        let two = describe(&echoes(&[first, ghost, second]), 64);
+        near("nearer and opposite", two[OPPOSITE], -9.0, 1e-6);
+        near("farther and opposite", two[OPPOSITE + 2], -30.0, 1e-6);
+        near("nearer and of another velocity", two[OTHER], -9.0, 1e-6);
+        near("bins against", two[OWNED], 2f64.ln(), 1e-6);
+        near("bins along", two[OWNED + 1], 3f64.ln(), 1e-6);
+        for counts in [COUNTS, COUNTS + COUNTED_DB.len()] {
+            near("cells within 10 dB", two[counts], 2f64.ln(), 1e-6);
+        }
+        // Twice as strong and elsewhere, all that is relative stays.
+        let moved = describe(&echoes(&[(23, 40, 43.0), (33, 41, 28.0), (15, 26, 34.0)]), 64);
+        near("nearer and opposite", moved[OPPOSITE], -9.0, 1e-6);
+        assert_eq!(moved[OWNED..], two[OWNED..]);
     }
 
     /// The definition, cell by cell and over the whole map for each.
@@ -317,47 +417,50 @@ mod tests {
             near("mean", found[1 + 2 * axis], (middle + share * (mean - middle)).abs(), 1e-5);
             near("spread", found[2 + 2 * axis], share * weighted(&|x| (x - mean).powi(2)).sqrt(), 1e-5);
         }
-        for (k, least) in CELL_LEVELS_DB.into_iter().enumerate() {
-            let count = map.iter().filter(|&&level| level > least).count();
-            near("cells", found[CELLS + k], (1.0 + count as f64).ln(), 1e-6);
-        }
-        for (k, least) in BIN_LEVELS_DB.into_iter().enumerate() {
-            let count = map.chunks_exact(columns).filter(|row| row.iter().any(|&level| level > least)).count();
-            near("bins", found[BINS + k], (1.0 + count as f64).ln(), 1e-6);
-        }
     }
 
-    /// Every cell against all cells of the map.
-    fn slow_maxima(map: &[f32], columns: usize) -> Vec<usize> {
-        let place = |k: usize| ((k / columns) as i64, (k % columns) as i64);
-        let beaten = |k: usize, other: usize| {
-            let ((a, b), (c, d)) = (place(k), place(other));
-            let beside = k != other && (a - c).abs() <= 2 && (b - d).abs() <= 2;
-            beside && (map[other] > map[k] || (map[other] == map[k] && other < k))
-        };
-        let whole = 0..map.len();
-        let mut found: Vec<usize> =
-            whole.clone().filter(|&k| map[k] > 10.0 && !whole.clone().any(|other| beaten(k, other))).collect();
-        found.sort_by(|&a, &b| map[b].total_cmp(&map[a]).then(a.cmp(&b)));
-        found
-    }
-
+    /// Each region by its definition, over the whole map: cells of noise, echoes of any level, and equals.
     #[test]
-    fn maxima_are_those_of_the_slow_search() {
-        for (rows, columns, seed) in [(20, 17, 1), (1, 40, 2), (33, 1, 3), (7, 8, 4), (2, 2, 5)] {
-            // Whole numbers of dB, so that there are equals.
+    fn regions_are_those_of_the_slow_search() {
+        for (rows, columns, seed) in [(20, 17, 1), (1, 40, 2), (33, 1, 3), (7, 8, 4), (64, 64, 5)] {
             let map: Vec<f32> = noise(rows, columns, seed).iter().map(|level| (level * 3.0).round()).collect();
-            let expected = slow_maxima(&map, columns);
             let found = describe(&map, columns);
-            for k in 0..MAXIMA {
-                let level = expected.get(k).map_or(STANDS_OUT_DB, |&cell| map[cell]);
-                assert_eq!(found[LEVELS + k], level, "{rows} x {columns}: maximum {k}");
-                let (Some(&first), true) = (expected.first(), k > 0) else { continue };
-                let cell = expected.get(k).copied().unwrap_or(first);
-                let [row, column] = [(first / columns, cell / columns), (first % columns, cell % columns)]
-                    .map(|(first, cell)| cell as f64 - first as f64);
-                near("range", found[RANGES + k - 1], row * RANGE_STEP_M, 1e-6);
-                near("speed", found[VELOCITIES + k - 1], column.abs() * VELOCITY_STEP_M_PER_S, 1e-6);
+            let place = |k: usize| ((k / columns) as i64, (k % columns) as i64 - (columns / 2) as i64);
+            let level = |k: usize| f64::from(map[k]);
+            let peak = (0..map.len()).filter(|&k| map[k] > 10.0).rev().max_by(|&a, &b| map[a].total_cmp(&map[b]));
+            let peak = peak.expect("some cell stands out");
+            let ((row, speed), top) = (place(peak), level(peak));
+            let excess = |k: usize| (10f64.powf(level(k) / 10.0) - 10.0).max(0.0);
+            let db = |energy: f64| 10.0 * (1.0 + energy).log10();
+            let total: f64 = (0..map.len()).map(excess).sum();
+            let mean: f64 = (0..map.len()).map(|k| excess(k) * place(k).1 as f64).sum();
+            let toward = if speed == 0 { if mean < 0.0 { -1 } else { 1 } } else { speed.signum() };
+            let ranges: [&dyn Fn(i64) -> bool; 3] = [&|r| r < row - 2, &|r| r > row + 2, &|r| (r - row).abs() <= 2];
+            let velocities: [&dyn Fn(i64) -> bool; 3] =
+                [&|v| v * toward < -1, &|v| (v - speed).abs() > 4, &|v| (v - speed).abs() <= 4];
+            for (at, (velocity, range)) in
+                velocities.iter().flat_map(|v| ranges.iter().map(move |r| (v, r))).take(8).enumerate()
+            {
+                let inside: Vec<usize> =
+                    (0..map.len()).filter(|&k| range(place(k).0) && velocity(place(k).1)).collect();
+                let strongest = inside.iter().fold(10.0, |most: f64, &k| most.max(level(k)));
+                let energy: f64 = inside.iter().map(|&k| excess(k)).sum();
+                near("level", found[OPPOSITE + 2 * at], strongest - top, 1e-5);
+                near("energy", found[OPPOSITE + 2 * at + 1], db(energy) - db(total), 1e-3);
+            }
+            for (at, range) in ranges.iter().enumerate() {
+                let slow = (0..map.len()).filter(|&k| range(place(k).0) && place(k).1.abs() <= 1);
+                near("slow", found[SLOW + at], slow.fold(10.0, |most: f64, k| most.max(level(k))) - top, 1e-5);
+            }
+            for (at, within) in COUNTED_DB.into_iter().enumerate() {
+                let count = |region: &dyn Fn(usize) -> bool| {
+                    let counted = |&k: &usize| map[k] > 10.0 && level(k) > top - f64::from(within) && region(k);
+                    ((0..map.len()).filter(counted).count() as f64).ln_1p()
+                };
+                let opposite = |k: usize| place(k).1 * toward < -1;
+                let other = |k: usize| (place(k).1 - speed).abs() > 4 && (place(k).0 - row).abs() > 2;
+                near("opposite cells", found[COUNTS + at], count(&opposite), 1e-5);
+                near("other cells", found[COUNTS + COUNTED_DB.len() + at], count(&other), 1e-5);
             }
         }
     }
@@ -367,9 +470,8 @@ mod tests {
         for seed in 0..5 {
             let found = describe(&noise(64, 64, seed), 64);
             // One cell in 8,000 is above 10 dB, none above 15 dB.
-            assert!(found[CELLS + 1] < 8f32.ln() && found[BINS] < 8f32.ln(), "{found:?}");
-            assert!(found[CELLS + 2..CELLS + 6].iter().chain(&found[BINS + 1..LEVELS]).all(|&v| v == 0.0), "{found:?}");
-            assert!(found[0] < 20.0 && found[LEVELS] < 13.0 && found[5] == 0.0, "{found:?}");
+            assert!(found[0] < 20.0 && found[PEAK] < 13.0 && found[5] == 0.0, "{found:?}");
+            assert!(found[COUNTS..].iter().all(|&count| count < 8f32.ln()), "{found:?}");
         }
     }
 
@@ -391,8 +493,8 @@ mod tests {
         let (bins, metres) = (descriptors(&map, 30, 1.0, 1.0), describe(&map, 30));
         for (k, (a, b)) in bins.iter().zip(metres).enumerate() {
             let unit = match k {
-                1 | 2 | RANGES..VELOCITIES => RANGE_STEP_M,
-                3..=5 | VELOCITIES..DESCRIPTORS => VELOCITY_STEP_M_PER_S,
+                1 | 2 | 7 => RANGE_STEP_M,
+                3..=5 | 9 => VELOCITY_STEP_M_PER_S,
                 _ => 1.0,
             };
             near("unit", b, f64::from(*a) * unit, 1e-4);
@@ -432,13 +534,14 @@ mod tests {
                     assert!(found.iter().all(|value| value.is_finite()), "{map:?} {columns}: {found:?}");
                 }
             }
-            // Equal cells have one maximum, the first.
+            // Of equal cells the first is the strongest.
             let found = describe(&constant(12.0), 4);
-            assert_eq!(found[LEVELS..LEVELS + 2], [12.0, STANDS_OUT_DB]);
+            assert_eq!(found[PEAK..PEAK + 2], [12.0, 0.0]);
             // Nothing is in the middle of the range axis and stands still.
             let found = describe(&constant(0.0), 4);
             near("range", found[1], 2.5 * RANGE_STEP_M, 1e-6);
-            assert!(found[0] == 0.0 && found[2..LEVELS].iter().all(|&value| value == 0.0), "{found:?}");
+            assert_eq!((found[0], found[PEAK], found[PEAK + 3]), (0.0, 10.0, 0.0));
+            assert!(found[2..PEAK].iter().chain(&found[OPPOSITE..]).all(|&value| value == 0.0), "{found:?}");
         }
 
         #[test]

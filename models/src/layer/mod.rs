@@ -12,7 +12,7 @@
 //!   they are, through addresses of cells (`sweep.rs`), a tile of sums in registers at a time (`tile.rs`).
 //! - [`PreparedConv`], [`PreparedBlock`], [`PreparedDense`] and [`Feature`]: the same without gradients, with batch norm folded in and buffers used
 //!   again; 3x3 convolutions go by windows of cells (`winograd.rs`), and threads stay awake from layer to layer (`crew.rs`).
-//! - [`descriptors`]: forty plain numbers of a map, without parameters or gradients.
+//! - [`descriptors`]: plain numbers of a map, without parameters or gradients.
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All run in parallel over the batch (or over outputs) and reduce in a fixed order: the same bits for any number of

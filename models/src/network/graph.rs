@@ -12,7 +12,7 @@ pub(crate) const INPUT: Value = 0;
 /// One step of a network. Feature maps are `[batch][range][doppler][channel]`, vectors `[batch][feature]`.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Layer {
-    /// Forty numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
+    /// Numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
     Descriptors,
     /// The map once for each of so many channels.
     Repeat { channels: usize },

@@ -48,9 +48,9 @@ pub enum NetworkKind {
     /// EfficientNet-B0 with torchvision's stem, of which each of the three channels sees the map.
     #[serde(rename = "efficientnet_b0_rgb")]
     EfficientNetB0Rgb,
-    /// Forty descriptors of a map ([`crate::layer::descriptors`]) and a linear head.
+    /// Descriptors of a map ([`crate::layer::descriptors`]) and a linear head.
     DescriptorLinear,
-    /// Forty descriptors of a map, a narrow latent and a [`Head`].
+    /// Descriptors of a map, a narrow latent and a [`Head`].
     DescriptorHqnn,
 }
 

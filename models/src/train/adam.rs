@@ -1,4 +1,5 @@
-//! Adam (Kingma and Ba, ICLR 2015, algorithm 1) with a step size for each array.
+//! Adam (Kingma and Ba, ICLR 2015, algorithm 1) with a step size for each array and decoupled weight decay (Loshchilov and
+//! Hutter, ICLR 2019, algorithm 2).
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
@@ -65,12 +66,14 @@ impl Adam {
         Ok(())
     }
 
-    /// One step. Gives the index of the first array with a gradient that is not finite instead of taking it.
+    /// One step. `rates` are step sizes, `decays` the shares of the values that a step takes away besides; arrays beyond the end of
+    /// `decays` keep theirs. Gives the index of the first array with a gradient that is not finite instead of taking it.
     pub(super) fn step<'a>(
         &mut self,
         variables: impl Iterator<Item = &'a Var> + Clone,
         gradients: &GradStore,
         rates: &[f32],
+        decays: &[f32],
     ) -> Result<Option<usize>> {
         for (index, variable) in variables.clone().enumerate() {
             if let Some(gradient) = gradients.get(variable) {
@@ -82,10 +85,11 @@ impl Adam {
         }
         self.steps += 1;
         let (c1, c2) = (1.0 - BETA1.powi(self.steps), 1.0 - BETA2.powi(self.steps));
-        for ((variable, moments), &rate) in variables.zip(&self.moments).zip(rates) {
+        let decays = decays.iter().copied().chain(std::iter::repeat(0.0));
+        for (((variable, moments), &rate), decay) in variables.zip(&self.moments).zip(rates).zip(decays) {
             // What has had no gradient yet stays as it is: its moments are zero.
             let Some(gradient) = gradients.get(variable) else { continue };
-            variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, c1, c2 })?;
+            variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, kept: 1.0 - decay, c1, c2 })?;
         }
         Ok(None)
     }
@@ -94,6 +98,7 @@ impl Adam {
 struct Step<'a> {
     moments: &'a Mutex<Moments>,
     rate: f32,
+    kept: f32,
     c1: f32,
     c2: f32,
 }
@@ -121,7 +126,7 @@ impl InplaceOp2 for Step<'_> {
             for (((value, &g), m), v) in values.iter_mut().zip(gradient).zip(first).zip(second) {
                 *m = BETA1 * *m + (1.0 - BETA1) * g;
                 *v = BETA2 * *v + (1.0 - BETA2) * g * g;
-                *value -= self.rate * (*m / self.c1) / ((*v / self.c2).sqrt() + EPSILON);
+                *value = self.kept * *value - self.rate * (*m / self.c1) / ((*v / self.c2).sqrt() + EPSILON);
             }
         });
         Ok(())
@@ -141,12 +146,25 @@ mod tests {
         let mut adam = Adam::new(variables.iter());
         let step = |adam: &mut Adam| {
             let gradients = x.sqr().and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("gradient");
-            adam.step(variables.iter(), &gradients, &[0.1]).expect("step");
+            adam.step(variables.iter(), &gradients, &[0.1], &[]).expect("step");
             x.to_vec1::<f32>().expect("values")
         };
         let first = step(&mut adam);
         assert!((first[0] - 2.9).abs() < 1e-5 && (first[1] + 1.9).abs() < 1e-5);
         let last = (0..300).map(|_| step(&mut adam)).last().expect("steps");
         assert!(last.iter().all(|v| v.abs() < 0.02), "{last:?}");
+    }
+    /// Decay takes its share of the values before the step and leaves the moments alone: without a gradient nothing else moves.
+    #[test]
+    fn decay_is_decoupled() {
+        let (x, zero) = (Var::new(&[3.0f32], &Device::Cpu).expect("var"), 0.0);
+        let mut adam = Adam::new([x.clone()].iter());
+        for _ in 0..10 {
+            let gradients =
+                (x.as_tensor() * zero).and_then(|t| t.sum_all()).and_then(|t| t.backward()).expect("gradient");
+            adam.step([x.clone()].iter(), &gradients, &[0.1], &[0.05]).expect("step");
+        }
+        let left = x.to_vec1::<f32>().expect("values")[0];
+        assert!((left - 3.0 * 0.95f32.powi(10)).abs() < 1e-5, "{left}");
     }
 }

@@ -113,7 +113,7 @@ fn fit(
     let mut adam = Adam::new(variables.iter());
     for _ in 0..STEPS {
         // A fit that runs away is not the best one.
-        if adam.step(variables.iter(), &backward(&loss(&placed()?)?)?, &rates)?.is_some() {
+        if adam.step(variables.iter(), &backward(&loss(&placed()?)?)?, &rates, &[])?.is_some() {
             return Ok(f64::NAN);
         }
     }

@@ -116,6 +116,8 @@ pub struct TrainSpec {
     pub latent_sigma: f32,
     /// Weight of the mean square of the standardised latent in the loss: what keeps it off the flat ends of the squash.
     pub latent_penalty: f64,
+    /// Decoupled decay of the weights: share of them that is taken away in a step, as a multiple of the step size. 0 for none.
+    pub weight_decay: f64,
     /// Standardisation of the latent.
     pub latent: LatentStandardisation,
     /// What the maps' cells are measured against.
@@ -164,6 +166,7 @@ impl Default for TrainSpec {
             feature_sigma: 0.3,
             latent_sigma: 0.5,
             latent_penalty: 0.05,
+            weight_decay: 0.0,
             latent: LatentStandardisation::None,
             reference: MapReference::Absolute,
             label_leaking_cells: false,
@@ -356,6 +359,9 @@ impl TrainSpec {
         }
         if self.linear_epochs() > self.epochs {
             return fail("linear_epochs", self.linear_epochs().to_string(), "0 up to epochs");
+        }
+        if !(0.0..=10.0).contains(&self.weight_decay) {
+            return fail("weight_decay", self.weight_decay.to_string(), "0 to 10");
         }
         if !(self.latent_penalty.is_finite() && self.latent_penalty >= 0.0) {
             return fail("latent_penalty", self.latent_penalty.to_string(), "0 or more");

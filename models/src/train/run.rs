@@ -326,8 +326,9 @@ impl<'a> Run<'a> {
         };
         drop(values);
         let rates = self.rates();
+        let decays = self.decays(&rates);
         let variables: Vec<&Var> = self.network.trained().iter().map(|p| &p.variable).collect();
-        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &rates)? {
+        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &rates, &decays)? {
             let name = self.network.trained().get(bad).map_or("a parameter", |p| &p.name).to_owned();
             return Err(self.non_finite(format!("gradient of {name}")));
         }
@@ -366,6 +367,16 @@ impl<'a> Run<'a> {
             (rate * factor) as f32
         };
         self.network.trained().iter().map(of).collect()
+    }
+
+    /// Share of its values that each array loses in a step: weights of dense layers and kernels do, biases, constants of
+    /// normalisations and angles do not.
+    fn decays(&self, rates: &[f32]) -> Vec<f32> {
+        let of = |(parameter, rate): (&crate::network::Parameter, &f32)| {
+            let decays = parameter.name.ends_with(".weight") && parameter.variable.rank() > 1;
+            if decays { rate * self.spec.weight_decay as f32 } else { 0.0 }
+        };
+        self.network.trained().iter().zip(rates).map(of).collect()
     }
 
     fn validate(&self) -> Result<(f64, Metrics), TrainError> {

@@ -41,7 +41,7 @@ impl Trainer {
         let gradients = backward(&loss)?;
         drop(values);
         let variables: Vec<&Var> = self.network.trained().iter().map(|p| &p.variable).collect();
-        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &self.rates)? {
+        if let Some(bad) = self.adam.step(variables.into_iter(), &gradients, &self.rates, &[])? {
             let name = self.network.trained().get(bad).map_or("a parameter", |p| &p.name);
             candle_core::bail!("gradient of {name} is not finite in step {}", self.steps);
         }

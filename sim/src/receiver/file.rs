@@ -102,9 +102,29 @@ pub struct Noise {
     pub flicker_exponent: f64,
     /// Frequency at which the 1/f noise of the amplifiers behind the high-pass equals thermal noise, Hz. Default 75 kHz.
     pub amplifier_flicker_corner_hz: f64,
+    /// Spurious tones at the ADC ([`super::spurs`]): their frequencies, levels and phases are drawn for each seed. Default 0, at
+    /// most 32.
+    pub spurs: usize,
+    /// Peak level of the strongest spurious tone, LSB; others are drawn up to 20 dB below. Default 1.
+    pub spur_lsb: f64,
+    /// Phase of all of them from chirp to chirp: "locked", "free" or "random". Drawn for each if absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub spur_phase: Option<SpurPhase>,
     /// Measured density for each fast-time bin 0..=N/2, LSB^2. Replaces the whole model for waveforms whose number of
     /// samples is `2 (length - 1)`; for others the model holds. Valid at the gain at which it was measured.
     pub psd_lsb2: Option<Vec<f64>>,
+}
+
+/// Phase of a spurious tone from chirp to chirp.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SpurPhase {
+    /// The same in every chirp, as of a clock from which the chirps are timed: it has no Doppler.
+    Locked,
+    /// Runs on between chirps, as of a clock of its own: it has one Doppler.
+    Free,
+    /// Anew in every chirp, as of a source that starts with it: it has all Dopplers.
+    Random,
 }
 
 /// Phase noise of the transmitter, which falls with the square of the offset from the carrier, as a free oscillator's does.
@@ -167,7 +187,8 @@ pub struct Transient {
 }
 
 /// How far static echoes are from constant (real recordings: jitter 20..60 mrad between frames, drift 0.1..0.6 rad in
-/// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad).
+/// ten seconds, amplitude 0.6..4 %, and now and then a step of 0.6 rad). Keys whose default is 0 and that act within a frame change
+/// all echoes alike, those of people too ([`super::chirp_turn`]).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ClutterDrift {
@@ -184,6 +205,21 @@ pub struct ClutterDrift {
     pub phase_step_rad: f64,
     /// Mean time between such steps, s. Default 60.
     pub phase_step_interval_s: f64,
+    /// Typical change of the receiver's gain over ten seconds, relative: of all echoes alike. Default 0.
+    pub gain_drift_per_10s: f64,
+    /// Phase of all echoes at the start of each frame, over that at its end, rad, of either sign: a chip that sleeps between
+    /// frames settles within each. It decays with `settling_time_s`. Default 0.
+    pub settling_phase_rad: f64,
+    /// Amplitude of all echoes at the start of each frame, relative to that at its end, less 1. Default 0.
+    pub settling_gain: f64,
+    /// Transmit frequency at the start of each frame, over that at its end, Hz: echoes turn by `2 pi` times this and their
+    /// delay, 0.06 rad at 3 m and 500 kHz. Default 0.
+    pub settling_frequency_hz: f64,
+    /// Time constant of all three, s. Default 0.01.
+    pub settling_time_s: f64,
+    /// Standard deviation of the time at which a chirp is sampled, s: echoes turn by `2 pi` times this and their beat frequency.
+    /// Default 0.
+    pub chirp_jitter_s: f64,
     /// Standard deviation of the leakage's amplitude from frame to frame, relative. Default 0.0005.
     pub leakage_jitter: f64,
     /// Typical change of the leakage's amplitude over ten seconds, relative. Default 0.003.
@@ -252,6 +288,9 @@ impl Default for Noise {
             flicker_lsb2_at_100khz: 0.37,
             flicker_exponent: 1.1,
             amplifier_flicker_corner_hz: 75e3,
+            spurs: 0,
+            spur_lsb: 1.0,
+            spur_phase: None,
             psd_lsb2: None,
         }
     }
@@ -278,6 +317,12 @@ impl Default for ClutterDrift {
             amplitude_jitter: 0.01,
             phase_step_rad: 0.0,
             phase_step_interval_s: 60.0,
+            gain_drift_per_10s: 0.0,
+            settling_phase_rad: 0.0,
+            settling_gain: 0.0,
+            settling_frequency_hz: 0.0,
+            settling_time_s: 0.01,
+            chirp_jitter_s: 0.0,
             leakage_jitter: 0.0005,
             leakage_drift_per_10s: 0.003,
         }
@@ -340,11 +385,19 @@ impl Receiver {
             ("flicker_lsb2_at_100khz", noise.flicker_lsb2_at_100khz, 0.0, 1e6),
             ("flicker_exponent", noise.flicker_exponent, 0.0, 3.0),
             ("amplifier_flicker_corner_hz", noise.amplifier_flicker_corner_hz, 0.0, 1e7),
+            ("spurs", noise.spurs as f64, 0.0, 32.0),
+            ("spur_lsb", noise.spur_lsb, 0.0, 1e3),
             ("phase_jitter_rad", clutter.phase_jitter_rad, 0.0, 10.0),
             ("phase_drift_rad_per_10s", clutter.phase_drift_rad_per_10s, 0.0, 100.0),
             ("amplitude_jitter", clutter.amplitude_jitter, 0.0, 1.0),
             ("phase_step_rad", clutter.phase_step_rad, 0.0, 10.0),
             ("phase_step_interval_s", clutter.phase_step_interval_s, 0.1, 1e6),
+            ("gain_drift_per_10s", clutter.gain_drift_per_10s, 0.0, 0.5),
+            ("settling_phase_rad", clutter.settling_phase_rad, -10.0, 10.0),
+            ("settling_gain", clutter.settling_gain, -1.0, 1.0),
+            ("settling_frequency_hz", clutter.settling_frequency_hz, -1e8, 1e8),
+            ("settling_time_s", clutter.settling_time_s, 1e-5, 10.0),
+            ("chirp_jitter_s", clutter.chirp_jitter_s, 0.0, 1e-7),
             ("leakage_jitter", clutter.leakage_jitter, 0.0, 1.0),
             ("leakage_drift_per_10s", clutter.leakage_drift_per_10s, 0.0, 1.0),
             ("dc_lsb_per_s", drift.dc_lsb_per_s, -1e3, 1e3),

@@ -3,10 +3,13 @@
 pub mod adc;
 pub mod budget;
 pub mod calibration;
+pub mod chirp_turn;
 mod file;
 pub mod noise;
 pub mod phase_noise;
+pub mod spurs;
 
 pub use file::{
-    Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, PhaseNoise, RECEIVER_FORMAT, Receiver, RxChannel, Transient,
+    Antenna, ClutterDrift, Leakage, Noise, OffsetDrift, PhaseNoise, RECEIVER_FORMAT, Receiver, RxChannel, SpurPhase,
+    Transient,
 };

@@ -2,13 +2,15 @@
 
 use std::path::Path;
 
-use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile};
+use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile};
 use super::material::Material;
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
 
 /// Tables of one kind (furniture, seats, beds, doors) at most: each takes memory for every image of the antennas.
 const MOST_TABLES: f64 = 1000.0;
+/// People with scripts or visits at most. Labels end at two, which means two or more.
+const MOST_PEOPLE: f64 = 8.0;
 /// Steps of one person's script at most.
 const MOST_STEPS: f64 = 10_000.0;
 
@@ -152,6 +154,7 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     }
     let tables = [
         ("furniture", file.furniture.len()),
+        ("sway", room.sway.len()),
         ("seat", file.seat.len()),
         ("bed", file.bed.len()),
         ("door", file.door.len()),
@@ -161,6 +164,12 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
     }
     within("azimuth_deg", radar.azimuth_deg, -360.0, 360.0, "degrees")?;
     within("tilt_down_deg", radar.tilt_down_deg, -90.0, 90.0, "degrees")?;
+    if let Some(VibrationFile { amplitude_m, frequency_hz, bandwidth }) = radar.vibration {
+        within("amplitude_m", amplitude_m, 0.0, 0.01, "m")?;
+        within("frequency_hz", frequency_hz, 0.01, 200.0, "Hz")?;
+        within("bandwidth", bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
+    }
+    room.sway.iter().try_for_each(|sway| check_sway(sway, size))?;
     for f in &file.furniture {
         let fits = (0..3)
             .all(|i| f.position_m[i] >= 0.0 && f.size_m[i] >= 0.0 && f.position_m[i] + f.size_m[i] <= size[i] + 1e-9);
@@ -200,6 +209,22 @@ pub(super) fn check(file: &SceneFile) -> Result<(), Fault> {
         within("width_m", door.width_m, 0.4, 10.0, "m")?;
     }
     check_people(file)
+}
+
+fn check_sway(sway: &SwayFile, size: [f64; 3]) -> Result<(), Fault> {
+    within("reflectors", sway.reflectors as f64, 0.0, 64.0, "reflectors")?;
+    within("probability", sway.probability, 0.0, 1.0, "(probability)")?;
+    within("cross_section_dbsm", sway.cross_section_dbsm, -200.0, 20.0, "dBsm")?;
+    within("spread_db", sway.spread_db, 0.0, 60.0, "dB")?;
+    interval("amplitude_m", sway.amplitude_m, 1e-7, 0.5, "m")?;
+    interval("frequency_hz", sway.frequency_hz, 0.01, 200.0, "Hz")?;
+    within("bandwidth", sway.bandwidth, 0.0, 1.0, "(standard deviation of the frequencies' logarithm)")?;
+    if let Some(position_m) = sway.position_m
+        && !position_m.iter().zip(size).all(|(&p, s)| p >= 0.0 && p <= s)
+    {
+        return fault("position_m", position_m, format!("a place in the room {size:?}"));
+    }
+    Ok(())
 }
 
 /// What goes with an actor's file, and what only with one.
@@ -258,7 +283,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("roughness_m", c.roughness_m, 0.0, 0.01, "m")?;
         within("fold_slope_deg", c.fold_slope_deg, 10.0, 60.0, "degrees")?;
     }
-    within("actor", people.actor.len() as f64, 0.0, 2.0, "people (the classes end at two)")?;
+    within("actor", people.actor.len() as f64, 0.0, MOST_PEOPLE, "people")?;
     for actor in &people.actor {
         within("height_m", actor.height_m.unwrap_or(1.75), 0.5, 2.5, "m")?;
         check_actor_file(people.body, actor)?;
@@ -342,7 +367,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         if file.door.is_empty() {
             return fault("visits", "without a door", "at least one [[door]] to come in by");
         }
-        within("max_people", v.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        within("max_people", v.max_people as f64, 0.0, MOST_PEOPLE, "people")?;
         interval("first_absence_s", v.first_absence_s, 0.0, 1e6, "s")?;
         interval("absence_s", v.absence_s, 0.1, 1e6, "s")?;
         interval("speed_m_per_s", v.speed_m_per_s, 0.05, 5.0, "m/s")?;
@@ -379,7 +404,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
     }
     if let Some(d) = &people.desk {
-        within("max_people", d.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+        within("max_people", d.max_people as f64, 0.0, 2.0, "people (a desk has places for two)")?;
         interval("distance_m", d.distance_m, 0.05, 20.0, "m")?;
         within("off_boresight_deg", d.off_boresight_deg, 0.0, 80.0, "degrees")?;
         within(

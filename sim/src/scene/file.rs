@@ -89,6 +89,9 @@ pub struct RoomFile {
     /// share: a room returns the more, and the longer, the harder its walls. Default 1, at most 16.
     #[serde(default = "one")]
     pub diffuse_bounces: u32,
+    /// Groups of small reflectors that sway. None if absent.
+    #[serde(default)]
+    pub sway: Vec<SwayFile>,
     /// Surface at x = 0.
     #[serde(default)]
     pub x_low: SurfaceFile,
@@ -118,6 +121,66 @@ pub struct SurfaceFile {
     /// Thickness, m. Default 0.1.
     #[serde(default = "tenth")]
     pub thickness_m: f64,
+}
+
+/// A group of small reflectors that move a little about where they are: cables, plants, curtains, fans, what stands on a desk
+/// ([`crate::sway`]). They are no people: a room in which only they move is empty.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SwayFile {
+    /// Reflectors. Default 4, at most 64; 0 for none.
+    pub reflectors: usize,
+    /// Probability that the group is there. Drawn for each seed. Default 1.
+    pub probability: f64,
+    /// Where each of them is drawn. Default "clutter".
+    pub at: SwayPlaceFile,
+    /// Where all of them are instead, m. Drawn by `at` if absent.
+    pub position_m: Option<[f64; 3]>,
+    /// Radar cross-section of each, dBsm: the middle of what is drawn. Default -45. At 3 m, -40 dBsm stands some 7 dB over noise
+    /// in a map of 64 chirps of 128 samples at 48 dB of IF gain.
+    pub cross_section_dbsm: f64,
+    /// How far a reflector's cross-section is from that at most, dB either way. Drawn for each. Default 10.
+    pub spread_db: f64,
+    /// Displacement along the line of sight, rms, m. Drawn for each, evenly in its logarithm. Default [0.0005, 0.01].
+    pub amplitude_m: [f64; 2],
+    /// Frequency of the motion, Hz. Drawn for each, evenly in its logarithm. Default [0.2, 2].
+    pub frequency_hz: [f64; 2],
+    /// How far the motion's frequencies spread about that: standard deviation of their natural logarithm. Default 0.3; 0 for a
+    /// single sinusoid, as of what turns or is driven by the mains.
+    pub bandwidth: f64,
+}
+
+impl Default for SwayFile {
+    fn default() -> Self {
+        SwayFile {
+            reflectors: 4,
+            probability: 1.0,
+            at: SwayPlaceFile::Clutter,
+            position_m: None,
+            cross_section_dbsm: -45.0,
+            spread_db: 10.0,
+            amplitude_m: [0.0005, 0.01],
+            frequency_hz: [0.2, 2.0],
+            bandwidth: 0.3,
+        }
+    }
+}
+
+/// Places at which swaying reflectors are drawn.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SwayPlaceFile {
+    /// On furniture, before a wall or beside the radar, by chance.
+    #[default]
+    Clutter,
+    /// On furniture; before a wall where there is none.
+    Furniture,
+    /// Up to 0.3 m before a wall, within 50 degrees of the boresight.
+    Walls,
+    /// Within 0.9 m of the radar: on the desk or shelf where it stands.
+    Radar,
+    /// Anywhere between the radar and the walls, within 50 degrees of the boresight.
+    Anywhere,
 }
 
 /// A mesh of the room: walls, furniture, or both.
@@ -155,6 +218,28 @@ pub struct RadarFile {
     /// Boresight below the horizon, degrees. Default 0.
     #[serde(default)]
     pub tilt_down_deg: f64,
+    /// Vibration of what the radar is mounted on. None if absent.
+    #[serde(default)]
+    pub vibration: Option<VibrationFile>,
+}
+
+/// Vibration of the radar along its boresight. All echoes share the phase of an echo on boresight; leakage has none.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VibrationFile {
+    /// Displacement, rms, m. Default 0; 5e-6 to 2e-4 is usual on desks and walls of light boards.
+    pub amplitude_m: f64,
+    /// Frequency, Hz. Default 10.
+    pub frequency_hz: f64,
+    /// How far the frequencies spread about that: standard deviation of their natural logarithm; 0 for a single sinusoid.
+    /// Default 0.3.
+    pub bandwidth: f64,
+}
+
+impl Default for VibrationFile {
+    fn default() -> Self {
+        VibrationFile { amplitude_m: 0.0, frequency_hz: 10.0, bandwidth: 0.3 }
+    }
 }
 
 /// A static box, reduced to scattering points on the faces that the radar sees: their places and phases are drawn from the
@@ -247,6 +332,18 @@ pub enum BodyFile {
     Mesh,
 }
 
+/// Model of the shadows that people throw on static echoes.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ShadowFile {
+    /// One edge weakens them, without phase, at a few times of a frame: [`crate::shadow::past`].
+    #[default]
+    Edge,
+    /// Both sides and the top of the body diffract them, in amplitude and phase, at every chirp:
+    /// [`crate::shadow::past_strip`]. Static echoes flicker at their own ranges, with the Doppler of the diffracted wave.
+    Strip,
+}
+
 /// Who comes, and what they do: exactly one of the three programs.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -280,6 +377,9 @@ pub struct PeopleFile {
     /// What people wear, as fields over the body. If absent, each segment has one factor (-4 to 2 dB) and is smooth.
     #[serde(default)]
     pub clothing: Option<ClothingFile>,
+    /// Model of the shadows on static echoes: "edge" or "strip". Default "edge".
+    #[serde(default)]
+    pub shadow: ShadowFile,
 }
 
 /// Cloth and folds ([`crate::actor::clothing`]), drawn for each person.
@@ -387,7 +487,7 @@ pub struct StepFile {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct VisitsFile {
-    /// Slots: the most people at a time. Default 2.
+    /// Slots: the most people at a time. Default 2; of three or more labels say "two", which means two or more.
     pub max_people: usize,
     /// Before the first visit of a slot, s. Default [1.5, 5].
     pub first_absence_s: [f64; 2],

@@ -25,7 +25,7 @@ use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
-use super::unit::{self, Interrupted};
+use super::unit::Interrupted;
 use crate::source::{self, SourceOptions};
 use crate::{files, labels, output};
 use follow::Look;
@@ -172,7 +172,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             SourceEvent::Frame => {
                 let by_count = arguments.people.and_then(|n| radome_dsp::Occupancy::from_index(usize::from(n)));
                 let by_count = by_count.map(|occupancy| Truth { occupancy, transition: false });
-                let truth = unit::by_span(&spans, &frame, &waveform).or(frame.truth).or(by_count);
+                let truth = labels::by_span(&spans, &frame, &waveform).or(frame.truth).or(by_count);
                 let of = Taken { sequence: frame.sequence, time_ns: frame.time_ns, after_gap, truth };
                 after_gap = false;
                 watcher.take(&frame)?;

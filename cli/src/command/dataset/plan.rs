@@ -126,8 +126,9 @@ struct List<'a> {
 impl List<'_> {
     fn check_waveform(&mut self, name: &str, waveform: &radome_dsp::Waveform) -> anyhow::Result<()> {
         match &self.header {
-            Some((first, header)) => waveform
-                .check_compatible(&header.waveform)
+            Some((first, header)) => header
+                .rdm_spec
+                .check_compatible(waveform, &header.waveform)
                 .with_context(|| format!("{name} and {first}: sources of one dataset must agree")),
             None => {
                 self.header = Some((name.to_owned(), DatasetHeader::new(waveform.clone(), self.spec.map)?));

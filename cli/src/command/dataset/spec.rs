@@ -125,7 +125,7 @@ pub enum FolderLabel {
     Empty,
     /// One person, throughout.
     One,
-    /// Two people, throughout.
+    /// Two people or more, throughout.
     Two,
     /// What their own labels say.
     Spans,

@@ -5,9 +5,9 @@ use std::path::Path;
 use anyhow::Context;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
-use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
+use radome_driver::recording::span_check::check_spans;
 use radome_dsp::rdm::{SlowTime, StaticRemoval};
-use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
@@ -45,7 +45,7 @@ pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::
         }
         UnitSource::Recording { path, label, label_file } => {
             let mut recording = Recording::open(path)?;
-            // A recording's own axes may differ from the first's within what counts as the same.
+            // A recording's own axes may differ from the first's within what counts as the same; on physical axes its waveform may.
             let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, recording.waveform(), plan.kernel)?;
             let spans = match (label, label_file) {
                 (Some(_), _) => Vec::new(),
@@ -148,7 +148,7 @@ fn recording(
                 if processor.process(&frame, &mut map)? != MapStatus::Ready {
                     continue;
                 }
-                match fixed.or_else(|| by_span(spans, &frame, &waveform)).or(frame.truth) {
+                match fixed.or_else(|| labels::by_span(spans, &frame, &waveform)).or(frame.truth) {
                     Some(truth) => sink.offer(&map, truth)?,
                     None => unlabelled += 1,
                 }
@@ -160,18 +160,4 @@ fn recording(
         eprintln!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);
     }
     Ok(())
-}
-
-/// What labels say of a frame: the class at its first chirp, and whether it is another at its last.
-pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
-    let at = |time_s: f64| {
-        let holds = |span: &&LabelSpan| {
-            span.occupancy().is_some() && span.start_s <= time_s + ROUNDING_S && time_s + ROUNDING_S < span.end_s
-        };
-        spans.iter().find(holds)?.occupancy()
-    };
-    let first_s = frame.time_s();
-    let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
-    let occupancy = at(first_s)?;
-    Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
 }

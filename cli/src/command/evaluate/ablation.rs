@@ -1,7 +1,5 @@
 //! Recalls with parts of the maps replaced by noise: what a model goes by.
 
-use std::path::Path;
-
 use anyhow::{Context, bail};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::ablation::{Ablation, AblationScores, ablate};
@@ -9,6 +7,7 @@ use radome_models::dataset::Dataset;
 use radome_models::{Classifier, Metrics};
 use serde::Serialize;
 
+use super::labelled::LabelledRecording;
 use crate::judge::{CFAR, Model, Verdict};
 use crate::output;
 
@@ -24,12 +23,13 @@ pub struct Row {
     confusion: [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()],
 }
 
-/// Scores of a network over the frames of recordings, each by itself; and the network again.
-pub fn on_recordings(mut model: Model, recordings: &[(&Path, Occupancy)]) -> anyhow::Result<(Model, Vec<Row>)> {
+/// Scores of a network over the labelled frames of recordings, each by itself; and the network again.
+pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> anyhow::Result<(Model, Vec<Row>)> {
     let Model::Network(classifier) = &model else { bail!("{CFAR} has no maps of which parts can be replaced") };
     let mut scores = AblationScores::new(classifier.card());
     let bar = output::progress(recordings.len() as u64, "ablation");
-    for &(path, label) in recordings {
+    for recording in recordings {
+        let path = &recording.path;
         let mut source = radome_driver::recording::open(path)?;
         let mut frame = Frame::zeroed(source.waveform().shape());
         let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
@@ -38,7 +38,10 @@ pub fn on_recordings(mut model: Model, recordings: &[(&Path, Occupancy)]) -> any
                 SourceEvent::End => break,
                 SourceEvent::Gap(_) => judge.reset(),
                 SourceEvent::Frame => {
-                    if let Verdict::Probabilities(_) = judge.frame(&frame)? {
+                    let verdict = judge.frame(&frame)?;
+                    if let (Verdict::Probabilities(_), Some(label)) =
+                        (verdict, recording.truth(&frame, source.waveform()))
+                    {
                         let map = judge.map().clone();
                         if let Some(classifier) = judge.classifier() {
                             scores.add(&map, label, |map| classifier.classify(map))?;

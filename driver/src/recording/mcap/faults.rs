@@ -152,6 +152,58 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
     }
 }
 
+/// Frames of a recording whose index of chunks goes to the disk while it is made, and has several blocks when it is finished.
+const MANY: u64 = 1600;
+
+/// Records each frame as a chunk; gives the number of frames that were taken, the outcome and all operations.
+fn record_chunks(folder: &Path, plan: Plan) -> (u64, Result<RecordingSummary, RecordingError>, Vec<Change>) {
+    let watched = Trial::start(folder, plan);
+    let mut source = Pattern { frames: MANY, ..pattern() };
+    let header = RecordingHeader::new(source.waveform.clone());
+    let mut recorder = Recorder::create(&folder.join("a.mcap"), &header).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform.shape());
+    let mut taken = 0;
+    let outcome = loop {
+        if source.next_frame(&mut frame).expect("frame") != SourceEvent::Frame {
+            break recorder.finish();
+        }
+        if let Err(error) = recorder.frame(&frame).and_then(|()| recorder.flush()) {
+            break Err(error);
+        }
+        taken += 1;
+    };
+    (taken, outcome, watched.changes())
+}
+
+#[test]
+fn an_index_of_chunks_that_the_disk_refuses_is_said_and_costs_no_frame() {
+    let made = folder();
+    let (_, outcome, changes) = record_chunks(made.path(), Plan::Work);
+    outcome.expect("records");
+    assert_eq!(readable(&made.path().join("a.mcap")), MANY);
+    let recording = std::fs::metadata(made.path().join("a.mcap")).expect("there").ino();
+    let writes = |is_index: bool| {
+        let changes = changes.iter().enumerate();
+        changes.filter(move |(_, c)| matches!(c, Change::Write { inode, .. } if (*inode != recording) == is_index))
+    };
+    // The first entries that leave memory; then the blocks of the summary and the footer.
+    let (first, _) = writes(true).next().expect("the index goes to the disk");
+    let last: Vec<usize> = writes(false).map(|(number, _)| number).collect();
+    let last = last.split_at(last.len() - 4).1;
+    for number in [first].iter().chain(last) {
+        for (plan, code) in [(Plan::Fail(*number), 5), (Plan::Full(*number), 28)] {
+            let folder = folder();
+            let path = folder.path().join("a.mcap");
+            let (taken, outcome, _) = record_chunks(folder.path(), plan);
+            assert_says(&outcome.expect_err("refused"), folder.path(), code);
+            assert_eq!(readable(&path), (taken + 1).min(MANY), "operation {number}");
+            assert!(!McapReader::open(&path).expect("opens").is_complete(), "operation {number}");
+            let report = repair(&path, &folder.path().join("b.mcap")).expect("repairs");
+            assert_eq!(report.frames, (taken + 1).min(MANY), "operation {number}");
+        }
+    }
+}
+
 #[test]
 fn labels_of_a_finished_recording_survive_whatever_fails() {
     for (plan, code) in [(Plan::Fail as fn(usize) -> Plan, 5), (Plan::Full as fn(usize) -> Plan, 28)] {

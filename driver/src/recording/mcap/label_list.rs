@@ -1,13 +1,13 @@
 //! All labels of a finished recording anew, without touching its frames: a chunk with the whole list goes where the data ended, in
 //! place of such a chunk that is there, and the summary behind it. The recording does not grow by that.
 
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use mcap::records::{ChunkIndex, Record, Statistics, op};
+use mcap::records::{MessageHeader, Record, Statistics, op};
 
+use super::encode::{Chunk, SummaryLayout, chunk_index_body, record, statistics_body};
 use super::index::summary_start;
 use super::lengths::parse_record;
 use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, topic};
@@ -137,8 +137,7 @@ fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     let end = end.ok_or_else(no_summary)?;
     let mut data_end = [0; RECORD_HEADER as usize];
     records.peek(end, &mut data_end)?;
-    // Before anything is set aside for it: a footer may lie.
-    if data_end != [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0] || length - end > MAX_RECORD {
+    if data_end != [op::DATA_END, 4, 0, 0, 0, 0, 0, 0, 0] {
         return Err(records.corrupt(end, "no end of the data where the summary starts".into()));
     }
     Ok(end)
@@ -147,6 +146,11 @@ fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
 /// The end of a recording with these labels, from its last frames on.
 fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, RecordingError> {
     let (end, length) = (data_end(records)?, records.length);
+    // Before memory is set aside for it: a footer may lie.
+    if length - end > MAX_RECORD {
+        let reason = format!("a summary of {} bytes, expected at most {MAX_RECORD} where labels change", length - end);
+        return Err(records.corrupt(end, reason));
+    }
     let mut bytes = vec![0; usize::try_from(length - end).unwrap_or(0)];
     records.peek(end, &mut bytes)?;
     let summary = bytes.len().checked_sub(FOOTER_BYTES as usize);
@@ -238,115 +242,63 @@ impl<'a> Summary<'a> {
     fn with_labels(self, end: u64, json: &[u8]) -> std::io::Result<Vec<u8>> {
         let (id, channel) = self.channel;
         let time = self.statistics.message_end_time;
-        let mut content = Vec::new();
-        record(&mut content, op::CHANNEL, channel);
-        let message_at = content.len() as u64;
-        // Channel, number within it, both times.
-        let head = [&id.to_le_bytes()[..], &0u32.to_le_bytes(), &time.to_le_bytes(), &time.to_le_bytes()].concat();
-        record(&mut content, op::MESSAGE, &[head.as_slice(), json].concat());
-        let packed = zstd::encode_all(content.as_slice(), 1)?;
-
+        let mut chunk = Chunk::new()?;
+        chunk.record(op::CHANNEL, &[channel])?;
+        chunk.message(&MessageHeader { channel_id: id, sequence: 0, log_time: time, publish_time: time }, json)?;
         let mut tail = Vec::new();
-        let (crc, sizes) = (crc32fast::hash(&content), (packed.len() as u64, content.len() as u64));
-        let mut chunk = [time.to_le_bytes(), time.to_le_bytes(), sizes.1.to_le_bytes()].concat();
-        chunk.extend(crc.to_le_bytes());
-        string(&mut chunk, "zstd");
-        chunk.extend(sizes.0.to_le_bytes());
-        chunk.extend(&packed);
-        record(&mut tail, op::CHUNK, &chunk);
-        let chunk_length = tail.len() as u64;
-        let index = [&id.to_le_bytes()[..], &16u32.to_le_bytes(), &time.to_le_bytes(), &message_at.to_le_bytes()];
-        record(&mut tail, op::MESSAGE_INDEX, &index.concat());
-        let chunk_index = ChunkIndex {
-            message_start_time: time,
-            message_end_time: time,
-            chunk_start_offset: end,
-            chunk_length,
-            message_index_offsets: BTreeMap::from([(id, end + chunk_length)]),
-            message_index_length: tail.len() as u64 - chunk_length,
-            compression: "zstd".to_owned(),
-            compressed_size: sizes.0,
-            uncompressed_size: sizes.1,
-        };
+        let new_index = chunk_index_body(&chunk.finish(&mut tail, end)?);
         // No CRC over data that were not read.
         record(&mut tail, op::DATA_END, &[0; 4]);
 
-        let summary_start = end + tail.len() as u64;
         let mut statistics = self.statistics;
         statistics.message_count += 1;
         statistics.chunk_count += 1;
         *statistics.channel_message_counts.entry(id).or_default() += 1;
         let statistics = statistics_body(&statistics);
-        let new_index = chunk_index_body(&chunk_index);
         // Behind the last of its kind, or behind everything.
         let last = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX);
         let place = last.map_or(self.records.len(), |last| last + 1);
         let (before, after) = self.records.split_at(place);
         let all = before.iter().copied().chain([(op::CHUNK_INDEX, new_index.as_slice())]).chain(after.iter().copied());
-        let mut groups: Vec<(u8, u64, u64)> = Vec::new();
+        let mut summary = SummaryLayout::new(end + tail.len() as u64);
         for (opcode, body) in all {
-            let at = end + tail.len() as u64;
-            record(&mut tail, opcode, if opcode == op::STATISTICS { &statistics } else { body });
-            let length = end + tail.len() as u64 - at;
-            match groups.last_mut().filter(|group| group.0 == opcode) {
-                Some(group) => group.2 += length,
-                None => groups.push((opcode, at, length)),
-            }
+            summary.record(&mut tail, opcode, if opcode == op::STATISTICS { &statistics } else { body });
         }
-        let offsets_start = end + tail.len() as u64;
-        for (opcode, start, length) in groups {
-            let body = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();
-            record(&mut tail, op::SUMMARY_OFFSET, &body);
-        }
-        let footer = [&summary_start.to_le_bytes()[..], &offsets_start.to_le_bytes(), &[0; 4]].concat();
-        record(&mut tail, op::FOOTER, &footer);
-        tail.extend(mcap::MAGIC);
+        let footer = summary.finish(&mut tail);
+        tail.extend(footer);
         Ok(tail)
     }
 }
 
-fn record(out: &mut Vec<u8>, opcode: u8, body: &[u8]) {
-    out.push(opcode);
-    out.extend((body.len() as u64).to_le_bytes());
-    out.extend(body);
-}
+#[cfg(test)]
+mod tests {
+    use std::io::{Seek, SeekFrom, Write};
 
-fn string(out: &mut Vec<u8>, text: &str) {
-    out.extend((text.len() as u32).to_le_bytes());
-    out.extend(text.as_bytes());
-}
+    use radome_dsp::{Waveform, WaveformRequest};
 
-fn map(out: &mut Vec<u8>, entries: &BTreeMap<u16, u64>) {
-    out.extend((10 * entries.len() as u32).to_le_bytes());
-    for (key, value) in entries {
-        out.extend(key.to_le_bytes());
-        out.extend(value.to_le_bytes());
+    use super::*;
+    use crate::recording::mcap::{Recorder, RecordingHeader};
+
+    /// A recording of months has such a summary; here it is a hole in a file.
+    #[test]
+    fn labels_of_a_recording_with_a_huge_summary_stay_beside_it() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("possible");
+        Recorder::create(&path, &RecordingHeader::new(waveform)).and_then(Recorder::finish).expect("records");
+        let bytes = std::fs::read(&path).expect("reads");
+        let footer = bytes.split_at(bytes.len() - FOOTER_BYTES as usize).1;
+        let mut file = File::options().write(true).open(&path).expect("opens");
+        file.seek(SeekFrom::Start(bytes.len() as u64 + MAX_RECORD)).expect("seeks");
+        file.write_all(footer).expect("writes");
+
+        let editor = LabelEditor::open(&path).expect("opens");
+        editor.settle().expect("there is nothing to settle");
+        let labels = [LabelSpan::new(0.0, 1.0, "one")];
+        editor.stage(&labels).expect("stages");
+        assert_eq!(editor.labels().expect("labels"), labels);
+        let error = editor.settle().expect_err("refused").to_string();
+        assert!(error.contains("a.mcap") && error.contains("a summary of"), "{error}");
+        assert_eq!(editor.labels().expect("labels"), labels);
     }
-}
-
-fn statistics_body(statistics: &Statistics) -> Vec<u8> {
-    let mut out = statistics.message_count.to_le_bytes().to_vec();
-    out.extend(statistics.schema_count.to_le_bytes());
-    for count in
-        [statistics.channel_count, statistics.attachment_count, statistics.metadata_count, statistics.chunk_count]
-    {
-        out.extend(count.to_le_bytes());
-    }
-    out.extend(statistics.message_start_time.to_le_bytes());
-    out.extend(statistics.message_end_time.to_le_bytes());
-    map(&mut out, &statistics.channel_message_counts);
-    out
-}
-
-fn chunk_index_body(index: &ChunkIndex) -> Vec<u8> {
-    let mut out = Vec::new();
-    for number in [index.message_start_time, index.message_end_time, index.chunk_start_offset, index.chunk_length] {
-        out.extend(number.to_le_bytes());
-    }
-    map(&mut out, &index.message_index_offsets);
-    out.extend(index.message_index_length.to_le_bytes());
-    string(&mut out, &index.compression);
-    out.extend(index.compressed_size.to_le_bytes());
-    out.extend(index.uncompressed_size.to_le_bytes());
-    out
 }

@@ -2,14 +2,18 @@
 
 use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use mcap::records::{MessageHeader, Metadata, op};
-use mcap::{Compression, McapError, WriteOptions, Writer};
+use crc32fast::Hasher;
+use mcap::records::{MessageHeader, Statistics, op};
 use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
 
+use super::chunk_indexes::ChunkIndexes;
+use super::encode::{
+    Chunk, SummaryLayout, channel_body, header_body, metadata_body, metadata_index_body, record, schema_body,
+    statistics_body,
+};
 use super::syncer::{Failure, SyncOptions, Syncer};
 use super::{
     FORMAT_VERSION, FRAMES, FrameResult, GAPS, LABELS, LabelSpan, METADATA_NAME, RESULTS, RecordingHeader,
@@ -27,8 +31,18 @@ const CHUNK_NS: u64 = 1_000_000_000;
 /// Results are written as a chunk when there are so many, or with the frames' next chunk.
 const RESULTS_OF_A_CHUNK: usize = 4096;
 
-/// Footer record and magic.
-const FOOTER_BYTES: usize = 9 + 20 + 8;
+/// A summary is written when so much of it is ready, bytes.
+const SUMMARY_BLOCK_BYTES: usize = 1 << 16;
+
+/// Name of the encoding of frames, and of its schema.
+const FRAME_ENCODING: &str = "radome.frame";
+/// Number of that schema.
+const FRAME_SCHEMA: u16 = 1;
+/// Numbers of the channels.
+const FRAME_CHANNEL: u16 = 1;
+const GAP_CHANNEL: u16 = 2;
+const LABEL_CHANNEL: u16 = 3;
+const RESULT_CHANNEL: u16 = 4;
 
 /// What a recording holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -67,6 +81,8 @@ impl Default for RecorderOptions {
 /// unfinished. However its process ends, every frame older than a second before the last one given to it can be read: a
 /// chunk is complete on its way to the disk before it spans more. With [`SyncOptions`] that holds for a power cut too.
 ///
+/// Memory does not grow with the recording.
+///
 /// After an error every further call gives that same error.
 pub struct Recorder {
     path: PathBuf,
@@ -75,15 +91,24 @@ pub struct Recorder {
     _lock: Option<Locked>,
     /// Whether labels that are staged beside the file are its own.
     takes_labels: bool,
-    /// Taken when finished.
-    writer: Option<Writer<Pending>>,
-    pending: Pending,
+    /// Schema and channels, opcode and body: they stand in the first chunk and in the summary.
+    definitions: Vec<(u8, Vec<u8>)>,
+    /// Body of the record of the summary that says where the metadata are.
+    metadata_index: Vec<u8>,
+    /// Chunk that waits for more messages.
+    chunk: Chunk,
+    chunk_indexes: ChunkIndexes,
+    statistics: Statistics,
+    /// Bytes that are not in the file yet.
+    pending: Vec<u8>,
     /// Length of the file, bytes.
     end: u64,
+    /// CRC of the file.
+    crc: Hasher,
     syncer: Option<Syncer>,
     failure: Option<Failure>,
     shape: FrameShape,
-    channels: Vec<u16>,
+    takes_results: bool,
     /// Results that wait for a chunk of their own.
     waiting: Vec<FrameResult>,
     buffer: Vec<u8>,
@@ -97,51 +122,18 @@ pub struct Recorder {
     message: u32,
 }
 
-/// Bytes that the format's library has written and that are not in the file yet. Writing here cannot fail, so that the first error
-/// is the disk's and not one that the library makes of it.
-#[derive(Clone, Default)]
-struct Pending(Arc<Mutex<Bytes>>);
-
-#[derive(Default)]
-struct Bytes {
-    /// Offset in the file.
-    start: u64,
-    bytes: Vec<u8>,
-}
-
-impl Pending {
-    fn get(&self) -> MutexGuard<'_, Bytes> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+/// The schema and the channels of a recording, opcode and body.
+fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
+    let mut definitions = vec![
+        (op::SCHEMA, schema_body(FRAME_SCHEMA, FRAME_ENCODING)),
+        (op::CHANNEL, channel_body(FRAME_CHANNEL, FRAME_SCHEMA, FRAMES, FRAME_ENCODING)),
+        (op::CHANNEL, channel_body(GAP_CHANNEL, 0, GAPS, "json")),
+        (op::CHANNEL, channel_body(LABEL_CHANNEL, 0, LABELS, "json")),
+    ];
+    if takes_results {
+        definitions.push((op::CHANNEL, channel_body(RESULT_CHANNEL, 0, RESULTS, "json")));
     }
-}
-
-impl Write for Pending {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.get().bytes.extend_from_slice(bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
-impl Seek for Pending {
-    /// Tells the position alone: the library does not go back.
-    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
-        let pending = self.get();
-        match to {
-            SeekFrom::Current(0) => Ok(pending.start + pending.bytes.len() as u64),
-            _ => Err(io::ErrorKind::Unsupported.into()),
-        }
-    }
-}
-
-fn io_error(error: McapError) -> io::Error {
-    match error {
-        McapError::Io(source) => source,
-        other => io::Error::other(other),
-    }
+    definitions
 }
 
 impl Recorder {
@@ -186,20 +178,6 @@ impl Recorder {
         sync: Option<SyncOptions>,
     ) -> Result<Self, RecordingError> {
         let cannot = |source| RecordingError::Io { path: path.to_owned(), what: "cannot be written", source };
-        let pending = Pending::default();
-        let mut writer = WriteOptions::new()
-            // Whole chunks at our word only: that is what survives a crash, and what makes bytes reproducible.
-            .disable_seeking(true)
-            .chunk_size(None)
-            .compression(Some(Compression::Zstd))
-            .compression_level(1)
-            .compression_threads(0)
-            // The summary is put into order afterwards, see `sort_channels`.
-            .calculate_summary_section_crc(false)
-            .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
-            .create(pending.clone())
-            .map_err(|e| cannot(io_error(e)))?;
-
         let json = |value: serde_json::Result<String>| value.map_err(|e| cannot(io::Error::other(e)));
         let mut metadata = BTreeMap::from([
             ("format_version".to_owned(), FORMAT_VERSION.to_string()),
@@ -210,35 +188,41 @@ impl Recorder {
         if let Some(judge) = &header.judge {
             metadata.insert("judge".to_owned(), json(serde_json::to_string(judge))?);
         }
-        let begin = || -> mcap::McapResult<Vec<u16>> {
-            writer.write_metadata(&Metadata { name: METADATA_NAME.to_owned(), metadata })?;
-            let schema = writer.add_schema("radome.frame", "", &[])?;
-            let none = BTreeMap::new();
-            let mut channels = vec![
-                writer.add_channel(schema, FRAMES, "radome.frame", &none)?,
-                writer.add_channel(0, GAPS, "json", &none)?,
-                writer.add_channel(0, LABELS, "json", &none)?,
-            ];
-            if header.judge.is_some() {
-                channels.push(writer.add_channel(0, RESULTS, "json", &none)?);
-            }
-            writer.flush()?;
-            Ok(channels)
-        };
-        let channels = begin().map_err(|e| cannot(io_error(e)))?;
+        let mut pending = mcap::MAGIC.to_vec();
+        record(&mut pending, op::HEADER, &header_body(concat!("radome ", env!("CARGO_PKG_VERSION"))));
+        let metadata_start = pending.len();
+        record(&mut pending, op::METADATA, &metadata_body(METADATA_NAME, &metadata));
+        let metadata_bytes = (pending.len() - metadata_start) as u64;
+        let takes_results = header.judge.is_some();
+        let definitions = definitions(takes_results);
+        let mut chunk = Chunk::new().map_err(cannot)?;
+        for (opcode, body) in &definitions {
+            chunk.record(*opcode, &[body.as_slice()]).map_err(cannot)?;
+        }
+        let chunk_indexes = ChunkIndexes::create(&file, path).map_err(cannot)?;
         let syncer = sync.map(|options| Syncer::start(file.try_clone()?, path.to_owned(), options)).transpose();
         let mut recorder = Recorder {
             path: path.to_owned(),
             file,
             _lock: None,
             takes_labels: false,
-            writer: Some(writer),
+            metadata_index: metadata_index_body(metadata_start as u64, metadata_bytes, METADATA_NAME),
+            chunk,
+            chunk_indexes,
+            statistics: Statistics {
+                schema_count: 1,
+                channel_count: definitions.len() as u32 - 1,
+                metadata_count: 1,
+                ..Statistics::default()
+            },
+            definitions,
             pending,
             end: 0,
+            crc: Hasher::new(),
             syncer: syncer.map_err(cannot)?,
             failure: None,
             shape: header.waveform.shape(),
-            channels,
+            takes_results,
             waiting: Vec::new(),
             buffer: Vec::new(),
             chunk_bytes: 0,
@@ -248,7 +232,7 @@ impl Recorder {
             summary: RecordingSummary::default(),
             message: 0,
         };
-        recorder.write_out("cannot be written")?;
+        recorder.end_chunk()?;
         Ok(recorder)
     }
 
@@ -268,23 +252,16 @@ impl Recorder {
         }
     }
 
-    /// Writes what the library has made ready to the file, at once.
+    /// Writes the bytes that are pending to the file, at once.
     fn write_out(&mut self, what: &'static str) -> Result<(), RecordingError> {
-        let written = {
-            let mut pending = self.pending.get();
-            let written = disk::append(&self.file, &self.path, self.end, &pending.bytes);
-            if written.is_ok() {
-                self.end += pending.bytes.len() as u64;
-                pending.start = self.end;
-                pending.bytes.clear();
-            }
-            written
-        };
-        if let Err(source) = written {
+        if let Err(source) = disk::append(&self.file, &self.path, self.end, &self.pending) {
             // A chunk that is cut short is of no use. Where the disk does not even take this, readers pass over it.
             let _ = disk::set_length(&self.file, &self.path, self.end);
             return Err(self.fail(Failure::io(what, &source)));
         }
+        self.crc.update(&self.pending);
+        self.end += self.pending.len() as u64;
+        self.pending.clear();
         if let Some(syncer) = &self.syncer {
             syncer.request();
         }
@@ -300,22 +277,32 @@ impl Recorder {
         synced.map_err(|failure| self.fail(failure))
     }
 
-    fn write(&mut self, channel: usize, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
+    fn write(&mut self, channel_id: u16, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
         self.check()?;
+        // Frames end their chunk before: this is for a source that has gaps alone.
+        if self.chunk_bytes >= CHUNK_BYTES {
+            self.end_chunk()?;
+        }
         let (log_time, publish_time) = times.unwrap_or((self.last_time_ns, self.last_time_ns));
         self.last_time_ns = log_time;
-        let channel_id = self.channels.get(channel).copied().unwrap_or(0);
         let header = MessageHeader { channel_id, sequence: self.message, log_time, publish_time };
         self.message = self.message.wrapping_add(1);
         self.chunk_bytes += data.len();
-        let Some(writer) = &mut self.writer else { return Ok(()) };
-        let written = writer.write_to_known_channel(&header, data);
-        written.map_err(|e| self.fail(Failure::io("cannot be written", &io_error(e))))
+        let statistics = &mut self.statistics;
+        if statistics.message_count == 0 {
+            (statistics.message_start_time, statistics.message_end_time) = (log_time, log_time);
+        }
+        statistics.message_start_time = statistics.message_start_time.min(log_time);
+        statistics.message_end_time = statistics.message_end_time.max(log_time);
+        statistics.message_count += 1;
+        *statistics.channel_message_counts.entry(channel_id).or_default() += 1;
+        let written = self.chunk.message(&header, data);
+        written.map_err(|e| self.fail(Failure::io("cannot be written", &e)))
     }
 
-    fn write_json(&mut self, channel: usize, value: &impl serde::Serialize) -> Result<(), RecordingError> {
+    fn write_json(&mut self, channel_id: u16, value: &impl serde::Serialize) -> Result<(), RecordingError> {
         match serde_json::to_vec(value) {
-            Ok(json) => self.write(channel, None, &json),
+            Ok(json) => self.write(channel_id, None, &json),
             Err(error) => Err(self.fail(Failure::io("cannot be written", &error.into()))),
         }
     }
@@ -332,14 +319,20 @@ impl Recorder {
     }
 
     fn end_chunk(&mut self) -> Result<(), RecordingError> {
-        if std::mem::take(&mut self.chunk_bytes) == 0 {
+        const WHAT: &str = "cannot be written";
+        if self.chunk.is_empty() {
             return Ok(());
         }
-        let Some(writer) = &mut self.writer else { return Ok(()) };
-        if let Err(error) = writer.flush() {
-            return Err(self.fail(Failure::io("cannot be written", &io_error(error))));
-        }
-        self.write_out("cannot be written")
+        self.chunk_bytes = 0;
+        let ended = Chunk::new().and_then(|next| {
+            let chunk = std::mem::replace(&mut self.chunk, next);
+            chunk.finish(&mut self.pending, self.end)
+        });
+        let index = ended.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
+        self.write_out(WHAT)?;
+        self.statistics.chunk_count += 1;
+        let noted = self.chunk_indexes.push(&index);
+        noted.map_err(|e| self.fail(Failure::io(WHAT, &e)))
     }
 
     /// Writes the results that wait, as a chunk of their own. Frames must not be waiting.
@@ -355,7 +348,7 @@ impl Recorder {
                 return Err(self.fail(Failure::io("cannot be written", &error.into())));
             }
             let log_time = if result.host_time_ns > 0 { result.host_time_ns } else { result.time_ns };
-            self.write(3, Some((log_time, result.time_ns)), &json)?;
+            self.write(RESULT_CHANNEL, Some((log_time, result.time_ns)), &json)?;
         }
         self.buffer = json;
         self.last_time_ns = last_time_ns;
@@ -391,7 +384,7 @@ impl Recorder {
         let mut buffer = std::mem::take(&mut self.buffer);
         encode_frame(frame, &mut buffer);
         let log_time = if frame.host_time_ns > 0 { frame.host_time_ns } else { frame.time_ns };
-        let result = self.write(0, Some((log_time, frame.time_ns)), &buffer);
+        let result = self.write(FRAME_CHANNEL, Some((log_time, frame.time_ns)), &buffer);
         self.buffer = buffer;
         result?;
         self.summary.frames += 1;
@@ -404,7 +397,7 @@ impl Recorder {
     /// # Errors
     /// The recording's first error.
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
-        self.write_json(1, gap)?;
+        self.write_json(GAP_CHANNEL, gap)?;
         self.summary.gaps += 1;
         self.summary.frames_lost = self.summary.frames_lost.saturating_add(gap.frames);
         Ok(())
@@ -416,7 +409,7 @@ impl Recorder {
     /// # Errors
     /// The recording's first error.
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
-        self.write_json(2, label)?;
+        self.write_json(LABEL_CHANNEL, label)?;
         self.summary.labels += 1;
         Ok(())
     }
@@ -426,7 +419,7 @@ impl Recorder {
     /// # Errors
     /// The recording's first error.
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
-        if self.channels.len() < 4 {
+        if !self.takes_results {
             let source = io::Error::other("a result in a recording that names no judge");
             return Err(self.fail(Failure::io("cannot be written", &source)));
         }
@@ -446,7 +439,7 @@ impl Recorder {
         match staged::read(&self.path) {
             Ok(None) => Ok(false),
             Ok(Some(staged)) => {
-                self.write_json(2, &staged.labels)?;
+                self.write_json(LABEL_CHANNEL, &staged.labels)?;
                 self.summary.labels = staged.labels.len() as u64;
                 self.end_chunk()?;
                 Ok(true)
@@ -458,6 +451,34 @@ impl Recorder {
         }
     }
 
+    /// Ends the data and writes the summary, block by block. Returns the end of the file, which says that all is there.
+    fn write_summary(&mut self) -> Result<Vec<u8>, RecordingError> {
+        const WHAT: &str = "cannot be finished";
+        let rewound = self.chunk_indexes.rewind();
+        rewound.map_err(|e| self.fail(Failure::io(WHAT, &e)))?;
+        let data_crc = self.crc.clone().finalize();
+        record(&mut self.pending, op::DATA_END, &data_crc.to_le_bytes());
+        let mut summary = SummaryLayout::new(self.end + self.pending.len() as u64);
+        for (opcode, body) in &self.definitions {
+            summary.record(&mut self.pending, *opcode, body);
+        }
+        summary.record(&mut self.pending, op::STATISTICS, &statistics_body(&self.statistics));
+        loop {
+            let read = self.chunk_indexes.read(&mut self.pending);
+            match read.map_err(|e| self.fail(Failure::io(WHAT, &e)))? {
+                0 => break,
+                bytes => summary.add(op::CHUNK_INDEX, bytes),
+            }
+            if self.pending.len() >= SUMMARY_BLOCK_BYTES {
+                self.write_out(WHAT)?;
+            }
+        }
+        summary.record(&mut self.pending, op::METADATA_INDEX, &self.metadata_index);
+        let footer = summary.finish(&mut self.pending);
+        self.write_out(WHAT)?;
+        Ok(footer)
+    }
+
     /// Completes the file: labels that are staged beside it go into it, and it is on the disk. It can be read up to its last chunk
     /// whatever happens meanwhile.
     ///
@@ -466,24 +487,16 @@ impl Recorder {
     pub fn finish(mut self) -> Result<RecordingSummary, RecordingError> {
         self.flush()?;
         let has_taken = self.take_staged()?;
-        let Some(mut writer) = self.writer.take() else { return Ok(self.summary) };
-        let finished = writer.finish();
-        drop(writer.into_inner());
-        if let Err(error) = finished {
-            return Err(self.fail(Failure::io("cannot be finished", &io_error(error))));
-        }
-        let footer = {
-            let mut pending = self.pending.get();
-            sort_channels(&mut pending.bytes, self.end);
-            let place = pending.bytes.len().saturating_sub(FOOTER_BYTES);
-            pending.bytes.split_off(place)
-        };
-        self.write_out("cannot be finished")?;
+        let data_end = self.end;
+        let footer = self.write_summary().inspect_err(|_| {
+            // A part of a summary is of no use.
+            let _ = disk::set_length(&self.file, &self.path, data_end);
+        })?;
         // A file with a footer says that all is there: it comes when that is true of the disk too.
         if self.syncer.is_some() {
             self.sync()?;
         }
-        self.pending.get().bytes = footer;
+        self.pending = footer;
         self.write_out("cannot be finished")?;
         self.sync()?;
         if has_taken && let Err(error) = staged::remove(&self.path) {
@@ -494,46 +507,155 @@ impl Recorder {
     }
 }
 
-/// Puts the channels of the summary into the order of their numbers. The library writes them in the order of a hash map
-/// with a random seed, so that no two files would be the same. `bytes` are the end of a finished file, from `start` on.
-fn sort_channels(bytes: &mut [u8], start: u64) {
-    let Some(footer) = bytes.len().checked_sub(FOOTER_BYTES) else { return };
-    let place = bytes.get(footer + 9..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b));
-    let Some(summary) = place.checked_sub(start).and_then(|place| usize::try_from(place).ok()) else { return };
-    let Some(section) = bytes.get_mut(summary..footer) else { return };
-    let (mut records, mut rest) = (Vec::new(), &*section);
-    while let Some((header, body)) = rest.split_first_chunk::<9>() {
-        let [_, length @ ..] = *header;
-        let length = 9 + (u64::from_le_bytes(length) as usize).min(body.len());
-        let (record, next) = rest.split_at(length);
-        records.push(record);
-        rest = next;
-    }
-    // All channels stand together; a stable sort by number that leaves everything else where it is.
-    let is_channel = |record: &&[u8]| record.first() == Some(&op::CHANNEL);
-    if let Some(first) = records.iter().position(is_channel) {
-        let count = records.iter().skip(first).take_while(|r| is_channel(r)).count();
-        if let Some(channels) = records.get_mut(first..first + count) {
-            channels.sort_by_key(|record| record.get(9..11).map(|id| [id[1], id[0]]));
-        }
-    }
-    let mut sorted = records.concat();
-    sorted.extend_from_slice(rest);
-    section.copy_from_slice(&sorted);
-}
-
 impl Drop for Recorder {
     /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] says that all is there.
     fn drop(&mut self) {
-        if self.writer.is_some()
-            && self.failure.is_none()
+        // Of a finished recording nothing waits.
+        if self.failure.is_none()
             && let Err(error) = self.flush()
         {
             tracing::error!(%error, path = %self.path.display(), "the last chunk of a recording is lost");
         }
-        if let Some(writer) = self.writer.take() {
-            // The writer would finish the file when dropped.
-            drop(writer.into_inner());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use mcap::{Compression, Summary, WriteOptions};
+    use radome_dsp::{GapReason, WaveformRequest};
+
+    use super::*;
+    use crate::recording::mcap::chunk_indexes::HELD_BYTES;
+    use crate::recording::mcap::{Judge, RESULTS_VERSION};
+
+    const COUNT: u64 = 300;
+
+    /// Records frames a second apart, so that each has a chunk of its own and so has its result, with a gap and a label.
+    fn record(path: &Path, check: impl Fn(&Recorder)) -> RecordingSummary {
+        let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 8, ..WaveformRequest::paper() };
+        let waveform = radome_dsp::Waveform::realise(request).expect("possible");
+        let judge = Judge {
+            version: RESULTS_VERSION,
+            model: "a".into(),
+            model_hash: "b".into(),
+            on_delay_s: 0.5,
+            off_delay_s: 3.0,
+        };
+        let mut frame = Frame::zeroed(waveform.shape());
+        let header = RecordingHeader { judge: Some(judge), ..RecordingHeader::new(waveform) };
+        let mut recorder = Recorder::create(path, &header).expect("creates");
+        for number in 0..COUNT {
+            (frame.sequence, frame.time_ns) = (number, number * 1_000_000_000);
+            for (place, code) in frame.codes.iter_mut().enumerate() {
+                *code = ((place as u64 * 2_654_435_761 + number * 977) >> 5 & 0xFFF) as u16;
+            }
+            recorder.frame(&frame).expect("records");
+            if number == 100 {
+                recorder.gap(&Gap { first_sequence: 101, frames: 2, reason: GapReason::Crc }).expect("records");
+                recorder.label(&LabelSpan::new(0.0, 1.0, "one")).expect("records");
+            }
+            let result = FrameResult {
+                sequence: number,
+                time_ns: frame.time_ns,
+                host_time_ns: 0,
+                label: None,
+                probabilities: None,
+                frame_probabilities: None,
+                occupied: false,
+                people: 0,
+                latency_ns: 1_000_000 + number,
+            };
+            recorder.result(&result).expect("records");
+            check(&recorder);
         }
+        recorder.finish().expect("finishes")
+    }
+
+    /// The same messages in the same chunks, written by the format's own library.
+    fn by_the_library(bytes: &[u8], summary: &Summary) -> Vec<u8> {
+        let mut writer = WriteOptions::new()
+            .disable_seeking(true)
+            .chunk_size(None)
+            .compression(Some(Compression::Zstd))
+            .compression_level(1)
+            .compression_threads(0)
+            .calculate_summary_section_crc(false)
+            .library(concat!("radome ", env!("CARGO_PKG_VERSION")))
+            .create(io::Cursor::new(Vec::new()))
+            .expect("starts");
+        let metadata = mcap::read::metadata(bytes, &summary.metadata_indexes[0]).expect("metadata");
+        writer.write_metadata(&metadata).expect("writes");
+        let schema = writer.add_schema("radome.frame", "", &[]).expect("writes");
+        let channels = [(schema, FRAMES, "radome.frame"), (0, GAPS, "json"), (0, LABELS, "json"), (0, RESULTS, "json")];
+        for (schema, topic, encoding) in channels {
+            writer.add_channel(schema, topic, encoding, &BTreeMap::new()).expect("writes");
+        }
+        writer.flush().expect("writes");
+        for index in summary.chunk_indexes.iter().skip(1) {
+            for message in summary.stream_chunk(bytes, index).expect("a chunk") {
+                let message = message.expect("a message");
+                let header = MessageHeader {
+                    channel_id: message.channel.id,
+                    sequence: message.sequence,
+                    log_time: message.log_time,
+                    publish_time: message.publish_time,
+                };
+                writer.write_to_known_channel(&header, &message.data).expect("writes");
+            }
+            writer.flush().expect("writes");
+        }
+        writer.finish().expect("finishes");
+        writer.into_inner().into_inner()
+    }
+
+    #[test]
+    fn a_recording_of_many_chunks_is_the_one_that_the_library_writes() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        let recorded = record(&path, |_| {});
+        let bytes = std::fs::read(&path).expect("reads");
+        let summary = Summary::read(&bytes).expect("reads").expect("a summary");
+        let expected = by_the_library(&bytes, &summary);
+        let footer = mcap::read::footer(&bytes).expect("a footer");
+        assert_eq!(footer, mcap::read::footer(&expected).expect("a footer"));
+        assert_eq!((recorded.bytes, bytes.len()), (bytes.len() as u64, expected.len()));
+        let (summary_start, offsets) = (footer.summary_start as usize, footer.summary_offset_start as usize);
+        assert!(bytes[..summary_start] == expected[..summary_start], "the data and their CRC");
+        // The library puts the channels of the summary into any order.
+        assert!(summary == Summary::read(&expected).expect("reads").expect("a summary"), "{summary:?}");
+        assert!(bytes[offsets..] == expected[offsets..], "the offsets of the summary");
+        let topics = mcap::MessageStream::new(&bytes).expect("opens").map(|m| m.expect("whole").channel.topic.clone());
+        assert_eq!(topics.filter(|topic| topic == FRAMES).count() as u64, COUNT);
+        assert_eq!(summary.stats.expect("statistics").message_count, 2 * COUNT + 2);
+    }
+
+    #[test]
+    fn memory_holds_no_more_of_the_index_however_long_a_recording_is() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        record(&path, |recorder| assert!(recorder.chunk_indexes.held_bytes() <= HELD_BYTES));
+        let bytes = std::fs::read(&path).expect("reads");
+        let summary = Summary::read(&bytes).expect("reads").expect("a summary");
+        // An entry has more than 80 bytes.
+        assert!(80 * summary.chunk_indexes.len() > 8 * HELD_BYTES, "{} chunks", summary.chunk_indexes.len());
+        assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1, "nothing is left beside it");
+    }
+
+    #[test]
+    fn gaps_without_frames_end_their_chunk_too() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("a.mcap");
+        let waveform = radome_dsp::Waveform::realise(WaveformRequest::paper()).expect("possible");
+        let mut recorder = Recorder::create(&path, &RecordingHeader::new(waveform)).expect("creates");
+        let mut most = 0;
+        for first_sequence in 0..150_000 {
+            recorder.gap(&Gap { first_sequence, frames: 1, reason: GapReason::Crc }).expect("records");
+            most = most.max(recorder.chunk_bytes);
+        }
+        assert!(most < 2 * CHUNK_BYTES, "{most} bytes in a chunk");
+        recorder.finish().expect("finishes");
+        let bytes = std::fs::read(&path).expect("reads");
+        let summary = Summary::read(&bytes).expect("reads").expect("a summary");
+        assert!(summary.chunk_indexes.len() > 2, "{} chunks", summary.chunk_indexes.len());
     }
 }

@@ -1,0 +1,73 @@
+//! A recording and what is true of its frames.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_driver::recording::span_check::check_spans;
+use radome_dsp::{Frame, Occupancy, Waveform};
+
+use crate::labels;
+
+/// A recording with labels.
+pub struct LabelledRecording {
+    /// The recording.
+    pub path: PathBuf,
+    labels: Labels,
+}
+
+enum Labels {
+    /// One label for all frames.
+    Throughout(Occupancy),
+    /// Spans; frames outside of them have no label.
+    Spans(Vec<LabelSpan>),
+    /// The truth that a simulator wrote with each frame.
+    OfFrames,
+}
+
+impl LabelledRecording {
+    /// From `RECORDING=empty`, `=one` or `=two`, `RECORDING=LABELS.txt` or `.label`, or `RECORDING`, whose labels are those that
+    /// it holds: spans, or if it has none the truth that a simulator wrote with its frames.
+    ///
+    /// # Errors
+    /// If there is something else behind `=`, or if labels cannot be read or contradict each other.
+    pub fn parse(input: &str) -> anyhow::Result<Self> {
+        let after = input.rsplit_once('=');
+        if let Some((path, label)) = after
+            && let Some(occupancy) = Occupancy::from_name(label)
+        {
+            return Ok(LabelledRecording { path: path.into(), labels: Labels::Throughout(occupancy) });
+        }
+        let (path, spans) = match after {
+            Some((path, file)) if !Path::new(input).exists() => {
+                if !Path::new(file).is_file() {
+                    bail!(
+                        "{input}: {file} is not empty, one or two, and no file of labels\n\nhint: RECORDING=empty, RECORDING=one, \
+                         RECORDING=two, RECORDING=LABELS.txt, or RECORDING alone if it holds labels"
+                    );
+                }
+                (PathBuf::from(path), labels::read(Path::new(file))?)
+            }
+            _ => {
+                let path = PathBuf::from(input);
+                let spans = labels::of(&path)?;
+                if spans.iter().all(|span| span.occupancy().is_none()) {
+                    return Ok(LabelledRecording { path, labels: Labels::OfFrames });
+                }
+                (path, spans)
+            }
+        };
+        check_spans(&spans, None).with_context(|| format!("{input}: labels cannot be used"))?;
+        Ok(LabelledRecording { path, labels: Labels::Spans(spans) })
+    }
+
+    /// Label of a frame; `None` where it has none, or where someone is entering or leaving.
+    pub fn truth(&self, frame: &Frame, waveform: &Waveform) -> Option<Occupancy> {
+        let truth = match &self.labels {
+            Labels::Throughout(occupancy) => return Some(*occupancy),
+            Labels::Spans(spans) => labels::by_span(spans, frame, waveform),
+            Labels::OfFrames => frame.truth,
+        };
+        truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy)
+    }
+}

@@ -1,0 +1,154 @@
+//! Axes of a map in metres and metres a second, the same for every waveform.
+
+use std::ops::Range;
+
+use serde::{Deserialize, Serialize};
+
+use super::SpecError;
+use crate::Waveform;
+
+/// Bins of a physical axis at most.
+pub const MOST_AXIS_BINS: usize = 1024;
+/// Least sampled band of a waveform whose maps are on physical axes, Hz: its range resolution is 0.5 m.
+pub const LEAST_SAMPLED_BAND_HZ: f64 = 0.3e9;
+/// Fewest samples of a chirp of such a waveform.
+pub const LEAST_SAMPLES: usize = 32;
+/// Fewest chirps of a frame of such a waveform.
+pub const LEAST_CHIRPS: usize = 8;
+/// Samples and chirps of a frame at most: more than the chip can make.
+const MOST_SAMPLES: usize = 4095;
+/// Fewest samples or chirps that are transformed, however coarse the axis.
+const LEAST_TRANSFORMED: usize = 8;
+/// Relative error that rounding leaves in a step; half a cell of the longest axis is a thousand times as much.
+const ROUNDING: f64 = 1e-9;
+
+/// Fixed axes of a map: range `k * range_step_m`, velocity `(j - velocity_bins / 2) * velocity_step_m_per_s`.
+///
+/// Frames of any waveform within limits are brought onto them: the discrete Fourier transform of the frame is evaluated at
+/// exactly these ranges and velocities. The limits are [`LEAST_SAMPLED_BAND_HZ`], [`LEAST_SAMPLES`] and [`LEAST_CHIRPS`].
+///
+/// - Where a frame resolves finer than a step, the fewest samples or chirps in its middle are used whose resolution is the
+///   step: with all of them an echo between two cells would be in neither.
+/// - Where a frame resolves coarser than a step, an echo covers more cells and neighbouring cells are correlated, noise too.
+/// - Cells beyond the unambiguous range or speed of a frame hold noise, see [`RdmProcessor`](super::RdmProcessor).
+/// - Fewer samples or chirps lower an echo over noise by their processing gain. Nothing compensates for that.
+///
+/// Maps over the chirps of a frame only: velocities across frames would depend on the frame rate.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PhysicalAxes {
+    /// Distance between neighbouring range cells, m.
+    pub range_step_m: f64,
+    /// Range cells, the first at 0 m.
+    pub range_bins: usize,
+    /// Difference between neighbouring velocity cells, m/s.
+    pub velocity_step_m_per_s: f64,
+    /// Velocity cells; that with index `velocity_bins / 2` is at 0 m/s.
+    pub velocity_bins: usize,
+}
+
+/// Part of physical axes that the frames of a waveform measure, and what they measure it with.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AxesCoverage {
+    /// Samples of a chirp that are transformed.
+    pub samples: Range<usize>,
+    /// Chirps of a frame that are transformed.
+    pub chirps: Range<usize>,
+    /// Range cells that are measured, counted from the nearest.
+    pub range_bins: usize,
+    /// Velocity cells that are measured.
+    pub velocity_bins: Range<usize>,
+    /// Range resolution `c / 2B` of the transformed samples, m.
+    pub range_resolution_m: f64,
+    /// Velocity resolution of the transformed chirps, m/s.
+    pub velocity_resolution_m_per_s: f64,
+}
+
+impl PhysicalAxes {
+    /// Checks the axes themselves.
+    ///
+    /// # Errors
+    /// A step that is not finite and above zero, or a number of bins out of range.
+    pub(super) fn check(&self) -> Result<(), SpecError> {
+        let step = "a finite number above zero";
+        let bins = "2 to 1024 bins";
+        for (key, value, is_allowed, expected) in [
+            ("range_step_m", self.range_step_m, is_positive(self.range_step_m), step),
+            ("range_bins", self.range_bins as f64, is_length(self.range_bins), bins),
+            ("velocity_step_m_per_s", self.velocity_step_m_per_s, is_positive(self.velocity_step_m_per_s), step),
+            ("velocity_bins", self.velocity_bins as f64, is_length(self.velocity_bins), bins),
+        ] {
+            if !is_allowed {
+                return Err(SpecError::Axis { key, value, expected });
+            }
+        }
+        Ok(())
+    }
+
+    /// Checks that frames of a waveform can be brought onto the axes.
+    ///
+    /// # Errors
+    /// [`SpecError::Waveform`] if the sampled band, the samples or the chirps are out of the limits.
+    pub(super) fn check_waveform(&self, waveform: &Waveform) -> Result<(), SpecError> {
+        let refused = |quantity, given: String, needed: String| Err(SpecError::Waveform { quantity, given, needed });
+        let band_hz = waveform.sampled_bandwidth_hz();
+        if !is_positive(band_hz) || band_hz < LEAST_SAMPLED_BAND_HZ {
+            return refused(
+                "the sampled band",
+                format!("{:.3} GHz", band_hz * 1e-9),
+                format!("{:.3} GHz or more", LEAST_SAMPLED_BAND_HZ * 1e-9),
+            );
+        }
+        let request = &waveform.request;
+        for (quantity, given, least) in [
+            ("the number of samples of a chirp", request.samples_per_chirp, LEAST_SAMPLES),
+            ("the number of chirps of a frame", request.chirps_per_frame, LEAST_CHIRPS),
+        ] {
+            if !(least..=MOST_SAMPLES).contains(&given) {
+                return refused(quantity, given.to_string(), format!("{least} to {MOST_SAMPLES}"));
+            }
+        }
+        let speed = waveform.max_velocity_m_per_s();
+        if !is_positive(speed) || !is_positive(waveform.max_range_m()) {
+            return refused("the unambiguous speed", format!("{speed} m/s"), "a finite speed above zero".to_owned());
+        }
+        Ok(())
+    }
+
+    /// What frames of a waveform measure of the axes, for axes and waveforms within the limits.
+    pub fn coverage(&self, waveform: &Waveform) -> AxesCoverage {
+        let request = &waveform.request;
+        let samples = transformed(request.samples_per_chirp, waveform.range_step_m(1) / self.range_step_m);
+        let chirps =
+            transformed(request.chirps_per_frame, waveform.velocity_step_m_per_s(1) / self.velocity_step_m_per_s);
+        // The end of the range axis is the Nyquist frequency, which an ordinary map does not have either. Velocities within half a
+        // cell of the unambiguous speed belong to the cells at the ends.
+        let farthest = waveform.max_range_m() / self.range_step_m * (1.0 - ROUNDING);
+        let fastest = waveform.max_velocity_m_per_s() / self.velocity_step_m_per_s + 0.5;
+        let zero = self.velocity_bins / 2;
+        let (below, above) = (fastest.floor() as usize, fastest.ceil() as usize);
+        AxesCoverage {
+            range_bins: (farthest.ceil() as usize).max(1).min(self.range_bins),
+            velocity_bins: zero.saturating_sub(below)..zero.saturating_add(above).min(self.velocity_bins),
+            range_resolution_m: waveform.range_step_m(samples.len()),
+            velocity_resolution_m_per_s: waveform.velocity_step_m_per_s(chirps.len()),
+            samples,
+            chirps,
+        }
+    }
+}
+
+fn is_positive(value: f64) -> bool {
+    value.is_finite() && value > 0.0
+}
+
+fn is_length(bins: usize) -> bool {
+    (2..=MOST_AXIS_BINS).contains(&bins)
+}
+
+/// The fewest of `length` in the middle that resolve a step, of which `resolving` do.
+fn transformed(length: usize, resolving: f64) -> Range<usize> {
+    let count = ((resolving * (1.0 - ROUNDING)).ceil() as usize).max(LEAST_TRANSFORMED).min(length);
+    let first = (length - count) / 2;
+    first..first + count
+}

@@ -1,0 +1,309 @@
+//! Maps on [`PhysicalAxes`]: discrete Fourier sums at exactly the ranges and velocities of their cells.
+//!
+//! Both stages are products of matrices in f32: samples by `[sample][range]`, then `[velocity][chirp]` by the range spectra. Windows,
+//! scale and the removal of the mean over slow time are in the matrices. The sums are in one order at every kernel level, without
+//! fused multiply-add, so that all levels give the same powers to the bit.
+
+use std::f64::consts::TAU;
+use std::ops::Range;
+
+use num_complex::Complex64;
+
+use super::PhysicalAxes;
+use super::chain::ChainPlan;
+use crate::decibel::power_to_db_portable;
+use crate::{KernelLevel, MAX_CODE, Waveform};
+
+/// Receivers that the chip has.
+const MOST_RECEIVERS: usize = 3;
+/// Lower quartile of the mean noise power of one, two and three receivers, in units of its mean: quartiles of gamma distributions.
+/// Of one receiver, whose noise power is exponential, it is `ln(4/3)`.
+const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_44];
+/// Sets these draws apart from any others of the same sequence number.
+const PURPOSE: u64 = 0x7068_7973_6963_616c;
+
+/// Matrices and buffers.
+pub(super) struct PhysicalChain {
+    level: KernelLevel,
+    /// Samples of a chirp and chirps of a frame that are transformed.
+    samples: Range<usize>,
+    chirps: Range<usize>,
+    /// Cells that are measured.
+    range: usize,
+    velocity: Range<usize>,
+    /// `[sample][real, imaginary][range]`.
+    range_matrix: Vec<f32>,
+    /// `[velocity][real, imaginary][chirp]`.
+    doppler_matrix: Vec<f32>,
+    /// `[chirp][real, imaginary][range]`.
+    spectra: Vec<f32>,
+    /// `[real, imaginary][range]` of the spectra under the real and under the imaginary part of a row of `doppler_matrix`.
+    by_real: Vec<f32>,
+    by_imaginary: Vec<f32>,
+    /// Which of the used channels go into a mean.
+    alive: Vec<bool>,
+    /// Samples that stand for the lowest and the highest code.
+    ends: [f32; 2],
+    beyond: Beyond,
+}
+
+impl PhysicalChain {
+    /// For a plan of a spec with these axes; `level` must be available.
+    pub(super) fn new(plan: &ChainPlan, axes: &PhysicalAxes, waveform: &Waveform, level: KernelLevel) -> Self {
+        let coverage = axes.coverage(waveform);
+        let (range, velocity) = (coverage.range_bins, coverage.velocity_bins);
+        let range_cycles = axes.range_step_m / waveform.range_step_m(1);
+        let mut range_matrix = Vec::with_capacity(coverage.samples.len() * 2 * range);
+        for (sample, weight) in plan.range_window.iter().enumerate() {
+            let row: Vec<Complex64> = (0..range)
+                .map(|bin| {
+                    let gain = if bin == 0 { plan.dc_amplitude } else { 1.0 };
+                    phasor(gain * weight, bin as f64 * range_cycles * sample as f64)
+                })
+                .collect();
+            range_matrix.extend(row.iter().map(|x| x.re as f32));
+            range_matrix.extend(row.iter().map(|x| x.im as f32));
+        }
+        let velocity_cycles = axes.velocity_step_m_per_s / waveform.velocity_step_m_per_s(1);
+        let zero = (axes.velocity_bins / 2) as f64;
+        let mut doppler_matrix = Vec::with_capacity(velocity.len() * 2 * coverage.chirps.len());
+        for bin in velocity.clone() {
+            let cycles = (bin as f64 - zero) * velocity_cycles;
+            let window = plan.doppler_window.iter().enumerate();
+            let mut row: Vec<Complex64> =
+                window.map(|(chirp, weight)| phasor(*weight, cycles * chirp as f64)).collect();
+            if plan.removes_slow_time_mean {
+                // The sum of (x - mean of x) times the row is the sum of x times (the row - mean of the row).
+                let mean = row.iter().sum::<Complex64>() / row.len() as f64;
+                row.iter_mut().for_each(|x| *x -= mean);
+            }
+            doppler_matrix.extend(row.iter().map(|x| x.re as f32));
+            doppler_matrix.extend(row.iter().map(|x| x.im as f32));
+        }
+        let (factor, offset) = (plan.scale.0 as f32, plan.scale.1 as f32);
+        PhysicalChain {
+            level,
+            spectra: vec![0.0; coverage.chirps.len() * 2 * range],
+            by_real: vec![0.0; 2 * range],
+            by_imaginary: vec![0.0; 2 * range],
+            alive: vec![true; plan.channels.len()],
+            ends: [0, MAX_CODE].map(|code| f32::from(code) * factor + offset),
+            beyond: Beyond::new(axes, range, &velocity),
+            samples: coverage.samples,
+            chirps: coverage.chirps,
+            range,
+            velocity,
+            range_matrix,
+            doppler_matrix,
+        }
+    }
+
+    /// Finds the receivers that say something, by all samples of the used channels as the board sent them. Only a mean over receivers
+    /// asks.
+    pub(super) fn find_alive(&mut self, plan: &ChainPlan, samples: &[f32]) {
+        if !plan.is_sum {
+            return;
+        }
+        for (alive, channel) in self.alive.iter_mut().zip(samples.chunks_exact(plan.channel_length())) {
+            *alive = !is_dead(channel, self.ends);
+        }
+        if !self.alive.contains(&true) {
+            self.alive.fill(true);
+        }
+    }
+
+    /// Power of all used channels `[channel][chirp][sample]` into the map's cells.
+    pub(super) fn map(&mut self, plan: &ChainPlan, samples: &[f32], sequence: u64, cells: &mut [f32]) {
+        let mut adds = false;
+        for (index, channel) in samples.chunks_exact(plan.channel_length()).enumerate() {
+            if self.alive.get(index) == Some(&true) {
+                self.channel(plan, channel, adds, &mut cells[plan.cells(index)]);
+                adds = plan.is_sum;
+            }
+        }
+        let alive = self.alive.iter().filter(|alive| **alive).count();
+        if plan.is_sum && alive < plan.channels.len() {
+            // The plan's scale is for the mean over all channels.
+            let scale = plan.channels.len() as f32 / alive as f32;
+            cells.iter_mut().for_each(|cell| *cell *= scale);
+        }
+        let receivers = if plan.is_sum { alive } else { 1 };
+        for index in 0..plan.shape.rx {
+            let cells = &mut cells[plan.cells(index)];
+            self.beyond.fill(plan.shape.range, receivers, [sequence, index as u64], cells);
+        }
+    }
+
+    /// Power of one channel `[chirp][sample]` into the measured cells, or added to what is there.
+    fn channel(&mut self, plan: &ChainPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
+        let chirps = samples.chunks_exact(plan.frame_shape.samples).skip(self.chirps.start);
+        for (chirp, spectrum) in chirps.zip(self.spectra.chunks_exact_mut(2 * self.range)) {
+            weighted_sum(self.level, &chirp[self.samples.clone()], &self.range_matrix, spectrum);
+        }
+        let chirps = self.chirps.len();
+        for (bin, weights) in self.velocity.clone().zip(self.doppler_matrix.chunks_exact(2 * chirps)) {
+            let (real, imaginary) = weights.split_at(chirps);
+            weighted_sum(self.level, real, &self.spectra, &mut self.by_real);
+            weighted_sum(self.level, imaginary, &self.spectra, &mut self.by_imaginary);
+            // Real and imaginary part of the spectra, first under the weights' real part, then under the imaginary one.
+            let (a, b) = self.by_real.split_at(self.range);
+            let (c, d) = self.by_imaginary.split_at(self.range);
+            let first = bin * plan.shape.range;
+            for ((((cell, a), b), c), d) in cells[first..first + self.range].iter_mut().zip(a).zip(b).zip(c).zip(d) {
+                let (re, im) = (a - d, b + c);
+                let power = re * re + im * im;
+                *cell = if adds { *cell + power } else { power };
+            }
+        }
+    }
+}
+
+/// `weight * exp(-j 2 pi cycles)`.
+fn phasor(weight: f64, cycles: f64) -> Complex64 {
+    // The whole cycles first: their sine would lose digits.
+    let (sin, cos) = (-TAU * cycles.fract()).sin_cos();
+    Complex64::new(weight * cos, weight * sin)
+}
+
+/// Whether a receiver says nothing: all of its samples are the same, or at least half of them lie at the ends of the ADC.
+fn is_dead(samples: &[f32], [lowest, highest]: [f32; 2]) -> bool {
+    let is_constant = samples.first().is_none_or(|first| samples.iter().all(|x| x == first));
+    let at_ends = samples.iter().filter(|x| **x <= lowest || **x >= highest).count();
+    is_constant || 2 * at_ends >= samples.len()
+}
+
+/// Cells that the frames of a waveform do not measure, and memory to fill them.
+///
+/// They are set to noise: independent draws from the distribution that noise has in the measured cells, the mean power of as many
+/// receivers, at the level of the noise in the same range bin. Its level is the lower quartile of the bin's measured cells over the
+/// quartile of that distribution. Range bins of which nothing is measured have the median level of the others. The draws are a
+/// function of sequence number, map and cell. A constant would be a structure that tells the waveform, and would move the
+/// quartile that a bin's noise is measured by; one picture for all frames could be learned by heart.
+struct Beyond {
+    /// Their indices in a map.
+    cells: Vec<usize>,
+    range: usize,
+    velocity: Range<usize>,
+    /// For each of them: power over the mean, and a draw of one receiver.
+    power: Vec<f32>,
+    draw: Vec<f32>,
+    /// By range bin.
+    noise: Vec<f32>,
+    sorted: Vec<f32>,
+}
+
+impl Beyond {
+    fn new(axes: &PhysicalAxes, range: usize, velocity: &Range<usize>) -> Self {
+        let is_measured = |cell: &usize| velocity.contains(&(cell / axes.range_bins)) && cell % axes.range_bins < range;
+        let cells: Vec<usize> = (0..axes.velocity_bins * axes.range_bins).filter(|cell| !is_measured(cell)).collect();
+        Beyond {
+            range,
+            velocity: velocity.clone(),
+            power: vec![0.0; cells.len()],
+            draw: vec![0.0; cells.len()],
+            noise: vec![0.0; axes.range_bins],
+            sorted: Vec::with_capacity(axes.velocity_bins.max(axes.range_bins)),
+            cells,
+        }
+    }
+
+    /// Fills the cells of a map `[velocity][range]`, of `bins` range bins, whose measured cells are the mean power of so many
+    /// `receivers`. `key` is the sequence number and the index of the map.
+    fn fill(&mut self, bins: usize, receivers: usize, key: [u64; 2], map: &mut [f32]) {
+        if self.cells.is_empty() {
+            return;
+        }
+        let receivers = receivers.clamp(1, MOST_RECEIVERS);
+        for bin in 0..self.range {
+            self.sorted.clear();
+            self.sorted.extend(self.velocity.clone().map(|row| map[row * bins + bin]));
+            self.noise[bin] = quantile(&mut self.sorted, 4) / QUARTILES[receivers - 1];
+        }
+        self.sorted.clear();
+        self.sorted.extend_from_slice(&self.noise[..self.range]);
+        let median = quantile(&mut self.sorted, 2);
+        self.noise[self.range..].fill(median);
+
+        let [sequence, index] = key;
+        let key = mix(sequence ^ mix(index ^ PURPOSE));
+        self.power.fill(0.0);
+        for receiver in 0..receivers {
+            for (draw, cell) in self.draw.iter_mut().zip(&self.cells) {
+                let bits = mix(key ^ mix((cell * MOST_RECEIVERS + receiver) as u64));
+                // Above 0, up to 1, on a grid of 2^-24.
+                *draw = ((bits >> 40) + 1) as f32 / 16_777_216.0;
+            }
+            // The logarithm of these is the same to the bit on every machine.
+            power_to_db_portable(&mut self.draw, f32::MIN_POSITIVE);
+            let share = std::f32::consts::LN_10 / 10.0 / receivers as f32;
+            self.power.iter_mut().zip(&self.draw).for_each(|(power, draw)| *power -= share * draw);
+        }
+        for (cell, power) in self.cells.iter().zip(&self.power) {
+            map[*cell] = self.noise[cell % bins] * power;
+        }
+    }
+}
+
+/// The value below which one of `parts` parts of the values lies; 0 of none.
+fn quantile(values: &mut [f32], parts: usize) -> f32 {
+    let index = values.len() / parts;
+    if index >= values.len() {
+        return 0.0;
+    }
+    *values.select_nth_unstable_by(index, f32::total_cmp).1
+}
+
+/// The finaliser of SplitMix64 (Steele, Lea, Flood, "Fast splittable pseudorandom number generators", 2014).
+fn mix(x: u64) -> u64 {
+    let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// The sum of `rows`, each as long as `sums`, each times its weight. `level` must be available.
+fn weighted_sum(level: KernelLevel, weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+    match level {
+        // SAFETY: the level is available, as the caller has checked.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx2 => unsafe { weighted_sum_avx2(weights, rows, sums) },
+        // SAFETY: as above.
+        #[cfg(target_arch = "x86_64")]
+        KernelLevel::Avx512 => unsafe { weighted_sum_avx512(weights, rows, sums) },
+        _ => sum_rows(weights, rows, sums),
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx2")]
+fn weighted_sum_avx2(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+    sum_rows(weights, rows, sums);
+}
+
+#[cfg(target_arch = "x86_64")]
+#[target_feature(enable = "avx512f,avx512bw")]
+fn weighted_sum_avx512(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+    sum_rows(weights, rows, sums);
+}
+
+#[inline(always)]
+fn sum_rows(weights: &[f32], rows: &[f32], sums: &mut [f32]) {
+    let width = sums.len().max(1);
+    sums.fill(0.0);
+    // Four rows at a time: the sums are read and written a quarter as often.
+    let (fours, rest) = weights.as_chunks::<4>();
+    let (rows_of_fours, rows_of_rest) = rows.split_at((fours.len() * 4 * width).min(rows.len()));
+    for ([u, v, w, x], four) in fours.iter().zip(rows_of_fours.chunks_exact(4 * width)) {
+        let (a, four) = four.split_at(width);
+        let (b, four) = four.split_at(width);
+        let (c, d) = four.split_at(width);
+        for ((((sum, a), b), c), d) in sums.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+            *sum += (u * a + v * b) + (w * c + x * d);
+        }
+    }
+    for (weight, row) in rest.iter().zip(rows_of_rest.chunks_exact(width)) {
+        for (sum, x) in sums.iter_mut().zip(row) {
+            *sum += weight * x;
+        }
+    }
+}

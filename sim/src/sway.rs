@@ -1,0 +1,339 @@
+//! Small reflectors that sway: cables, plants, curtains, fans, what stands on a desk; and motions of this kind.
+//!
+//! Real rooms move a little while nobody is in them. A weak reflector that moves at centimetres a second beside a static echo 25 dB
+//! above it turns the phase of their sum by some 0.05 rad within a frame of 25 ms, and leaves echoes beside zero Doppler when the
+//! mean over the frame has been removed. A [`Sway`] is a sum of a few sinusoids with analytic derivatives, so that an echo follows it
+//! exactly in every chirp; [`SwayingReflectors`] adds the echoes of all reflectors of a room to the paths of a frame.
+
+use std::f64::consts::TAU;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use crate::keys::Stretches;
+use crate::random::{Purpose, generator};
+use crate::scene::Scene;
+use crate::scene::file::{FurnitureFile, SwayFile, SwayPlaceFile};
+use crate::shadow::{self, Column};
+use crate::slow_time::{Bend, Key, Stretch};
+use crate::stage::Stage;
+
+/// Sinusoids of a motion that is not a single one.
+const WAVES: usize = 6;
+/// A wave's frequency is within this factor of the motion's.
+const MOST_OFF: f64 = 4.0;
+/// Periods of the fastest wave between two keys: there a septic polynomial follows a sinusoid to 4 millionths of its amplitude.
+const PERIODS_A_STRETCH: f64 = 0.25;
+/// A frame is halved no more often than this.
+const MOST_HALVINGS: u32 = 6;
+/// Paths weaker than this over the threshold of a path alone are not heard even together.
+const HEARD: f64 = 0.5;
+/// Directions in which walls are looked for, off the boresight at most: azimuth and elevation, rad.
+const MOST_OFF_BORESIGHT_RAD: [f64; 2] = [0.87, 0.44];
+
+/// Random motion along a line: a sum of sinusoids about one frequency.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sway {
+    /// Amplitude, m, angular frequency, rad/s, and phase, rad.
+    waves: Vec<[f64; 3]>,
+}
+
+impl Sway {
+    /// Draws a motion of this displacement (rms over all phases). `bandwidth` is the standard deviation of the logarithm of the
+    /// waves' frequencies; with 0 the motion is a single sinusoid.
+    pub fn draw(rms_m: f64, frequency_hz: f64, bandwidth: f64, rng: &mut Xoshiro256PlusPlus) -> Self {
+        let count = if bandwidth > 0.0 { WAVES } else { 1 };
+        let amplitude_m = rms_m * (2.0 / count as f64).sqrt();
+        let mut waves = Vec::with_capacity(count);
+        for _ in 0..count {
+            let normal: f64 = StandardNormal.sample(rng);
+            let factor = (bandwidth * normal).exp().clamp(1.0 / MOST_OFF, MOST_OFF);
+            waves.push([amplitude_m, TAU * frequency_hz * factor, rng.random_range(0.0..TAU)]);
+        }
+        Sway { waves }
+    }
+
+    /// Displacement, m, and its first three derivatives by time.
+    pub fn at(&self, time_s: f64) -> [f64; 4] {
+        let mut sum = [0.0; 4];
+        for &[amplitude_m, rate, phase] in &self.waves {
+            let (sin, cos) = (rate * time_s + phase).sin_cos();
+            let (first, second) = (amplitude_m * rate, amplitude_m * rate * rate);
+            sum[0] += amplitude_m * sin;
+            sum[1] += first * cos;
+            sum[2] -= second * sin;
+            sum[3] -= second * rate * cos;
+        }
+        sum
+    }
+
+    /// Frequency of the fastest wave, Hz.
+    fn fastest_hz(&self) -> f64 {
+        self.waves.iter().map(|wave| wave[1] / TAU).fold(0.0, f64::max)
+    }
+}
+
+/// One path by way of a reflector.
+#[derive(Debug, Clone, PartialEq)]
+struct SwayPath {
+    /// By receiver: delay at rest, s, change of the delay for each metre of displacement, s, and amplitude at the ADC, LSB.
+    receivers: Vec<(f64, f64, Complex64)>,
+    /// Corners of the path, radar to radar, for shadows.
+    polyline: Vec<DVec3>,
+}
+
+/// A reflector: its motion and the paths by way of it.
+#[derive(Debug, Clone, PartialEq)]
+struct Reflector {
+    motion: Sway,
+    paths: Vec<SwayPath>,
+}
+
+/// The swaying reflectors of a room.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct SwayingReflectors {
+    reflectors: Vec<Reflector>,
+}
+
+impl SwayingReflectors {
+    /// Draws the reflectors of a scene for a seed. A reflector's draws depend on the numbers of its group and its own in it alone.
+    pub fn new(scene: &Scene, stage: &Stage, seed: u64) -> Self {
+        let mut reflectors = Vec::new();
+        for (g, group) in (0u64..).zip(&scene.file().room.sway) {
+            let is_there = generator(seed, Purpose::Sway, [g, 0]).random::<f64>() < group.probability;
+            if !is_there {
+                continue;
+            }
+            for r in 0..group.reflectors as u64 {
+                let mut rng = generator(seed, Purpose::Sway, [g, 1 + r]);
+                let reflector = Reflector::draw(scene, stage, group, &mut rng);
+                if !reflector.paths.is_empty() {
+                    reflectors.push(reflector);
+                }
+            }
+        }
+        SwayingReflectors { reflectors }
+    }
+
+    /// Adds the echoes in `span_s` from a time on to the paths of each receiver. `columns` are the people at the ends of as many
+    /// equal parts of the span, whose shadows weaken the echoes.
+    pub fn add(
+        &self,
+        start_s: f64,
+        span_s: f64,
+        columns: &[Vec<Column>],
+        wavelength_m: f64,
+        receivers: &mut [Stretches],
+    ) {
+        for reflector in &self.reflectors {
+            let halvings = halvings(span_s, reflector.motion.fastest_hz());
+            let parts = 1usize << halvings;
+            let stretch_s = span_s / parts as f64;
+            let motion: Vec<[f64; 4]> =
+                (0..=parts).map(|end| reflector.motion.at(start_s + stretch_s * end as f64)).collect();
+            for path in &reflector.paths {
+                let shades: Vec<f64> =
+                    columns.iter().map(|people| shadow::along(&path.polyline, people, wavelength_m)).collect();
+                for (&(delay_s, each_m_s, amplitude), out) in path.receivers.iter().zip(receivers.iter_mut()) {
+                    let key = |(end, x): (usize, &[f64; 4])| {
+                        let shade = between(&shades, end as f64 / parts as f64);
+                        let key = Key {
+                            delay_s: delay_s + each_m_s * x[0],
+                            delay_rate: each_m_s * x[1],
+                            amplitude: amplitude * shade,
+                        };
+                        (key, Bend { delay: [each_m_s * x[2], each_m_s * x[3]], ..Bend::default() })
+                    };
+                    let keys: Vec<(Key, Bend)> = motion.iter().enumerate().map(key).collect();
+                    for (place, ends) in keys.windows(2).enumerate() {
+                        if let [a, b] = ends {
+                            out.push(halvings, place, Stretch::between(a, b, stretch_s));
+                        }
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// How often a span is halved so that a wave of this frequency is followed.
+fn halvings(span_s: f64, fastest_hz: f64) -> u32 {
+    (0..MOST_HALVINGS)
+        .find(|&h| span_s * fastest_hz <= PERIODS_A_STRETCH * f64::from(1u32 << h))
+        .unwrap_or(MOST_HALVINGS)
+}
+
+/// A value between others that are evenly spread over 0..1; 1 where there are none.
+fn between(values: &[f64], at: f64) -> f64 {
+    let Some(last) = values.len().checked_sub(1) else { return 1.0 };
+    let place = at.clamp(0.0, 1.0) * last as f64;
+    let whole = place as usize;
+    let here = values.get(whole).copied().unwrap_or(1.0);
+    let next = values.get(whole + 1).copied().unwrap_or(here);
+    here + (next - here) * (place - whole as f64)
+}
+
+/// A value of an interval, evenly drawn in its logarithm.
+fn logarithmic([low, high]: [f64; 2], rng: &mut Xoshiro256PlusPlus) -> f64 {
+    low * (high / low).powf(rng.random::<f64>())
+}
+
+impl Reflector {
+    fn draw(scene: &Scene, stage: &Stage, group: &SwayFile, rng: &mut Xoshiro256PlusPlus) -> Self {
+        let drawn = place(scene, stage, group.at, rng);
+        let point = group.position_m.map_or(drawn, DVec3::from_array);
+        let off_db = group.spread_db * (2.0 * rng.random::<f64>() - 1.0);
+        let cross_section_m2 = 10f64.powf(0.1 * (group.cross_section_dbsm + off_db));
+        let phase = rng.random_range(0.0..TAU);
+        let rms_m = logarithmic(group.amplitude_m, rng);
+        let frequency_hz = logarithmic(group.frequency_hz, rng);
+        let motion = Sway::draw(rms_m, frequency_hz, group.bandwidth, rng);
+        let line_of_sight = (point - stage.tx.position).try_normalize().unwrap_or(DVec3::X);
+        let mut paths = Vec::new();
+        for &(p, q) in &stage.body_pairs {
+            let receivers: Vec<(f64, f64, Complex64)> = stage
+                .point_echoes(point, cross_section_m2, phase, p, q)
+                .iter()
+                .enumerate()
+                .map(|(rx, echo)| {
+                    let delay_s = echo.length_m / SPEED_OF_LIGHT_M_PER_S;
+                    let each_m_s = echo.directions.dot(line_of_sight) / SPEED_OF_LIGHT_M_PER_S;
+                    let beat_hz = stage.chirp.beat_hz(delay_s, 0.0);
+                    (delay_s, each_m_s, stage.at_adc(rx, echo.amplitude, beat_hz))
+                })
+                .collect();
+            // The first receiver stands for all, as for static paths.
+            if receivers.first().is_some_and(|(.., amplitude)| amplitude.norm() > HEARD * stage.threshold_lsb) {
+                paths.push(SwayPath { receivers, polyline: stage.point_polyline(point, p, q) });
+            }
+        }
+        Reflector { motion, paths }
+    }
+}
+
+/// Draws a place in the room.
+fn place(scene: &Scene, stage: &Stage, at: SwayPlaceFile, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+    let (choice, part): (f64, f64) = (rng.random(), rng.random());
+    let furniture = &scene.file().furniture;
+    let at = match at {
+        SwayPlaceFile::Clutter if choice < 0.15 => SwayPlaceFile::Radar,
+        SwayPlaceFile::Clutter if choice < 0.6 => SwayPlaceFile::Furniture,
+        SwayPlaceFile::Clutter => SwayPlaceFile::Walls,
+        other => other,
+    };
+    match (at, furniture.get((part * furniture.len() as f64) as usize)) {
+        (SwayPlaceFile::Furniture, Some(piece)) => on(piece, stage, rng),
+        (SwayPlaceFile::Radar, _) => {
+            let along = direction(rng) * rng.random_range(0.15..0.9);
+            let place = stage.tx.position + scene.radar_from_world().transpose() * along;
+            place.clamp(DVec3::ZERO, stage.room.size_m)
+        }
+        (kind, _) => {
+            let towards = scene.radar_from_world().transpose() * direction(rng);
+            let wall_m = to_wall(stage.tx.position, towards, stage.room.size_m);
+            let before_m = if kind == SwayPlaceFile::Anywhere {
+                wall_m * 0.9 * rng.random::<f64>()
+            } else {
+                rng.random_range(0.0..0.3)
+            };
+            let place = stage.tx.position + towards * (wall_m - before_m).max(0.1);
+            place.clamp(DVec3::ZERO, stage.room.size_m)
+        }
+    }
+}
+
+/// Draws a direction about the boresight, in the radar's own axes.
+fn direction(rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+    let [azimuth, elevation] = MOST_OFF_BORESIGHT_RAD.map(|most| rng.random_range(-most..most));
+    DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
+}
+
+/// Draws a place on a face of a piece of furniture that looks at the radar.
+fn on(piece: &FurnitureFile, stage: &Stage, rng: &mut Xoshiro256PlusPlus) -> DVec3 {
+    let corner = DVec3::from_array(piece.position_m);
+    let size = DVec3::from_array(piece.size_m);
+    let radar = stage.tx.position - (corner + 0.5 * size);
+    let mut at = DVec3::new(rng.random(), rng.random(), rng.random());
+    let axis = rng.random_range(0..3usize);
+    at[axis] = if radar[axis] > 0.0 { 1.0 } else { 0.0 };
+    corner + at * size
+}
+
+/// Distance from a place in a room to its walls in a direction, m.
+fn to_wall(from: DVec3, towards: DVec3, size_m: DVec3) -> f64 {
+    let mut nearest_m = f64::INFINITY;
+    for axis in 0..3 {
+        let step = towards[axis];
+        if step.abs() > 1e-9 {
+            let wall = if step > 0.0 { size_m[axis] } else { 0.0 };
+            nearest_m = nearest_m.min((wall - from[axis]) / step);
+        }
+    }
+    if nearest_m.is_finite() { nearest_m.max(0.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_motion_has_its_displacement_and_its_derivatives() {
+        for (seed, bandwidth) in [(0, 0.0), (1, 0.3), (2, 0.8)] {
+            let mut rng = generator(seed, Purpose::Sway, [0, 0]);
+            let sway = Sway::draw(2e-3, 1.5, bandwidth, &mut rng);
+            let count = 400_000u32;
+            let square: f64 = (0..count).map(|i| sway.at(f64::from(i) * 7.3e-3)[0].powi(2)).sum();
+            let rms_m = (square / f64::from(count)).sqrt();
+            assert!((rms_m / 2e-3 - 1.0).abs() < 0.03, "{bandwidth}: {rms_m} m");
+            let h = 1e-4;
+            for time_s in [0.0, 0.37, 1234.5] {
+                let [before, now, after] = [time_s - h, time_s, time_s + h].map(|t| sway.at(t));
+                for (order, ((before, after), derivative)) in before.iter().zip(&after).zip(&now[1..]).enumerate() {
+                    let slope = (after - before) / (2.0 * h);
+                    let scale = 2e-3 * (TAU * 6.0).powi(order as i32 + 1);
+                    assert!((slope - derivative).abs() < 1e-4 * scale, "{bandwidth} {time_s} {order}");
+                }
+            }
+        }
+    }
+
+    /// Between keys the polynomial is where the motion is, at every frequency that a scene may ask for.
+    #[test]
+    fn echoes_follow_the_motion_between_keys() {
+        let wavenumber_per_m = TAU / 4.93e-3;
+        for (frequency_hz, rms_m, span_s) in
+            [(0.5, 0.02, 0.025), (3.0, 0.02, 0.064), (50.0, 1e-4, 0.025), (12.0, 0.1, 0.025)]
+        {
+            let mut rng = generator(3, Purpose::Sway, [1, 0]);
+            let sway = Sway::draw(rms_m, frequency_hz, 0.0, &mut rng);
+            let parts = 1u32 << halvings(span_s, sway.fastest_hz());
+            let stretch_s = span_s / f64::from(parts);
+            let key = |time_s: f64| {
+                let x = sway.at(time_s);
+                let key = Key { delay_s: x[0], delay_rate: x[1], amplitude: Complex64::ONE };
+                (key, Bend { delay: [x[2], x[3]], ..Bend::default() })
+            };
+            for part in 0..parts {
+                let start_s = 17.0 + stretch_s * f64::from(part);
+                let stretch = Stretch::between(&key(start_s), &key(start_s + stretch_s), stretch_s);
+                for u in [0.1, 0.3, 0.5, 0.8] {
+                    let error_m = stretch.delay(u).0 - sway.at(start_s + u * stretch_s)[0];
+                    let error_rad = 2.0 * wavenumber_per_m * error_m.abs();
+                    assert!(error_rad < 0.01, "{frequency_hz} Hz: {error_rad} rad");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn shades_are_interpolated_and_one_where_there_are_none() {
+        assert_eq!(between(&[], 0.4), 1.0);
+        assert_eq!(between(&[0.3], 0.9), 0.3);
+        assert!((between(&[1.0, 0.0, 0.5], 0.75) - 0.25).abs() < 1e-12);
+        assert_eq!(between(&[1.0, 0.0, 0.5], 1.0), 0.5);
+    }
+}

@@ -1,0 +1,196 @@
+//! `radome evaluate` on recordings whose labels change, on recordings that a model refuses, and on a ladder of simulated ones.
+
+use std::path::{Path, PathBuf};
+
+use radome_tests::{failure, fixture, json_lines, json_lines_of, radome};
+use serde_json::Value;
+
+fn simulate(scene: &str, people: &str, frames: &str, path: &Path) {
+    let arguments = ["simulate", "--seed", "700101", "--people", people, "--frames", frames, "--json", "-o"];
+    json_lines(radome().args(arguments).arg(path).arg(fixture(&format!("scenes/{scene}.toml"))));
+}
+
+fn evaluate(model: &str) -> std::process::Command {
+    let mut command = radome();
+    let model = if model == "cfar" { PathBuf::from(model) } else { fixture(&format!("models/{model}.safetensors")) };
+    command.args(["evaluate", "--json", "--model"]).arg(model);
+    command
+}
+
+fn whole(value: &Value) -> u64 {
+    value.as_u64().unwrap_or_else(|| panic!("{value} is no whole number"))
+}
+
+fn sum(confusion: &Value) -> u64 {
+    confusion.as_array().expect("rows").iter().flat_map(|row| row.as_array().expect("a row")).map(whole).sum()
+}
+
+/// Two seconds of each label, and two seconds without: from a file, and from the recording itself.
+#[test]
+fn frames_are_judged_by_the_span_that_they_lie_in() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("walk.mcap");
+    simulate("hall", "1", "60", &recording);
+
+    // Without spans the simulator's truth counts, but for frames in which somebody enters.
+    let truth = json_lines(evaluate("cfar").arg(&recording)).remove(0);
+    assert!((1..=60).contains(&whole(&truth["recordings"][0]["frames"])), "{truth}");
+
+    let track = folder.path().join("track.txt");
+    std::fs::write(&track, "0\t2\tempty\n2\t4\tone\n4\t5\tsomebody coughs\n").expect("writable");
+    let given = format!("{}={}", recording.display(), track.display());
+    let by_file = json_lines(evaluate("cfar").arg(&given)).remove(0);
+    let judged = &by_file["recordings"][0];
+    assert_eq!((judged["label"].as_str(), whole(&judged["frames"])), (Some("mixed"), 40), "{by_file}");
+    assert!(["empty", "one", "two"].iter().any(|class| judged["majority"] == *class), "{by_file}");
+    for (index, label) in ["empty", "one"].into_iter().enumerate() {
+        let (of, stretch) = (&judged["by_label"][index], &judged["stretches"][index]);
+        assert_eq!((&of["label"], whole(&of["frames"])), (&Value::from(label), 20), "{by_file}");
+        let called: u64 = of["called"].as_array().expect("three counts").iter().map(whole).sum();
+        assert_eq!(called, 20, "{by_file}");
+        assert_eq!(stretch["label"], label);
+        assert!((stretch["start_s"].as_f64().expect("a time") - 2.0 * index as f64).abs() < 1e-6, "{by_file}");
+        let found = stretch["found_within_s"].as_f64();
+        assert!(found.is_none_or(|seconds| (0.0..2.0).contains(&seconds)), "{by_file}");
+        assert_eq!(found.is_none(), of["right"].as_f64() == Some(0.0), "{by_file}");
+    }
+    assert_eq!((sum(&by_file["confusion"]), whole(&by_file["reliability"]["frames"])), (40, 40), "{by_file}");
+    for key in ["balanced_accuracy", "balanced_accuracy_by_single_frames"] {
+        assert!(by_file[key].is_f64(), "{key}: {by_file}");
+    }
+
+    json_lines(radome().arg("labels").arg(&recording).args(["--json", "--import"]).arg(&track));
+    let held = json_lines(evaluate("cfar").arg(&recording)).remove(0);
+    assert_eq!(held, by_file);
+}
+
+/// Others are judged; the status says that not all were.
+#[test]
+fn a_refused_recording_is_listed_and_the_others_are_judged() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (hall, desk) = (folder.path().join("hall.mcap"), folder.path().join("desk.mcap"));
+    // Bins of 15 cm hold nothing for a model of bins of 3 cm.
+    simulate("hall", "1", "5", &hall);
+    simulate("desk", "1", "135", &desk);
+    let inputs = [&hall, &desk].map(|path| format!("{}=one", path.display()));
+    let answer = json_lines_of(evaluate("desk-hqnn").args(&inputs), &[1]).remove(0);
+    let (judged, refused) = (&answer["recordings"], &answer["refused"]);
+    assert_eq!((judged.as_array().map(Vec::len), refused.as_array().map(Vec::len)), (Some(1), Some(1)), "{answer}");
+    assert_eq!((&judged[0]["label"], &judged[0]["path"]), (&"one".into(), &desk.display().to_string().into()));
+    assert!(refused[0]["recording"].as_str().is_some_and(|name| name.ends_with("hall.mcap")), "{answer}");
+    assert!(refused[0]["reason"].as_str().is_some_and(|reason| !reason.contains("hint")), "{answer}");
+    assert_eq!(json_lines(evaluate("desk-hqnn").args(&inputs).arg("--skip-refused")), [answer]);
+    let said = failure(evaluate("desk-hqnn").args(&inputs));
+    assert!(said.contains("1 of 2 recordings were refused") && said.contains("--skip-refused"), "{said}");
+    // Nothing was judged: that is a failure in any case.
+    let said = failure(evaluate("desk-hqnn").arg(&inputs[0]).arg("--skip-refused"));
+    assert!(said.contains("hall.mcap"), "{said}");
+}
+
+fn rung(folder: &Path) -> PathBuf {
+    let path = folder.join("rung.toml");
+    let scene = |name: &str, seeds: &str, more: &str| {
+        let path = fixture(&format!("scenes/{name}.toml"));
+        format!("[[scene]]\npath = \"{}\"\nseeds = {seeds}\n{more}\n", path.display())
+    };
+    let text = format!(
+        "format = 1\nname = \"small\"\nabout = \"Few frames.\"\n{}{}{}",
+        scene("hall", "[700001, 700002]", "people = 0\nframes = 12"),
+        scene("hall", "[700003, 700003]", "people = 2\nframes = 30"),
+        scene("desk", "[700004, 700004]", "people = 1\nframes = 5"),
+    );
+    std::fs::write(&path, text).expect("writable");
+    path
+}
+
+/// Each frame is simulated once and put to both; kept recordings give the same answer.
+#[test]
+fn models_are_compared_on_the_same_frames() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rung = rung(folder.path());
+    let keep = folder.path().join("kept");
+    let ladder = || {
+        let mut command = evaluate("hall-hqnn");
+        command.args(["--model", "cfar", "--ladder"]).arg(&rung);
+        command
+    };
+    let answer = json_lines(&mut ladder()).remove(0);
+    let told = &answer["ladder"][0];
+    assert_eq!((&told["rung"], &told["about"]), (&"small".into(), &"Few frames.".into()), "{answer}");
+    assert_eq!((whole(&told["recordings"]), whole(&told["frames"])), (4, 59), "{answer}");
+    let models = answer["models"].as_array().expect("models");
+    assert!(models[0]["model"].as_str().is_some_and(|name| name.ends_with("hall-hqnn.safetensors")), "{answer}");
+    assert_eq!(models[1]["model"], "cfar");
+    for (model, refused) in models.iter().zip([1, 0]) {
+        let row = &model["rungs"][0];
+        assert_eq!(row["refused"].as_array().map(Vec::len), Some(refused), "{row}");
+        assert_eq!(whole(&row["recordings_judged"]) as usize, 4 - refused, "{row}");
+        assert_eq!(row["recordings"].as_array().map(Vec::len), Some(4 - refused), "{row}");
+        // Of two people's recording the frames in which somebody enters are left out.
+        let frames = sum(&row["confusion"]);
+        assert!((24..=59).contains(&frames) && frames == whole(&row["reliability"]["frames"]), "{row}");
+        assert_eq!(row["reliability"]["bins"].as_array().map(Vec::len), Some(10), "{row}");
+        for key in ["balanced_accuracy", "balanced_accuracy_by_single_frames"] {
+            assert!(row[key].as_f64().is_some_and(|score| (0.0..=1.0).contains(&score)), "{row}");
+            assert_eq!(model["all"][key], row[key]);
+        }
+        assert!(row["empty_s"].as_f64().is_some_and(|seconds| seconds > 2.3), "{row}");
+        assert!(row["false_alarms_per_hour"].is_f64() && row["second_person_found"]["stretches"].is_u64(), "{row}");
+    }
+
+    let kept = || json_lines(ladder().arg("--keep").arg(&keep)).remove(0);
+    assert_eq!(kept(), answer);
+    let files = || {
+        let entries = std::fs::read_dir(&keep).expect("a folder").map(|entry| entry.expect("an entry"));
+        let time = |entry: std::fs::DirEntry| {
+            (entry.file_name(), entry.metadata().expect("metadata").modified().expect("a time"))
+        };
+        let mut all: Vec<_> = entries.map(time).collect();
+        all.sort();
+        all
+    };
+    let first = files();
+    assert_eq!(first.len(), 4, "{first:?}");
+    assert_eq!(kept(), answer);
+    assert_eq!(files(), first, "kept recordings were made anew");
+
+    // The same as a table.
+    let model = fixture("models/hall-hqnn.safetensors");
+    let output = radome().arg("evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
+    let table = String::from_utf8(output.stdout).expect("text");
+    assert!(output.status.success() && table.contains("small") && table.contains("1 refused"), "{table}");
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn labels_that_cannot_be_meant_are_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let recording = folder.path().join("empty.mcap");
+        simulate("hall", "0", "3", &recording);
+        let given = |name: &str| format!("{}={}", recording.display(), folder.path().join(name).display());
+        for (name, text, expected) in [
+            ("both.txt", "0\t0.2\tempty\n0.1\t0.3\tone\n", "overlap"),
+            ("free.txt", "0\t0.2\tsomebody coughs\n", "no label"),
+            ("broken.txt", "0\tempty\n", "line 1"),
+            ("absent.txt", "", "no file of labels"),
+        ] {
+            if !text.is_empty() {
+                std::fs::write(folder.path().join(name), text).expect("writable");
+            }
+            let said = failure(evaluate("cfar").arg(given(name)));
+            assert!(said.contains(expected), "{name}: {said}");
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_compared_is_refused() {
+        let said = failure(evaluate("cfar").args(["--model", "cfar", "x.mcap=one"]));
+        assert!(said.contains("2 models") && said.contains("--ladder"), "{said}");
+        let said = failure(radome().args(["evaluate", "--ladder"]).arg(fixture("ladder")));
+        assert!(said.contains("no model"), "{said}");
+        let said = failure(evaluate("cfar").args(["--ladder", "nowhere"]));
+        assert!(said.contains("nowhere"), "{said}");
+    }
+}
