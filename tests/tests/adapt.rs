@@ -162,7 +162,7 @@ fn the_empty_room_alone_lowers_false_alarms() {
     assert!(answer["adapted"]["held_out"].is_null() && answer["file"].is_string(), "{answer}");
     let of = |model: &Path| score(&evaluate(model, &["--no-smoothing"], &[made().join("0-3.mcap=empty")]));
     let (before, after) = (of(&made().join("model.safetensors")), of(&output));
-    assert!(after > before + 0.15, "frames of the empty room that are called empty: {before}, then {after}");
+    assert!(after > before + 0.3, "frames of the empty room that are called empty: {before}, then {after}");
 }
 
 mod hard_cases {
