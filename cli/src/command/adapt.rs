@@ -1,24 +1,24 @@
-use std::path::{Path, PathBuf};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use radome_driver::recording::span_check::check_spans;
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::Dataset;
 use radome_models::train::{AdaptFrame, AdaptRecording, Adaptation, Adapter, BeforeAfter};
 use serde_json::json;
 
-use super::dataset::by_span;
+use super::evaluate::LabelledRecording;
 use crate::judge::{CFAR, Model, Verdict};
+use crate::output;
 use crate::output_file::Overwrite;
-use crate::{labels, output};
 
 /// `radome adapt`
 #[derive(clap::Args)]
 pub struct Arguments {
     /// Model file
     model: PathBuf,
-    /// Recordings of the room: with labels of their own, or RECORDING=empty, RECORDING=one, RECORDING=two where all of it shows
-    /// that. Two or more that show the same can be held out in turn, which measures what is gained
+    /// Recordings of the room: with labels of their own, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
+    /// RECORDING=two where all of it shows that. Two or more that show the same are held out in turn: that measures what is gained
     #[arg(value_name = "RECORDING[=LABEL]", required_unless_present = "empty")]
     recordings: Vec<String>,
     /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
@@ -59,8 +59,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let inputs = inputs(arguments)?;
     let bar = output::progress(inputs.len() as u64, "reading");
     let mut recordings = Vec::with_capacity(inputs.len());
-    for (path, label) in &inputs {
-        let (back, recording) = read(judging, &adapter, path, *label)?;
+    for input in &inputs {
+        let (back, recording) = read(judging, &adapter, input)?;
         judging = back;
         recordings.push(recording);
         bar.inc(1);
@@ -86,53 +86,29 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Recordings, each with what all of it shows where that was said.
-fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<(PathBuf, Option<Occupancy>)>> {
-    let mut inputs = Vec::new();
-    for input in &arguments.recordings {
-        inputs.push(match input.rsplit_once('=') {
-            Some((path, label)) if !Path::new(input).exists() => {
-                let label = Occupancy::from_name(label);
-                (PathBuf::from(path), Some(label.with_context(|| format!("{input}: not empty, one or two"))?))
-            }
-            _ => (PathBuf::from(input), None),
-        });
-    }
-    inputs.extend(arguments.empty.iter().map(|path| (path.clone(), Some(Occupancy::Empty))));
+/// Recordings with what is true of their frames.
+fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
+    let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
+    let inputs = arguments.recordings.iter().cloned().chain(empty);
+    let inputs = inputs.map(|input| LabelledRecording::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
     // The same frames to learn from and to judge by would say that all is well.
-    for (index, (path, _)) in inputs.iter().enumerate() {
-        let is_same = |other: &PathBuf| match (path.canonicalize(), other.canonicalize()) {
-            (Ok(path), Ok(other)) => path == other,
-            _ => false,
-        };
-        if inputs.iter().skip(index + 1).any(|(other, _)| is_same(other)) {
+    let mut seen = BTreeSet::new();
+    for LabelledRecording { path, .. } in &inputs {
+        if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
             bail!("{} is named twice", path.display());
         }
     }
     Ok(inputs)
 }
 
-/// The frames of a recording; and the model again. Frames in which a label changes have none.
-fn read(
-    model: Model,
-    adapter: &Adapter,
-    path: &Path,
-    label: Option<Occupancy>,
-) -> anyhow::Result<(Model, AdaptRecording)> {
-    let mut source = radome_driver::recording::open(path)?;
+/// The frames of a recording; and the model again.
+fn read(model: Model, adapter: &Adapter, recording: &LabelledRecording) -> anyhow::Result<(Model, AdaptRecording)> {
+    let named = || recording.path.display().to_string();
+    let mut source = radome_driver::recording::open(&recording.path)?;
     let waveform = source.waveform().clone();
-    let spans = if label.is_none() { labels::of(path)? } else { Vec::new() };
-    check_spans(&spans, None).with_context(|| path.display().to_string())?;
-    if label.is_none() && !spans.iter().any(|span| span.occupancy().is_some()) {
-        bail!(
-            "{}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome dataset label; or say what all of \
-             it shows: {0}=empty",
-            path.display()
-        );
-    }
     let mut frame = Frame::zeroed(waveform.shape());
     let mut frames = Vec::new();
-    let mut judge = model.judge(&waveform).with_context(|| path.display().to_string())?;
+    let mut judge = model.judge(&waveform).with_context(named)?;
     loop {
         match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
@@ -140,19 +116,25 @@ fn read(
             SourceEvent::Frame => {
                 if let Verdict::Probabilities(_) = judge.frame(&frame)? {
                     let features = adapter.features(judge.map())?;
-                    let of_span = || by_span(&spans, &frame, &waveform).filter(|truth| !truth.transition);
-                    let label = label.or_else(|| of_span().map(|truth| truth.occupancy));
+                    let label = recording.truth(&frame, &waveform);
                     frames.push(AdaptFrame { time_s: frame.time_s(), features, label });
                 }
             }
         }
+    }
+    if frames.iter().all(|frame| frame.label.is_none()) {
+        bail!(
+            "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome dataset label; or say what all of \
+             it shows: {0}=empty",
+            named()
+        );
     }
     Ok((judge.into_model(), AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames }))
 }
 
 fn tell(
     arguments: &Arguments,
-    inputs: &[(PathBuf, Option<Occupancy>)],
+    inputs: &[LabelledRecording],
     recordings: &[AdaptRecording],
     adaptation: &Adaptation,
     written: Option<&PathBuf>,
@@ -171,19 +153,19 @@ fn tell(
     let all = inputs.iter().zip(recordings).zip(held_out);
     if arguments.json {
         let recordings: Vec<_> = all
-            .map(|(((path, _), recording), held_out)| {
-                json!({ "path": path.display().to_string(), "seconds": recording.seconds(), "held_out": held_out })
+            .map(|((input, recording), held_out)| {
+                json!({ "path": input.path.display().to_string(), "seconds": recording.seconds(), "held_out": held_out })
             })
             .collect();
         return output::json_line(&json!({
             "file": file, "adapted": adapted, "recordings": recordings, "not_measured": not_measured,
         }));
     }
-    for (((path, _), recording), held_out) in all {
+    for ((input, recording), held_out) in all {
         let [empty, one, two] = recording.seconds();
         let scores = held_out.map_or("not measured".to_owned(), |scores| said(&scores));
         let seconds = format!("{empty:.0} s empty, {one:.0} s one, {two:.0} s two");
-        output::text_line(&format!("{}: {seconds}; held out: {scores}", path.display()))?;
+        output::text_line(&format!("{}: {seconds}; held out: {scores}", input.path.display()))?;
     }
     match adapted.held_out {
         Some(scores) => output::text_line(&format!("all, each held out in turn: {}", said(&scores)))?,

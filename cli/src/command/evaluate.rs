@@ -18,7 +18,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use self::candidate::{Candidate, Predictions, Refused, add_confusion};
-use self::labelled::LabelledRecording;
+pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};
 use crate::output;

@@ -20,7 +20,6 @@ mod unit;
 mod verify;
 
 pub use build::whole as build;
-pub use unit::by_span;
 
 /// `radome dataset`
 #[derive(clap::Args)]
