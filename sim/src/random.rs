@@ -38,6 +38,8 @@ pub enum Purpose {
     ClutterStep,
     /// Ways from wall to wall.
     WallWalks,
+    /// People who wander.
+    Wander,
 }
 
 fn splitmix64(mut z: u64) -> u64 {
