@@ -1,5 +1,5 @@
-//! One person's motion: corners laid down by a script, smoothed by [`Track`]s, or a wandering way ([`super::wander`]), with gait
-//! and small motions on top.
+//! One person's motion: corners laid down by a script, smoothed by [`Track`]s, or the way of somebody who wanders
+//! (`wander.rs`), with gait and small motions on top.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;

@@ -441,7 +441,7 @@ fn check_wander(file: &SceneFile, wander: &WanderFile) -> Result<(), Fault> {
     interval("range_m", w.range_m, 0.0, 100.0, "m")?;
     within("off_boresight_deg", w.off_boresight_deg, 1.0, 180.0, "degrees")?;
     within("nearness", w.nearness, 0.1, 10.0, "(exponent)")?;
-    within("least_distance_m", w.least_distance_m, 0.4, 2.0, "m")?;
+    within("least_distance_m", w.least_distance_m, 0.45, 2.0, "m")?;
     interval("pause_s", w.pause_s, 0.1, 1e6, "s")?;
     interval("sit_s", w.sit_s, 0.1, 1e6, "s")?;
     interval("sway_m", w.sway_m, 0.0005, 0.05, "m")?;

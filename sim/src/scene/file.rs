@@ -459,7 +459,7 @@ pub struct WanderFile {
     /// Weight of near places: ranges are drawn as the least plus the interval times a number of 0 to 1 to this power. Default 1.5;
     /// 1 draws all ranges alike.
     pub nearness: f64,
-    /// Two people's hips never come nearer to each other than this, m. Default 0.5, at least 0.4.
+    /// Two people's hips never come nearer to each other than this, m. Default 0.55, at least 0.45.
     pub least_distance_m: f64,
     /// Probability of a pause at a goal. Default 0.3.
     pub pause_probability: f64,
@@ -503,7 +503,7 @@ impl Default for WanderFile {
             range_m: [0.5, 5.0],
             off_boresight_deg: 40.0,
             nearness: 1.5,
-            least_distance_m: 0.5,
+            least_distance_m: 0.55,
             pause_probability: 0.3,
             pause_s: [0.5, 20.0],
             stand_probability: 0.15,

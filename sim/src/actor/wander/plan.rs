@@ -520,7 +520,7 @@ impl Walker {
                 let Some(&goal) = way.first() else { return (self.after(setting, then, other), going_on) };
                 let is_last = way.len() == 1;
                 let distance_m = self.pose.distance_m(goal);
-                let has_stopped = distance_m < PASS_M && self.pose.speed_m_per_s < 0.05;
+                let has_stopped = distance_m < 1.7 * STOP_M && self.pose.speed_m_per_s < 0.05;
                 let is_there = if stops && is_last { distance_m < STOP_M || has_stopped } else { distance_m < PASS_M };
                 if !is_there {
                     let commands = self.steer(setting, goal, stops && is_last, other);
