@@ -48,6 +48,8 @@ pub enum Purpose {
     GainDrift,
     /// Jitter of the chirps' times in a frame.
     ChirpJitter,
+    /// People who wander.
+    Wander,
 }
 
 fn splitmix64(mut z: u64) -> u64 {

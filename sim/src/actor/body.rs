@@ -52,6 +52,8 @@ pub struct Posture {
     pub knee_rad: [f64; 2],
     /// Foot pitch, toes up, rad.
     pub ankle_rad: [f64; 2],
+    /// Both legs to the left of the hips, rad: 0 but for sway to the side.
+    pub legs_left_rad: f64,
     /// Chest surface outward of its mean, by breath and heart, m.
     pub chest_m: f64,
 }
@@ -112,6 +114,7 @@ impl Build {
             hip_rad: [0.0; 2],
             knee_rad: [0.0; 2],
             ankle_rad: [0.0; 2],
+            legs_left_rad: 0.0,
             chest_m: 0.0,
         }
     }
@@ -182,7 +185,9 @@ impl Posture {
         // Flexion turns a limb about the left axis.
         let hang = |base: DMat3, flexion: f64| base * DMat3::from_rotation_y(-flexion);
         let upper_arm = self.shoulder_rad.map(|flexion| hang(chest, flexion));
-        let thigh = self.hip_rad.map(|flexion| hang(heading, flexion));
+        let legs =
+            if self.legs_left_rad == 0.0 { heading } else { heading * DMat3::from_rotation_x(self.legs_left_rad) };
+        let thigh = self.hip_rad.map(|flexion| hang(legs, flexion));
         let shank = std::array::from_fn(|side| hang(thigh[side], -self.knee_rad[side]));
         Frames {
             hips: DVec3::new(self.position_m[0], self.position_m[1], self.hip_height_m),

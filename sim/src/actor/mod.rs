@@ -18,5 +18,6 @@ mod rig;
 mod route;
 pub mod skin;
 pub mod track;
+mod wander;
 
 pub use cycle::FootSliding;

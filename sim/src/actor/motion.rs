@@ -1,4 +1,5 @@
-//! One person's motion: corners laid down by a script, smoothed by [`Track`]s, with gait and small motions on top.
+//! One person's motion: corners laid down by a script, smoothed by [`Track`]s, or the way of somebody who wanders
+//! (`wander.rs`), with gait and small motions on top.
 
 use std::f64::consts::{PI, TAU};
 use std::sync::Arc;
@@ -13,6 +14,7 @@ use super::gait::{self, Style};
 use super::imported::Actor;
 use super::low::{Crouch, HIPS_OVER_SEAT_M, Lying};
 use super::track::{Track, smooth_step};
+use super::wander::Wanderer;
 use crate::field::highlight::Ellipsoid;
 use crate::random::{Purpose, generator};
 
@@ -25,7 +27,7 @@ const LIE_S: f64 = 1.6;
 /// On the edge of a bed one sits so long before lying down and before getting up, s.
 const ON_EDGE_S: f64 = 0.8;
 /// Steps on the spot in a second, two in each cycle.
-const MARCH_HZ: f64 = 0.9;
+pub(super) const MARCH_HZ: f64 = 0.9;
 /// Smaller turns are made without steps, rad.
 const LEAST_MARCH_RAD: f64 = 0.4;
 /// Wider turns on the way are made on the spot where turning has a bound, rad.
@@ -205,6 +207,8 @@ pub struct Motion {
     lie: Track,
     /// Where to, each from a time on.
     lows: Vec<(f64, Low)>,
+    /// Instead of the tracks.
+    wanderer: Option<Wanderer>,
     /// Nobody is there before this, s.
     pub start_s: f64,
     /// Nor after this, s.
@@ -216,6 +220,70 @@ pub struct Motion {
 struct Low {
     crouch: Crouch,
     lying: Option<Lying>,
+}
+
+/// What a motion is made of at a time.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct Moment {
+    /// Place without sway, m.
+    pub position_m: [f64; 2],
+    /// Facing, rad.
+    pub heading_rad: f64,
+    /// Cycles (two steps) made.
+    pub phase: f64,
+    /// 0 standing, 1 walking.
+    pub vigour: f64,
+    /// 0 standing, 1 sitting with feet ahead.
+    pub sit: f64,
+    /// Vigour of steps on the spot.
+    pub march: f64,
+    /// Part of the way down on feet that stay.
+    pub low: f64,
+    /// That way down.
+    pub crouch: Option<Crouch>,
+    /// Part of the way from there to lying.
+    pub lie: f64,
+    /// Where to.
+    pub lying: Option<Lying>,
+    /// Small motions beside those of the person.
+    pub small: Option<Small>,
+}
+
+/// Small motions of somebody who wanders.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Small {
+    /// Hips forward over feet that stay, m.
+    pub forward_m: f64,
+    /// Hips to the left over feet that stay, m.
+    pub left_m: f64,
+    /// Trunk forward, rad.
+    pub lean_rad: f64,
+    /// Shoulders against hips, rad.
+    pub twist_rad: f64,
+    /// Shoulder flexion (left, right), rad.
+    pub shoulder_rad: [f64; 2],
+    /// Elbow flexion (left, right), rad.
+    pub elbow_rad: [f64; 2],
+}
+
+impl Small {
+    fn add(&self, build: &Build, posture: &mut Posture) {
+        let (sine, cosine) = posture.heading_rad.sin_cos();
+        posture.position_m[0] += self.forward_m * cosine - self.left_m * sine;
+        posture.position_m[1] += self.forward_m * sine + self.left_m * cosine;
+        // Legs lean over feet that stay.
+        let leg_m = build.thigh_m() + build.shank_m();
+        let tilt_rad = self.forward_m / leg_m;
+        posture.legs_left_rad -= self.left_m / leg_m;
+        for side in 0..2 {
+            posture.hip_rad[side] -= tilt_rad;
+            posture.ankle_rad[side] += tilt_rad;
+            posture.shoulder_rad[side] += self.shoulder_rad[side];
+            posture.elbow_rad[side] = (posture.elbow_rad[side] + self.elbow_rad[side]).max(0.0);
+        }
+        posture.lean_rad += self.lean_rad;
+        posture.twist_rad += self.twist_rad;
+    }
 }
 
 /// A bed, as one gets into it.
@@ -287,6 +355,7 @@ impl MotionBuilder {
             low: Track::constant(0.0, SIT_S),
             lie: Track::constant(0.0, LIE_S),
             lows: Vec::new(),
+            wanderer: None,
             start_s,
             end_s: f64::INFINITY,
         };
@@ -531,18 +600,47 @@ impl Motion {
         time_s >= self.start_s && time_s <= self.end_s
     }
 
+    /// The motion of somebody who wanders.
+    pub(super) fn wandering(person: Person, wanderer: Wanderer, [start_s, end_s]: [f64; 2]) -> Self {
+        let mut motion = MotionBuilder::new(person, start_s, [0.0; 2], 0.0).stay();
+        motion.wanderer = Some(wanderer);
+        motion.end_s = end_s;
+        motion
+    }
+
+    /// What the motion is made of at a time.
+    fn moment(&self, time_s: f64) -> Moment {
+        if let Some(wanderer) = &self.wanderer {
+            return wanderer.moment(time_s);
+        }
+        let to = latest(&self.lows, time_s);
+        Moment {
+            position_m: [self.x.at(time_s), self.y.at(time_s)],
+            heading_rad: self.heading.at(time_s),
+            phase: self.phase.at(time_s),
+            vigour: self.vigour.at(time_s),
+            sit: self.sit.at(time_s),
+            march: self.march.at(time_s),
+            low: self.low.at(time_s),
+            crouch: to.map(|low| low.crouch),
+            lie: self.lie.at(time_s),
+            lying: to.and_then(|low| low.lying),
+            small: None,
+        }
+    }
+
     /// Joint angles and place at a time.
     pub fn posture(&self, time_s: f64) -> Posture {
         let build = &self.person.build;
-        let heading_rad = self.heading.at(time_s);
-        let (phase, vigour, sit) = (self.phase.at(time_s), self.vigour.at(time_s).max(0.0), self.sit.at(time_s));
+        let moment = self.moment(time_s);
+        let Moment { heading_rad, phase, sit, march, low, lie, .. } = moment;
         // What walks by a clip stands here.
-        let vigour = if matches!(self.person.steps, Steps::Gait) { vigour } else { 0.0 };
+        let vigour = if matches!(self.person.steps, Steps::Gait) { moment.vigour.max(0.0) } else { 0.0 };
         let (forward, left) = gait::sway(phase, vigour);
         let (sway_x, sway_y) = self.person.sway_m(time_s);
         let (sine, cosine) = heading_rad.sin_cos();
-        let x = self.x.at(time_s) + forward * cosine - left * sine + sway_x;
-        let y = self.y.at(time_s) + forward * sine + left * cosine + sway_y;
+        let x = moment.position_m[0] + forward * cosine - left * sine + sway_x;
+        let y = moment.position_m[1] + forward * sine + left * cosine + sway_y;
         let standing = build.standing_hip_height_m();
         let seated = latest(&self.seats, time_s).unwrap_or(0.45) + HIPS_OVER_SEAT_M;
         let mut posture = Posture {
@@ -558,18 +656,17 @@ impl Motion {
             hip_rad: [1.5 * sit; 2],
             knee_rad: [1.5 * sit; 2],
             ankle_rad: [0.0; 2],
+            legs_left_rad: 0.0,
             chest_m: self.person.chest_m(time_s),
         };
         gait::walk(&mut posture, phase, vigour * (1.0 - sit), build.height_m, &self.person.style);
-        let march = self.march.at(time_s);
         if march > 0.0 {
             gait::march(&mut posture, phase, march);
         }
         let (side, arm, mut lean, mut twist) = self.person.fidget(time_s);
-        let (low, lie) = (self.low.at(time_s), self.lie.at(time_s));
-        if let (true, Some(Low { crouch, lying })) = (low > 0.0, latest(&self.lows, time_s)) {
+        if let (true, Some(crouch)) = (low > 0.0, moment.crouch) {
             crouch.lower(build, low, &mut posture);
-            if let (true, Some(lying)) = (lie > 0.0, lying) {
+            if let (true, Some(lying)) = (lie > 0.0, moment.lying) {
                 lying.lower(build, lie, &mut posture);
                 // Arms move on a bed, trunks rest.
                 (lean, twist) = (lean * (1.0 - lie), twist * (1.0 - lie));
@@ -582,6 +679,9 @@ impl Motion {
             }
             posture.lean_rad += desk.lean_rad;
         }
+        if let Some(small) = &moment.small {
+            small.add(build, &mut posture);
+        }
         posture.shoulder_rad[side] += arm;
         posture.elbow_rad[side] += 0.8 * arm;
         posture.lean_rad += lean;
@@ -592,12 +692,8 @@ impl Motion {
     /// Place and steps at a time.
     pub fn walk(&self, time_s: f64) -> Walk {
         let (sway_x, sway_y) = self.person.sway_m(time_s);
-        Walk {
-            position_m: [self.x.at(time_s) + sway_x, self.y.at(time_s) + sway_y],
-            heading_rad: self.heading.at(time_s),
-            phase: self.phase.at(time_s),
-            vigour: self.vigour.at(time_s).clamp(0.0, 1.0),
-        }
+        let Moment { position_m: [x, y], heading_rad, phase, vigour, .. } = self.moment(time_s);
+        Walk { position_m: [x + sway_x, y + sway_y], heading_rad, phase, vigour: vigour.clamp(0.0, 1.0) }
     }
 
     /// The body at a time; of an actor from a file, ellipsoids about its parts.

@@ -1,4 +1,5 @@
-//! Who is in the room when: written scripts, endless visits, or people at a desk. All drawn from (seed, slot, visit).
+//! Who is in the room when: written scripts, endless visits, people who wander, or people at a desk. All drawn from (seed, slot,
+//! visit).
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -9,7 +10,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use super::clothing::Clothing;
 use super::gait::Style;
 use super::motion::{AtDesk, Bed, BodyPoint, Motion, MotionBuilder, Person, Steps};
-use super::route::Ground;
+use super::route::{Block, Ground};
+use super::wander::Wander;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
@@ -19,6 +21,7 @@ use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, S
 pub struct Program {
     fixed: Vec<Arc<Motion>>,
     visits: Option<Visits>,
+    wander: Option<Wander>,
 }
 
 /// Each slot's visits so far, in order of time; later ones are drawn when they are first asked for.
@@ -40,7 +43,7 @@ impl Program {
     /// The people of a scene; `people` overrides how many there are at most.
     pub fn new(scene: &Scene, seed: u64, people: Option<usize>) -> Self {
         let file = scene.file();
-        let mut program = Program { fixed: Vec::new(), visits: None };
+        let mut program = Program { fixed: Vec::new(), visits: None, wander: None };
         if let Some(visits) = &file.people.visits {
             program.fixed = passer_by(file, visits, seed).into_iter().map(Arc::new).collect();
             let slots = people.unwrap_or(visits.max_people);
@@ -55,6 +58,8 @@ impl Program {
                 seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
+        } else if let Some(wander) = &file.people.wander {
+            program.wander = Some(Wander::new(file, wander, seed, people));
         } else if let Some(desk) = &file.people.desk {
             program.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
         } else {
@@ -80,16 +85,18 @@ impl Program {
                 all.extend(visits.between(slot, start_s, end_s).into_iter().map(|m| (slot, m)));
             }
         }
+        if let Some(wander) = &self.wander {
+            all.extend(wander.between(start_s, end_s));
+        }
         all
     }
 }
 
-/// Where people may walk; `None` where they walk straight.
-fn ground(file: &SceneFile) -> Option<Ground> {
+/// What stands in people's way, as boxes on the ground plan.
+pub(super) fn blocks(file: &SceneFile) -> Vec<Block> {
     /// What hangs above this, and what is lower than that, is in nobody's way, m.
     const OVERHEAD_M: f64 = 1.9;
     const CARPET_M: f64 = 0.05;
-    let [width, depth, _] = file.room.size_m;
     let in_the_way = file.furniture.iter().filter(|f| {
         let [bottom, top] = [f.position_m[2], f.position_m[2] + f.size_m[2]];
         bottom < OVERHEAD_M && top > CARPET_M
@@ -98,11 +105,17 @@ fn ground(file: &SceneFile) -> Option<Ground> {
         let ([x, y, _], [w, d, _]) = (f.position_m, f.size_m);
         [[x, y], [x + w, y + d]]
     };
-    file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], in_the_way.map(block).collect(), keep_off_m))
+    in_the_way.map(block).collect()
+}
+
+/// Where people may walk; `None` where they walk straight.
+fn ground(file: &SceneFile) -> Option<Ground> {
+    let [width, depth, _] = file.room.size_m;
+    file.people.keep_off_m.map(|keep_off_m| Ground::new([width, depth], blocks(file), keep_off_m))
 }
 
 /// What a scene says of how its people walk and what they wear.
-fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
+pub(super) fn dressed(mut person: Person, people: &PeopleFile, seed: u64) -> Person {
     let mut rng = generator(seed, Purpose::Gait, person.identity);
     person.style = Style { stride: draw(&mut rng, people.stride), arm_swing: draw(&mut rng, people.arm_swing) };
     if let Some(file) = &people.clothing {
@@ -221,7 +234,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
 }
 
 /// Unit vector into a room at a door.
-fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
+pub(super) fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
     let [x, y] = door.position_m;
     if x < 1e-6 {
         [1.0, 0.0]
@@ -235,7 +248,7 @@ fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
 }
 
 /// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
-fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+pub(super) fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
     let [nx, ny] = inward(size_m, door);
     let room = (0.5 * door.width_m - 0.3).max(0.0);
     let shift = lateral.clamp(-room, room);
@@ -339,7 +352,8 @@ fn desk_people(scene: &Scene, desk: &DeskFile, seed: u64, people: Option<usize>)
     all
 }
 
-fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
+/// A number between two bounds.
+pub(super) fn draw(rng: &mut Xoshiro256PlusPlus, [low, high]: [f64; 2]) -> f64 {
     low + (high - low) * rng.random::<f64>()
 }
 

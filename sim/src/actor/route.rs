@@ -1,7 +1,7 @@
 //! Ways around furniture: the shortest one that keeps a distance from what stands in the room.
 
 /// A box on the ground plan: low and high corner, m.
-type Block = [[f64; 2]; 2];
+pub(super) type Block = [[f64; 2]; 2];
 
 /// Corners of a way are so much farther off than asked, m: ways may run along blocks.
 const BESIDE_M: f64 = 1e-6;

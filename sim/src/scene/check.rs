@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::file::{ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile};
+use super::file::{
+    ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile, WanderFile,
+};
 use super::material::Material;
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
@@ -268,9 +270,14 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     let people = &file.people;
     let programs = usize::from(!people.actor.is_empty())
         + usize::from(people.visits.is_some())
+        + usize::from(people.wander.is_some())
         + usize::from(people.desk.is_some());
     if programs != 1 {
-        return fault("people", programs, "exactly one of [[people.actor]], [people.visits], [people.desk]");
+        return fault(
+            "people",
+            programs,
+            "exactly one of [[people.actor]], [people.visits], [people.wander], [people.desk]",
+        );
     }
     within("turn_rate_deg_per_s", people.turn_rate_deg_per_s.unwrap_or(120.0), 10.0, 720.0, "degrees/s")?;
     within("keep_off_m", people.keep_off_m.unwrap_or(0.3), 0.0, 2.0, "m")?;
@@ -400,6 +407,9 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
             }
         }
     }
+    if let Some(wander) = &people.wander {
+        check_wander(file, wander)?;
+    }
     if people.desk.is_some() && people.body == BodyFile::Mesh {
         return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
     }
@@ -428,6 +438,53 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         within("fidget_probability", d.fidget_probability, 0.0, 1.0, "(probability)")?;
         within("objects_probability", d.objects_probability, 0.0, 1.0, "(probability)")?;
         interval("height_m", d.height_m, 0.5, 2.5, "m")?;
+    }
+    Ok(())
+}
+
+fn check_wander(file: &SceneFile, wander: &WanderFile) -> Result<(), Fault> {
+    let w = wander;
+    within("max_people", w.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
+    for (key, p) in [
+        ("come_and_go_probability", w.come_and_go_probability),
+        ("pause_probability", w.pause_probability),
+        ("stand_probability", w.stand_probability),
+        ("pace_probability", w.pace_probability),
+        ("sit_probability", w.sit_probability),
+        ("gesture_probability", w.gesture_probability),
+        ("passer_by_probability", w.passer_by_probability),
+    ] {
+        within(key, p, 0.0, 1.0, "(probability)")?;
+    }
+    within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
+    if w.come_and_go_probability > 0.0 && file.door.is_empty() {
+        return fault("come_and_go_probability", w.come_and_go_probability, "at least one [[door]] to come in by");
+    }
+    interval("stay_s", w.stay_s, 1.0, 1800.0, "s")?;
+    interval("absence_s", w.absence_s, 1.0, 1e6, "s")?;
+    interval("speed_m_per_s", w.speed_m_per_s, 0.05, 2.0, "m/s")?;
+    within("acceleration_m_per_s2", w.acceleration_m_per_s2, 0.2, 5.0, "m/s^2")?;
+    interval("height_m", w.height_m, 0.5, 2.5, "m")?;
+    interval("range_m", w.range_m, 0.0, 100.0, "m")?;
+    within("off_boresight_deg", w.off_boresight_deg, 1.0, 180.0, "degrees")?;
+    within("nearness", w.nearness, 0.1, 10.0, "(exponent)")?;
+    within("least_distance_m", w.least_distance_m, 0.45, 2.0, "m")?;
+    interval("pause_s", w.pause_s, 0.1, 1e6, "s")?;
+    interval("sit_s", w.sit_s, 0.1, 1e6, "s")?;
+    interval("sway_m", w.sway_m, 0.0005, 0.05, "m")?;
+    interval("gesture_m_per_s", w.gesture_m_per_s, 0.1, 3.0, "m/s")?;
+    interval("mode_s", w.mode_s, 1.0, 1e6, "s")?;
+    interval("passer_by_level_db", w.passer_by_level_db, -60.0, 20.0, "dB")?;
+    let m = &w.modes;
+    for (key, weight) in [
+        ("independent", m.independent),
+        ("together", m.together),
+        ("follow", m.follow),
+        ("meet", m.meet),
+        ("pass", m.pass),
+        ("stand_and_walk", m.stand_and_walk),
+    ] {
+        within(key, weight, 0.0, 1e6, "(weight)")?;
     }
     Ok(())
 }

@@ -344,7 +344,7 @@ pub enum ShadowFile {
     Strip,
 }
 
-/// Who comes, and what they do: exactly one of the three programs.
+/// Who comes, and what they do: exactly one of the four programs.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PeopleFile {
@@ -357,6 +357,9 @@ pub struct PeopleFile {
     /// People who come and go by chance.
     #[serde(default)]
     pub visits: Option<VisitsFile>,
+    /// People who wander about on smooth ways, alone or with each other.
+    #[serde(default)]
+    pub wander: Option<WanderFile>,
     /// People who sit before the radar.
     #[serde(default)]
     pub desk: Option<DeskFile>,
@@ -526,6 +529,120 @@ pub struct VisitsFile {
     pub passer_by_probability: f64,
     /// What that wall and the way around it leave of such a one's echoes, dB. Default [-25, -10].
     pub passer_by_level_db: [f64; 2],
+}
+
+/// Nobody, one or two people who wander about. Pairs are the least and the largest value drawn.
+///
+/// `turn_rate_deg_per_s` (120 if absent) and `keep_off_m` (0.35 if absent) of `[people]` hold for them, too.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WanderFile {
+    /// Most people at a time; how many there are is drawn for each seed. Default 2.
+    pub max_people: usize,
+    /// Probability that people come in by a door and leave, `max_people` at a time at most, instead of being there all the time.
+    /// Drawn for each seed; never where no door is clear of furniture. Default 0.
+    pub come_and_go_probability: f64,
+    /// Time that such people stay, s. Default [15, 90].
+    pub stay_s: [f64; 2],
+    /// Time between two of them, s. Default [3, 30].
+    pub absence_s: [f64; 2],
+    /// Mean speed while walking, m/s. Drawn for each person. Default [0.15, 1].
+    pub speed_m_per_s: [f64; 2],
+    /// Largest acceleration, m/s^2. Default 1.
+    pub acceleration_m_per_s2: f64,
+    /// Body height, m. Default [1.55, 1.92].
+    pub height_m: [f64; 2],
+    /// How far from the radar people go to, on the ground plan, m. They never come nearer than the least. Default [0.5, 5].
+    pub range_m: [f64; 2],
+    /// How far off the radar's boresight people go to at most, on the ground plan, degrees. Default 40.
+    pub off_boresight_deg: f64,
+    /// Weight of near places: ranges are drawn as the least plus the interval times a number of 0 to 1 to this power. Default 1.5;
+    /// 1 draws all ranges alike.
+    pub nearness: f64,
+    /// Two people's hips never come nearer to each other than this, m. Default 0.55, at least 0.45.
+    pub least_distance_m: f64,
+    /// Probability of a pause at a goal. Default 0.3.
+    pub pause_probability: f64,
+    /// Duration of a pause, s: most are short. Default [0.5, 20].
+    pub pause_s: [f64; 2],
+    /// Share of people who stand all the time, where they do nothing together. Default 0.15.
+    pub stand_probability: f64,
+    /// Share of people who pace to and fro between two places, where they do nothing together. Default 0.2.
+    pub pace_probability: f64,
+    /// Probability of a seat as the next goal, where there are seats. Default 0.1.
+    pub sit_probability: f64,
+    /// Time on the seat, s. Default [4, 40].
+    pub sit_s: [f64; 2],
+    /// Excursion of postural sway at the shoulders, rms, m. Drawn for each person, evenly in its logarithm. Default [0.002, 0.02].
+    pub sway_m: [f64; 2],
+    /// Share of people who gesture with their arms. Default 0.6.
+    pub gesture_probability: f64,
+    /// Peak speed of a hand in a stroke of a gesture, m/s. Drawn for each stroke. Default [0.3, 1.5].
+    pub gesture_m_per_s: [f64; 2],
+    /// How long two people do one thing together, s; then another is drawn. Default [20, 90].
+    pub mode_s: [f64; 2],
+    /// What two people do together.
+    pub modes: ModesFile,
+    /// Probability that somebody wanders beyond the wall at the far end of the room (x = size) all the time, who is seen faintly
+    /// and does not count. Drawn for each seed. Default 0.
+    pub passer_by_probability: f64,
+    /// What that wall and the way around it leave of such a one's echoes, dB. Default [-25, -10].
+    pub passer_by_level_db: [f64; 2],
+}
+
+impl Default for WanderFile {
+    fn default() -> Self {
+        WanderFile {
+            max_people: 2,
+            come_and_go_probability: 0.0,
+            stay_s: [15.0, 90.0],
+            absence_s: [3.0, 30.0],
+            speed_m_per_s: [0.15, 1.0],
+            acceleration_m_per_s2: 1.0,
+            height_m: [1.55, 1.92],
+            range_m: [0.5, 5.0],
+            off_boresight_deg: 40.0,
+            nearness: 1.5,
+            least_distance_m: 0.55,
+            pause_probability: 0.3,
+            pause_s: [0.5, 20.0],
+            stand_probability: 0.15,
+            pace_probability: 0.2,
+            sit_probability: 0.1,
+            sit_s: [4.0, 40.0],
+            sway_m: [0.002, 0.02],
+            gesture_probability: 0.6,
+            gesture_m_per_s: [0.3, 1.5],
+            mode_s: [20.0, 90.0],
+            modes: ModesFile::default(),
+            passer_by_probability: 0.0,
+            passer_by_level_db: [-25.0, -10.0],
+        }
+    }
+}
+
+/// Weights of what two people do together.
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModesFile {
+    /// Each goes about alone. Default 3.
+    pub independent: f64,
+    /// They walk side by side. Default 1.
+    pub together: f64,
+    /// One follows the other. Default 1.
+    pub follow: f64,
+    /// They meet, stand and talk, and part. Default 1.
+    pub meet: f64,
+    /// They pace between the same two places and pass each other on the way. Default 1.
+    pub pass: f64,
+    /// One stands while the other walks. Default 1.
+    pub stand_and_walk: f64,
+}
+
+impl Default for ModesFile {
+    fn default() -> Self {
+        ModesFile { independent: 3.0, together: 1.0, follow: 1.0, meet: 1.0, pass: 1.0, stand_and_walk: 1.0 }
+    }
 }
 
 /// Nobody, one or two people sitting before the radar, for good.
