@@ -514,7 +514,7 @@ mod tests {
         assert!((8_000..16_000).contains(&frames), "{frames} frames");
         let names: Vec<&str> = rungs.iter().map(|rung| rung.name.as_str()).collect();
         let expected =
-            ["furnished", "gait", "ghosts", "halls", "receiver", "rest", "skins", "still", "three", "waveforms"];
+            ["furnished", "gait", "ghosts", "receiver", "rest", "rooms", "skins", "still", "three", "wander", "waveforms"];
         assert_eq!(names, expected);
     }
 
@@ -537,7 +537,7 @@ mod tests {
     #[test]
     fn a_kept_recording_is_known_again() {
         let folder = tempfile::tempdir().expect("a folder");
-        let mut simulation = load(&ladder().join("halls.toml")).expect("a rung").remove(0).simulations.remove(0);
+        let mut simulation = load(&ladder().join("rooms.toml")).expect("a rung").remove(0).simulations.remove(0);
         simulation.frames = 4;
         let bar = ProgressBar::hidden();
         let path = folder.path().join(format!("{}.mcap", simulation.name));
