@@ -20,6 +20,11 @@ use crate::live::classify::Delays;
 /// The name that takes the place of a model file.
 pub const CFAR: &str = "cfar";
 
+/// The model that judges where none is named: it is part of the program, and takes nearly any waveform.
+pub const BUILT_IN: &str = "room-hqnn";
+
+static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
+
 /// What a detector's count says of how many people are seen, `[counted][seen]`: who is hidden or turned away is missed more often
 /// than somebody is made of noise. This and the filter's settings were chosen on simulated corridors (seeds 90001 to 90006) and halls
 /// (200001 to 200006).
@@ -27,6 +32,10 @@ const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], 
 
 const CFAR_SMOOTHING: Smoothing =
     Smoothing { dwell_s: 8.0, unseen_share: 0.15, unseen_s: 3.0, weight: Some(1.0), independent_s: None };
+
+fn is_built_in(name: &Path) -> bool {
+    name == Path::new(BUILT_IN) && !name.exists()
+}
 
 /// A model, before it is known which frames it will see.
 pub enum Model {
@@ -55,10 +64,14 @@ pub enum Verdict {
 }
 
 impl Model {
-    /// `cfar`, or a model file.
+    /// `cfar`, the built-in model by its name, or a model file.
     pub fn open(name: &Path) -> anyhow::Result<Self> {
         if name == Path::new(CFAR) && !name.exists() {
             return Ok(Model::Cfar);
+        }
+        if is_built_in(name) {
+            let model = radome_models::Model::from_bytes(name, BUILT_IN_FILE)?;
+            return Ok(Model::Network(Box::new(Classifier::new(model))));
         }
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }
@@ -78,7 +91,11 @@ impl Model {
             // It is this program's own.
             Model::Cfar => format!("radome {}", env!("CARGO_PKG_VERSION")),
             Model::Network(_) => {
-                let bytes = read(path, MODEL_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+                let bytes = if is_built_in(path) {
+                    BUILT_IN_FILE.to_vec()
+                } else {
+                    read(path, MODEL_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?
+                };
                 Sha256::digest(&bytes).iter().map(|byte| format!("{byte:02x}")).collect()
             }
         };

@@ -82,6 +82,18 @@ pub fn failure(command: &mut Command) -> String {
     said
 }
 
+/// The shipped room-cnn as a model of one waveform, the hall's: it refuses any other.
+///
+/// # Panics
+/// If the model cannot be read or written.
+pub fn model_of_one_waveform(folder: &Path) -> PathBuf {
+    let mut model = radome_models::Model::load(&fixture("models/room-cnn.safetensors")).expect("a shipped model");
+    model.card.rdm_spec.physical_axes = None;
+    let path = folder.join("one-waveform.safetensors");
+    model.save(&path).expect("a model can be written");
+    path
+}
+
 fn run(command: &mut Command) -> Output {
     command.output().unwrap_or_else(|e| panic!("cannot run {command:?}: {e}"))
 }

@@ -5,9 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use radome_dsp::rdm::{Channels, PhysicalAxes};
-use radome_models::Model;
-use radome_tests::{failure, fixture, json_lines, radome};
+use radome_tests::{failure, fixture, json_lines, model_of_one_waveform, radome};
 
 /// A spec of `runs` short runs of the paper's two scenes; every unit takes a moment.
 fn spec(folder: &Path, runs: u64, more: &str) -> PathBuf {
@@ -542,27 +540,21 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     let mut simulate = radome();
     simulate.arg("simulate").arg(path("short.toml")).args(["--people", "1", "--frames", "6", "--json", "-o"]);
     json_lines(simulate.arg(path("short.mcap")));
-    // A network told that its maps are on physical axes: its answers mean nothing, it takes the frames.
-    let mut model = Model::load(&fixture("models/hall-hqnn.safetensors")).expect("loads");
-    model.card.rdm_spec.channels = Channels::IncoherentSum;
-    model.card.rdm_spec.physical_axes =
-        Some(PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 });
-    model.save(&path("any.safetensors")).expect("saves");
     let evaluate = |model: &Path| {
         let mut command = radome();
         let input = format!("{}=one", path("short.mcap").display());
         command.args(["evaluate", "--json", "--thermal-snr-db", "10", "--model"]).arg(model).arg(input);
         command
     };
-    let output = evaluate(&path("any.safetensors")).output().expect("runs");
+    let output = evaluate(&fixture("models/room-cnn.safetensors")).output().expect("runs");
     let said = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{said}");
     let answer: serde_json::Value = serde_json::from_slice(&output.stdout).expect("JSON");
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
     // Once, although the recording is judged twice.
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
-    assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
+    assert!(said.contains("velocity resolution is 0.40 m/s, not 0.10 m/s"), "{said}");
 
-    let said = failure(&mut evaluate(&fixture("models/hall-hqnn.safetensors")));
+    let said = failure(&mut evaluate(&model_of_one_waveform(folder.path())));
     assert!(said.contains("waveforms differ in map size") && said.contains("hint: "), "{said}");
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use radome_tests::{failure, fixture, json_lines, json_lines_of, radome};
+use radome_tests::{failure, fixture, json_lines, json_lines_of, model_of_one_waveform, radome};
 use serde_json::Value;
 
 fn simulate(scene: &str, people: &str, frames: &str, path: &Path) {
@@ -109,9 +109,10 @@ fn models_are_compared_on_the_same_frames() {
     let folder = tempfile::tempdir().expect("a folder");
     let rung = rung(folder.path());
     let keep = folder.path().join("kept");
+    let model = model_of_one_waveform(folder.path());
     let ladder = || {
-        let mut command = evaluate("hall-hqnn");
-        command.args(["--model", "cfar", "--ladder"]).arg(&rung);
+        let mut command = radome();
+        command.args(["evaluate", "--json", "--model"]).arg(&model).args(["--model", "cfar", "--ladder"]).arg(&rung);
         command
     };
     let answer = json_lines(&mut ladder()).remove(0);
@@ -119,7 +120,7 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!((&told["rung"], &told["about"]), (&"small".into(), &"Few frames.".into()), "{answer}");
     assert_eq!((whole(&told["recordings"]), whole(&told["frames"])), (4, 59), "{answer}");
     let models = answer["models"].as_array().expect("models");
-    assert!(models[0]["model"].as_str().is_some_and(|name| name.ends_with("hall-hqnn.safetensors")), "{answer}");
+    assert!(models[0]["model"].as_str().is_some_and(|name| name.ends_with("one-waveform.safetensors")), "{answer}");
     assert_eq!(models[1]["model"], "cfar");
     for (model, refused) in models.iter().zip([1, 0]) {
         let row = &model["rungs"][0];
@@ -155,7 +156,6 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(files(), first, "kept recordings were made anew");
 
     // The same as a table.
-    let model = fixture("models/hall-hqnn.safetensors");
     let output = radome().arg("evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
     let table = String::from_utf8(output.stdout).expect("text");
     assert!(output.status.success() && table.contains("small") && table.contains("1 refused"), "{table}");

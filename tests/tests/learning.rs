@@ -237,9 +237,13 @@ fn parts_of_maps_are_replaced_and_recalls_read_again() {
 #[test]
 fn shipped_settings_train_a_model() {
     let folder = tempfile::tempdir().expect("a folder");
-    for (name, network) in
-        [("hall", "hqnn"), ("desk", "hqnn"), ("paper", "hqnn"), ("hall-descriptors", "descriptor_linear")]
-    {
+    for (name, network) in [
+        ("room-hqnn", "descriptor_hqnn"),
+        ("room-linear", "descriptor_linear"),
+        ("room-cnn", "estimator_matched"),
+        ("desk-hqnn", "hqnn"),
+        ("paper-hqnn", "hqnn"),
+    ] {
         let spec = fixture("datasets").join(format!("{name}-training.toml"));
         let model = folder.path().join(format!("{name}.safetensors"));
         let mut command = radome();

@@ -8,7 +8,7 @@ use radome_tests::{failure, fixture, json_lines, radome};
 use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
-const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("hall-hqnn", "hall")];
+const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("room-cnn", "hall")];
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
     let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));

@@ -7,7 +7,7 @@ use radome_driver::{RecorderOptions, RecordingHeader};
 use radome_dsp::Waveform;
 
 use crate::exit::Ended;
-use crate::judge::Model;
+use crate::judge::{BUILT_IN, Model};
 use crate::live::background::Background;
 use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
@@ -30,8 +30,9 @@ use crate::source::{self, SourceOptions};
 pub struct Arguments {
     /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
     source: String,
-    /// Model file, which names the waveform that a board is programmed with; or cfar, the classical detector, for any waveform
-    #[arg(long)]
+    /// Model file, which names the waveform that a board is programmed with; room-hqnn, which is built in and takes nearly any
+    /// waveform; or cfar, the classical detector, for any waveform
+    #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
     /// Waveform to program a board with, for a model that names none (cfar): `paper`, a .toml file, or a model file
     #[arg(long)]
@@ -162,6 +163,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     };
     let source = source::open(watch.source, &options)?;
     eprintln!("{}", source.description);
+    eprintln!("judged by {}", watch.model.display());
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
     if let Some(tape) = &source.tape {

@@ -513,8 +513,19 @@ mod tests {
         }
         assert!((8_000..16_000).contains(&frames), "{frames} frames");
         let names: Vec<&str> = rungs.iter().map(|rung| rung.name.as_str()).collect();
-        let expected =
-            ["furnished", "gait", "ghosts", "receiver", "rest", "rooms", "skins", "still", "three", "wander", "waveforms"];
+        let expected = [
+            "furnished",
+            "gait",
+            "ghosts",
+            "receiver",
+            "rest",
+            "rooms",
+            "skins",
+            "still",
+            "three",
+            "wander",
+            "waveforms",
+        ];
         assert_eq!(names, expected);
     }
 
