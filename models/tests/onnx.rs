@@ -148,6 +148,10 @@ fn shipped_models_classify_alike_as_onnx_files() {
     let files = std::fs::read_dir(models).expect("models").filter_map(Result::ok).map(|file| file.path());
     for path in files.filter(|path| path.extension().is_some_and(|e| e == "safetensors")) {
         let model = Model::load(&path).expect("a model");
+        if model.card.network.reads_descriptors() {
+            assert!(matches!(onnx::export(&model), Err(ExportError::Descriptors { .. })), "{}", path.display());
+            continue;
+        }
         let file = folder.path().join("exported.ONNX");
         std::fs::write(&file, onnx::export(&model).expect("exported")).expect("writable");
         assert_eq!(ModelCard::load(&file).expect("a card"), model.card);

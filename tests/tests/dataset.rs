@@ -553,7 +553,7 @@ fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_l
     assert_eq!(answer["recordings"][0]["frames"], 6, "{answer}");
     // Once, although the recording is judged twice.
     assert_eq!(said.matches("brought onto its axes").count(), 1, "{said}");
-    assert!(said.contains("velocity resolution is 0.40 m/s, not 0.10 m/s"), "{said}");
+    assert!(said.contains("velocity resolution is 0.39 m/s, not 0.10 m/s"), "{said}");
 
     let said = failure(&mut evaluate(&model_of_one_waveform(folder.path())));
     assert!(said.contains("waveforms differ in map size") && said.contains("hint: "), "{said}");

@@ -9,6 +9,8 @@ use serde_json::Value;
 
 /// The shipped models, each with a scene of its waveform and with frames enough for its maps.
 const MODELS: [(&str, &str); 3] = [("paper-hqnn", "corridor"), ("desk-hqnn", "desk"), ("room-cnn", "hall")];
+/// The shipped models that describe maps by numbers.
+const WITHOUT_ONNX_FORM: [&str; 2] = ["room-hqnn", "room-linear"];
 
 fn export(model: &Path, folder: &Path) -> PathBuf {
     let file = folder.join(model.with_extension("onnx").file_name().expect("a name"));
@@ -87,13 +89,19 @@ fn exported_models_answer_as_the_models() {
             |model: &Path| json_lines(radome().args(["evaluate", "--model"]).arg(model).args([&labelled, "--json"]));
         assert_alike(&evaluate(&native)[0], &evaluate(&onnx)[0]);
     }
+    for model in WITHOUT_ONNX_FORM {
+        let file = folder.path().join("none.onnx");
+        let native = fixture(&format!("models/{model}.safetensors"));
+        let said = failure(radome().arg("export").arg(native).arg("-o").arg(&file));
+        assert!(said.contains("no ONNX form") && !file.exists(), "{model}: {said}");
+    }
     assert_eq!(
         std::fs::read_dir(fixture("models"))
             .expect("readable")
             .filter_map(Result::ok)
             .filter(|file| file.path().extension().is_some_and(|e| e == "safetensors"))
             .count(),
-        MODELS.len()
+        MODELS.len() + WITHOUT_ONNX_FORM.len()
     );
 }
 

@@ -408,7 +408,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
         }
     }
     if let Some(wander) = &people.wander {
-        check_wander(file, wander)?;
+        check_wander(wander)?;
     }
     if people.desk.is_some() && people.body == BodyFile::Mesh {
         return fault("body", "mesh", "\"ellipsoids\" for people at a desk: what is fitted to them there has no skin");
@@ -442,7 +442,7 @@ fn check_people(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-fn check_wander(file: &SceneFile, wander: &WanderFile) -> Result<(), Fault> {
+fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     let w = wander;
     within("max_people", w.max_people as f64, 0.0, 2.0, "people (the classes end at two)")?;
     for (key, p) in [
@@ -457,8 +457,9 @@ fn check_wander(file: &SceneFile, wander: &WanderFile) -> Result<(), Fault> {
         within(key, p, 0.0, 1.0, "(probability)")?;
     }
     within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
-    if w.come_and_go_probability > 0.0 && file.door.is_empty() {
-        return fault("come_and_go_probability", w.come_and_go_probability, "at least one [[door]] to come in by");
+    if w.come_and_go_probability > 0.0 {
+        let expected = "0: people who wander can get stuck in doorways yet; people of [people.visits] come and go";
+        return fault("come_and_go_probability", w.come_and_go_probability, expected);
     }
     interval("stay_s", w.stay_s, 1.0, 1800.0, "s")?;
     interval("absence_s", w.absence_s, 1.0, 1e6, "s")?;

@@ -540,7 +540,7 @@ pub struct WanderFile {
     /// Most people at a time; how many there are is drawn for each seed. Default 2.
     pub max_people: usize,
     /// Probability that people come in by a door and leave, `max_people` at a time at most, instead of being there all the time.
-    /// Drawn for each seed; never where no door is clear of furniture. Default 0.
+    /// Drawn for each seed; never where no door is clear of furniture. Only 0, the default, is taken: people can get stuck in doorways.
     pub come_and_go_probability: f64,
     /// Time that such people stay, s. Default [15, 90].
     pub stay_s: [f64; 2],

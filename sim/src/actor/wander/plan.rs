@@ -286,6 +286,8 @@ enum Facing {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Seen {
     pose: Pose,
+    /// Whether the other is coming or going through a doorway.
+    is_in_doorway: bool,
 }
 
 /// Somebody whom others must not come near while both brake.
@@ -379,6 +381,11 @@ impl Walker {
         self.passage.is_none() && !matches!(self.role, Role::Leave { .. })
     }
 
+    /// What the other sees of the person.
+    fn seen(&self) -> Seen {
+        Seen { pose: self.pose, is_in_doorway: self.passage.is_some() }
+    }
+
     fn is_waiting(&self) -> bool {
         matches!(self.errand, Errand::Stand { left_s, .. } if left_s == f64::INFINITY)
     }
@@ -426,6 +433,11 @@ impl Walker {
                 self.role = Role::Pace { ends, at: 1 - at };
                 self.walk_or_pause(setting, ends[at], true)
             }
+            // Who stands all the time stands somewhere in the room, not in the doorway.
+            Role::Stand if self.passage.is_some() => match setting.goal(&mut self.rng) {
+                Some(goal) => self.walk(setting, goal, true, Then::Plan),
+                None => self.pause(setting),
+            },
             Role::Stand => {
                 let left_s = heavy_tailed(&mut self.rng, [2.0, 60.0]);
                 Errand::Stand { left_s, facing: self.facing() }
@@ -478,7 +490,9 @@ impl Walker {
             let unit: f64 = StandardNormal.sample(&mut self.rng);
             *noise += -*noise * STEP_S / forgets_s + (2.0 * STEP_S / forgets_s).sqrt() * unit;
         }
-        if time_s >= self.leaves_s && self.is_free() && !setting.doors.is_empty() {
+        // Two who meet in a doorway would wait for each other.
+        let is_way_free = !other.is_some_and(|other| other.is_in_doorway);
+        if time_s >= self.leaves_s && self.is_free() && is_way_free && !setting.doors.is_empty() {
             let door = self.rng.random_range(0..setting.doors.len());
             self.take(Role::Leave { door }, setting);
         }
@@ -487,7 +501,7 @@ impl Walker {
             if matches!(self.errand, Errand::Walk { .. }) {
                 let waits = chance(&mut self.rng, 0.4);
                 self.errand = match (waits, self.passage) {
-                    (_, Some(_)) => self.through(setting),
+                    (_, Some(_)) => self.once_more(setting),
                     (true, None) => Errand::Stand { left_s: draw(&mut self.rng, [0.5, 2.0]), facing: Facing::Same },
                     (false, None) => self.plan(setting),
                 };
@@ -497,6 +511,16 @@ impl Walker {
         let (errand, commands) = self.pursue(setting, errand, other);
         self.errand = errand;
         commands
+    }
+
+    /// Another attempt at a doorway: who leaves goes back to before its middle first, for from beside it the wall is in the way.
+    fn once_more(&mut self, setting: &Setting) -> Errand {
+        match (self.role, self.passage.and_then(|door| setting.doors.get(door))) {
+            (Role::Leave { door }, Some(place)) => {
+                Errand::Walk { way: vec![place.at(Door::IN_M)], stops: true, then: Then::GoOut(door) }
+            }
+            _ => self.through(setting),
+        }
     }
 
     /// The way through a doorway, in or out.
@@ -660,7 +684,7 @@ impl Walker {
         let slot = places.into_iter().find(|at| setting.ground.is_free(*at)).unwrap_or(self.pose.position_m);
         let off_m = self.pose.distance_m(slot);
         if lead.speed_m_per_s < 0.05 && off_m < 0.35 {
-            return self.stand(Facing::Other, Some(Seen { pose: *lead }));
+            return self.stand(Facing::Other, Some(Seen { pose: *lead, is_in_doorway: false }));
         }
         let corner = self.corner_towards(setting, slot, off_m);
         let velocity = lead.velocity_m_per_s();
@@ -673,7 +697,7 @@ impl Walker {
     fn go_behind(&self, setting: &Setting, gap_m: f64, lead: &Pose) -> [Command; 3] {
         let off_m = self.pose.distance_m(lead.position_m);
         if lead.speed_m_per_s < 0.05 && off_m < gap_m + 0.2 {
-            return self.stand(Facing::Other, Some(Seen { pose: *lead }));
+            return self.stand(Facing::Other, Some(Seen { pose: *lead, is_in_doorway: false }));
         }
         let corner = self.corner_towards(setting, lead.position_m, off_m);
         let speed = (lead.speed_m_per_s + 0.8 * (off_m - gap_m)).max(0.0);
@@ -850,8 +874,7 @@ impl State {
     pub fn step(&mut self, setting: &Setting, visits: &mut Vec<Visit>) {
         let time_s = self.time_s();
         self.set_mode(setting);
-        let seen: Vec<Option<Seen>> =
-            self.slots.iter().map(|slot| slot.walker.as_ref().map(|walker| Seen { pose: walker.pose })).collect();
+        let seen: Vec<Option<Seen>> = self.slots.iter().map(|slot| slot.walker.as_ref().map(Walker::seen)).collect();
         let mut wanted = Vec::with_capacity(seen.len());
         for (i, slot) in self.slots.iter_mut().enumerate() {
             let other = seen.iter().enumerate().find_map(|(j, seen)| if j == i { None } else { *seen });
@@ -902,7 +925,8 @@ impl State {
         let door = &setting.doors[at];
         let place = door.at(Door::OUT_M);
         let mut there = self.slots.iter().filter_map(|slot| slot.walker.as_ref());
-        if there.any(|walker| walker.pose.distance_m(place) < CLEAR_DOOR_M) {
+        let is_near = |walker: &Walker| walker.pose.distance_m(place) < CLEAR_DOOR_M;
+        if there.any(|walker| is_near(walker) || matches!(walker.role, Role::Leave { door } if door == at)) {
             self.slots[number].returns_s = time_s + 1.0;
             return;
         }
