@@ -473,7 +473,7 @@ impl<'a> Tail<'a> {
 
     fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
         let mut rest = numbers.iter();
-        for Parameter { variable, .. } in self.parameters.iter().copied() {
+        for Parameter { variable, .. } in self.parameters.iter() {
             let values: Vec<f32> = rest.by_ref().take(variable.elem_count()).map(|&v| v as f32).collect();
             variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
         }
