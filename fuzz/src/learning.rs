@@ -95,7 +95,7 @@ pub fn check_onnx(input: &[u8]) {
 
 /// Probabilities stay probabilities, whatever the settings that were accepted.
 fn check_smoothing(smoothing: Smoothing) {
-    let mut filter = OccupancyFilter::new(smoothing);
+    let mut filter = OccupancyFilter::new(smoothing, 0.1);
     for (time_s, frame) in [(0.0, [1.0, 0.0, 0.0]), (0.1, [0.0, 0.0, 1.0]), (0.1, [0.2, 0.3, 0.5]), (1e9, [0.0; 3])] {
         let people = filter.update(time_s, frame);
         assert!(people.iter().all(|p| (0.0..=1.001).contains(p)), "{smoothing:?}: {people:?}");
