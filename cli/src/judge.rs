@@ -157,7 +157,7 @@ impl Model {
     }
 }
 
-/// What frames of a waveform show less of a map than frames of the model's own; empty if nothing.
+/// Losses of a map of frames of this waveform against one of the model's own waveform, in words; empty if there are none.
 fn losses(axes: &PhysicalAxes, waveform: &Waveform, nominal: &Waveform) -> Vec<String> {
     let (given, own) = (axes.coverage(waveform), axes.coverage(nominal));
     let mut losses = Vec::new();

@@ -94,7 +94,7 @@ pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     }
 }
 
-/// What labels say of a frame: the class at its first chirp, and whether it is another at its last.
+/// Truth of a frame by its labels: the class at its first chirp, and whether it is another at its last.
 pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Option<Truth> {
     let at = |time_s: f64| {
         let holds = |span: &&LabelSpan| {

@@ -119,7 +119,7 @@ struct Judged {
     path: PathBuf,
     /// Its label, or "mixed" where it has several.
     label: &'static str,
-    /// What most of its labelled frames were called, and the share of them.
+    /// Class that most of its labelled frames were called, and their share.
     majority: Occupancy,
     share: f64,
     /// Labelled frames.
@@ -139,7 +139,7 @@ struct Judged {
 struct OfLabel {
     label: Occupancy,
     frames: u64,
-    /// How many were called empty, one and two.
+    /// Number of them that were called empty, one and two.
     called: [u64; Occupancy::ALL.len()],
     /// Share of them that were called right.
     right: f64,
@@ -197,7 +197,7 @@ impl Judged {
     }
 }
 
-/// How often each class was what frames of each class were called.
+/// Number of frames by true class (row) and by the class that they were called (column).
 type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
@@ -312,7 +312,7 @@ fn under_thermal_noise(
     Ok(all)
 }
 
-/// What the model predicts for the frames of a recording. The inner error is the model's refusal of its waveform.
+/// Predictions of the model for the frames of a recording. The inner error is the model's refusal of its waveform.
 fn judge(
     candidate: &mut Candidate,
     recording: &LabelledRecording,

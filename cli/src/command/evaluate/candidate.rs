@@ -100,7 +100,7 @@ impl Run {
 pub struct Predictions {
     /// Behind the filter.
     pub filtered: Vec<FramePrediction>,
-    /// Of each frame by itself.
+    /// Predictions for each frame by itself.
     pub alone: Vec<FramePrediction>,
     frame_interval_s: f64,
 }

@@ -36,7 +36,7 @@ struct RungFile {
     name: String,
     /// One sentence that says how it differs from training.
     about: String,
-    /// What is simulated.
+    /// Scenes that are simulated.
     scene: Vec<RungScene>,
 }
 
@@ -53,7 +53,7 @@ struct RungScene {
     people: Option<usize>,
     /// Frames of a recording.
     frames: u64,
-    /// What people are made of, "ellipsoids" or "mesh"; what the scene says if absent.
+    /// Bodies of people, "ellipsoids" or "mesh"; those of the scene if absent.
     #[serde(default)]
     body: Option<BodyFile>,
 }
@@ -311,7 +311,7 @@ impl Simulation {
     }
 }
 
-/// What a model did on the recordings of a rung that it did not refuse.
+/// Scores of a model on the recordings of a rung that it did not refuse.
 #[derive(Default)]
 struct RungScores {
     filtered: Confusion,
@@ -324,7 +324,7 @@ struct RungScores {
     refused: Vec<Refused>,
 }
 
-/// How a recording was judged, behind the filter.
+/// Judgement of a recording, behind the filter.
 #[derive(Debug, Clone, Serialize)]
 struct OfRecording {
     recording: String,
@@ -388,7 +388,7 @@ struct Row {
     /// Length of what is labelled empty, s.
     empty_s: f64,
     false_alarms_per_hour: Option<f64>,
-    /// Of the filter's largest probability.
+    /// Reliability of the filter's largest probability.
     reliability: Reliability,
     recordings: Vec<OfRecording>,
     refused: Vec<Refused>,
