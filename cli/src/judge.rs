@@ -33,6 +33,18 @@ const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], 
 const CFAR_SMOOTHING: Smoothing =
     Smoothing { dwell_s: 8.0, unseen_share: 0.15, unseen_s: 3.0, weight: Some(1.0), independent_s: None };
 
+/// A network of our own by its file, or the built-in one by its name.
+///
+/// # Errors
+/// The file cannot be read or is no model.
+pub fn network(name: &Path) -> anyhow::Result<radome_models::Model> {
+    Ok(if is_built_in(name) {
+        radome_models::Model::from_bytes(name, BUILT_IN_FILE)?
+    } else {
+        radome_models::Model::load(name)?
+    })
+}
+
 fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
@@ -70,8 +82,7 @@ impl Model {
             return Ok(Model::Cfar);
         }
         if is_built_in(name) {
-            let model = radome_models::Model::from_bytes(name, BUILT_IN_FILE)?;
-            return Ok(Model::Network(Box::new(Classifier::new(model))));
+            return Ok(Model::Network(Box::new(Classifier::new(network(name)?))));
         }
         Ok(Model::Network(Box::new(Classifier::load(name)?)))
     }

@@ -55,7 +55,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if matches!(judging, Model::Cfar) {
         bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
     }
-    let mut adapter = Adapter::new(radome_models::Model::load(&arguments.model)?)?;
+    let mut adapter = Adapter::new(crate::judge::network(&arguments.model)?)?;
     let inputs = inputs(arguments)?;
     let bar = output::progress(inputs.len() as u64, "reading");
     let mut recordings = Vec::with_capacity(inputs.len());
