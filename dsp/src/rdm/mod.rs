@@ -2,6 +2,7 @@
 
 mod axes;
 mod chain;
+mod change;
 mod fourier;
 mod lanes;
 mod physical;

@@ -11,6 +11,7 @@ use num_complex::Complex64;
 
 use super::PhysicalAxes;
 use super::chain::ChainPlan;
+use super::change::Change;
 use crate::decibel::power_to_db_portable;
 use crate::{KernelLevel, MAX_CODE, Waveform};
 
@@ -40,6 +41,11 @@ pub(super) struct PhysicalChain {
     /// `[real, imaginary][range]` of the spectra under the real and under the imaginary part of a row of `doppler_matrix`.
     by_real: Vec<f32>,
     by_imaginary: Vec<f32>,
+    /// Change from frame to frame of each used channel, if it has the cells of zero velocity, and those cells.
+    change: Vec<Change>,
+    zero: Range<usize>,
+    /// `[chirp]` at zero velocity.
+    zero_weights: Vec<f32>,
     /// Which of the used channels go into a mean.
     alive: Vec<bool>,
     /// Samples that stand for the lowest and the highest code.
@@ -48,8 +54,14 @@ pub(super) struct PhysicalChain {
 }
 
 impl PhysicalChain {
-    /// For a plan of a spec with these axes; `level` must be available.
-    pub(super) fn new(plan: &ChainPlan, axes: &PhysicalAxes, waveform: &Waveform, level: KernelLevel) -> Self {
+    /// For a plan of a spec with these axes; `level` must be available. `change_over_s` is [`RdmSpec::change_over_s`](super::RdmSpec).
+    pub(super) fn new(
+        plan: &ChainPlan,
+        axes: &PhysicalAxes,
+        change_over_s: Option<f64>,
+        waveform: &Waveform,
+        level: KernelLevel,
+    ) -> Self {
         let coverage = axes.coverage(waveform);
         let (range, velocity) = (coverage.range_bins, coverage.velocity_bins);
         let range_cycles = axes.range_step_m / waveform.range_step_m(1);
@@ -81,8 +93,14 @@ impl PhysicalChain {
             doppler_matrix.extend(row.iter().map(|x| x.im as f32));
         }
         let (factor, offset) = (plan.scale.0 as f32, plan.scale.1 as f32);
+        let change = |time_s| Change::new(range, time_s, waveform.frame_interval_s());
+        let zero = axes.velocity_bins / 2 * axes.range_bins;
         PhysicalChain {
             level,
+            change: change_over_s
+                .map_or_else(Vec::new, |time_s| plan.channels.clone().map(|_| change(time_s)).collect()),
+            zero: zero..zero + range,
+            zero_weights: plan.doppler_window.iter().map(|weight| *weight as f32).collect(),
             spectra: vec![0.0; coverage.chirps.len() * 2 * range],
             by_real: vec![0.0; 2 * range],
             by_imaginary: vec![0.0; 2 * range],
@@ -117,7 +135,9 @@ impl PhysicalChain {
         let mut adds = false;
         for (index, channel) in samples.chunks_exact(plan.channel_length()).enumerate() {
             if self.alive.get(index) == Some(&true) {
-                self.channel(plan, channel, adds, &mut cells[plan.cells(index)]);
+                let cells = &mut cells[plan.cells(index)];
+                self.channel(plan, channel, adds, cells);
+                self.change_of(index, adds, &mut cells[self.zero.clone()]);
                 adds = plan.is_sum;
             }
         }
@@ -134,6 +154,20 @@ impl PhysicalChain {
         }
     }
 
+    /// Forgets the frames before.
+    pub(super) fn reset(&mut self) {
+        self.change.iter_mut().for_each(Change::reset);
+    }
+
+    /// Change of the channel whose spectra there are, into the cells of zero velocity, or added to it.
+    fn change_of(&mut self, index: usize, adds: bool, cells: &mut [f32]) {
+        if let Some(change) = self.change.get_mut(index) {
+            weighted_sum(self.level, &self.zero_weights, &self.spectra, &mut self.by_real);
+            let (real, imaginary) = self.by_real.split_at(self.range);
+            change.push(real, imaginary, adds, cells);
+        }
+    }
+
     /// Power of one channel `[chirp][sample]` into the measured cells, or added to what is there.
     fn channel(&mut self, plan: &ChainPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
         let chirps = samples.chunks_exact(plan.frame_shape.samples).skip(self.chirps.start);
@@ -141,7 +175,11 @@ impl PhysicalChain {
             weighted_sum(self.level, &chirp[self.samples.clone()], &self.range_matrix, spectrum);
         }
         let chirps = self.chirps.len();
+        let told_elsewhere = if self.change.is_empty() { None } else { Some(self.zero.start / plan.shape.range) };
         for (bin, weights) in self.velocity.clone().zip(self.doppler_matrix.chunks_exact(2 * chirps)) {
+            if told_elsewhere == Some(bin) {
+                continue;
+            }
             let (real, imaginary) = weights.split_at(chirps);
             weighted_sum(self.level, real, &self.spectra, &mut self.by_real);
             weighted_sum(self.level, imaginary, &self.spectra, &mut self.by_imaginary);

@@ -51,7 +51,7 @@ pub enum MapError {
 
 /// Makes maps of frames as its [`RdmSpec`] says. Owns its plans and buffers; nothing is allocated per frame.
 ///
-/// Keeps state between frames where the spec calls for it (MTI background, window of frames); it forgets it by itself
+/// Keeps state between frames where the spec calls for it (MTI background, window of frames, change); it forgets it by itself
 /// when sequence numbers do not follow one another, and on [`reset`](Self::reset).
 ///
 /// Frames with powers of two on both axes go through a kernel of its own at the machine's [`KernelLevel`], other sizes
@@ -99,7 +99,7 @@ impl RdmProcessor {
         let floor_power = 10f64.powf(spec.floor_db / 10.0) as f32;
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
         let chain = if let Some(axes) = spec.physical_axes {
-            Chain::Physical(Box::new(PhysicalChain::new(&plan, &axes, waveform, level)))
+            Chain::Physical(Box::new(PhysicalChain::new(&plan, &axes, spec.change_over_s, waveform, level)))
         } else if let Some(lanes) = LaneChain::new(&plan, level) {
             Chain::Lanes(lanes)
         } else {
@@ -174,8 +174,10 @@ impl RdmProcessor {
     pub fn reset(&mut self) {
         self.last_sequence = None;
         self.has_background = false;
-        if let Chain::Fourier(chain) = &mut self.chain {
-            chain.reset();
+        match &mut self.chain {
+            Chain::Fourier(chain) => chain.reset(),
+            Chain::Physical(chain) => chain.reset(),
+            Chain::Lanes(_) => {}
         }
     }
 

@@ -12,7 +12,7 @@ use crate::{Frame, MAX_CODE, Waveform};
 /// With `x[m, n]` the samples of slow time `m` and fast time `n`,
 /// `X[l, k] = sum_m sum_n w_m w_n x[m, n] exp(-j 2 pi (l m / M + k n / N))`, and the cell is
 /// `20 log10(a_k |X[l, k]|)` with the scale `a_k` of the spec's [`AmplitudeScale`].
-/// With [`SlowTime::Frames`] exactly the window must be given; recursive MTI runs over all frames given.
+/// With [`SlowTime::Frames`] exactly the window must be given; recursive MTI and change run over all frames given.
 ///
 /// On physical axes `k / N` is the range of a cell over the range of one cycle per sample, `l / M` its velocity over that of one
 /// cycle per chirp. Cells that the waveform does not measure read the floor: what they hold elsewhere is drawn.
@@ -96,6 +96,7 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
                 }
             }
         }
+        let frames_before = x.clone();
         let slow_time: Vec<Vec<f64>> = match spec.slow_time {
             SlowTime::Chirps => x.pop().unwrap_or_default(),
             SlowTime::Frames { .. } => x
@@ -103,20 +104,19 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
                 .map(|frame| (0..n).map(|s| frame.iter().map(|row| row[s]).sum::<f64>() / frame.len() as f64).collect())
                 .collect(),
         };
+        let profile_of = |slow_time: &[Vec<f64>], k: usize| -> Vec<Complex64> {
+            let of_chirp = |row: &Vec<f64>| {
+                row[samples.clone()]
+                    .iter()
+                    .zip(&range_window)
+                    .enumerate()
+                    .map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * range_cycles(k, s)))
+                    .sum()
+            };
+            slow_time.iter().take(chirps.end).skip(chirps.start).map(of_chirp).collect()
+        };
         for k in range_bins.clone() {
-            let mut profile: Vec<Complex64> = slow_time
-                .iter()
-                .take(chirps.end)
-                .skip(chirps.start)
-                .map(|row| {
-                    row[samples.clone()]
-                        .iter()
-                        .zip(&range_window)
-                        .enumerate()
-                        .map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * range_cycles(k, s)))
-                        .sum()
-                })
-                .collect();
+            let mut profile = profile_of(&slow_time, k);
             if spec.static_removal == StaticRemoval::SlowTimeMean {
                 let mean = profile.iter().sum::<Complex64>() / profile.len() as f64;
                 profile.iter_mut().for_each(|v| *v -= mean);
@@ -130,6 +130,15 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
                     .sum();
                 power[(index * shape.doppler + i) * shape.range + k] = (amplitude(k) * sum.norm()).powi(2);
             }
+            if let Some(time_s) = spec.change_over_s {
+                let zero_velocity = |frame: &Vec<Vec<f64>>| -> Complex64 {
+                    profile_of(frame, k).iter().zip(&doppler_window).map(|(v, w)| v * w).sum()
+                };
+                let sums: Vec<Complex64> = frames_before.iter().map(zero_velocity).collect();
+                let i = shape.doppler / 2;
+                power[(index * shape.doppler + i) * shape.range + k] =
+                    amplitude(k).powi(2) * change(&sums, waveform.frame_interval_s() / time_s);
+            }
         }
     }
     if spec.channels == Channels::IncoherentSum {
@@ -140,6 +149,20 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
     }
     let floor_power = 10f64.powf(spec.floor_db / 10.0);
     Ok(power.into_iter().map(|p| 10.0 * if p < floor_power { floor_power } else { p }.log10()).collect())
+}
+
+/// Power of change of a sequence, whose weights fade by `exp(-step)` from one to the one before, and are equal at its beginning.
+fn change(sums: &[Complex64], step: f64) -> f64 {
+    let mut weights: Vec<f64> = Vec::new();
+    for count in 1..=sums.len() {
+        let newest = (1.0 - (-step).exp()).max(1.0 / count as f64);
+        weights.iter_mut().for_each(|weight| *weight *= 1.0 - newest);
+        weights.push(newest);
+    }
+    let weighted = || sums.iter().zip(&weights);
+    let mean: Complex64 = weighted().map(|(z, w)| z * w).sum();
+    let variance: f64 = weighted().map(|(z, w)| w * (z - mean).norm_sqr()).sum();
+    variance * variance / (variance + mean.norm_sqr()).max(f64::MIN_POSITIVE)
 }
 
 /// Whether a receiver says nothing: all codes are the same, or at least half of them lie at the ends of the ADC.

@@ -8,6 +8,9 @@ use crate::{KernelLevel, Waveform, WaveformMismatch, Window};
 
 /// Points of an FFT at most: eight times the samples that a chirp can have.
 pub const MOST_FFT_POINTS: usize = 1 << 15;
+/// Times over which change is told, s.
+const LEAST_CHANGE_S: f64 = 0.01;
+const MOST_CHANGE_S: f64 = 1000.0;
 /// Cells of a map at most, 256 MiB of them.
 pub const MOST_CELLS: usize = 1 << 26;
 
@@ -113,6 +116,15 @@ pub struct RdmSpec {
     /// Fixed axes in metres and metres a second, on which frames of any waveform make like maps; those of the waveform if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub physical_axes: Option<PhysicalAxes>,
+    /// Time over which cells of zero velocity tell change from frame to frame, s; if absent, they tell what moves slowly within a
+    /// frame, as all others do. Only with `physical_axes`.
+    ///
+    /// People who stand, sit or breathe are seen by it: the phase of their echoes turns within a second, that of clutter does not. Of a
+    /// sum over chirps at zero velocity, from which nothing is removed, `v` is the variance over frames and `m` the mean, with weights
+    /// that fade by 1/e over this time; the cell has the power `v * v / (v + |m|^2)`. It reads `floor_db` in the first frame and after
+    /// a gap.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub change_over_s: Option<f64>,
     /// What slow time is.
     pub slow_time: SlowTime,
     /// What 0 dB is.
@@ -134,6 +146,7 @@ impl Default for RdmSpec {
             range_fft_length: None,
             doppler_fft_length: None,
             physical_axes: None,
+            change_over_s: None,
             slow_time: SlowTime::Chirps,
             amplitude: AmplitudeScale::FullScaleSine,
             floor_db: -200.0,
@@ -177,6 +190,13 @@ impl RdmSpec {
         }
     }
 
+    /// Whether a map tells of its frame alone: it is the same whichever frames came before.
+    pub fn is_of_single_frames(&self) -> bool {
+        self.slow_time == SlowTime::Chirps
+            && self.change_over_s.is_none()
+            && !matches!(self.static_removal, StaticRemoval::RecursiveMti { .. })
+    }
+
     /// Shape of the maps that this makes of a waveform's frames.
     ///
     /// # Errors
@@ -213,6 +233,14 @@ impl RdmSpec {
         }
         if !self.floor_db.is_finite() || self.floor_db < -370.0 {
             return Err(SpecError::Floor { floor_db: self.floor_db });
+        }
+        if let Some(time_s) = self.change_over_s {
+            if self.physical_axes.is_none() {
+                return Err(SpecError::ChangeWithoutAxes);
+            }
+            if !(LEAST_CHANGE_S..=MOST_CHANGE_S).contains(&time_s) {
+                return Err(SpecError::ChangeTime { time_s });
+            }
         }
         let (doppler, range) = match self.physical_axes {
             None => (doppler, range_fft / 2),
@@ -362,6 +390,17 @@ pub enum SpecError {
     Alpha {
         /// What was given.
         alpha: f64,
+    },
+    /// Change is asked for without physical axes.
+    #[error(
+        "map spec: change_over_s is only told on physical_axes\n\nhint: give physical_axes, or leave change_over_s out"
+    )]
+    ChangeWithoutAxes,
+    /// The time over which change is told is out of range.
+    #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
+    ChangeTime {
+        /// What was given.
+        time_s: f64,
     },
     /// The floor is not a number that f32 power can hold.
     #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]

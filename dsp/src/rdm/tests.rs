@@ -301,5 +301,6 @@ fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
     assert!((floor_mean - expected).abs() < 0.3, "{floor_mean} against {expected}");
 }
 
+mod change;
 mod hard_cases;
 mod physical;

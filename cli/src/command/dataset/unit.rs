@@ -6,7 +6,6 @@ use anyhow::Context;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::rdm::{SlowTime, StaticRemoval};
 use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth};
 use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -98,8 +97,7 @@ fn run(
     sink: &mut Sink,
 ) -> anyhow::Result<()> {
     let simulator = Simulator::new(scene, options)?;
-    let is_single =
-        spec.slow_time == SlowTime::Chirps && !matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
+    let is_single = spec.is_of_single_frames();
     // Maps of single frames need no others: render only those that are taken.
     let step = if is_single { sink.unit.every as usize } else { 1 };
     let wanted: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();

@@ -3,10 +3,10 @@
 use super::*;
 use crate::SPEED_OF_LIGHT_M_PER_S;
 
-const AXES: PhysicalAxes =
+pub(super) const AXES: PhysicalAxes =
     PhysicalAxes { range_step_m: 0.15, range_bins: 64, velocity_step_m_per_s: 0.098, velocity_bins: 64 };
 
-fn on_axes(axes: PhysicalAxes) -> RdmSpec {
+pub(super) fn on_axes(axes: PhysicalAxes) -> RdmSpec {
     RdmSpec {
         channels: Channels::IncoherentSum,
         chirp_mean_removal: true,
@@ -16,7 +16,7 @@ fn on_axes(axes: PhysicalAxes) -> RdmSpec {
 }
 
 /// 1 GHz, 128 samples, 64 chirps, one receiver; changed as `change` says.
-fn realised(change: impl FnOnce(&mut WaveformRequest)) -> Waveform {
+pub(super) fn realised(change: impl FnOnce(&mut WaveformRequest)) -> Waveform {
     let mut request = WaveformRequest {
         start_frequency_hz: 60.5e9,
         end_frequency_hz: 61.5e9,
