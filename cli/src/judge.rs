@@ -9,7 +9,7 @@ use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
 use radome_dsp::people::PeopleCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
-use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, Waveform};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, ReceiverFault, Waveform};
 use radome_models::bounded_file::read;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
@@ -73,6 +73,42 @@ pub enum Verdict {
     WarmingUp { have: usize, need: usize },
     /// Probabilities of empty, one and two by this frame.
     Probabilities([f32; 3]),
+    /// No receiver gives a signal: the frame says nothing of the room.
+    NoSignal,
+}
+
+/// Fault of a receiver, as it is said to the user.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct FaultyReceiver {
+    /// Index in the frame, 0-based.
+    rx: usize,
+    /// Receivers of a frame.
+    receivers: usize,
+    fault: ReceiverFault,
+}
+
+impl std::fmt::Display for FaultyReceiver {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let FaultyReceiver { rx, receivers, fault } = *self;
+        write!(f, "receiver {} of {receivers}: {fault}", rx + 1)?;
+        if fault.is_dead() {
+            f.write_str("; frames in which no receiver gives a signal get no answer")?;
+        }
+        f.write_str(match fault {
+            ReceiverFault::Constant => "\n\nhint: see whether the board programs this receiver, or capture without it",
+            ReceiverFault::Saturated | ReceiverFault::Clipped => {
+                "\n\nhint: capture with a lower if_gain_db, or move the radar away from what reflects strongly"
+            }
+        })
+    }
+}
+
+/// Writes the fault of a receiver to stderr, the same one once in a run of the program.
+fn say_fault(faulty: FaultyReceiver) {
+    static SAID: Mutex<BTreeSet<FaultyReceiver>> = Mutex::new(BTreeSet::new());
+    if SAID.lock().unwrap_or_else(PoisonError::into_inner).insert(faulty) {
+        eprintln!("warning: {faulty}");
+    }
 }
 
 impl Model {
@@ -245,8 +281,25 @@ impl Judge {
         }
     }
 
-    /// Judges the next frame.
+    /// Judges the next frame. Says on stderr which receivers have faults, each fault once in a run of the program.
+    ///
+    /// # Errors
+    /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
+        let receivers = frame.shape.rx;
+        let mut dead = 0;
+        for rx in 0..receivers {
+            if let Some(fault) = frame.receiver_fault(rx) {
+                say_fault(FaultyReceiver { rx, receivers, fault });
+                dead += usize::from(fault.is_dead());
+            }
+        }
+        // A map is made of any frame: what shows maps has the newest.
+        let verdict = self.judge(frame)?;
+        Ok(if dead == receivers { Verdict::NoSignal } else { verdict })
+    }
+
+    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
         match &mut self.0 {
             Kind::Network { classifier, processor, map } => match processor.process(frame, map)? {
                 MapStatus::WarmingUp { have, need } => Ok(Verdict::WarmingUp { have, need }),
