@@ -2,6 +2,7 @@
 
 use ndarray::ArrayView3;
 use serde::{Deserialize, Serialize};
+use thiserror::Error;
 
 use crate::Waveform;
 
@@ -88,6 +89,27 @@ pub struct Truth {
     pub transition: bool,
 }
 
+/// Reason why the codes of a receiver cannot be relied on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Error)]
+pub enum ReceiverFault {
+    /// All codes of a frame are the same: it gives no signal.
+    #[error("all of its samples are the same")]
+    Constant,
+    /// At least half of the codes of a frame lie at the ends of the ADC: it gives no signal.
+    #[error("half or more of its samples lie at the ends of the ADC")]
+    Saturated,
+    /// At least a hundredth of the codes of a frame lie at the ends of the ADC: strong echoes are distorted.
+    #[error("a hundredth or more of its samples lie at the ends of the ADC, which distorts strong echoes")]
+    Clipped,
+}
+
+impl ReceiverFault {
+    /// Whether the receiver gives no signal at all.
+    pub fn is_dead(self) -> bool {
+        self != ReceiverFault::Clipped
+    }
+}
+
 /// One frame of raw 12-bit codes. Raw codes are the master copy of all data.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
@@ -133,6 +155,28 @@ impl Frame {
     /// The codes as an array `[rx][chirp][sample]`; `None` if their number disagrees with the shape.
     pub fn view(&self) -> Option<ArrayView3<'_, u16>> {
         ArrayView3::from_shape((self.shape.rx, self.shape.chirps, self.shape.samples), &self.codes).ok()
+    }
+
+    /// Fault of the receive channel with this index, 0-based, by its codes in this frame alone; `None` if they are as they should
+    /// be, or if there is no such channel.
+    pub fn receiver_fault(&self, rx: usize) -> Option<ReceiverFault> {
+        let length = self.shape.chirps * self.shape.samples;
+        let codes = self.codes.chunks_exact(length.max(1)).nth(rx)?;
+        let at_ends = codes.iter().filter(|code| **code == 0 || **code >= MAX_CODE).count();
+        if codes.iter().all(|code| Some(code) == codes.first()) {
+            Some(ReceiverFault::Constant)
+        } else if 2 * at_ends >= codes.len() {
+            Some(ReceiverFault::Saturated)
+        } else if 100 * at_ends >= codes.len() {
+            Some(ReceiverFault::Clipped)
+        } else {
+            None
+        }
+    }
+
+    /// Whether the receive channel with this index gives no signal in this frame.
+    pub fn is_receiver_dead(&self, rx: usize) -> bool {
+        self.receiver_fault(rx).is_some_and(ReceiverFault::is_dead)
     }
 
     /// Seconds since the acquisition started.
@@ -222,5 +266,40 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
     }
     fn frame_count(&self) -> Option<u64> {
         (**self).frame_count()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A receiver with these codes beside one that is as it should be.
+    fn fault(code: impl Fn(usize) -> u16) -> Option<ReceiverFault> {
+        let mut frame = Frame::zeroed(FrameShape { rx: 2, chirps: 10, samples: 20 });
+        for (index, value) in frame.codes.iter_mut().enumerate() {
+            *value = if index < 200 { 2000 + index as u16 % 7 } else { code(index - 200) };
+        }
+        assert_eq!((frame.receiver_fault(0), frame.receiver_fault(2)), (None, None));
+        assert_eq!(frame.is_receiver_dead(1), frame.receiver_fault(1).is_some_and(ReceiverFault::is_dead));
+        frame.receiver_fault(1)
+    }
+
+    #[test]
+    fn faults_of_a_receiver_are_told_apart() {
+        let wave = |index: usize| 1500 + index as u16;
+        assert_eq!(fault(wave), None);
+        assert_eq!(fault(|_| 2048), Some(ReceiverFault::Constant));
+        assert_eq!(fault(|_| 0), Some(ReceiverFault::Constant));
+        assert_eq!(fault(|index| if index % 2 == 0 { 0 } else { MAX_CODE }), Some(ReceiverFault::Saturated));
+        assert_eq!(fault(|index| if index < 100 { MAX_CODE } else { wave(index) }), Some(ReceiverFault::Saturated));
+        assert_eq!(fault(|index| if index < 99 { MAX_CODE } else { wave(index) }), Some(ReceiverFault::Clipped));
+        assert_eq!(fault(|index| if index < 2 { 0 } else { wave(index) }), Some(ReceiverFault::Clipped));
+        assert_eq!(fault(|index| if index < 1 { 0 } else { wave(index) }), None);
+    }
+
+    #[test]
+    fn a_frame_without_codes_has_no_fault() {
+        let shape = FrameShape { rx: 1, chirps: 0, samples: 0 };
+        assert_eq!(Frame::zeroed(shape).receiver_fault(0), None);
     }
 }

@@ -37,7 +37,9 @@ pub mod slow_time;
 mod waveform;
 mod window;
 
-pub use frame::{Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, SourceError, SourceEvent, Truth};
+pub use frame::{
+    Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, ReceiverFault, SourceError, SourceEvent, Truth,
+};
 pub use kernel::KernelLevel;
 pub use noise::noise_floor_db;
 pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};

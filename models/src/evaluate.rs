@@ -195,6 +195,38 @@ impl RecordingScores {
     }
 }
 
+/// False alarms over the frames of recordings that are labelled empty.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct FalseAlarms {
+    /// Number of times that the prediction left `empty`, see [`RecordingScores::false_alarms`].
+    pub false_alarms: u64,
+    /// Length of the frames labelled empty, s.
+    pub empty_s: f64,
+    /// False alarms in an hour of empty room; `None` without any frame labelled empty.
+    pub false_alarms_per_hour: Option<f64>,
+    /// Share of the frames labelled empty that were predicted populated; `None` without any.
+    pub false_alarm_share: Option<f64>,
+}
+
+impl FalseAlarms {
+    /// Sums over recordings.
+    pub fn of<'a>(recordings: impl IntoIterator<Item = &'a RecordingScores>) -> Self {
+        let (mut alarms, mut wrong, mut frames) = (FalseAlarms::default(), 0, 0);
+        for scores in recordings {
+            let predicted = scores.confusion[Occupancy::Empty.index()];
+            alarms.false_alarms += scores.false_alarms;
+            alarms.empty_s += scores.empty_s;
+            frames += predicted.iter().sum::<u64>();
+            wrong += predicted.iter().sum::<u64>() - predicted[Occupancy::Empty.index()];
+        }
+        if frames > 0 {
+            alarms.false_alarms_per_hour = per_hour(alarms.false_alarms, alarms.empty_s);
+            alarms.false_alarm_share = Some(wrong as f64 / frames as f64);
+        }
+        alarms
+    }
+}
+
 /// How long it takes until a label is predicted, over stretches of it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct FoundTimes {
@@ -231,7 +263,7 @@ impl FoundTimes {
 }
 
 /// Alarms by the hour of so many seconds; `None` of no time.
-pub fn per_hour(alarms: u64, time_s: f64) -> Option<f64> {
+fn per_hour(alarms: u64, time_s: f64) -> Option<f64> {
     (time_s > 0.0).then(|| alarms as f64 * 3600.0 / time_s)
 }
 
@@ -295,6 +327,17 @@ mod tests {
         let one = &scores.stretches[1];
         assert!((one.start_s - 2.5).abs() < 1e-9 && (one.duration_s - 0.4).abs() < 1e-9, "{one:?}");
         assert_eq!(per_hour(2, 1800.0), Some(4.0));
+        let alarms = FalseAlarms::of([&scores, &scores]);
+        assert_eq!((alarms.false_alarms, alarms.false_alarm_share), (4, Some(4.0 / 9.0)));
+        assert!((alarms.empty_s - 1.8).abs() < 1e-9);
+        assert!((alarms.false_alarms_per_hour.expect("empty frames") - 8000.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn recordings_without_an_empty_frame_have_no_rate_of_false_alarms() {
+        let scores = RecordingScores::new(&predictions("oo", "ee"), 0.1);
+        assert_eq!(FalseAlarms::of([&scores]), FalseAlarms::default());
+        assert_eq!(FalseAlarms::of([]), FalseAlarms::default());
     }
 
     #[test]

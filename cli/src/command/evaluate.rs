@@ -13,7 +13,7 @@ use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::Classifier;
 use radome_models::calibration::ReliabilitySums;
 use radome_models::dataset::{self, Dataset, SplitSpec};
-use radome_models::evaluate::{Metrics, RecordingScores, Stretch, evaluate};
+use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, evaluate};
 use serde::Serialize;
 use serde_json::json;
 
@@ -60,6 +60,10 @@ pub struct Arguments {
     /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
     keep: Option<PathBuf>,
+    /// So many hours of each rung's rooms without people instead of its recordings, in recordings of six minutes whose seeds are
+    /// not the rung's: gives the false alarms an hour
+    #[arg(long, value_name = "HOURS", requires = "ladder")]
+    empty_hours: Option<f64>,
     /// One object
     #[arg(long)]
     json: bool,
@@ -78,7 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.ladder {
         let models: Vec<PathBuf> =
             arguments.model.iter().cloned().chain(arguments.inputs.iter().map(PathBuf::from)).collect();
-        return ladder::run(&models, path, arguments.keep.as_deref(), arguments.json);
+        return ladder::run(&models, path, arguments.empty_hours, arguments.keep.as_deref(), arguments.json);
     }
     let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
         ([model], _) => (model.clone(), arguments.inputs.as_slice()),
@@ -203,7 +207,7 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
     let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
     let (mut confusion, mut confusion_alone) = (Confusion::default(), Confusion::default());
-    let (mut recordings, mut taken) = (Vec::new(), Vec::new());
+    let (mut recordings, mut taken, mut all_scores) = (Vec::new(), Vec::new(), Vec::new());
     let (mut refused, mut first_refusal) = (Vec::new(), None);
     let mut reliability = ReliabilitySums::default();
     for recording in &all {
@@ -218,7 +222,8 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
         if predictions.alone.is_empty() {
             bail!(
-                "{}: no frame of it makes a map\n\nhint: it is shorter than the slow time of the model's maps",
+                "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give \
+                 no signal",
                 recording.path.display()
             );
         }
@@ -233,10 +238,12 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         add_confusion(&mut confusion, &scores.confusion);
         predictions.count_reliability(&mut reliability);
         recordings.push(Judged::new(&recording.path, &scores));
+        all_scores.push(scores);
         taken.push(recording);
     }
     if !recordings.is_empty() {
         let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+        let false_alarms = FalseAlarms::of(&all_scores);
         let mut ablated = Vec::new();
         if arguments.ablate {
             let (model, rows) = ablation::on_recordings(candidate.take()?, &taken)?;
@@ -247,7 +254,10 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         if arguments.json {
             let mut answer = json!({
                 "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
-                "balanced_accuracy_by_single_frames": alone.balanced_accuracy, "recordings": recordings,
+                "balanced_accuracy_by_single_frames": alone.balanced_accuracy,
+                "false_alarms": false_alarms.false_alarms, "empty_s": false_alarms.empty_s,
+                "false_alarms_per_hour": false_alarms.false_alarms_per_hour,
+                "false_alarm_share": false_alarms.false_alarm_share, "recordings": recordings,
                 "refused": refused, "reliability": reliability.reliability(), "thermal": thermal,
             });
             if arguments.ablate {
@@ -266,6 +276,7 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
                 eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
             }
             print(&metrics)?;
+            print_errors(&false_alarms, &metrics)?;
             ablation::print(&ablated)?;
         }
     }
@@ -278,6 +289,25 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         ))),
         _ => Ok(()),
     }
+}
+
+/// How often an empty room was taken for a populated one, and how long people were missed.
+fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
+    if let (Some(per_hour), Some(share)) = (of.false_alarms_per_hour, of.false_alarm_share) {
+        output::text_line(&format!(
+            "empty for {:.2} h: {} false alarms, {per_hour:.1} an hour; people reported for {:.2} % of that time",
+            of.empty_s / 3600.0,
+            of.false_alarms,
+            100.0 * share
+        ))?;
+    }
+    if let Some(recall) = metrics.populated_recall {
+        output::text_line(&format!(
+            "people there: reported as empty for {:.2} % of that time",
+            100.0 * (1.0 - recall)
+        ))?;
+    }
+    Ok(())
 }
 
 /// Scores with thermal noise on the raw samples.

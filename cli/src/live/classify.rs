@@ -51,7 +51,7 @@ pub struct Answer {
     pub sequence: u64,
     /// Time since the acquisition started, s.
     pub time_s: f64,
-    /// Most likely class; `None` while a window over frames fills.
+    /// Most likely class; `None` while a window over frames fills, and where no receiver gives a signal.
     pub label: Option<Occupancy>,
     /// Probabilities of the filter over the frames so far.
     pub probabilities: Option<Probabilities>,
@@ -65,6 +65,10 @@ pub struct Answer {
     /// `n/K` while a window over K frames fills.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub warming_up: Option<String>,
+    /// Whether no receiver gives a signal in the frame: then it has no label, and `occupied` and `people` are those of the frame
+    /// before.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub no_signal: bool,
     /// What is known to be true.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<Occupancy>,
@@ -233,6 +237,7 @@ impl FrameClassifier {
             occupied: false,
             people: 0,
             warming_up: None,
+            no_signal: false,
             truth: frame.truth.map(|t| t.occupancy),
             transition: frame.truth.map(|t| t.transition),
             saturated_samples: 0,
@@ -240,6 +245,14 @@ impl FrameClassifier {
         };
         match verdict {
             Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
+            Verdict::NoSignal => {
+                // Nothing is known of this frame: what counted before counts on.
+                answer.no_signal = true;
+                answer.saturated_samples = self.map().flags.saturated_samples;
+                self.health.saturated_samples += u64::from(answer.saturated_samples);
+                answer.people = self.people.people();
+                answer.occupied = answer.people > 0;
+            }
             Verdict::Probabilities(raw) => {
                 let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
                 let raw = if is_background { NOBODY_SEEN } else { raw };

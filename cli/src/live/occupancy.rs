@@ -17,10 +17,10 @@ impl Hysteresis {
         Hysteresis { on_delay_s, off_delay_s, is_on: false, contrary_since_s: None }
     }
 
-    fn update(&mut self, time_s: f64, says_on: bool) -> bool {
+    fn update(&mut self, time_s: f64, says_on: bool) {
         if says_on == self.is_on {
             self.contrary_since_s = None;
-            return self.is_on;
+            return;
         }
         let since_s = *self.contrary_since_s.get_or_insert(time_s);
         let delay_s = if self.is_on { self.off_delay_s } else { self.on_delay_s };
@@ -28,7 +28,6 @@ impl Hysteresis {
             self.is_on = says_on;
             self.contrary_since_s = None;
         }
-        self.is_on
     }
 }
 
@@ -47,8 +46,14 @@ impl PeopleCount {
     /// Takes the label of the frame at `time_s`; returns the number of people.
     pub fn update(&mut self, time_s: f64, label: Occupancy) -> usize {
         let [one, two] = &mut self.at_least;
-        let holds = [one.update(time_s, label >= Occupancy::One), two.update(time_s, label >= Occupancy::Two)];
-        holds.into_iter().filter(|holds| *holds).count()
+        one.update(time_s, label >= Occupancy::One);
+        two.update(time_s, label >= Occupancy::Two);
+        self.people()
+    }
+
+    /// Number of people as of the last label.
+    pub fn people(&self) -> usize {
+        self.at_least.iter().filter(|holds| holds.is_on).count()
     }
 }
 

@@ -45,6 +45,7 @@ impl Sink for Screen {
         let values = match (&answer.probabilities, &answer.warming_up) {
             (Some(p), _) => p.to_string(),
             (None, Some(progress)) => format!("warming up {progress}"),
+            (None, None) if answer.no_signal => "no signal".to_owned(),
             (None, None) => String::new(),
         };
         let mut truth = answer.truth.map_or("", Occupancy::name).to_owned();

@@ -1,5 +1,7 @@
 //! Frames to maps, without allocation per frame.
 
+use std::ops::Range;
+
 use thiserror::Error;
 
 use super::chain::ChainPlan;
@@ -7,7 +9,7 @@ use super::fourier::FourierChain;
 use super::lanes::{Input, LaneChain, Output};
 use super::physical::PhysicalChain;
 use super::saturation::saturated_codes;
-use super::{MapFlags, Rdm, RdmShape, RdmSpec, SpecError, StaticRemoval};
+use super::{Channels, MapFlags, Rdm, RdmShape, RdmSpec, SpecError, StaticRemoval};
 use crate::{Frame, FrameShape, KernelLevel, Waveform, decibel};
 
 /// Whether a map was made.
@@ -69,6 +71,8 @@ pub struct RdmProcessor {
     uses_library_logarithm: bool,
     samples: Vec<f32>,
     last_sequence: Option<u64>,
+    /// First code of a frame that the last map was made of.
+    source_start: usize,
     background: Vec<f32>,
     has_background: bool,
 }
@@ -115,6 +119,7 @@ impl RdmProcessor {
             uses_library_logarithm: false,
             samples: vec![0.0; codes],
             last_sequence: None,
+            source_start: plan.used().start,
             background: vec![0.0; if is_recursive { codes } else { 0 }],
             has_background: false,
             plan,
@@ -192,7 +197,13 @@ impl RdmProcessor {
         }
         self.check_length(frame.sequence, frame.codes.len())?;
         let used = self.plan.used();
-        let codes = &frame.codes[used.clone()];
+        let source = self.source(frame);
+        if source.start != self.source_start {
+            // What was kept between frames is that of another receiver.
+            self.reset();
+            self.source_start = source.start;
+        }
+        let codes = &frame.codes[source];
         self.follow(frame.sequence);
         let saturated = saturated_codes(self.level, codes);
         if let Chain::Lanes(lanes) = &mut self.chain
@@ -223,6 +234,19 @@ impl RdmProcessor {
     fn check_length(&self, sequence: u64, got: usize) -> Result<(), MapError> {
         let expected = self.plan.frame_shape.codes();
         if got == expected { Ok(()) } else { Err(MapError::Length { sequence, expected, got }) }
+    }
+
+    /// Codes of a frame that the map is made of, as [`Channels`] says.
+    fn source(&self, frame: &Frame) -> Range<usize> {
+        let used = self.plan.used();
+        match self.spec.channels {
+            Channels::One(index) if self.spec.physical_axes.is_some() && frame.is_receiver_dead(index) => {
+                let length = self.plan.channel_length();
+                let other = (0..frame.shape.rx).find(|rx| !frame.is_receiver_dead(*rx));
+                other.map_or(used, |rx| rx * length..(rx + 1) * length)
+            }
+            _ => used,
+        }
     }
 
     /// Forgets the past if this frame does not follow it.

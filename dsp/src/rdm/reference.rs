@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use num_complex::Complex64;
 
 use super::{AmplitudeScale, Channels, RdmSpec, SlowTime, SpecError, StaticRemoval};
-use crate::{Frame, MAX_CODE, Waveform};
+use crate::{Frame, Waveform};
 
 /// Map of the last of `frames` in dB, `[rx][doppler][range]`, in f64.
 ///
@@ -29,9 +29,13 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
         Channels::All | Channels::IncoherentSum => (0..frame_shape.rx).collect(),
     };
     let axes = spec.physical_axes.map(|axes| (axes, axes.coverage(waveform)));
-    if let (Some(_), Channels::IncoherentSum, Some(frame)) = (&axes, spec.channels, frames.last()) {
-        let alive: Vec<usize> = channels.iter().copied().filter(|rx| !is_dead(frame, *rx)).collect();
-        channels = if alive.is_empty() { channels } else { alive };
+    if let (Some(_), Some(frame)) = (&axes, frames.last()) {
+        let alive: Vec<usize> = (0..frame_shape.rx).filter(|rx| !frame.is_receiver_dead(*rx)).collect();
+        match (spec.channels, alive.first().copied()) {
+            (Channels::IncoherentSum, Some(_)) => channels = alive,
+            (Channels::One(index), Some(first)) if !alive.contains(&index) => channels = vec![first],
+            _ => {}
+        }
     }
     // Samples and chirps that are transformed, and the cells that are measured.
     let (samples, chirps, range_bins, velocity_bins) = match &axes {
@@ -163,11 +167,4 @@ fn change(sums: &[Complex64], step: f64) -> f64 {
     let mean: Complex64 = weighted().map(|(z, w)| z * w).sum();
     let variance: f64 = weighted().map(|(z, w)| w * (z - mean).norm_sqr()).sum();
     variance * variance / (variance + mean.norm_sqr()).max(f64::MIN_POSITIVE)
-}
-
-/// Whether a receiver says nothing: all codes are the same, or at least half of them lie at the ends of the ADC.
-fn is_dead(frame: &Frame, rx: usize) -> bool {
-    let codes: Vec<u16> = (0..frame.shape.chirps).flat_map(|chirp| frame.chirp(rx, chirp).iter().copied()).collect();
-    let at_ends = codes.iter().filter(|code| **code == 0 || **code >= MAX_CODE).count();
-    codes.iter().all(|code| *code == codes[0]) || 2 * at_ends >= codes.len()
 }

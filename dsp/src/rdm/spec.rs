@@ -43,10 +43,11 @@ impl SampleScale {
 pub enum Channels {
     /// One map for each channel of the frame.
     All,
-    /// One channel by its index in the frame, 0-based.
+    /// One channel by its index in the frame, 0-based. On [`PhysicalAxes`] the first receiver that gives a signal takes the place of one
+    /// that gives none, see [`Frame::is_receiver_dead`](crate::Frame::is_receiver_dead): receivers of a board see the same room.
     One(usize),
-    /// One map: the mean power of all channels. On [`PhysicalAxes`] a receiver that says nothing is left out: one whose samples are
-    /// all the same, or half of them at the ends of the ADC.
+    /// One map: the mean power of all channels. On [`PhysicalAxes`] a receiver that gives no signal is left out: one whose samples
+    /// are all the same, or half of them at the ends of the ADC.
     IncoherentSum,
 }
 

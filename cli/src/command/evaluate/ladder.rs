@@ -9,7 +9,7 @@ use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader}
 use radome_driver::recording::{Existing, Recording};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::calibration::{Reliability, ReliabilitySums};
-use radome_models::evaluate::{FoundTimes, Metrics, Stretch, per_hour};
+use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores};
 use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_sim::scene::file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -26,6 +26,8 @@ use crate::panics::Guarded;
 const FORMAT: u32 = 1;
 /// Most frames of a rung: a day at ten a second.
 const MOST_FRAMES: u64 = 864_000;
+/// Length of the recordings of empty rooms at most, s: hours are watched in several rooms.
+const EMPTY_RECORDING_S: f64 = 360.0;
 
 /// A rung's file.
 #[derive(Deserialize)]
@@ -68,6 +70,8 @@ struct Rung {
 /// A recording to be simulated.
 struct Simulation {
     name: String,
+    /// Name of its scene's file.
+    stem: String,
     scene: Scene,
     seed: u64,
     people: Option<usize>,
@@ -75,12 +79,23 @@ struct Simulation {
 }
 
 /// Puts models on a ladder and says how they did.
-pub fn run(models: &[PathBuf], ladder: &Path, keep: Option<&Path>, json: bool) -> anyhow::Result<()> {
+///
+/// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
+pub fn run(
+    models: &[PathBuf],
+    ladder: &Path,
+    empty_hours: Option<f64>,
+    keep: Option<&Path>,
+    json: bool,
+) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if models.is_empty() {
         bail!("no model to evaluate on {}\n\nhint: name one or more with --model", ladder.display());
     }
-    let rungs = load(ladder)?;
+    let mut rungs = load(ladder)?;
+    if let Some(hours) = empty_hours {
+        rungs = rungs.into_iter().map(|rung| rung.without_people(hours)).collect::<anyhow::Result<_>>()?;
+    }
     let open = |path: &PathBuf| anyhow::Ok(Candidate::new(path.clone(), Model::open(path)?));
     let mut candidates = models.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
     if let Some(folder) = keep {
@@ -201,6 +216,7 @@ impl Rung {
             for seed in of.seeds.0..=of.seeds.1 {
                 simulations.push(Simulation {
                     name: format!("{}-{stem}-seed{seed}{people}", file.name),
+                    stem: stem.clone(),
                     scene: scene.clone(),
                     seed,
                     people: of.people,
@@ -209,6 +225,44 @@ impl Rung {
             }
         }
         Ok(Rung { name: file.name, about: file.about, simulations })
+    }
+
+    /// The same scenes without people, for so many hours together: each in recordings of six minutes at most, whose seeds follow
+    /// those that the rung has of it.
+    fn without_people(self, hours: f64) -> anyhow::Result<Self> {
+        // By name of the scene: skins and ellipsoids of one scene are in different rungs.
+        let mut last_of_scene: BTreeMap<&str, &Simulation> = BTreeMap::new();
+        for simulation in &self.simulations {
+            let last = last_of_scene.entry(simulation.stem.as_str()).or_insert(simulation);
+            if simulation.seed > last.seed {
+                *last = simulation;
+            }
+        }
+        let time_s = hours * 3600.0 / last_of_scene.len().max(1) as f64;
+        let mut simulations = Vec::new();
+        for (stem, last) in &last_of_scene {
+            let recordings = (time_s / EMPTY_RECORDING_S).ceil();
+            let frames = (time_s / recordings / last.scene.waveform().frame_interval_s()).ceil();
+            if !(1.0..=MOST_FRAMES as f64).contains(&(recordings * frames)) {
+                bail!(
+                    "--empty-hours {hours}: {} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
+                     that can be told",
+                    recordings * frames
+                );
+            }
+            simulations.extend((1..=recordings as u64).map(|after| {
+                let seed = last.seed.saturating_add(after);
+                Simulation {
+                    name: format!("{}-{stem}-seed{seed}-empty", self.name),
+                    stem: (*stem).to_owned(),
+                    scene: last.scene.clone(),
+                    seed,
+                    people: Some(0),
+                    frames: frames as u64,
+                }
+            }));
+        }
+        Ok(Rung { name: self.name.clone(), about: self.about.clone(), simulations })
     }
 }
 
@@ -317,9 +371,7 @@ struct RungScores {
     filtered: Confusion,
     alone: Confusion,
     recordings: Vec<OfRecording>,
-    stretches: Vec<Stretch>,
-    false_alarms: u64,
-    empty_s: f64,
+    scores: Vec<RecordingScores>,
     reliability: ReliabilitySums,
     refused: Vec<Refused>,
 }
@@ -354,9 +406,7 @@ impl RungScores {
             right: scores.right() as f64 / scores.frames() as f64,
             is_right: scores.is_right(),
         });
-        self.false_alarms += scores.false_alarms;
-        self.empty_s += scores.empty_s;
-        self.stretches.extend(scores.stretches);
+        self.scores.push(scores);
     }
 
     fn merge(&mut self, other: &RungScores) {
@@ -364,10 +414,8 @@ impl RungScores {
         add_confusion(&mut self.alone, &other.alone);
         self.reliability.merge(&other.reliability);
         self.recordings.extend_from_slice(&other.recordings);
-        self.stretches.extend_from_slice(&other.stretches);
+        self.scores.extend_from_slice(&other.scores);
         self.refused.extend_from_slice(&other.refused);
-        self.false_alarms += other.false_alarms;
-        self.empty_s += other.empty_s;
     }
 }
 
@@ -384,10 +432,9 @@ struct Row {
     recordings_judged: usize,
     /// Time from the start of a stretch of `two` to the first frame of it that was called two.
     second_person_found: FoundTimes,
-    false_alarms: u64,
-    /// Length of what is labelled empty, s.
-    empty_s: f64,
-    false_alarms_per_hour: Option<f64>,
+    /// Behind the filter.
+    #[serde(flatten)]
+    false_alarms: FalseAlarms,
     /// Reliability of the filter's largest probability.
     reliability: Reliability,
     recordings: Vec<OfRecording>,
@@ -406,10 +453,8 @@ impl Row {
             confusion: scores.filtered,
             recordings_right: scores.recordings.iter().filter(|recording| recording.is_right).count(),
             recordings_judged: scores.recordings.len(),
-            second_person_found: FoundTimes::of(Occupancy::Two, &scores.stretches),
-            false_alarms: scores.false_alarms,
-            empty_s: scores.empty_s,
-            false_alarms_per_hour: per_hour(scores.false_alarms, scores.empty_s),
+            second_person_found: FoundTimes::of(Occupancy::Two, scores.scores.iter().flat_map(|of| &of.stretches)),
+            false_alarms: FalseAlarms::of(&scores.scores),
             reliability: scores.reliability.reliability(),
             recordings: scores.recordings.clone(),
             refused: scores.refused.clone(),
@@ -452,8 +497,16 @@ fn print(answers: &[OfModel]) -> anyhow::Result<()> {
     for of in answers {
         output::text_line(&of.model.display().to_string())?;
         output::text_line(&format!(
-            "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9} {:>12}",
-            "rung", "by frame", "filtered", "recordings", "two found, s", "alarms/h", "calibration"
+            "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9} {:>9} {:>9} {:>12}",
+            "rung",
+            "by frame",
+            "filtered",
+            "recordings",
+            "two found, s",
+            "empty, h",
+            "alarms/h",
+            "alarm, %",
+            "calibration"
         ))?;
         for row in of.rungs.iter().chain([&of.all]) {
             let some = match row.refused.len() {
@@ -465,13 +518,15 @@ fn print(answers: &[OfModel]) -> anyhow::Result<()> {
                 continue;
             }
             output::text_line(&format!(
-                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9} {:>12}{some}",
+                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{some}",
                 row.rung,
                 number(row.balanced_accuracy_by_single_frames, 3),
                 number(row.balanced_accuracy, 3),
                 format!("{} of {}", row.recordings_right, row.recordings_judged),
                 number(row.second_person_found.median_s, 1),
-                number(row.false_alarms_per_hour, 0),
+                row.false_alarms.empty_s / 3600.0,
+                number(row.false_alarms.false_alarms_per_hour, 1),
+                number(row.false_alarms.false_alarm_share.map(|share| 100.0 * share), 2),
                 number(row.reliability.expected_calibration_error, 3),
             ))?;
         }
@@ -529,6 +584,28 @@ mod tests {
         assert_eq!(names, expected);
     }
 
+    /// An hour of each rung, in rooms that the rung itself does not have.
+    #[test]
+    fn hours_of_empty_rooms_are_of_other_seeds() {
+        for rung in load(&ladder()).expect("rungs") {
+            let of_rung: Vec<(String, u64)> = rung.simulations.iter().map(|of| (of.stem.clone(), of.seed)).collect();
+            let scenes: BTreeSet<String> = of_rung.iter().map(|(stem, _)| stem.clone()).collect();
+            let name = rung.name.clone();
+            let empty = rung.without_people(1.0).expect("an hour").simulations;
+            let mut time_s = 0.0;
+            for simulation in &empty {
+                assert_eq!(simulation.people, Some(0));
+                assert!(!of_rung.contains(&(simulation.stem.clone(), simulation.seed)), "{}", simulation.name);
+                let of_it_s = simulation.frames as f64 * simulation.scene.waveform().frame_interval_s();
+                assert!(of_it_s < EMPTY_RECORDING_S + 1.0, "{}", simulation.name);
+                time_s += of_it_s;
+            }
+            assert!((3600.0..3610.0).contains(&time_s), "{name}: {time_s} s");
+            assert_eq!(empty.iter().map(|of| of.stem.clone()).collect::<BTreeSet<_>>(), scenes);
+            assert_eq!(empty.iter().map(|of| &of.name).collect::<BTreeSet<_>>().len(), empty.len(), "{name}");
+        }
+    }
+
     /// Three people are there at a time, and read as two.
     #[test]
     fn the_rung_of_three_people_has_three_people() {
@@ -565,6 +642,18 @@ mod tests {
 
     mod hard_cases {
         use super::*;
+
+        #[test]
+        fn hours_that_cannot_be_simulated_are_refused() {
+            for hours in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9, 25.0] {
+                let rung = load(&ladder().join("rooms.toml")).expect("a rung").remove(0);
+                let error = output::chain(&rung.without_people(hours).err().expect("refused"));
+                assert!(error.contains("--empty-hours") && error.contains("864000"), "{error}");
+            }
+            let rung = load(&ladder().join("rooms.toml")).expect("a rung").remove(0);
+            let few = rung.without_people(1e-9).expect("a frame").simulations;
+            assert_eq!(few.iter().map(|of| of.frames).collect::<Vec<_>>(), [1]);
+        }
 
         #[test]
         fn a_wrong_rung_is_refused_with_its_reason() {

@@ -32,7 +32,7 @@ impl Said {
 pub struct Newest {
     /// Nothing until the first label.
     pub said: Option<Said>,
-    /// When the last frame was judged, labelled or not.
+    /// When the last frame with a signal was judged, labelled or not.
     pub judged: Option<Instant>,
     /// The run so far.
     pub health: Health,
@@ -115,7 +115,9 @@ impl Sink for LatestSink {
         let answer = moment.answer;
         let mut newest = self.0.lock();
         newest.health.copy_from(moment.health);
-        newest.judged = Some(Instant::now());
+        if !answer.no_signal {
+            newest.judged = Some(Instant::now());
+        }
         let Some(probabilities) = answer.probabilities else { return Ok(()) };
         let said = Said { probabilities: probabilities.values(), people: answer.people };
         let is_change = newest.said.replace(said).is_none_or(|last| last.people != said.people);

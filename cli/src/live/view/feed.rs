@@ -614,6 +614,7 @@ mod tests {
                 occupied: false,
                 people: 0,
                 warming_up: None,
+                no_signal: false,
                 truth: None,
                 transition: None,
                 saturated_samples: 0,

@@ -256,6 +256,27 @@ fn a_dead_receiver_is_left_out() {
     assert!(map.db.iter().all(|db| db.is_finite() && *db < -100.0));
 }
 
+/// The first receiver that gives a signal takes the place of one that gives none, and of no other.
+#[test]
+fn a_dead_receiver_is_replaced_by_another() {
+    let w = realised(|w| w.rx_antennas = RxMask::ALL);
+    let spec = |channel: usize| RdmSpec { channels: Channels::One(channel), ..on_axes(AXES) };
+    let sample = |rx: usize, m: usize, n: usize| 0.1 * echo(&w, 2.0 + 0.1 * rx as f64, 0.4, m, n);
+    let map = |channel: usize, frame: &Frame| {
+        let mut processor = RdmProcessor::new(&spec(channel), &w).expect("spec fits");
+        last_map(&mut processor, std::slice::from_ref(frame))
+    };
+    let alive = frame_of(w.shape(), 0, sample);
+    let dead = frame_of(w.shape(), 0, |rx, m, n| if rx == 0 { 0.3 } else { sample(rx, m, n) });
+    assert_eq!(map(0, &dead).db, map(1, &alive).db);
+    assert_eq!(map(2, &dead).db, map(2, &alive).db);
+    let reference = reference::map(&spec(0), &w, std::slice::from_ref(&dead)).expect("spec fits");
+    assert!(measured_error_dbc(&map(0, &dead), &reference, &AXES.coverage(&w)) < -100.0);
+    // All of them: the map is finite and empty.
+    let frame = frame_of(w.shape(), 0, |_, _, _| 0.3);
+    assert!(map(0, &frame).db.iter().all(|db| db.is_finite() && *db < -100.0));
+}
+
 #[test]
 fn a_finer_frame_is_used_in_part() {
     let all = waveforms();

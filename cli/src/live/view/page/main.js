@@ -123,7 +123,7 @@ function greet(hello) {
 
 const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
 function say(answer) {
-  const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : '–');
+  const text = PEOPLE[answer.label] ?? (answer.warming_up ? `warming up ${answer.warming_up}` : answer.no_signal ? 'no signal' : '–');
   if ($('answer').value !== text) $('answer').value = text;
   $('confidence').textContent = answer.probabilities && answer.label ? `${(100 * answer.probabilities[answer.label]).toFixed(0)} %` : '';
   $('occupied').hidden = !answer.probabilities;

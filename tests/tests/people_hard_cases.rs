@@ -1,0 +1,303 @@
+//! The built-in model on recordings that are hard to judge: few and many chirps, too narrow a band, dead and saturated receivers, and
+//! people who are there from the first frame. All frames are simulated, in rooms of the kind that training sees, of other seeds.
+
+use std::path::{Path, PathBuf};
+
+use radome_driver::recording::{Format, Recording, RecordingWriter};
+use radome_dsp::{Frame, FrameSource, MAX_CODE, SourceEvent};
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// A scene of `fixtures/scenes/rooms.toml` whose waveform has other values for these keys.
+fn rooms(folder: &Path, waveform: &[(&str, &str)]) -> PathBuf {
+    let receiver = fixture("receivers/typical.toml").canonicalize().expect("a receiver");
+    let text = std::fs::read_to_string(fixture("scenes/rooms.toml")).expect("a scene");
+    let mut text = text.replace("../receivers/typical.toml", &receiver.display().to_string());
+    for (key, value) in waveform {
+        let is_key = |line: &str| line.split_once(" = ").is_some_and(|(name, _)| name == *key);
+        assert_eq!(text.lines().filter(|line| is_key(line)).count(), 1, "{key}");
+        let lines = text.lines().map(|line| if is_key(line) { format!("{key} = {value}") } else { line.to_owned() });
+        text = lines.collect::<Vec<_>>().join("\n");
+    }
+    let path = folder.join("scene.toml");
+    std::fs::write(&path, text).expect("writable");
+    path
+}
+
+/// A recording of a scene.
+fn simulate(scene: &Path, people: usize, seed: u64, frames: usize) -> PathBuf {
+    let path = scene.with_file_name(format!("people{people}-seed{seed}.mcap"));
+    let mut command = radome();
+    command.arg("simulate").arg(scene).args(["--people", &people.to_string(), "--seed", &seed.to_string()]);
+    json_lines(command.args(["--frames", &frames.to_string(), "--json", "-o"]).arg(&path));
+    path
+}
+
+/// A copy of a recording without its first frames and with others changed, which are numbered from 0.
+fn changed(from: &Path, name: &str, skipped: usize, mut change: impl FnMut(usize, &mut Frame)) -> PathBuf {
+    let to = from.with_file_name(name);
+    let mut source = Recording::open(from).expect("opens");
+    let mut writer = RecordingWriter::create(&to, Format::Mcap, &source.header()).expect("creates");
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut index = 0;
+    while source.next_frame(&mut frame).expect("reads") == SourceEvent::Frame {
+        if index >= skipped {
+            change(index - skipped, &mut frame);
+            writer.frame(&frame).expect("writes");
+        }
+        index += 1;
+    }
+    writer.finish().expect("finishes");
+    to
+}
+
+/// Answers of the built-in model, one a frame, and what the program says on stderr.
+fn live(recording: &Path) -> (Vec<Value>, String) {
+    let output = radome().arg("live").arg(recording).arg("--json").output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{}: {said}", recording.display());
+    let text = String::from_utf8(output.stdout).expect("text");
+    let lines = text.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    // Behind the answers there is a summary.
+    let answers: Vec<Value> = lines.filter(|line| line.get("sequence").is_some()).collect();
+    for answer in answers.iter().filter(|answer| !answer["label"].is_null()) {
+        let sum: f64 = ["empty", "one", "two"].map(|class| probability(answer, class)).iter().sum();
+        assert!((sum - 1.0).abs() < 1e-3, "{answer}");
+    }
+    (answers, said)
+}
+
+/// NaN and infinity are null in JSON.
+fn probability(answer: &Value, class: &str) -> f64 {
+    answer["probabilities"][class].as_f64().unwrap_or_else(|| panic!("no finite probability of {class}: {answer}"))
+}
+
+/// Of the frames with this truth in which nobody enters or leaves: how many there are, and how many have the label.
+fn called(answers: &[Value], truth: &str, label: &str) -> (usize, usize) {
+    let of = answers.iter().filter(|answer| answer["truth"] == truth && answer["transition"] == false);
+    let labels: Vec<&Value> = of.map(|answer| &answer["label"]).collect();
+    (labels.len(), labels.iter().filter(|given| ***given == label).count())
+}
+
+/// Asserts that nearly all frames with this truth, of which there are at least so many, have its label.
+fn assert_right(answers: &[Value], truth: &str, at_least: usize) {
+    let (frames, right) = called(answers, truth, truth);
+    assert!(frames >= at_least, "{frames} frames are {truth}");
+    assert!(10 * right >= 9 * frames, "{right} of {frames} frames are called {truth}");
+}
+
+const FEW_CHIRPS: [(&str, &str); 3] =
+    [("chirps_per_frame", "8"), ("samples_per_chirp", "64"), ("chirp_interval_s", "591.125e-6")];
+
+#[test]
+fn frames_of_eight_chirps_are_judged_and_the_loss_is_said() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = rooms(folder.path(), &FEW_CHIRPS);
+    let (empty, said) = live(&simulate(&scene, 0, 731_012, 80));
+    assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == 80, "{empty:?}");
+    assert!(said.contains("velocity resolution is 0.52 m/s") && said.contains("counted as one"), "{said}");
+    let (one, _) = live(&simulate(&scene, 1, 731_012, 80));
+    assert_eq!(one.iter().filter(|answer| !answer["label"].is_null()).count(), 80);
+    assert_right(&one, "one", 40);
+}
+
+#[test]
+fn frames_of_512_chirps_are_judged() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let many = [("chirps_per_frame", "512"), ("samples_per_chirp", "64"), ("chirp_interval_s", "150e-6")];
+    let scene = rooms(folder.path(), &many);
+    let (empty, _) = live(&simulate(&scene, 0, 731_012, 40));
+    assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == 40, "{empty:?}");
+    let (one, _) = live(&simulate(&scene, 1, 731_012, 40));
+    assert_eq!(one.iter().filter(|answer| !answer["label"].is_null()).count(), 40);
+    assert_right(&one, "one", 20);
+}
+
+#[test]
+fn a_band_below_the_limit_is_refused_with_the_limit() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = rooms(folder.path(), &[("end_frequency_hz", "60.75e9")]);
+    let recording = simulate(&scene, 0, 731_012, 2);
+    let said = failure(radome().arg("live").arg(&recording).arg("--json"));
+    assert!(said.contains("sampled band is 0.238 GHz") && said.contains("0.300 GHz or more"), "{said}");
+    assert!(said.contains("hint: capture with a waveform within this limit"), "{said}");
+    let said = failure(radome().args(["evaluate", "room-hqnn"]).arg(&recording));
+    assert!(said.contains("sampled band is 0.238 GHz") && said.contains("hint:"), "{said}");
+}
+
+/// Codes of the receiver with this index.
+fn receiver(frame: &mut Frame, rx: usize) -> &mut [u16] {
+    let length = frame.shape.chirps * frame.shape.samples;
+    &mut frame.codes[rx * length..(rx + 1) * length]
+}
+
+/// What a dead receiver may send, by index of the sample.
+const DEAD: [(&str, fn(usize) -> u16); 3] = [
+    ("middle.mcap", |_| 2048),
+    ("zero.mcap", |_| 0),
+    ("rails.mcap", |index| if index.is_multiple_of(2) { 0 } else { MAX_CODE }),
+];
+
+#[test]
+fn another_receiver_takes_the_place_of_a_dead_one() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let three = [
+        ("chirps_per_frame", "16"),
+        ("samples_per_chirp", "64"),
+        ("chirp_interval_s", "591.125e-6"),
+        ("rx_antennas", "[1, 2, 3]"),
+    ];
+    let whole = simulate(&rooms(folder.path(), &three), 1, 731_012, 60);
+    let labels = |answers: &[Value]| -> Vec<(Value, Value)> {
+        answers.iter().map(|answer| (answer["label"].clone(), answer["frame_probabilities"].clone())).collect()
+    };
+    let (first, said) = live(&whole);
+    assert!(!said.contains("receiver 1 of 3"), "{said}");
+    // What the second receiver alone says: it stands in the first one's place.
+    let second = changed(&whole, "second.mcap", 0, |_, frame| {
+        let codes = receiver(frame, 1).to_vec();
+        receiver(frame, 0).copy_from_slice(&codes);
+    });
+    let (second, _) = live(&second);
+    assert_right(&second, "one", 30);
+    assert_ne!(labels(&first), labels(&second));
+    for (name, code) in DEAD {
+        for (rx, expected) in [(0, &second), (1, &first)] {
+            let dead = changed(&whole, name, 0, |_, frame| {
+                receiver(frame, rx).iter_mut().enumerate().for_each(|(index, value)| *value = code(index));
+            });
+            let (answers, said) = live(&dead);
+            assert_eq!(labels(&answers), labels(expected), "{name}, receiver {rx}");
+            assert!(said.contains(&format!("warning: receiver {} of 3", rx + 1)) && said.contains("hint:"), "{said}");
+            std::fs::remove_file(dead).expect("removable");
+        }
+    }
+}
+
+#[test]
+fn frames_without_a_signal_get_no_answer_and_change_none() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let whole = simulate(&rooms(folder.path(), &FEW_CHIRPS), 1, 731_012, 60);
+    // From a frame on in which somebody has been there for a while.
+    for (name, code) in DEAD {
+        let dead = changed(&whole, name, 0, |index, frame| {
+            if index >= 50 {
+                frame.codes.iter_mut().enumerate().for_each(|(index, value)| *value = code(index));
+            }
+        });
+        let (answers, said) = live(&dead);
+        assert_eq!(answers.len(), 60);
+        let (before, after) = answers.split_at(50);
+        assert!(before.iter().all(|answer| answer["label"].is_string() && answer["no_signal"].is_null()), "{name}");
+        assert_eq!(before[49]["people"], 1, "{name}: {}", before[49]);
+        for answer in after {
+            assert!(answer["label"].is_null() && answer["probabilities"].is_null(), "{name}: {answer}");
+            assert_eq!((&answer["no_signal"], &answer["people"]), (&true.into(), &1.into()), "{name}: {answer}");
+        }
+        assert!(said.contains("warning: receiver 1 of 1") && said.contains("get no answer"), "{said}");
+        // Nothing else is said of a recording that has no other frames.
+        let nothing = changed(&dead, "nothing.mcap", 50, |_, _| ());
+        let said = failure(radome().args(["evaluate", "room-hqnn"]).arg(format!("{}=one", nothing.display())));
+        assert!(said.contains("no frame of it can be judged") && said.contains("no signal"), "{name}: {said}");
+        std::fs::remove_file(nothing).expect("removable");
+    }
+}
+
+/// Too much gain: a tenth of the samples lie at the ends of the ADC.
+#[test]
+fn clipped_frames_are_judged_and_said_to_be_clipped() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = rooms(folder.path(), &[]);
+    let clip = |path: &Path, name: &str| {
+        changed(path, name, 0, |_, frame| {
+            for code in &mut frame.codes {
+                *code = ((f64::from(*code) - 1250.0) * 4.0 + 2048.0).round().clamp(0.0, f64::from(MAX_CODE)) as u16;
+            }
+        })
+    };
+    let (empty, said) = live(&clip(&simulate(&scene, 0, 731_012, 60), "empty.mcap"));
+    assert!(empty.iter().all(|answer| answer["label"] == "empty") && empty.len() == 60, "{empty:?}");
+    let saturated = empty.iter().filter_map(|answer| answer["saturated_samples"].as_u64());
+    assert!(saturated.sum::<u64>() > 60 * 128 * 64 / 100, "{}", empty[0]);
+    assert!(
+        said.contains("warning: receiver 1 of 1") && said.contains("distorts") && said.contains("if_gain_db"),
+        "{said}"
+    );
+    let (one, _) = live(&clip(&simulate(&scene, 1, 731_012, 60), "one.mcap"));
+    assert_right(&one, "one", 40);
+}
+
+/// Bursts of frames of which nearly all samples lie at the ends of the ADC, in any order.
+#[test]
+fn bursts_of_saturated_frames_do_not_populate_an_empty_room() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let empty = simulate(&rooms(folder.path(), &[]), 0, 731_012, 60);
+    let bursts = changed(&empty, "bursts.mcap", 0, |index, frame| {
+        if index % 10 < 5 {
+            let mut state = index as u32 + 1;
+            for code in &mut frame.codes {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                *code = if state >> 31 == 0 { 0 } else { MAX_CODE };
+            }
+        }
+    });
+    let (answers, _) = live(&bursts);
+    assert_eq!(answers.len(), 60);
+    for (index, answer) in answers.iter().enumerate() {
+        let expected = if index % 10 < 5 { Value::Null } else { "empty".into() };
+        assert_eq!((&answer["label"], &answer["occupied"]), (&expected, &false.into()), "{answer}");
+    }
+}
+
+#[test]
+fn people_who_are_there_from_the_first_frame_are_found_within_a_second() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = rooms(folder.path(), &[]);
+    for (people, seed, label) in [(1, 731_011, "one"), (1, 731_014, "one"), (2, 731_012, "two"), (2, 731_014, "two")] {
+        let whole = simulate(&scene, people, seed, 100);
+        let begins = changed(&whole, "begins.mcap", 45, |_, _| ());
+        let (answers, _) = live(&begins);
+        assert_eq!(answers.len(), 55);
+        assert!(answers.iter().all(|answer| answer["truth"] == label), "seed {seed}: {}", answers[0]);
+        let (frames, right) = called(&answers[10..], label, label);
+        assert!(10 * right >= 9 * frames && frames >= 30, "seed {seed}: {right} of {frames}");
+        std::fs::remove_file(begins).expect("removable");
+    }
+}
+
+/// Hours of empty rooms by rung, and the same of a recording.
+#[test]
+fn false_alarms_an_hour_are_told_by_rung_and_of_recordings() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = rooms(folder.path(), &[]);
+    let rung = folder.path().join("rung.toml");
+    let text = "format = 1\nname = \"rooms\"\nabout = \"Few frames.\"\n[[scene]]\npath = \"scene.toml\"\n\
+                seeds = [731010, 731011]\npeople = 2\nframes = 5\n";
+    std::fs::write(&rung, text).expect("writable");
+    let ladder = |hours: &str| {
+        let mut command = radome();
+        command.args(["evaluate", "--model", "room-hqnn", "--json", "--empty-hours", hours, "--ladder"]).arg(&rung);
+        command
+    };
+    let answer = json_lines(&mut ladder("0.005")).remove(0);
+    let row = &answer["models"][0]["rungs"][0];
+    assert!(row["empty_s"].as_f64().is_some_and(|seconds| (17.9..18.3).contains(&seconds)), "{row}");
+    assert_eq!((&row["recordings"][0]["label"], &row["recordings_judged"]), (&"empty".into(), &1.into()), "{row}");
+    assert_eq!(row["recordings"][0]["recording"], "rooms-scene-seed731012-empty");
+    assert_eq!((&row["false_alarms"], &row["false_alarm_share"]), (&0.into(), &0.0.into()), "{row}");
+    assert_eq!(row["false_alarms_per_hour"], 0.0, "{row}");
+    let said = failure(&mut ladder("1e6"));
+    assert!(said.contains("--empty-hours") && said.contains("hint:"), "{said}");
+
+    // Somebody walks through a room that is said to be empty.
+    let walked = simulate(&scene, 1, 731_012, 60);
+    let empty = format!("{}=empty", walked.display());
+    let answer = json_lines(radome().args(["evaluate", "--json", "room-hqnn"]).arg(&empty)).remove(0);
+    assert!(answer["empty_s"].as_f64().is_some_and(|seconds| (5.9..6.1).contains(&seconds)), "{answer}");
+    assert!(answer["false_alarms"].as_u64().is_some_and(|alarms| alarms > 0), "{answer}");
+    assert!(answer["false_alarms_per_hour"].as_f64().is_some_and(|rate| rate > 500.0), "{answer}");
+    assert!(answer["false_alarm_share"].as_f64().is_some_and(|share| (0.5..1.0).contains(&share)), "{answer}");
+    let output = radome().args(["evaluate", "room-hqnn"]).arg(&empty).output().expect("runs");
+    let table = String::from_utf8(output.stdout).expect("text");
+    assert!(table.contains("false alarms") && table.contains("an hour"), "{table}");
+}
