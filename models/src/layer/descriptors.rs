@@ -5,6 +5,11 @@
 //! near person with many such echoes from two, so nearly all numbers here are relative to the strongest cell: its level, its range and
 //! its velocity. In real rooms this decides between one and two; in simulated ones counts did as well.
 //!
+//! The cells of zero velocity stand apart: they tell change from frame to frame
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), by which people who stand, sit or breathe are seen. Only whether there is
+//! change while nothing moves is taken from them: how change is spread over ranges does not carry over from simulated rooms to real ones,
+//! where people shadow more, and it says little about how many people walk.
+//!
 //! `dataset/features.rs` is something else: quantiles over many maps, by which simulated rooms are held against real ones.
 
 use candle_core::{Error, Result, Shape, Tensor};
@@ -14,7 +19,7 @@ use super::crew::for_each_chunk;
 use super::operation::{Argument, Gradients, Operation, apply};
 
 /// Numbers that describe a map.
-pub const DESCRIPTORS: usize = 42;
+pub const DESCRIPTORS: usize = 43;
 
 /// Level above which a cell stands out of noise, dB: of 8,192 cells of noise one does.
 const STANDS_OUT_DB: f32 = 10.0;
@@ -32,6 +37,11 @@ const SAME_VELOCITY_BINS: i64 = 4;
 const SLOW_BINS: i64 = 1;
 /// Levels below the strongest cell down to which cells are counted, dB.
 const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
+/// Change from frame to frame that nobody and that somebody certainly makes, dB over noise: rooms at rest have up to 19 dB, people who
+/// sit 30 dB and more.
+const CHANGE_DB: [f32; 2] = [20.0, 35.0];
+/// Strongest cell of a map in which nothing moves within the frame, and of one in which somebody certainly does, dB.
+const MOTION_DB: [f32; 2] = [10.0, 25.0];
 /// By so many dB one direction has to be stronger than the other in a range bin to own it.
 const OWNS_DB: f32 = 3.0;
 const NAME: &str = "map_descriptors";
@@ -47,7 +57,7 @@ enum Place {
 /// A cell that stands out of noise.
 struct Cell {
     row: usize,
-    /// Velocity bins from zero.
+    /// Velocity bins from zero, not 0.
     speed: i64,
     level_db: f32,
     /// `1 + P / N` less that at which cells begin to stand out, so that a cell does not enter a sum with a step.
@@ -76,10 +86,12 @@ struct Cell {
 /// | 30, 31 | range bins in which the opposite direction is the stronger one by 3 dB, and in which it is the weaker one, `ln(1 + count)` | 1 |
 /// | 32 to 36 | cells of the opposite direction down to 10, 15, 20, 25 and 30 dB below the strongest cell, `ln(1 + count)` | 1 |
 /// | 37 to 41 | the same for cells of another velocity that are not at the same range | 1 |
+/// | 42 | somebody who does not move: strongest cell of zero velocity, 0 up to 20 dB and 1 from 35 dB on, times 1 where no other cell stands out, and 0 where the strongest one has 25 dB | 1 |
 ///
-/// The same range is within two bins of the strongest cell, the same velocity within four, and slow is within one bin of zero. The
-/// opposite direction is more than a bin beyond zero as seen from the strongest cell; where that one stands still, as seen from
-/// the energy-weighted mean velocity.
+/// Cells of zero velocity are in 42 only.
+///
+/// The same range is within two bins of the strongest cell, the same velocity within four, and slow is one bin from zero. The
+/// opposite direction is more than a bin beyond zero as seen from the strongest cell.
 ///
 /// None of them changes when approaching and receding are exchanged about zero Doppler: the direction of motion says nothing
 /// about the number of people, and a linear classifier can use the magnitude of a velocity only if it is given one.
@@ -103,7 +115,7 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
     let cells: Vec<Cell> = map_db[..rows * columns]
         .iter()
         .enumerate()
-        .filter(|(_, level_db)| **level_db > STANDS_OUT_DB)
+        .filter(|(index, level_db)| **level_db > STANDS_OUT_DB && index % columns != columns / 2)
         .map(|(index, &level_db)| {
             let level_db = level_db.min(MOST_DB);
             Cell {
@@ -114,8 +126,12 @@ pub fn descriptors(map_db: &[f32], velocity_bins: usize, range_step: f64, veloci
             }
         })
         .collect();
+    let change = map_db.iter().skip(columns / 2).step_by(columns).take(rows);
+    let change = share_of(CHANGE_DB, change.copied().fold(f32::MIN, f32::max));
+    let motion = share_of(MOTION_DB, strongest_db(&cells));
     let mut values = moments(&cells, rows, range_step, velocity_step);
     values.extend(beside_the_strongest(&cells, rows, range_step, velocity_step));
+    values.push(change * (1.0 - motion));
     std::array::from_fn(|k| values.get(k).map_or(f32::NAN, |&value| value as f32))
 }
 
@@ -145,11 +161,7 @@ fn moments(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> 
 fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_step: f64) -> Vec<f64> {
     let middle = Cell { row: rows.saturating_sub(1) / 2, speed: 0, level_db: STANDS_OUT_DB, excess: 0.0 };
     let peak = cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best });
-    let toward = match peak.speed {
-        0 if weighted_mean(cells, |cell| cell.speed as f64) < 0.0 => -1,
-        0 => 1,
-        speed => speed.signum(),
-    };
+    let toward = if peak.speed < 0 { -1 } else { 1 };
     let place = |cell: &Cell| match cell.row as i64 - peak.row as i64 {
         bins if bins < -SAME_RANGE_BINS => Place::Nearer,
         bins if bins > SAME_RANGE_BINS => Place::Farther,
@@ -204,6 +216,11 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
     values
 }
 
+/// 0 up to the first level, 1 from the second one on, linear between them.
+fn share_of([none_db, all_db]: [f32; 2], level_db: f32) -> f64 {
+    f64::from(((level_db - none_db) / (all_db - none_db)).clamp(0.0, 1.0))
+}
+
 /// Mean of `of` over cells, weighted by their energy; 0 without any.
 fn weighted_mean(cells: &[Cell], of: impl Fn(&Cell) -> f64) -> f64 {
     let energy: f64 = cells.iter().map(|cell| cell.excess).sum();
@@ -234,7 +251,7 @@ fn logarithm_of(count: usize) -> f64 {
     (count as f64).ln_1p()
 }
 
-/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][42]`, ranges and velocities in bins.
+/// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][43]`, ranges and velocities in bins.
 ///
 /// The input has no gradient: to ask for one is an error of the backward pass.
 ///
@@ -260,7 +277,7 @@ fn run([_, rows, columns]: [usize; 3], maps: &[f32], output: &mut [f32]) {
 }
 
 impl Feature {
-    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][42]`.
+    /// [`map_descriptors`] without a graph of gradients: `[batch][1][1][43]`.
     ///
     /// # Errors
     /// Maps have more than one channel or no cells.
@@ -307,6 +324,7 @@ mod tests {
     const SLOW: usize = 26;
     const OWNED: usize = 30;
     const COUNTS: usize = 32;
+    const CHANGE: usize = 42;
 
     fn describe(map: &[f32], columns: usize) -> [f32; DESCRIPTORS] {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
@@ -331,7 +349,7 @@ mod tests {
 
     #[test]
     fn one_echo_has_its_level_range_and_speed() {
-        for (column, speed) in [(40, 0.8), (24, 0.8), (32, 0.0)] {
+        for (column, speed) in [(40, 0.8), (24, 0.8)] {
             let found = describe(&echoes(&[(20, column, 40.0)]), 64);
             near("energy", found[0], 40.0, 0.01);
             near("range", found[1], 20.0 * RANGE_STEP_M, 0.01);
@@ -353,6 +371,21 @@ mod tests {
             near("slow energy", found[SLOW + 3], if is_slow { 0.0 } else { -40.0 }, 0.01);
             near("bins along", found[OWNED + 1], if is_slow { 0.0 } else { 2f64.ln() }, 1e-6);
             assert!(found[OWNED] == 0.0 && found[COUNTS..].iter().all(|&count| count == 0.0), "{found:?}");
+        }
+    }
+
+    /// Somebody who sits, beside whom nothing else or somebody who walks moves.
+    #[test]
+    fn change_at_zero_velocity_stands_apart() {
+        for (level, change) in [(15.0, 0.0), (20.0, 0.0), (27.5, 0.5), (35.0, 1.0), (60.0, 1.0)] {
+            let (sits, nobody) = (describe(&echoes(&[(5, 32, level)]), 64), describe(&echoes(&[]), 64));
+            assert_eq!(sits[..CHANGE], nobody[..CHANGE]);
+            assert_eq!((sits[CHANGE], nobody[CHANGE]), (change, 0.0));
+            for (walker_db, still) in [(12.0, 1.0 - 2.0 / 15.0), (40.0, 0.0)] {
+                let walks = describe(&echoes(&[(5, 32, level), (20, 40, walker_db)]), 64);
+                assert_eq!(walks[..CHANGE], describe(&echoes(&[(20, 40, walker_db)]), 64)[..CHANGE]);
+                near("change beside who walks", walks[CHANGE], f64::from(change) * still, 1e-6);
+            }
         }
     }
 
@@ -406,6 +439,7 @@ mod tests {
         let of =
             |k: usize| [(k / columns) as f64 * RANGE_STEP_M, ((k % columns) as f64 - 16.0) * VELOCITY_STEP_M_PER_S];
         let excess = |level: f32| (10f64.powf(f64::from(level) / 10.0) - 10.0).max(0.0);
+        map.iter_mut().skip(columns / 2).step_by(columns).for_each(|level| *level = 0.0);
         let energy: f64 = map.iter().map(|&level| excess(level)).sum();
         near("energy", found[0], 10.0 * (1.0 + energy).log10(), 1e-4);
         for (axis, middle) in [(0, 11.5 * RANGE_STEP_M), (1, 0.0)] {
@@ -423,18 +457,22 @@ mod tests {
     #[test]
     fn regions_are_those_of_the_slow_search() {
         for (rows, columns, seed) in [(20, 17, 1), (1, 40, 2), (33, 1, 3), (7, 8, 4), (64, 64, 5)] {
-            let map: Vec<f32> = noise(rows, columns, seed).iter().map(|level| (level * 3.0).round()).collect();
+            let mut map: Vec<f32> = noise(rows, columns, seed).iter().map(|level| (level * 3.0).round()).collect();
             let found = describe(&map, columns);
+            let change = map.iter().skip(columns / 2).step_by(columns).fold(0.0, |most: f32, level| most.max(*level));
+            let change = f64::from((change - 20.0) / 15.0).clamp(0.0, 1.0);
+            map.iter_mut().skip(columns / 2).step_by(columns).for_each(|level| *level = 0.0);
             let place = |k: usize| ((k / columns) as i64, (k % columns) as i64 - (columns / 2) as i64);
             let level = |k: usize| f64::from(map[k]);
             let peak = (0..map.len()).filter(|&k| map[k] > 10.0).rev().max_by(|&a, &b| map[a].total_cmp(&map[b]));
-            let peak = peak.expect("some cell stands out");
-            let ((row, speed), top) = (place(peak), level(peak));
+            let top = peak.map_or(10.0, level);
+            near("change of who stands", found[CHANGE], change * ((25.0 - top) / 15.0).clamp(0.0, 1.0), 1e-6);
+            let Some(peak) = peak else { continue };
+            let (row, speed) = place(peak);
             let excess = |k: usize| (10f64.powf(level(k) / 10.0) - 10.0).max(0.0);
             let db = |energy: f64| 10.0 * (1.0 + energy).log10();
             let total: f64 = (0..map.len()).map(excess).sum();
-            let mean: f64 = (0..map.len()).map(|k| excess(k) * place(k).1 as f64).sum();
-            let toward = if speed == 0 { if mean < 0.0 { -1 } else { 1 } } else { speed.signum() };
+            let toward = speed.signum();
             let ranges: [&dyn Fn(i64) -> bool; 3] = [&|r| r < row - 2, &|r| r > row + 2, &|r| (r - row).abs() <= 2];
             let velocities: [&dyn Fn(i64) -> bool; 3] =
                 [&|v| v * toward < -1, &|v| (v - speed).abs() > 4, &|v| (v - speed).abs() <= 4];
