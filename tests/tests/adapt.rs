@@ -167,6 +167,46 @@ fn the_empty_room_alone_lowers_false_alarms() {
     assert!(after > before + 0.3, "frames of the empty room that are called empty: {before}, then {after}");
 }
 
+/// A point for each labelled time, on the room itself and on the other room.
+#[test]
+fn a_curve_tells_accuracy_against_minutes_of_labels() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let rooms = folder.path().join("rooms.toml");
+    let scene = fixture("scenes/hall.toml").canonicalize().expect("a scene");
+    let room = |name: &str, seed: u64| format!("[[room]]\nname = \"{name}\"\nscene = {scene:?}\nseed = {seed}\n");
+    let times = "format = 1\nminutes = [0.1, 0.2]\nrecording_s = 1.0\ntest_s = 2.0\n";
+    std::fs::write(&rooms, format!("{times}{}{}", room("a", 800_001), room("b", 800_002))).expect("writable");
+    let curve = || {
+        let mut command = radome();
+        command.arg("adapt").arg(made().join("model.safetensors")).arg("--json").arg("--curve").arg(&rooms);
+        command
+    };
+    let answer = json_lines(&mut curve()).remove(0);
+    let curves = answer["curves"].as_array().expect("curves");
+    assert_eq!(curves.iter().map(|curve| &curve["room"]).collect::<Vec<_>>(), ["a", "b"], "{answer}");
+    for curve in curves.iter().chain([&answer["mean"]]) {
+        let labelled = curve["labelled"].as_array().expect("points");
+        assert_eq!(labelled.len(), 2, "{answer}");
+        for point in labelled.iter().chain([&curve["before"], &curve["empty"]]) {
+            for on in ["room", "others"] {
+                for score in ["by_frame", "filtered"] {
+                    let score = point[on][score].as_f64().unwrap_or_else(|| panic!("{on} {score}: {answer}"));
+                    assert!((0.0..=1.0).contains(&score), "{answer}");
+                }
+            }
+        }
+    }
+    let again = json_lines(&mut curve()).remove(0);
+    assert_eq!(again, answer, "another run gives other scores");
+
+    std::fs::write(&rooms, times).expect("writable");
+    let said = failure(&mut curve());
+    assert!(said.contains("rooms.toml"), "{said}");
+    std::fs::write(&rooms, format!("{times}{}{}", room("a", 1), room("a", 2))).expect("writable");
+    let said = failure(&mut curve());
+    assert!(said.contains("two rooms are called a"), "{said}");
+}
+
 mod hard_cases {
     use super::*;
 

@@ -1,7 +1,7 @@
 //! Labels go into a recording and come out of it in the formats of other tools; frames stay as they are.
 
 use std::path::Path;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 use radome_tests::browser::{PATIENCE, Served};
 use radome_tests::running::wait_for;
@@ -93,4 +93,54 @@ fn labels_of_a_live_recording_outlive_a_program_that_is_killed() {
     // It may have been killed within a chunk, which is lost then.
     json_lines_of(radome().arg("repair").arg(&made).arg("-o").arg(&repaired).arg("--json"), &[0, 3]);
     assert_eq!(spans(&repaired), killed);
+}
+
+/// The page gets the command that adapts the model by the labels, says what is missing, and the command works.
+#[cfg(unix)]
+#[test]
+fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("it is mine.mcap");
+    let scene = fixture("scenes/hall.toml");
+    let arguments = ["simulate", "--people", "1", "--seed", "700101", "--frames", "60", "--json", "-o"];
+    json_lines(radome().args(arguments).arg(&recording).arg(scene));
+    let served = Served::start(radome().arg("live").arg(&recording).args(["--speed", "1"]).stdout(Stdio::null()));
+    let (mut socket, _) = tungstenite::connect(format!("ws://{}/stream", served.address)).expect("a page");
+    if let tungstenite::stream::MaybeTlsStream::Plain(stream) = socket.get_ref() {
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    }
+    let mut told_with = |spans: usize, request: Option<&str>| -> Value {
+        if let Some(request) = request {
+            socket.send(Message::text(request)).expect("sent");
+        }
+        loop {
+            let Message::Text(text) = socket.read().expect("a message") else { continue };
+            let said: Value = serde_json::from_str(&text).expect("JSON");
+            let labels = &said["labels"];
+            if labels["spans"].as_array().map(Vec::len) == Some(spans) && labels["saved"] == true {
+                return labels.clone();
+            }
+        }
+    };
+    assert!(told_with(0, None)["adaptation"].is_null());
+    let add = r#"{"do":"add","start_s":0.5,"end_s":2.5,"occupancy":"empty","who":null}"#;
+    let told = told_with(1, Some(add));
+    let (text, command) = (&told["adaptation"]["text"], &told["adaptation"]["command"]);
+    let text = text.as_str().unwrap_or_else(|| panic!("{told}"));
+    assert!(text.contains("2 s empty, 0 s one, 0 s two") && text.contains("Without people"), "{text}");
+    let command = command.as_str().unwrap_or_else(|| panic!("{told}")).to_owned();
+    assert!(command.starts_with("radome adapt room-hqnn '"), "{command}");
+    assert!(served.stop(), "an orderly end");
+
+    // As somebody would who copies it into a shell.
+    let program = radome();
+    let folder_of_program = Path::new(program.get_program()).parent().expect("a folder");
+    let ended = Command::new("/bin/sh")
+        .args(["-c", &command])
+        .current_dir(folder.path())
+        .env("PATH", folder_of_program)
+        .output();
+    let ended = ended.expect("a shell");
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    assert!(folder.path().join("room-mine.safetensors").is_file());
 }

@@ -1,8 +1,10 @@
+mod curve;
+
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Waveform};
 use radome_models::Dataset;
 use radome_models::train::{AdaptFrame, AdaptRecording, Adaptation, Adapter, BeforeAfter};
 use serde_json::json;
@@ -19,7 +21,7 @@ pub struct Arguments {
     model: PathBuf,
     /// Recordings of the room: with labels of their own, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
     /// RECORDING=two where all of it shows that. Two or more that show the same are held out in turn: that measures what is gained
-    #[arg(value_name = "RECORDING[=LABEL]", required_unless_present = "empty")]
+    #[arg(value_name = "RECORDING[=LABEL]", required_unless_present_any = ["empty", "curve"])]
     recordings: Vec<String>,
     /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
     #[arg(long, value_name = "RECORDING")]
@@ -27,6 +29,10 @@ pub struct Arguments {
     /// Dataset folder with simulated maps to mix in, so that the model keeps what it knows of other rooms
     #[arg(long, value_name = "DATASET")]
     simulated: Option<PathBuf>,
+    /// Accuracy against minutes of labels instead, on the simulated rooms of a file such as fixtures/strangers.toml: the model is
+    /// adapted to each of them and judged on other recordings of it, and of the other rooms
+    #[arg(long, value_name = "ROOMS.toml", conflicts_with_all = ["recordings", "empty", "output"])]
+    curve: Option<PathBuf>,
     /// Model file to write; without one, only what would be gained is told
     #[arg(short, long)]
     output: Option<PathBuf>,
@@ -51,24 +57,26 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             arguments.model.display()
         );
     }
-    let mut judging = Model::open(&arguments.model)?;
+    let judging = Model::open(&arguments.model)?;
     if matches!(judging, Model::Cfar) {
         bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
     }
     let mut adapter = Adapter::new(crate::judge::network(&arguments.model)?)?;
-    let inputs = inputs(arguments)?;
-    let bar = output::progress(inputs.len() as u64, "reading");
-    let mut recordings = Vec::with_capacity(inputs.len());
-    for input in &inputs {
-        let (back, recording) = read(judging, &adapter, input)?;
-        judging = back;
-        recordings.push(recording);
-        bar.inc(1);
-    }
-    bar.finish_and_clear();
     if let Some(folder) = &arguments.simulated {
         adapter.mix(&Dataset::open(folder)?).with_context(|| folder.display().to_string())?;
     }
+    if let Some(rooms) = &arguments.curve {
+        return curve::run(judging, &adapter, rooms, arguments.json);
+    }
+    let inputs = inputs(arguments)?;
+    let mut frames = Frames { model: Some(judging), adapter: &adapter };
+    let bar = output::progress(inputs.len() as u64, "reading");
+    let mut recordings = Vec::with_capacity(inputs.len());
+    for input in &inputs {
+        recordings.push(read(&mut frames, input)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
     let adaptation = adapter.adapt(&recordings)?;
     let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
     let written = arguments.output.as_ref().filter(|_| !is_refused);
@@ -101,35 +109,56 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
     Ok(inputs)
 }
 
-/// The frames of a recording; and the model again.
-fn read(model: Model, adapter: &Adapter, recording: &LabelledRecording) -> anyhow::Result<(Model, AdaptRecording)> {
-    let named = || recording.path.display().to_string();
-    let mut source = radome_driver::recording::open(&recording.path)?;
-    let waveform = source.waveform().clone();
-    let mut frame = Frame::zeroed(waveform.shape());
-    let mut frames = Vec::new();
-    let mut judge = model.judge(&waveform).with_context(named)?;
-    loop {
-        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
-            SourceEvent::End => break,
-            SourceEvent::Gap(_) => judge.reset(),
-            SourceEvent::Frame => {
-                if let Verdict::Probabilities(_) = judge.frame(&frame)? {
-                    let features = adapter.features(judge.map())?;
-                    let label = recording.truth(&frame, &waveform);
-                    frames.push(AdaptFrame { time_s: frame.time_s(), features, label });
+/// Makes recordings of frames.
+struct Frames<'a> {
+    /// Absent while it is at work, and after an error.
+    model: Option<Model>,
+    adapter: &'a Adapter,
+}
+
+impl Frames<'_> {
+    /// Features and labels of frames, which `next` gives one after another.
+    fn read(
+        &mut self,
+        waveform: &Waveform,
+        mut next: impl FnMut(&mut Frame) -> anyhow::Result<SourceEvent>,
+        truth: impl Fn(&Frame) -> Option<Occupancy>,
+    ) -> anyhow::Result<AdaptRecording> {
+        let mut judge = self.model.take().context("an earlier recording has failed")?.judge(waveform)?;
+        let mut frame = Frame::zeroed(waveform.shape());
+        let mut frames = Vec::new();
+        loop {
+            match next(&mut frame)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => judge.reset(),
+                SourceEvent::Frame => {
+                    if let Verdict::Probabilities(_) = judge.frame(&frame)? {
+                        let features = self.adapter.features(judge.map())?;
+                        frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
+                    }
                 }
             }
         }
+        self.model = Some(judge.into_model());
+        Ok(AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames })
     }
-    if frames.iter().all(|frame| frame.label.is_none()) {
+}
+
+/// The frames of a recording.
+fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
+    let named = || recording.path.display().to_string();
+    let mut source = radome_driver::recording::open(&recording.path)?;
+    let waveform = source.waveform().clone();
+    let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
+    let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
+    if found.frames.iter().all(|frame| frame.label.is_none()) {
         bail!(
             "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome dataset label; or say what all of \
              it shows: {0}=empty",
             named()
         );
     }
-    Ok((judge.into_model(), AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames }))
+    Ok(found)
 }
 
 fn tell(
@@ -139,13 +168,15 @@ fn tell(
     adaptation: &Adaptation,
     written: Option<&PathBuf>,
 ) -> anyhow::Result<()> {
-    let Adaptation { adapted, held_out, recordings_by_class, .. } = adaptation;
+    let Adaptation { adapted, held_out, recordings_by_class, is_measured, .. } = adaptation;
     let file = written.map(|path| path.display().to_string());
     let mut not_measured = Vec::new();
-    for (class, count) in Occupancy::ALL.into_iter().zip(*recordings_by_class).filter(|(_, count)| *count < 2) {
+    let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
+    for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {
         let why = match count {
-            0 => "no recording shows it; only the pull towards the model before keeps it".to_owned(),
-            _ => "only one recording shows it; held out, nothing would be left to adapt to".to_owned(),
+            0 => "no recording shows it; only the pull towards the model before keeps it",
+            1 => "only one recording shows it; held out, nothing would be left to adapt to",
+            _ => "each recording that shows it also shows something that no other one shows",
         };
         eprintln!("warning: {class} cannot be measured: {why}");
         not_measured.push(json!({ "class": class, "recordings": count, "why": why }));
@@ -169,7 +200,7 @@ fn tell(
     }
     match adapted.held_out {
         Some(scores) => output::text_line(&format!("all, each held out in turn: {}", said(&scores)))?,
-        None => output::text_line("nothing is measured: a class has to be in two recordings or more")?,
+        None => output::text_line("nothing is measured: what a recording shows has to be in another one, too")?,
     }
     match file {
         Some(file) => output::text_line(&format!("{file} written, pulled with a strength of {} s", adapted.strength)),

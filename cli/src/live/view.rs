@@ -2,8 +2,9 @@
 //!
 //! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
 //! their own, at most thirty a second and only those that somebody looks at. [`server`] decides what is served to whom, [`control`]
-//! what a page may ask for, [`labels`] keeps the labels, [`partner`] the simulation that mirrors a recording.
+//! what a page may ask for, [`labels`] keeps the labels, [`adaptation`] offers a command that uses them, [`partner`] the simulation that mirrors a recording.
 
+mod adaptation;
 mod control;
 mod feed;
 mod labels;
@@ -161,7 +162,7 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(tape.as_ref(), recording, waveform.frame_interval_s())?,
+            labels: Keeper::open(tape.as_ref(), recording, model, waveform.frame_interval_s())?,
             feed: Feed::new(&waveform, tape.is_some()),
             about: About {
                 description: source.description.clone(),

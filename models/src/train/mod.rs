@@ -34,7 +34,7 @@ mod trainer;
 
 use std::path::{Path, PathBuf};
 
-pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapted, Adapter, BeforeAfter, Scores};
+pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapted, Adapter, BeforeAfter, Fit, Scores};
 pub use augmentation::{Augmentation, Superpose, Sway};
 pub use trainer::Trainer;
 

@@ -13,6 +13,7 @@ use radome_driver::recording::{Recording, RecordingError};
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
+use super::adaptation::Offer;
 use crate::labels;
 use crate::source::Tape;
 
@@ -246,6 +247,9 @@ struct Told<'a> {
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
+    /// How the model is adapted by them; absent as long as there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    adaptation: Option<Offer>,
 }
 
 /// Where labels are kept.
@@ -310,6 +314,11 @@ impl Place {
         }
     }
 
+    fn recording(&self) -> &Path {
+        let (Place::Mcap(recording) | Place::Beside { recording, .. } | Place::Made { recording }) = self;
+        recording
+    }
+
     fn name(&self) -> String {
         let (Place::Mcap(path) | Place::Beside { file: path, .. } | Place::Made { recording: path, .. }) = self;
         path.display().to_string()
@@ -334,14 +343,17 @@ pub struct Keeper {
     state: Mutex<State>,
     changed: Condvar,
     place: Option<Place>,
+    /// Model file, as it was named.
+    model: PathBuf,
     interval_s: f64,
     /// Bits of the time of the newest frame, s.
     now_s: AtomicU64,
 }
 
 impl Keeper {
-    /// With the labels that the recording has; labels of what is no recording go into the one that is being made.
-    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, interval_s: f64) -> anyhow::Result<Self> {
+    /// With the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is what
+    /// pages offer to adapt.
+    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, model: &Path, interval_s: f64) -> anyhow::Result<Self> {
         let made = recording.map(|path| Place::Made { recording: path.to_owned() });
         let place = tape.map(|tape| -> anyhow::Result<Place> {
             let recording = tape.path.clone();
@@ -361,6 +373,7 @@ impl Keeper {
             state: Mutex::new(state),
             changed: Condvar::new(),
             place,
+            model: model.to_owned(),
             interval_s,
             now_s: AtomicU64::new(0f64.to_bits()),
         })
@@ -434,6 +447,9 @@ impl Keeper {
     /// What pages are told.
     pub fn told(&self) -> serde_json::Value {
         let state = self.state();
+        let recording = self.place.as_ref().map(Place::recording);
+        let is_running = matches!(self.place, Some(Place::Made { .. }));
+        let labels: Vec<&LabelSpan> = state.book.spans.iter().map(|span| &span.label).collect();
         let told = Told {
             spans: &state.book.spans,
             open: &state.book.open,
@@ -442,6 +458,7 @@ impl Keeper {
             place: self.place.as_ref().map(Place::name),
             saved: state.saved == state.book.revision,
             fault: state.fault.as_deref(),
+            adaptation: Offer::new(&self.model, recording, is_running, &labels),
         };
         serde_json::json!({ "labels": told })
     }

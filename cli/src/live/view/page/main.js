@@ -72,6 +72,7 @@ const link = new Link({
       $('stop').disabled = !labels.open;
       $('undo').disabled = !labels.can_undo;
       $('redo').disabled = !labels.can_redo;
+      offer(labels.adaptation);
       if (labels.fault) notice(`Labels are not saved: ${labels.fault}`);
     }
     if (playback) {
@@ -119,6 +120,28 @@ function greet(hello) {
   const wanted = chosen || localStorage.getItem('channel');
   if (options.some(([value]) => value === wanted)) $('channel').value = wanted;
   look();
+}
+
+/** The command that adapts the model by the labels, where there are some. */
+function offer(adaptation) {
+  $('adapt').hidden = !adaptation;
+  $('adapt-text').textContent = adaptation?.text ?? '';
+  $('adapt-row').hidden = !adaptation?.command;
+  if ($('adapt-command').textContent !== (adaptation?.command ?? '')) {
+    $('adapt-command').textContent = adaptation?.command ?? '';
+    $('adapt-copy').textContent = 'Copy';
+  }
+}
+
+/** Browsers give the clipboard to pages of this machine and encrypted ones only: elsewhere the command is selected. */
+async function copyCommand() {
+  try {
+    await navigator.clipboard.writeText($('adapt-command').textContent);
+    $('adapt-copy').textContent = 'Copied';
+  } catch {
+    getSelection().selectAllChildren($('adapt-command'));
+    $('adapt-copy').textContent = 'Selected';
+  }
 }
 
 const PEOPLE = { empty: 'empty', one: 'one', two: 'two' };
@@ -223,6 +246,7 @@ for (const button of document.querySelectorAll('#keys [data-label]')) button.add
 $('stop').addEventListener('click', () => send({ do: 'stop' }));
 $('undo').addEventListener('click', () => send({ do: 'undo' }));
 $('redo').addEventListener('click', () => send({ do: 'redo' }));
+$('adapt-copy').addEventListener('click', copyCommand);
 $('help-open').addEventListener('click', () => $('help').showModal());
 
 // A select that was opened with a pointer gives the keys back.

@@ -1,0 +1,98 @@
+//! Minimisation of a smooth function of some hundred parameters.
+
+use std::collections::VecDeque;
+
+use super::AdaptError;
+
+/// Steps of the minimisation at most.
+const MOST_STEPS: usize = 100;
+/// Steps that the minimisation remembers.
+const MEMORY: usize = 10;
+
+/// A minimum near `start` of a function that is given with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
+/// algorithm 7.5) with steps that are halved until the function falls.
+pub(super) fn minimise(
+    start: Vec<f64>,
+    mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), AdaptError>,
+) -> Result<Vec<f64>, AdaptError> {
+    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let sum = |a: &[f64], factor: f64, b: &[f64]| a.iter().zip(b).map(|(a, b)| a + factor * b).collect::<Vec<f64>>();
+    let mut at = start;
+    let (mut value, mut gradient) = function(&at)?;
+    if !value.is_finite() || gradient.iter().any(|g| !g.is_finite()) {
+        return Err(AdaptError::NonFinite);
+    }
+    // Steps and the changes of the gradient over them, the oldest first.
+    let mut past: VecDeque<(Vec<f64>, Vec<f64>)> = VecDeque::new();
+    for _ in 0..MOST_STEPS {
+        let mut direction: Vec<f64> = gradient.iter().map(|g| -g).collect();
+        let mut shares = Vec::with_capacity(past.len());
+        for (step, change) in past.iter().rev() {
+            let share = dot(step, &direction) / dot(step, change);
+            direction = sum(&direction, -share, change);
+            shares.push(share);
+        }
+        let scale = match past.back() {
+            Some((step, change)) => dot(step, change) / dot(change, change),
+            None => 1.0 / dot(&gradient, &gradient).sqrt().max(1.0),
+        };
+        direction.iter_mut().for_each(|d| *d *= scale);
+        for ((step, change), share) in past.iter().zip(shares.iter().rev()) {
+            let back = dot(change, &direction) / dot(step, change);
+            direction = sum(&direction, share - back, step);
+        }
+        let slope = dot(&direction, &gradient);
+        if slope.is_nan() || slope >= 0.0 {
+            break;
+        }
+        let mut length = 1.0;
+        let found = loop {
+            let next = sum(&at, length, &direction);
+            let (next_value, next_gradient) = function(&next)?;
+            if next_value <= value + 1e-4 * length * slope && next_gradient.iter().all(|g| g.is_finite()) {
+                break Some((next, next_value, next_gradient));
+            }
+            length *= 0.5;
+            if length < 1e-6 {
+                break None;
+            }
+        };
+        let Some((next, next_value, next_gradient)) = found else { break };
+        let (step, change) = (sum(&next, -1.0, &at), sum(&next_gradient, -1.0, &gradient));
+        if dot(&step, &change) > 1e-10 * dot(&change, &change) {
+            past.push_back((step, change));
+            if past.len() > MEMORY {
+                past.pop_front();
+            }
+        }
+        let gain = value - next_value;
+        (at, value, gradient) = (next, next_value, next_gradient);
+        // Sums of f32 say no more.
+        if gain < 1e-6 * value.abs() {
+            break;
+        }
+    }
+    Ok(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rosenbrock's narrow valley.
+    #[test]
+    fn a_narrow_valley_leads_to_its_minimum() {
+        let valley = |x: &[f64]| {
+            let (a, b) = (1.0 - x[0], x[1] - x[0] * x[0]);
+            Ok((a * a + 100.0 * b * b + 1.0, vec![-2.0 * a - 400.0 * x[0] * b, 200.0 * b]))
+        };
+        let found = minimise(vec![-1.2, 1.0], valley).expect("a minimum");
+        assert!(found.iter().all(|x| (x - 1.0).abs() < 0.02), "{found:?}");
+    }
+
+    #[test]
+    fn a_function_that_is_not_finite_at_the_start_is_refused() {
+        let error = minimise(vec![0.0], |_| Ok((f64::NAN, vec![0.0]))).expect_err("refused");
+        assert!(matches!(error, AdaptError::NonFinite), "{error}");
+    }
+}

@@ -1,0 +1,358 @@
+//! The layers of a network that are adapted, with their parameters as one vector, and the frames that they are fitted to.
+
+use candle_core::{Device, Tensor};
+use radome_dsp::Occupancy;
+
+use super::minimise::minimise;
+use super::{AdaptError, AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES, Scores};
+use crate::evaluate::{Metrics, most_probable};
+use crate::layer::{backward, softmax};
+use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
+use crate::occupancy_filter::{OccupancyFilter, Smoothing};
+use crate::train::head_start::{is_trained, parameters_behind};
+
+/// Largest strength of the pull on biases, s of labelled frames for a squared deviation. Half a minute of labels is enough for a
+/// handful of biases; weights would follow the few people who happened to be there.
+const BIAS_STRENGTH: f64 = 100.0;
+/// Strength of the pull on the logit of `empty` where only the empty room was recorded, as a share of its seconds: a longer look at
+/// nobody is no better reason to take people for nobody.
+const EMPTY_SHARE: f64 = 1.0 / 12.0;
+/// Labelled time of a recording at which its share within a class is half of the largest possible, s.
+const LONG_S: f64 = 10.0;
+/// Least deviation that a feature is divided by, as in training (`start.rs`).
+const LEAST_SIGMA: f64 = 0.1;
+/// Frames of a forward pass without gradients.
+const BATCH: usize = 4096;
+
+/// Counts `[truth][label]`.
+type Confusion = [[u64; CLASSES]; CLASSES];
+
+/// Labelled frames as a model judges them, each by itself and behind the filter.
+#[derive(Default)]
+pub(super) struct Judged {
+    by_frame: Confusion,
+    filtered: Confusion,
+}
+
+impl Judged {
+    /// Scores over several recordings.
+    pub(super) fn scores<'a>(judged: impl Iterator<Item = &'a Judged>) -> Scores {
+        let mut all = Judged::default();
+        for judged in judged {
+            for (sum, counts) in [(&mut all.by_frame, &judged.by_frame), (&mut all.filtered, &judged.filtered)] {
+                sum.iter_mut().flatten().zip(counts.iter().flatten()).for_each(|(sum, count)| *sum += count);
+            }
+        }
+        let score = |confusion| Metrics::from_confusion(confusion).balanced_accuracy;
+        Scores { by_frame: score(all.by_frame), filtered: score(all.filtered) }
+    }
+}
+
+/// Whether somebody is there in a labelled frame.
+pub(super) fn shows_people(recordings: &[&AdaptRecording]) -> bool {
+    let mut labels = recordings.iter().flat_map(|recording| &recording.frames).filter_map(|frame| frame.label);
+    labels.any(|label| label != Occupancy::Empty)
+}
+
+/// Strength of the pull on the logit of `empty` where only the empty room was recorded.
+pub(super) fn empty_strength(recordings: &[&AdaptRecording]) -> f64 {
+    EMPTY_SHARE * recordings.iter().map(|recording| recording.seconds()[0]).sum::<f64>()
+}
+
+/// The last layer of a network.
+pub(super) fn last_node(network: &Network) -> Option<&Node> {
+    let graph = network.graph();
+    graph.nodes.get(graph.output.checked_sub(1)?)
+}
+
+/// A frame that is fitted to.
+struct Sample<'a> {
+    features: &'a [f32],
+    label: usize,
+    weight: f64,
+}
+
+/// Labelled frames of recordings and simulated maps with their weights; those of each of the two sum to the labelled seconds.
+fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usize)]) -> Vec<Sample<'a>> {
+    let seconds: Vec<[f64; CLASSES]> = recordings.iter().map(|recording| recording.seconds()).collect();
+    let total_s: f64 = seconds.iter().flatten().sum();
+    let share = |seconds: f64| seconds / (seconds + LONG_S);
+    let of_class: [f64; CLASSES] = std::array::from_fn(|class| seconds.iter().map(|s| share(s[class])).sum());
+    let classes = of_class.iter().filter(|shares| **shares > 0.0).count();
+    let labelled = recordings.iter().flat_map(|recording| &recording.frames).filter(|f| f.label.is_some()).count();
+    let step = labelled.div_ceil(MOST_FRAMES).max(1);
+    let mut samples = Vec::new();
+    for (recording, seconds) in recordings.iter().copied().zip(&seconds) {
+        for class in (0..CLASSES).filter(|class| seconds[*class] > 0.0) {
+            let frames = recording.frames.iter().filter(|frame| frame.label.map(Occupancy::index) == Some(class));
+            let frames: Vec<&AdaptFrame> = frames.step_by(step).collect();
+            let of_recording = total_s / classes as f64 * share(seconds[class]) / of_class[class];
+            let weight = of_recording / frames.len().max(1) as f64;
+            samples.extend(frames.into_iter().map(|f| Sample { features: &f.features, label: class, weight }));
+        }
+    }
+    let counts: [usize; CLASSES] = std::array::from_fn(|class| simulated.iter().filter(|s| s.1 == class).count());
+    let classes = counts.iter().filter(|count| **count > 0).count();
+    samples.extend(simulated.iter().filter(|(_, label)| *label < CLASSES).map(|(features, label)| Sample {
+        features,
+        label: *label,
+        weight: total_s / (classes * counts[*label]) as f64,
+    }));
+    samples
+}
+
+/// Mean and deviation of each feature, by the samples' weights.
+fn centring(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
+    let total: f64 = samples.iter().map(|sample| sample.weight).sum();
+    let mut moments = vec![(0.0f64, 0.0f64); inputs];
+    for sample in samples {
+        for ((mean, _), &x) in moments.iter_mut().zip(sample.features) {
+            *mean += sample.weight / total * f64::from(x);
+        }
+    }
+    for sample in samples {
+        for ((mean, variance), &x) in moments.iter_mut().zip(sample.features) {
+            *variance += sample.weight / total * (f64::from(x) - *mean).powi(2);
+        }
+    }
+    moments.into_iter().map(|(mean, variance)| (mean, variance.sqrt().max(LEAST_SIGMA))).collect()
+}
+
+/// The adapted layers of a network.
+pub(super) struct Tail<'a> {
+    network: &'a Network,
+    given: Value,
+    parameters: Vec<&'a Parameter>,
+    temperature: f64,
+    /// Features of a frame.
+    inputs: usize,
+    /// Where weight `[output][input]` and bias of the first layer begin in the vector.
+    weight: usize,
+    bias: usize,
+    outputs: usize,
+    /// Where the bias of the logit of `empty` is.
+    empty: usize,
+}
+
+impl<'a> Tail<'a> {
+    /// `None` if `given` is not followed by a linear layer, or the network does not end in one.
+    pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
+        let parameters = parameters_behind(network, given);
+        let parameters: Vec<&Parameter> = parameters.into_iter().filter(|p| is_trained(network, p)).collect();
+        let offset = |name: String| {
+            let index = parameters.iter().position(|parameter| parameter.name == name)?;
+            Some(parameters[..index].iter().map(|parameter| parameter.variable.elem_count()).sum::<usize>())
+        };
+        let reads_given = |node: &&Node| node.inputs == [given] && matches!(node.layer, Layer::Linear { .. });
+        let first = network.graph().nodes.iter().find(reads_given)?;
+        let Layer::Linear { inputs, outputs } = first.layer else { return None };
+        let weight = offset(format!("{}.weight", first.name))?;
+        let bias = offset(format!("{}.bias", first.name))?;
+        let empty = offset(format!("{}.bias", last_node(network)?.name))?;
+        Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, empty })
+    }
+
+    /// The parameters as they are.
+    pub(super) fn numbers(&self) -> Result<Vec<f64>, AdaptError> {
+        let mut numbers = Vec::new();
+        for parameter in &self.parameters {
+            numbers.extend(parameter.variable.flatten_all()?.to_vec1::<f32>()?.into_iter().map(f64::from));
+        }
+        Ok(numbers)
+    }
+
+    /// Gives the network these parameters.
+    pub(super) fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
+        let mut rest = numbers.iter();
+        for Parameter { variable, .. } in self.parameters.iter() {
+            let values: Vec<f32> = rest.by_ref().take(variable.elem_count()).map(|&v| v as f32).collect();
+            variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
+        }
+        Ok(())
+    }
+
+    /// Parameters for features `(x - mean) / sigma`, of those for features `x`.
+    fn standardised(&self, numbers: &[f64], centring: &[(f64, f64)]) -> Vec<f64> {
+        let mut numbers = numbers.to_vec();
+        for row in 0..self.outputs {
+            for (column, (mean, sigma)) in centring.iter().enumerate() {
+                let at = self.weight + row * self.inputs + column;
+                numbers[self.bias + row] += numbers[at] * mean;
+                numbers[at] *= sigma;
+            }
+        }
+        numbers
+    }
+
+    /// Probabilities of the classes for features, with the parameters as they are.
+    fn probabilities(&self, features: &Tensor) -> Result<Vec<Vec<f64>>, AdaptError> {
+        let output = self.network.graph().output;
+        let logits = self.network.run_from(self.given, features, &[output], Mode::Evaluation)?.take(output)?;
+        Ok(logits.to_vec2::<f32>()?.iter().map(|logits| softmax(logits, self.temperature)).collect())
+    }
+
+    /// Judges a recording frame by frame and through the filter, which sees frames without a label too.
+    pub(super) fn judge(
+        &self,
+        numbers: &[f64],
+        recording: &AdaptRecording,
+        smoothing: Smoothing,
+    ) -> Result<Judged, AdaptError> {
+        self.set(numbers)?;
+        let mut filter = OccupancyFilter::new(smoothing, recording.frame_interval_s);
+        let mut judged = Judged::default();
+        for frames in recording.frames.chunks(BATCH) {
+            let features: Vec<f32> = frames.iter().flat_map(|frame| &frame.features).copied().collect();
+            let features = Tensor::from_vec(features, (frames.len(), self.inputs), &Device::Cpu)?;
+            for (frame, probabilities) in frames.iter().zip(self.probabilities(&features)?) {
+                let &[empty, one, two] = probabilities.as_slice() else { continue };
+                let alone = [empty as f32, one as f32, two as f32];
+                let filtered = filter.update(frame.time_s, alone);
+                if let Some(label) = frame.label.map(Occupancy::index) {
+                    judged.by_frame[label][most_probable(&alone).index()] += 1;
+                    judged.filtered[label][most_probable(&filtered).index()] += 1;
+                }
+            }
+        }
+        Ok(judged)
+    }
+
+    /// Parameters fitted to recordings and simulated maps, for each strength of the pull towards `before`; of each the next one
+    /// starts. Where nobody is there in any recording, the logit of `empty` alone is fitted, whatever the strength.
+    pub(super) fn fit(
+        &self,
+        recordings: &[&AdaptRecording],
+        simulated: &[(Vec<f32>, usize)],
+        strengths: &[f64],
+        before: &[f64],
+    ) -> Result<Vec<Vec<f64>>, AdaptError> {
+        let mut samples = samples(recordings, simulated);
+        let total: f64 = samples.iter().map(|sample| sample.weight).sum();
+        let centring = centring(&samples, self.inputs);
+        let standardise = |sample: &Sample| -> Vec<f32> {
+            let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
+            sample.features.iter().zip(&centring).map(of).collect()
+        };
+        let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
+        let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
+        let origin = self.standardised(before, &centring);
+        let is_empty_only = !shows_people(recordings);
+        if is_empty_only {
+            self.set(&origin)?;
+            for (sample, probabilities) in samples.iter_mut().zip(self.probabilities(&features)?) {
+                sample.weight *= 1.0 - probabilities.get(sample.label).copied().unwrap_or(0.0);
+            }
+        }
+        let most = |p: &Parameter| if p.name.ends_with(".bias") { BIAS_STRENGTH } else { f64::INFINITY };
+        let most: Vec<f64> = self.parameters.iter().flat_map(|p| vec![most(p); p.variable.elem_count()]).collect();
+        let minimum = |start: Vec<f64>, strength: f64| {
+            minimise(start, |numbers| {
+                let (mut value, mut gradient) = self.loss(numbers, &features, &samples)?;
+                for (index, g) in gradient.iter_mut().enumerate() {
+                    let moved = numbers[index] - origin[index];
+                    let strength = if is_empty_only { strength } else { strength.min(most[index]) };
+                    value += 0.5 * strength * moved.powi(2);
+                    *g = if is_empty_only && index != self.empty { 0.0 } else { (*g + strength * moved) / total };
+                }
+                Ok((value / total, gradient))
+            })
+        };
+        if is_empty_only {
+            let mut raised = before.to_vec();
+            raised[self.empty] += minimum(origin.clone(), empty_strength(recordings))?[self.empty] - origin[self.empty];
+            return Ok(vec![raised; strengths.len()]);
+        }
+        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
+        for strength in strengths {
+            numbers = minimum(numbers, *strength)?;
+            fits.push(self.standardised(&numbers, &back));
+        }
+        Ok(fits)
+    }
+
+    /// Weighted cross-entropy of samples with these parameters for standardised features, and its gradient.
+    fn loss(&self, numbers: &[f64], features: &Tensor, samples: &[Sample]) -> Result<(f64, Vec<f64>), AdaptError> {
+        self.set(numbers)?;
+        let output = self.network.graph().output;
+        let mode = Mode::Training { seed: 0, step: 0, penalty: 0.0 };
+        let logits = self.network.run_from(self.given, features, &[output], mode)?.take(output)?;
+        let (mut loss, mut by_logit) = (0.0, Vec::with_capacity(CLASSES * samples.len()));
+        for (sample, row) in samples.iter().zip(logits.to_vec2::<f32>()?) {
+            for (class, p) in softmax(&row, self.temperature).into_iter().enumerate() {
+                let target = if class == sample.label { 1.0 } else { 0.0 };
+                loss -= target * sample.weight * p.max(f64::MIN_POSITIVE).ln();
+                by_logit.push((sample.weight * (p - target) / self.temperature) as f32);
+            }
+        }
+        // A sum that is linear in the logits has the same gradient here.
+        let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
+        let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
+        let mut gradient = Vec::with_capacity(numbers.len());
+        for Parameter { variable, .. } in self.parameters.iter().copied() {
+            match gradients.get(variable) {
+                Some(found) => gradient.extend(found.flatten_all()?.to_vec1::<f32>()?.into_iter().map(f64::from)),
+                None => gradient.extend(vec![0.0; variable.elem_count()]),
+            }
+        }
+        Ok((loss, gradient))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::{model, recording};
+    use super::*;
+    use crate::layer::DESCRIPTORS;
+
+    /// The share of a class does not depend on how long it was recorded, nor that of a recording on its frame rate.
+    #[test]
+    fn classes_weigh_the_same_and_weights_sum_to_the_labelled_seconds() {
+        let short = recording(1, &[Occupancy::Empty]);
+        let mut long = recording(2, &[Occupancy::One, Occupancy::One, Occupancy::One, Occupancy::Empty]);
+        long.frames.iter_mut().for_each(|frame| frame.time_s *= 2.0);
+        let simulated = vec![(vec![0.0; DESCRIPTORS], 2), (vec![0.0; DESCRIPTORS], 2), (vec![0.0; DESCRIPTORS], 0)];
+        let seconds: f64 = [&short, &long].iter().flat_map(|recording| recording.seconds()).sum();
+        let all = samples(&[&short, &long], &simulated);
+        let (real, simulated) = all.split_at(all.len() - simulated.len());
+        let of = |samples: &[Sample], class| -> f64 {
+            samples.iter().filter(|sample| sample.label == class).map(|sample| sample.weight).sum()
+        };
+        for (found, expected) in [(of(real, 0), 0.5), (of(real, 1), 0.5), (of(real, 2), 0.0)] {
+            assert!((found / seconds - expected).abs() < 1e-9, "{found} of {seconds}");
+        }
+        for (found, expected) in [(of(simulated, 0), 0.5), (of(simulated, 1), 0.0), (of(simulated, 2), 0.5)] {
+            assert!((found / seconds - expected).abs() < 1e-9, "{found} of {seconds}");
+        }
+    }
+
+    #[test]
+    fn gradients_are_those_of_differences() {
+        let model = model("descriptor_hqnn");
+        let given = model.network.graph().value("features").expect("features");
+        let tail = Tail::new(&model.network, given, 1.3).expect("a tail");
+        let recording = recording(3, &Occupancy::ALL);
+        let samples = samples(&[&recording], &[]);
+        let features: Vec<f32> = samples.iter().flat_map(|sample| sample.features.to_vec()).collect();
+        let features = Tensor::from_vec(features, (samples.len(), DESCRIPTORS), &Device::Cpu).expect("tensor");
+        let numbers = tail.numbers().expect("numbers");
+        let centring: Vec<(f64, f64)> = (0..DESCRIPTORS).map(|k| (k as f64 - 7.0, 0.1 + k as f64)).collect();
+        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let there_and_back = tail.standardised(&tail.standardised(&numbers, &centring), &back);
+        assert!(numbers.len() > 90 && there_and_back.iter().zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-9));
+        let (_, gradient) = tail.loss(&numbers, &features, &samples).expect("loss");
+        for k in (0..numbers.len()).step_by(7) {
+            let at = |by: f64| {
+                let mut moved = numbers.clone();
+                moved[k] += by;
+                tail.loss(&moved, &features, &samples).expect("loss").0
+            };
+            let difference = (at(5e-3) - at(-5e-3)) / 1e-2;
+            assert!(
+                (gradient[k] - difference).abs() < 0.02 * difference.abs().max(1.0),
+                "{k}: {} {difference}",
+                gradient[k]
+            );
+        }
+    }
+}
