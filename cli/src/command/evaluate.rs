@@ -60,6 +60,10 @@ pub struct Arguments {
     /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
     keep: Option<PathBuf>,
+    /// Also fits the settings of the causal filter to the answers of all models to the ladder, as [smoothing] of a training's
+    /// file takes them
+    #[arg(long, requires = "ladder")]
+    fit_smoothing: bool,
     /// One object
     #[arg(long)]
     json: bool,
@@ -78,7 +82,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.ladder {
         let models: Vec<PathBuf> =
             arguments.model.iter().cloned().chain(arguments.inputs.iter().map(PathBuf::from)).collect();
-        return ladder::run(&models, path, arguments.keep.as_deref(), arguments.json);
+        return ladder::run(&models, path, arguments.keep.as_deref(), arguments.fit_smoothing, arguments.json);
     }
     let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
         ([model], _) => (model.clone(), arguments.inputs.as_slice()),
