@@ -30,12 +30,8 @@ const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
 static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
 /// What a detector's count says of how many people are seen, `[counted][seen]`: who is hidden or turned away is missed more often
-/// than somebody is made of noise. This and the filter's settings were chosen on simulated corridors (seeds 90001 to 90006) and halls
-/// (200001 to 200006).
+/// than somebody is made of noise. Chosen on simulated corridors (seeds 90001 to 90006) and halls (200001 to 200006).
 const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
-
-const CFAR_SMOOTHING: Smoothing =
-    Smoothing { dwell_s: 8.0, unseen_share: 0.15, unseen_s: 3.0, weight: Some(1.0), independent_s: None };
 
 /// A network of our own by its file, or the built-in one by its name.
 ///
@@ -158,7 +154,7 @@ impl Model {
     pub fn smoothing(&self) -> Smoothing {
         match self {
             Model::Network(classifier) => classifier.card().smoothing,
-            Model::Cfar => CFAR_SMOOTHING,
+            Model::Cfar => Smoothing::default(),
         }
     }
 

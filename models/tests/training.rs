@@ -260,7 +260,7 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
 #[test]
 fn reference_grid_and_smoothing_travel_with_the_model() {
     let (set, spec) = brief();
-    let smoothing = Smoothing { dwell_s: 20.0, unseen_share: 0.3, ..Smoothing::default() };
+    let smoothing = Smoothing { dwell_s: 20.0, temperature: 1.2, ..Smoothing::default() };
     let reference = MapReference::OverNoise { skip_range_bins: 2, most_db: Some(15.0) };
     let outcome = train(&set, &TrainSpec { reference, pooled: [4, 6], smoothing, ..spec }, &mut |_| {});
     let model = outcome.expect("training").model;

@@ -155,6 +155,16 @@ fn models_are_compared_on_the_same_frames() {
     assert_eq!(kept(), answer);
     assert_eq!(files(), first, "kept recordings were made anew");
 
+    // Settings of the filter that suit all of these, from the recordings of both that were judged.
+    assert!(answer["fitted_smoothing"].is_null(), "{answer}");
+    let fitted = json_lines(ladder().arg("--keep").arg(&keep).arg("--fit-smoothing")).remove(0);
+    let fit = &fitted["fitted_smoothing"];
+    for key in ["dwell_s", "independent_s", "temperature"] {
+        assert!(fit["smoothing"][key].as_f64().is_some_and(|value| value > 0.0), "{key}: {fit}");
+    }
+    assert!(fit["log_loss"].is_f64() && fit["log_loss_by_frame"].is_f64(), "{fit}");
+    assert_eq!(fitted["models"], answer["models"]);
+
     // The same as a table.
     let output = radome().arg("evaluate").arg(model).arg("cfar").arg("--ladder").arg(&rung).output().expect("runs");
     let table = String::from_utf8(output.stdout).expect("text");

@@ -64,6 +64,10 @@ pub struct Arguments {
     /// not the rung's: gives the false alarms an hour
     #[arg(long, value_name = "HOURS", requires = "ladder")]
     empty_hours: Option<f64>,
+    /// Also fits the settings of the causal filter to the answers of all models to the ladder, as [smoothing] of a training's
+    /// file takes them
+    #[arg(long, requires = "ladder", conflicts_with = "empty_hours")]
+    fit_smoothing: bool,
     /// One object
     #[arg(long)]
     json: bool,
@@ -82,7 +86,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.ladder {
         let models: Vec<PathBuf> =
             arguments.model.iter().cloned().chain(arguments.inputs.iter().map(PathBuf::from)).collect();
-        return ladder::run(&models, path, arguments.empty_hours, arguments.keep.as_deref(), arguments.json);
+        let (hours, keep) = (arguments.empty_hours, arguments.keep.as_deref());
+        return ladder::run(&models, path, hours, keep, arguments.fit_smoothing, arguments.json);
     }
     let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
         ([model], _) => (model.clone(), arguments.inputs.as_slice()),

@@ -366,7 +366,7 @@ fn onnx_file() -> Seeds {
 fn specs() -> Seeds {
     let training = "seed = 3\nnetwork = \"hqnn\"\nepochs = 4\nbatch_size = 16\npooled = [2, 15]\nlinear_epochs = 2\n\
         [head]\nkind = \"circuit\"\n[head.circuit]\nqubits = 3\ndepth = 2\n[split]\nby = \"seed\"\n[augmentation]\n\
-        noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\n";
+        noise_db = 1.0\n[latent.running]\nmomentum = 0.1\n[smoothing]\ndwell_s = 20\nunseen_share = 0.3\ntemperature = 1.5\n";
     let mut seeds = vec![training.as_bytes().to_vec()];
     for name in ["quick", "paper", "circuits", "controls", "networks", "orientation", "reliability"] {
         seeds.push(fixture(&format!("studies/{name}.toml")).into_bytes());

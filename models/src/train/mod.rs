@@ -28,6 +28,7 @@ mod checkpoint;
 mod data;
 mod head_start;
 mod run;
+mod smoothing;
 mod start;
 mod temperature;
 mod trainer;
@@ -36,6 +37,7 @@ use std::path::{Path, PathBuf};
 
 pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapted, Adapter, BeforeAfter, Fit, Scores};
 pub use augmentation::{Augmentation, Superpose, Sway};
+pub use smoothing::{FilterSequence, SmoothingFit, fit_smoothing};
 pub use trainer::Trainer;
 
 use radome_dsp::Occupancy;

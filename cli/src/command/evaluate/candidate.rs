@@ -6,6 +6,7 @@ use radome_dsp::{Frame, Occupancy, Waveform};
 use radome_models::calibration::ReliabilitySums;
 use radome_models::evaluate::{FramePrediction, RecordingScores};
 use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::train::FilterSequence;
 use serde::Serialize;
 
 use crate::judge::{Judge, Model, Verdict};
@@ -114,6 +115,11 @@ impl Predictions {
     /// Scores of each frame by itself.
     pub fn alone_scores(&self) -> RecordingScores {
         RecordingScores::new(&self.alone, self.frame_interval_s)
+    }
+
+    /// Predictions for each frame by itself, as a filter is fitted to them.
+    pub fn sequence(&self) -> FilterSequence {
+        FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.alone.clone() }
     }
 
     /// Counts how reliable the filter's confidence is.

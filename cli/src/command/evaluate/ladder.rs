@@ -10,6 +10,7 @@ use radome_driver::recording::{Existing, Recording};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 use radome_models::calibration::{Reliability, ReliabilitySums};
 use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores};
+use radome_models::train::{FilterSequence, SmoothingFit, fit_smoothing};
 use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
 use radome_sim::scene::file::BodyFile;
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -78,7 +79,7 @@ struct Simulation {
     frames: u64,
 }
 
-/// Puts models on a ladder and says how they did.
+/// Puts models on a ladder and says how they did; with `fit`, also which settings of the filter would suit all of them best.
 ///
 /// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
 pub fn run(
@@ -86,6 +87,7 @@ pub fn run(
     ladder: &Path,
     empty_hours: Option<f64>,
     keep: Option<&Path>,
+    fit: bool,
     json: bool,
 ) -> anyhow::Result<()> {
     output::catch_interrupts()?;
@@ -120,15 +122,27 @@ pub fn run(
     bar.finish_and_clear();
     let answers: Vec<OfModel> =
         candidates.iter().zip(&all).map(|(candidate, scores)| OfModel::new(candidate.path(), &rungs, scores)).collect();
+    let fitted = if fit {
+        let groups: Vec<Vec<FilterSequence>> =
+            all.iter_mut().flatten().map(|scores| std::mem::take(&mut scores.sequences)).collect();
+        fit_smoothing(&groups)
+    } else {
+        None
+    };
     if json {
         let of_rung = |rung: &Rung| {
             let frames: u64 = rung.simulations.iter().map(|simulation| simulation.frames).sum();
             json!({ "rung": rung.name, "about": rung.about, "recordings": rung.simulations.len(), "frames": frames })
         };
         let ladder: Vec<_> = rungs.iter().map(of_rung).collect();
-        return output::json_line(&json!({ "ladder": ladder, "models": answers }));
+        let mut answer = json!({ "ladder": ladder, "models": answers });
+        if let Some(fitted) = &fitted {
+            answer["fitted_smoothing"] = serde_json::to_value(fitted)?;
+        }
+        return output::json_line(&answer);
     }
-    print(&answers)
+    print(&answers)?;
+    fitted.map_or(Ok(()), |fitted| print_fit(&fitted))
 }
 
 /// The rungs of a folder by their files' names, or the one rung of a file.
@@ -374,6 +388,8 @@ struct RungScores {
     scores: Vec<RecordingScores>,
     reliability: ReliabilitySums,
     refused: Vec<Refused>,
+    /// What a filter is fitted to.
+    sequences: Vec<FilterSequence>,
 }
 
 /// Judgement of a recording, behind the filter.
@@ -398,6 +414,7 @@ impl RungScores {
         add_confusion(&mut self.filtered, &scores.confusion);
         add_confusion(&mut self.alone, &predictions.alone_scores().confusion);
         predictions.count_reliability(&mut self.reliability);
+        self.sequences.push(predictions.sequence());
         self.recordings.push(OfRecording {
             recording: name.to_owned(),
             label: scores.label().map_or("mixed", Occupancy::name),
@@ -537,6 +554,18 @@ fn print(answers: &[OfModel]) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Prints settings as a training's file takes them.
+fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
+    eprintln!(
+        "log loss, the mean over models and rungs: {:.3} by frame, {:.3} through the fitted filter",
+        fit.log_loss_by_frame, fit.log_loss
+    );
+    output::text_line("[smoothing]")?;
+    output::text_line(&format!("dwell_s = {:.2}", fit.smoothing.dwell_s))?;
+    output::text_line(&format!("independent_s = {:.2}", fit.smoothing.independent_s.unwrap_or_default()))?;
+    output::text_line(&format!("temperature = {:.2}", fit.smoothing.temperature))
 }
 
 #[cfg(test)]

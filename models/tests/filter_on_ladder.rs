@@ -1,0 +1,136 @@
+//! The occupancy filter on the answers of a shipped model to all recordings of the ladder.
+//!
+//! `fixtures/ladder/frames-room-hqnn.jsonl` holds what room-hqnn said to each of their frames; `fixtures/ladder/remake-frames` makes
+//! it. So no frame has to be simulated here.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use radome_dsp::Occupancy;
+use radome_models::calibration::ReliabilitySums;
+use radome_models::evaluate::{FramePrediction, Metrics};
+use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
+use radome_models::train::{FilterSequence, fit_smoothing};
+use serde::Deserialize;
+
+/// What a model said to the frames of a recording.
+#[derive(Deserialize)]
+struct Recording {
+    recording: String,
+    frame_interval_s: f64,
+    /// A letter a frame: 0, 1 or 2 people, or `-` where someone is entering or leaving.
+    labels: String,
+    empty_permille: Vec<u16>,
+    two_permille: Vec<u16>,
+}
+
+impl Recording {
+    fn sequence(&self) -> FilterSequence {
+        let probabilities = self.empty_permille.iter().zip(&self.two_permille);
+        let frames = self.labels.chars().zip(probabilities).enumerate().map(|(index, (label, (empty, two)))| {
+            let (empty, two) = (f32::from(*empty) / 1000.0, f32::from(*two) / 1000.0);
+            FramePrediction {
+                time_s: index as f64 * self.frame_interval_s,
+                truth: label.to_digit(10).and_then(|people| Occupancy::from_index(people as usize)),
+                probabilities: [empty, (1.0 - empty - two).max(0.0), two],
+            }
+        });
+        FilterSequence { frame_interval_s: self.frame_interval_s, frames: frames.collect() }
+    }
+}
+
+/// Recordings by their rung.
+fn rungs() -> BTreeMap<String, Vec<FilterSequence>> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/ladder/frames-room-hqnn.jsonl");
+    let text = std::fs::read_to_string(path).expect("a fixture");
+    let mut rungs: BTreeMap<String, Vec<FilterSequence>> = BTreeMap::new();
+    for line in text.lines() {
+        let recording: Recording = serde_json::from_str(line).expect("a recording");
+        let rung = recording.recording.split('-').next().unwrap_or_default().to_owned();
+        rungs.entry(rung).or_default().push(recording.sequence());
+    }
+    assert_eq!((rungs.len(), rungs.values().map(Vec::len).sum::<usize>()), (11, 106));
+    rungs
+}
+
+fn filtered(sequence: &FilterSequence) -> Vec<FramePrediction> {
+    let mut filter = OccupancyFilter::new(Smoothing::default(), sequence.frame_interval_s);
+    let through = |frame: &FramePrediction| FramePrediction {
+        probabilities: filter.update(frame.time_s, frame.probabilities),
+        ..*frame
+    };
+    sequence.frames.iter().map(through).collect()
+}
+
+fn balanced_accuracy<'a>(frames: impl IntoIterator<Item = &'a FramePrediction>) -> f64 {
+    let said = |frame: &FramePrediction| Some((frame.truth?, frame.predicted()));
+    Metrics::from_predictions(frames.into_iter().filter_map(said)).balanced_accuracy
+}
+
+/// Where most frames of a stretch of one label are wrong, evidence that adds up leads away from the truth, and no filter can know.
+/// Where most are right, the filter loses no more than its delay on any rung. Over all frames it may lose what few were right.
+#[test]
+fn the_filter_is_not_worse_than_frames_on_any_rung() {
+    let mut gains = Vec::new();
+    for (rung, sequences) in rungs() {
+        let (mut alone, mut through) = (Vec::new(), Vec::new());
+        // Labelled frames of stretches whose frames are mostly right: all, right by themselves, right through the filter.
+        let (mut frames, mut right, mut right_through) = (0usize, 0usize, 0usize);
+        for sequence in &sequences {
+            let labelled: Vec<(FramePrediction, FramePrediction)> = (sequence.frames.iter().copied())
+                .zip(filtered(sequence))
+                .filter(|(frame, _)| frame.truth.is_some())
+                .collect();
+            for stretch in labelled.chunk_by(|(a, _), (b, _)| a.truth == b.truth) {
+                let count = |said: &dyn Fn(&(FramePrediction, FramePrediction)) -> FramePrediction| {
+                    stretch.iter().map(said).filter(|frame| frame.truth == Some(frame.predicted())).count()
+                };
+                let by_frame = count(&|(frame, _)| *frame);
+                if 2 * by_frame > stretch.len() {
+                    frames += stretch.len();
+                    right += by_frame;
+                    right_through += count(&|(_, filtered)| *filtered);
+                }
+            }
+            let (frames, answers): (Vec<_>, Vec<_>) = labelled.into_iter().unzip();
+            alone.extend(frames);
+            through.extend(answers);
+        }
+        let (alone, through) = (balanced_accuracy(&alone), balanced_accuracy(&through));
+        let [right, right_through] = [right, right_through].map(|count| count as f64 / frames as f64);
+        assert!(right_through > right - 0.01, "{rung}: {right} by frame, {right_through} filtered");
+        assert!(through > alone - 0.05, "{rung}: {alone} by frame, {through} filtered");
+        gains.push(through - alone);
+    }
+    let gain = gains.iter().sum::<f64>() / gains.len() as f64;
+    assert!(gain > 0.03, "{gain} of {gains:?}");
+}
+
+#[test]
+fn the_confidence_is_closer_to_the_truth_than_that_of_frames() {
+    let (mut alone, mut through) = (ReliabilitySums::default(), ReliabilitySums::default());
+    for sequence in rungs().values().flatten() {
+        for (frame, answer) in sequence.frames.iter().zip(filtered(sequence)) {
+            if let Some(truth) = frame.truth {
+                alone.add(&frame.probabilities, truth);
+                through.add(&answer.probabilities, truth);
+            }
+        }
+    }
+    let [alone, through] = [alone, through].map(|sums| sums.reliability().expected_calibration_error.expect("frames"));
+    assert!(through < 0.07 && through < alone, "{alone} by frame, {through} filtered");
+}
+
+/// The defaults are what is learned from these recordings, as nearly as those tell.
+#[test]
+fn the_default_settings_are_learned_from_the_ladder() {
+    let groups: Vec<Vec<FilterSequence>> = rungs().into_values().collect();
+    let fit = fit_smoothing(&groups).expect("labels");
+    assert!(fit.log_loss < fit.log_loss_by_frame - 0.03, "{fit:?}");
+    let default = Smoothing::default();
+    let is_near = |found: f64, default: f64| (0.5..2.0).contains(&(found / default));
+    assert!(is_near(fit.smoothing.dwell_s, default.dwell_s), "{fit:?}");
+    assert!(is_near(fit.smoothing.temperature, default.temperature), "{fit:?}");
+    let independent_s = |smoothing: Smoothing| smoothing.independent_s.expect("by time");
+    assert!(is_near(independent_s(fit.smoothing), independent_s(default)), "{fit:?}");
+}
