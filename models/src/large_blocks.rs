@@ -50,7 +50,7 @@ fn class(size: usize) -> Option<(usize, usize)> {
     let step = (1usize << octave) / STEPS;
     let steps = size.max(SMALLEST).div_ceil(step);
     let index = (octave - SMALLEST.ilog2() as usize) * STEPS + steps - STEPS;
-    (index < CLASSES).then_some((index, steps * step))
+    (index < CLASSES).then(|| (index, steps * step))
 }
 
 impl LargeBlocks {

@@ -26,7 +26,8 @@ impl Offer {
     pub fn new(model: &Path, recording: Option<&Path>, is_running: bool, labels: &[&LabelSpan]) -> Option<Self> {
         let seconds = Occupancy::ALL.map(|class| {
             let of_class = labels.iter().filter(|label| label.occupancy() == Some(class));
-            of_class.map(|label| label.end_s - label.start_s).sum::<f64>()
+            // A sum of nothing is -0.
+            of_class.map(|label| label.end_s - label.start_s).sum::<f64>() + 0.0
         });
         if seconds.iter().sum::<f64>() <= 0.0 {
             return None;
