@@ -13,7 +13,7 @@ const LONGEST_S: f64 = 1e6;
 /// Shortest time of a setting, s.
 const SHORTEST_S: f64 = 1e-3;
 /// [`Smoothing::independent_s`] where neither it nor a weight is given.
-pub(crate) const INDEPENDENT_S: f64 = 0.3;
+const INDEPENDENT_S: f64 = 0.3;
 /// Temperatures that are allowed.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
@@ -356,7 +356,7 @@ mod tests {
             let text = serde_json::to_string(&settings).expect("JSON");
             assert_eq!(serde_json::from_str::<Smoothing>(&text).expect("settings"), settings, "{text}");
         }
-        let short: Smoothing = serde_json::from_str(r#"{"dwell_s":4.0}"#).expect("settings");
+        let short: Smoothing = serde_json::from_str(r#"{"dwell_s":6.0}"#).expect("settings");
         assert_eq!((short.weight, short.independent_s), (None, None));
         let same = Smoothing { temperature: 1.0, ..Smoothing::default() };
         let (mut a, mut b) = (filter(short), filter(same));

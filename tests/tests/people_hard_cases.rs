@@ -131,8 +131,11 @@ fn receiver(frame: &mut Frame, rx: usize) -> &mut [u16] {
     &mut frame.codes[rx * length..(rx + 1) * length]
 }
 
-/// What a dead receiver may send, by index of the sample.
-const DEAD: [(&str, fn(usize) -> u16); 3] = [
+/// A sample by its index.
+type Sample = fn(usize) -> u16;
+
+/// What a dead receiver may send.
+const DEAD: [(&str, Sample); 3] = [
     ("middle.mcap", |_| 2048),
     ("zero.mcap", |_| 0),
     ("rails.mcap", |index| if index.is_multiple_of(2) { 0 } else { MAX_CODE }),

@@ -4,10 +4,12 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::evaluate::FramePrediction;
-use crate::occupancy_filter::{INDEPENDENT_S, OccupancyFilter, Smoothing};
+use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
 /// A probability is never taken for less, so that one confident mistake does not decide alone.
 const LEAST_PROBABILITY: f64 = 1e-9;
+/// Where the search starts: dwell and time of evidence, s, and temperature.
+const START: [f64; 3] = [4.0, 0.7, 1.4];
 /// First and last step of the search, of logarithms.
 const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);
 /// Least gain of a step.
@@ -40,7 +42,7 @@ type Sums = (f64, u64);
 /// groups. `None` without a labelled frame.
 ///
 /// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
-/// the default (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
+/// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
 /// than errors last, and people who come and go: of frames a second apart it cannot tell how long errors last.
 pub fn fit_smoothing(groups: &[Vec<FilterSequence>]) -> Option<SmoothingFit> {
     let settings = |logarithms: [f64; 3]| {
@@ -48,8 +50,7 @@ pub fn fit_smoothing(groups: &[Vec<FilterSequence>]) -> Option<SmoothingFit> {
         Smoothing { dwell_s, weight: None, independent_s: Some(independent_s), temperature }
     };
     let log_loss_by_frame = log_loss(groups, None)?;
-    let start = Smoothing::default();
-    let mut at = [start.dwell_s, start.independent_s.unwrap_or(INDEPENDENT_S), start.temperature].map(f64::ln);
+    let mut at = START.map(f64::ln);
     let mut least = log_loss(groups, Some(settings(at)))?;
     let (mut step, last_step) = STEPS;
     while step > last_step {
