@@ -72,6 +72,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     if let Some(epochs) = arguments.epochs {
         spec.epochs = epochs;
+        // A spec's settings are for its own number of epochs.
+        spec.linear_epochs = spec.linear_epochs.map(|linear| linear.min(epochs));
     }
     if let Some(seed) = arguments.seed {
         spec.seed = seed;
