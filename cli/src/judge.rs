@@ -299,7 +299,12 @@ impl Judge {
         }
         // A map is made of any frame: what shows maps has the newest.
         let verdict = self.judge(frame)?;
-        Ok(if dead == receivers { Verdict::NoSignal } else { verdict })
+        if dead < receivers {
+            return Ok(verdict);
+        }
+        // The frames behind it are not held against it.
+        self.reset();
+        Ok(Verdict::NoSignal)
     }
 
     fn judge(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
