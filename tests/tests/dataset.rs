@@ -532,6 +532,35 @@ fn scenes_of_several_waveforms_make_one_dataset_on_physical_axes() {
     );
 }
 
+/// A waveform in the spec makes the maps that a scene of that waveform makes.
+#[test]
+fn a_spec_gives_a_scene_another_waveform() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = |name: &str| folder.path().join(name);
+    hall_in(&path("own.toml"), &[]);
+    hall_in(&path("short.toml"), &[("samples_per_chirp", "64"), ("chirps_per_frame", "16")]);
+    let built = |scene: &str, waveform: &str, name: &str| {
+        let axes =
+            "physical_axes = { range_step_m = 0.15, range_bins = 64, velocity_step_m_per_s = 0.1, velocity_bins = 64 }";
+        let source =
+            format!("scene = \"{scene}.toml\"\n{waveform}\nseeds = [1, 2]\npeople = [1]\nframes = 8\nevery = 4\n");
+        std::fs::write(path("spec.toml"), format!("format = 1\n[map]\n{axes}\n[[simulated]]\n{source}"))
+            .expect("writable");
+        build(&path("spec.toml"), &path(name))
+    };
+    json_lines(&mut built("short", "", "expected"));
+    json_lines(&mut built("own", "waveform = { samples_per_chirp = 64, chirps_per_frame = 16 }", "given"));
+    let (expected, given) = (files(&path("expected")), files(&path("given")));
+    assert_eq!(expected.keys().collect::<Vec<_>>(), given.keys().collect::<Vec<_>>());
+    let maps = expected.keys().find(|name| name.starts_with("maps")).expect("maps");
+    assert!(!expected[maps].is_empty() && expected[maps] == given[maps], "{maps}");
+    let samples = std::fs::read_to_string(path("given").join("dataset.json")).expect("reads");
+    assert!(samples.contains("\"samples_per_chirp\":64"), "{samples}");
+
+    let said = failure(&mut built("own", "waveform = { chirps = 16 }", "no"));
+    assert!(said.contains("own.toml") && said.contains("unknown field `chirps`"), "{said}");
+}
+
 #[test]
 fn a_model_on_physical_axes_judges_frames_of_another_waveform_and_says_what_is_lost() {
     let folder = tempfile::tempdir().expect("a folder");

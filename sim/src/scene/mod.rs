@@ -156,6 +156,19 @@ impl Scene {
         Self::parse(&text, path)
     }
 
+    /// A scene from a file with other values of some keys of its `[waveform]`. Lines in errors are then those of the changed text.
+    pub fn load_with_waveform(path: &Path, keys: &toml::Table) -> Result<Self, SceneError> {
+        let text = read(path)?;
+        if keys.is_empty() {
+            return Self::parse(&text, path);
+        }
+        let mut table: toml::Table = toml::from_str(&text).map_err(|e| parse_error(path, &text, &e))?;
+        if let Some(toml::Value::Table(waveform)) = table.get_mut("waveform") {
+            waveform.extend(keys.clone());
+        }
+        Self::parse(&table.to_string(), path)
+    }
+
     /// Empty space before a radar of a waveform: what a receiver shows by itself.
     pub fn nothing(waveform: &Waveform) -> Result<Self, SceneError> {
         let request = toml::to_string(&waveform.request).unwrap_or_default();

@@ -138,7 +138,7 @@ impl List<'_> {
     }
 
     fn simulated(&mut self, path: &Path, source: &Simulated) -> anyhow::Result<()> {
-        let mut scene = Scene::load(path)?;
+        let mut scene = Scene::load_with_waveform(path, &source.waveform)?;
         if let Some(body) = source.body {
             if scene.file().people.desk.is_some() {
                 bail!("{}: people at a desk are made of one thing only; leave `body` out of the spec", path.display());
@@ -157,13 +157,21 @@ impl List<'_> {
         let scene = Arc::new(scene);
         self.prints.scene(&source.scene)?;
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let waveform = match source.waveform.is_empty() {
+            true => String::new(),
+            false => {
+                let request = &scene.waveform().request;
+                let interval_us = (request.chirp_interval_s * 1e6).round();
+                format!("-{}x{}x{interval_us}us", request.chirps_per_frame, request.samples_per_chirp)
+            }
+        };
         let forced: Vec<Option<usize>> =
             if source.people.is_empty() { vec![None] } else { source.people.iter().map(|p| Some(*p)).collect() };
         for seed in source.seeds.0..=source.seeds.1 {
             for &people in &forced {
                 let suffix = people.map_or(String::new(), |p| format!("-people{p}"));
                 let body = if source.body == Some(Body::Mesh) { "-mesh" } else { "" };
-                let recording = format!("{name}-seed{seed}{suffix}{body}");
+                let recording = format!("{name}{waveform}-seed{seed}{suffix}{body}");
                 self.units.push(Unit {
                     scene: name.clone(),
                     sequence: recording.clone(),

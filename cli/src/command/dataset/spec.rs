@@ -58,6 +58,9 @@ pub struct Simulated {
     /// Take one map in so many.
     #[serde(default = "one")]
     pub every: u64,
+    /// Other values of keys of the scene's `[waveform]`. Maps on physical axes may come of several waveforms.
+    #[serde(default)]
+    pub waveform: toml::Table,
     /// What people are made of; what the scene says if absent.
     #[serde(default)]
     pub body: Option<Body>,
