@@ -600,11 +600,10 @@ impl Motion {
         time_s >= self.start_s && time_s <= self.end_s
     }
 
-    /// The motion of somebody who wanders.
-    pub(super) fn wandering(person: Person, wanderer: Wanderer, [start_s, end_s]: [f64; 2]) -> Self {
-        let mut motion = MotionBuilder::new(person, start_s, [0.0; 2], 0.0).stay();
+    /// The motion of somebody who wanders and is there all the time.
+    pub(super) fn wandering(person: Person, wanderer: Wanderer) -> Self {
+        let mut motion = MotionBuilder::new(person, f64::NEG_INFINITY, [0.0; 2], 0.0).stay();
         motion.wanderer = Some(wanderer);
-        motion.end_s = end_s;
         motion
     }
 

@@ -539,12 +539,11 @@ pub struct VisitsFile {
 pub struct WanderFile {
     /// Most people at a time; how many there are is drawn for each seed. Default 2.
     pub max_people: usize,
-    /// Probability that people come in by a door and leave, `max_people` at a time at most, instead of being there all the time.
-    /// Drawn for each seed; never where no door is clear of furniture. Only 0, the default, is taken: people can get stuck in doorways.
+    /// Probability that people come in by a door and leave. Only 0, the default, is taken: people who wander are there all the time.
     pub come_and_go_probability: f64,
-    /// Time that such people stay, s. Default [15, 90].
+    /// Time that such people would stay, s; without effect. Default [15, 90].
     pub stay_s: [f64; 2],
-    /// Time between two of them, s. Default [3, 30].
+    /// Time between two of them, s; without effect. Default [3, 30].
     pub absence_s: [f64; 2],
     /// Mean speed while walking, m/s. Drawn for each person. Default [0.15, 1].
     pub speed_m_per_s: [f64; 2],
