@@ -356,11 +356,16 @@ mod tests {
             let text = serde_json::to_string(&settings).expect("JSON");
             assert_eq!(serde_json::from_str::<Smoothing>(&text).expect("settings"), settings, "{text}");
         }
-        let short: Smoothing = serde_json::from_str(r#"{"dwell_s":6.0}"#).expect("settings");
-        assert_eq!((short.weight, short.independent_s), (None, None));
-        let same = Smoothing { temperature: 1.0, ..Smoothing::default() };
-        let (mut a, mut b) = (filter(short), filter(same));
-        assert_eq!(a.update(0.0, [0.2, 0.5, 0.3]), b.update(0.0, [0.2, 0.5, 0.3]));
+        // Absent keys have their defaults. Evidence counts by time where neither key of it is there.
+        let default = Smoothing::default();
+        for text in ["{}".to_owned(), format!(r#"{{"dwell_s":{:?}}}"#, default.dwell_s)] {
+            let short: Smoothing = serde_json::from_str(&text).expect("settings");
+            assert_eq!((short.dwell_s, short.temperature), (default.dwell_s, 1.0), "{text}");
+            assert_eq!((short.weight, short.independent_s), (None, None), "{text}");
+            let same = Smoothing { temperature: 1.0, ..default };
+            let (mut a, mut b) = (filter(short), filter(same));
+            assert_eq!(a.update(0.0, [0.2, 0.5, 0.3]), b.update(0.0, [0.2, 0.5, 0.3]), "{text}");
+        }
         serde_json::from_str::<Smoothing>(r#"{"dwell":4.0}"#).expect_err("no such setting");
     }
 
