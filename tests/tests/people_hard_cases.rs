@@ -67,12 +67,12 @@ fn live(recording: &Path) -> (Vec<Value>, String) {
     (answers, said)
 }
 
-/// NaN and infinity are null in JSON.
+/// Probability of a class, asserted to be finite: NaN and infinity are null in JSON.
 fn probability(answer: &Value, class: &str) -> f64 {
     answer["probabilities"][class].as_f64().unwrap_or_else(|| panic!("no finite probability of {class}: {answer}"))
 }
 
-/// Of the frames with this truth in which nobody enters or leaves: how many there are, and how many have the label.
+/// Number of frames with this truth in which nobody enters or leaves, and number of those that have the label.
 fn called(answers: &[Value], truth: &str, label: &str) -> (usize, usize) {
     let of = answers.iter().filter(|answer| answer["truth"] == truth && answer["transition"] == false);
     let labels: Vec<&Value> = of.map(|answer| &answer["label"]).collect();
@@ -136,7 +136,7 @@ fn receiver(frame: &mut Frame, rx: usize) -> &mut [u16] {
 /// A sample by its index.
 type Sample = fn(usize) -> u16;
 
-/// What a dead receiver may send.
+/// Samples that a dead receiver may send, with the name of a recording of them.
 const DEAD: [(&str, Sample); 3] = [
     ("middle.mcap", |_| 2048),
     ("zero.mcap", |_| 0),

@@ -21,7 +21,8 @@ use crate::judge::Model;
 use crate::output;
 use crate::panics::Guarded;
 
-/// Puts models on a ladder and says how they did; with `fit`, also which settings of the filter would suit all of them best.
+/// Judges the recordings of a ladder with models and prints their scores; with `fit`, also the settings of the filter that suit all of
+/// them best.
 ///
 /// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
 pub fn run(

@@ -76,16 +76,16 @@ impl RungScores {
 #[derive(Serialize)]
 struct Row {
     rung: String,
-    /// Behind the filter; absent if the model refused all recordings.
+    /// Balanced accuracy behind the filter; absent if the model refused all recordings.
     balanced_accuracy: Option<f64>,
     balanced_accuracy_by_single_frames: Option<f64>,
-    /// Behind the filter, `[truth][called]`.
+    /// Number of frames behind the filter, `[truth][called]`.
     confusion: Confusion,
     recordings_right: usize,
     recordings_judged: usize,
     /// Time from the start of a stretch of `two` to the first frame of it that was called two.
     second_person_found: FoundTimes,
-    /// Behind the filter.
+    /// False alarms behind the filter.
     #[serde(flatten)]
     false_alarms: FalseAlarms,
     /// Reliability of the filter's largest probability.
