@@ -234,7 +234,8 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         }
         if alone.frames() == 0 {
             bail!(
-                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or                  RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
+                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
+                 RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
                 recording.path.display()
             );
         }
