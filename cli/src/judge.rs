@@ -29,8 +29,9 @@ const COUNTING_RESOLUTION_M_PER_S: f64 = 0.25;
 
 static BUILT_IN_FILE: &[u8] = include_bytes!("../../fixtures/models/room-hqnn.safetensors");
 
-/// What a detector's count says of how many people are seen, `[counted][seen]`: who is hidden or turned away is missed more often
-/// than somebody is made of noise. Chosen on simulated corridors (seeds 90001 to 90006) and halls (200001 to 200006).
+/// Probabilities of the number of people who are seen, by the number that a detector counts, `[counted][seen]`: people who are hidden or
+/// turned away are missed more often than somebody is made of noise. Chosen on simulated corridors (seeds 90001 to 90006) and
+/// halls (200001 to 200006).
 const COUNTED_TO_SEEN: [[f32; 3]; 3] = [[0.70, 0.20, 0.10], [0.05, 0.60, 0.35], [0.01, 0.10, 0.89]];
 
 /// A network of our own by its file, or the built-in one by its name.

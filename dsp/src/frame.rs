@@ -273,7 +273,7 @@ impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
 mod tests {
     use super::*;
 
-    /// A receiver with these codes beside one that is as it should be.
+    /// Fault of a receiver with these codes, beside one that is as it should be.
     fn fault(code: impl Fn(usize) -> u16) -> Option<ReceiverFault> {
         let mut frame = Frame::zeroed(FrameShape { rx: 2, chirps: 10, samples: 20 });
         for (index, value) in frame.codes.iter_mut().enumerate() {

@@ -17,7 +17,7 @@ const INDEPENDENT_S: f64 = 0.3;
 /// Temperatures that are allowed.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
-/// How the answers to frames are put together. Travels in the model file.
+/// Settings of the filter that puts the answers to frames together. They travel in the model file.
 ///
 /// Older files also name the share of time for which somebody is not seen. It is read and not used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -35,7 +35,7 @@ pub struct Smoothing {
     /// is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub independent_s: Option<f64>,
-    /// Logarithms of the answer's probabilities are divided by this: calibrates the confidence and leaves the label as it is. 1 if
+    /// Divisor of the logarithms of the answer's probabilities: it calibrates the confidence and leaves the label as it is. 1 if
     /// absent.
     #[serde(skip_serializing_if = "is_one")]
     pub temperature: f64,
@@ -252,10 +252,10 @@ mod tests {
     use super::*;
     use crate::evaluate::{Metrics, most_probable};
 
-    /// Each frame is half a piece of evidence, as models from before `independent_s` say it.
+    /// Settings of models from before `independent_s`: each frame is half a piece of evidence.
     const BY_FRAME: Smoothing = Smoothing { dwell_s: 8.0, weight: Some(0.5), independent_s: None, temperature: 1.0 };
 
-    /// People who stay for long, by time.
+    /// Settings for people who stay for long, by time.
     const SLOW: Smoothing = Smoothing { dwell_s: 60.0, weight: None, independent_s: Some(1.0), temperature: 1.0 };
 
     fn filter(smoothing: Smoothing) -> OccupancyFilter {
@@ -356,11 +356,16 @@ mod tests {
             let text = serde_json::to_string(&settings).expect("JSON");
             assert_eq!(serde_json::from_str::<Smoothing>(&text).expect("settings"), settings, "{text}");
         }
-        let short: Smoothing = serde_json::from_str(r#"{"dwell_s":6.0}"#).expect("settings");
-        assert_eq!((short.weight, short.independent_s), (None, None));
-        let same = Smoothing { temperature: 1.0, ..Smoothing::default() };
-        let (mut a, mut b) = (filter(short), filter(same));
-        assert_eq!(a.update(0.0, [0.2, 0.5, 0.3]), b.update(0.0, [0.2, 0.5, 0.3]));
+        // Absent keys have their defaults. Evidence counts by time where neither key of it is there.
+        let default = Smoothing::default();
+        for text in ["{}".to_owned(), format!(r#"{{"dwell_s":{:?}}}"#, default.dwell_s)] {
+            let short: Smoothing = serde_json::from_str(&text).expect("settings");
+            assert_eq!((short.dwell_s, short.temperature), (default.dwell_s, 1.0), "{text}");
+            assert_eq!((short.weight, short.independent_s), (None, None), "{text}");
+            let same = Smoothing { temperature: 1.0, ..default };
+            let (mut a, mut b) = (filter(short), filter(same));
+            assert_eq!(a.update(0.0, [0.2, 0.5, 0.3]), b.update(0.0, [0.2, 0.5, 0.3]), "{text}");
+        }
         serde_json::from_str::<Smoothing>(r#"{"dwell":4.0}"#).expect_err("no such setting");
     }
 

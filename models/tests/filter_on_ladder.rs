@@ -13,7 +13,7 @@ use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
 use radome_models::train::{FilterSequence, fit_smoothing};
 use serde::Deserialize;
 
-/// What a model said to the frames of a recording.
+/// Predictions of a model for the frames of a recording.
 #[derive(Deserialize)]
 struct Recording {
     recording: String,
@@ -67,7 +67,7 @@ fn balanced_accuracy<'a>(frames: impl IntoIterator<Item = &'a FramePrediction>) 
     Metrics::from_predictions(frames.into_iter().filter_map(said)).balanced_accuracy
 }
 
-/// Where most frames of a stretch of one label are wrong, evidence that adds up leads away from the truth, and no filter can know.
+/// Evidence that adds up leads away from the truth where most frames of a stretch of one label are wrong, and no filter can know that.
 /// Where most are right, the filter loses no more than its delay on any rung. Over all frames it may lose what few were right.
 #[test]
 fn the_filter_is_not_worse_than_frames_on_any_rung() {

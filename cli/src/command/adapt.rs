@@ -111,7 +111,7 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
 
 /// Makes recordings of frames.
 struct Frames<'a> {
-    /// Absent while it is at work, and after an error.
+    /// The model; absent while it is at work, and after an error.
     model: Option<Model>,
     adapter: &'a Adapter,
 }

@@ -60,8 +60,8 @@ pub struct Arguments {
     /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
     #[arg(long, value_name = "DIR", requires = "ladder")]
     keep: Option<PathBuf>,
-    /// So many hours of each rung's rooms without people instead of its recordings, in recordings of six minutes whose seeds are
-    /// not the rung's: gives the false alarms an hour
+    /// Hours of each rung's rooms without people, which replace its recordings: recordings of six minutes whose seeds are not the
+    /// rung's. They give the false alarms an hour
     #[arg(long, value_name = "HOURS", requires = "ladder")]
     empty_hours: Option<f64>,
     /// Also fits the settings of the causal filter to the answers of all models to the ladder, as [smoothing] of a training's
@@ -148,9 +148,9 @@ struct Judged {
 struct OfLabel {
     label: Occupancy,
     frames: u64,
-    /// Number of them that were called empty, one and two.
+    /// Number of frames that were called empty, one and two.
     called: [u64; Occupancy::ALL.len()],
-    /// Share of them that were called right.
+    /// Share of the frames that were called right.
     right: f64,
 }
 
@@ -234,7 +234,8 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
         }
         if alone.frames() == 0 {
             bail!(
-                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or                  RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
+                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
+                 RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
                 recording.path.display()
             );
         }
@@ -296,7 +297,7 @@ fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Argume
     }
 }
 
-/// How often an empty room was taken for a populated one, and how long people were missed.
+/// Prints how often an empty room was taken for a populated one, and for what share of their time people were missed.
 fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
     if let (Some(per_hour), Some(share)) = (of.false_alarms_per_hour, of.false_alarm_share) {
         output::text_line(&format!(

@@ -19,7 +19,7 @@ pub(super) struct Change {
 }
 
 impl Change {
-    /// For so many range bins; weights fade by `1/e` over `time_s`.
+    /// Creates the state of so many range bins. Weights fade by `1/e` over `time_s`.
     pub(super) fn new(range: usize, time_s: f64, frame_interval_s: f64) -> Self {
         let alpha = -(-frame_interval_s / time_s).exp_m1();
         Change { alpha: alpha as f32, frames: 0, mean: vec![[0.0; 2]; range], variance: vec![0.0; range] }

@@ -44,7 +44,7 @@ pub(super) struct PhysicalChain {
     /// Change from frame to frame of each used channel, if it has the cells of zero velocity, and those cells.
     change: Vec<Change>,
     zero: Range<usize>,
-    /// `[chirp]` at zero velocity.
+    /// Weights of the chirps at zero velocity, `[chirp]`.
     zero_weights: Vec<f32>,
     /// Which of the used channels go into a mean.
     alive: Vec<bool>,
@@ -54,7 +54,8 @@ pub(super) struct PhysicalChain {
 }
 
 impl PhysicalChain {
-    /// For a plan of a spec with these axes; `level` must be available. `change_over_s` is [`RdmSpec::change_over_s`](super::RdmSpec).
+    /// Creates the chain for a plan of a spec with these axes; `level` must be available. `change_over_s` is
+    /// [`RdmSpec::change_over_s`](super::RdmSpec).
     pub(super) fn new(
         plan: &ChainPlan,
         axes: &PhysicalAxes,

@@ -389,7 +389,7 @@ pub enum SpecError {
     /// The MTI weight is out of range.
     #[error("map spec: MTI alpha is {alpha}, allowed is above 0 and up to 1")]
     Alpha {
-        /// What was given.
+        /// Weight that was given.
         alpha: f64,
     },
     /// Change is asked for without physical axes.
@@ -400,13 +400,13 @@ pub enum SpecError {
     /// The time over which change is told is out of range.
     #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
     ChangeTime {
-        /// What was given.
+        /// Time that was given, s.
         time_s: f64,
     },
     /// The floor is not a number that f32 power can hold.
     #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
     Floor {
-        /// What was given.
+        /// Floor that was given, dB.
         floor_db: f64,
     },
     /// The kernel level was forced, and the processor lacks it.

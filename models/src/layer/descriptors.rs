@@ -216,7 +216,7 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
     values
 }
 
-/// 0 up to the first level, 1 from the second one on, linear between them.
+/// Share by a level: 0 up to the first one, 1 from the second one on, linear between them.
 fn share_of([none_db, all_db]: [f32; 2], level_db: f32) -> f64 {
     f64::from(((level_db - none_db) / (all_db - none_db)).clamp(0.0, 1.0))
 }

@@ -298,7 +298,7 @@ impl Adapter {
     /// The same model and recordings give the same numbers, on any number of threads.
     ///
     /// # Errors
-    /// Those of [`fit`](Self::fit).
+    /// The errors of [`fit`](Self::fit).
     pub fn adapt(self, recordings: &[AdaptRecording]) -> Result<Adaptation, AdaptError> {
         let Fit { numbers, adapted, held_out, recordings_by_class, is_measured } = self.fit(recordings)?;
         self.tail()?.set(&numbers)?;

@@ -6,9 +6,9 @@ use serde::Serialize;
 use crate::evaluate::FramePrediction;
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
-/// A probability is never taken for less, so that one confident mistake does not decide alone.
+/// Least value that a probability is taken for, so that one confident mistake does not decide alone.
 const LEAST_PROBABILITY: f64 = 1e-9;
-/// Where the search starts: dwell and time of evidence, s, and temperature.
+/// Start of the search: dwell and time of evidence, s, and temperature.
 const START: [f64; 3] = [4.0, 0.7, 1.4];
 /// First and last step of the search, of logarithms.
 const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);

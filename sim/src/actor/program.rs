@@ -11,7 +11,7 @@ use super::clothing::Clothing;
 use super::gait::Style;
 use super::motion::{AtDesk, Bed, BodyPoint, Motion, MotionBuilder, Person, Steps};
 use super::route::{Block, Ground};
-use super::wander::Wander;
+use super::wander;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, SeatFile, VisitsFile};
@@ -21,7 +21,6 @@ use crate::scene::file::{ActorFile, DeskFile, DoorFile, PeopleFile, SceneFile, S
 pub struct Program {
     fixed: Vec<Arc<Motion>>,
     visits: Option<Visits>,
-    wander: Option<Wander>,
 }
 
 /// Each slot's visits so far, in order of time; later ones are drawn when they are first asked for.
@@ -43,7 +42,7 @@ impl Program {
     /// The people of a scene; `people` overrides how many there are at most.
     pub fn new(scene: &Scene, seed: u64, people: Option<usize>) -> Self {
         let file = scene.file();
-        let mut program = Program { fixed: Vec::new(), visits: None, wander: None };
+        let mut program = Program { fixed: Vec::new(), visits: None };
         if let Some(visits) = &file.people.visits {
             program.fixed = passer_by(file, visits, seed).into_iter().map(Arc::new).collect();
             let slots = people.unwrap_or(visits.max_people);
@@ -58,8 +57,8 @@ impl Program {
                 seats: file.seat.clone(),
                 slots: (0..slots).map(|_| Mutex::new(Vec::new())).collect(),
             });
-        } else if let Some(wander) = &file.people.wander {
-            program.wander = Some(Wander::new(file, wander, seed, people));
+        } else if let Some(wandering) = &file.people.wander {
+            program.fixed = wander::everybody(file, wandering, seed, people).into_iter().map(Arc::new).collect();
         } else if let Some(desk) = &file.people.desk {
             program.fixed = desk_people(scene, desk, seed, people).into_iter().map(Arc::new).collect();
         } else {
@@ -84,9 +83,6 @@ impl Program {
             for slot in 0..visits.slots.len() {
                 all.extend(visits.between(slot, start_s, end_s).into_iter().map(|m| (slot, m)));
             }
-        }
-        if let Some(wander) = &self.wander {
-            all.extend(wander.between(start_s, end_s));
         }
         all
     }
@@ -234,7 +230,7 @@ fn scripted(file: &SceneFile, actor: &ActorFile, steps: Steps, seed: u64, index:
 }
 
 /// Unit vector into a room at a door.
-pub(super) fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
+fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
     let [x, y] = door.position_m;
     if x < 1e-6 {
         [1.0, 0.0]
@@ -248,7 +244,7 @@ pub(super) fn inward(size_m: [f64; 2], door: &DoorFile) -> [f64; 2] {
 }
 
 /// A point at a depth behind (positive: in the room) a door, shifted sideways within the doorway.
-pub(super) fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
+fn at_door(size_m: [f64; 2], door: &DoorFile, depth: f64, lateral: f64) -> [f64; 2] {
     let [nx, ny] = inward(size_m, door);
     let room = (0.5 * door.width_m - 0.3).max(0.0);
     let shift = lateral.clamp(-room, room);

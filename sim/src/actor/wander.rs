@@ -1,29 +1,34 @@
 //! People who wander about a room as people do: on smooth curves at a speed that varies, with pauses in which they sway, shift
 //! their weight and gesture, alone or with each other.
 //!
-//! [`plan`] moves everybody together in steps of 50 ms, [`walker`] holds the dynamics, [`table`] keeps the steps and gives what is
-//! between them, [`small`] adds what a body does besides. Everything is a function of seed and time.
+//! [`plan`] moves everybody together in steps of 50 ms. [`errand`] is one person, who goes to the places of [`setting`] by the motions
+//! of [`steer`]; [`braking`] refuses those that do not leave time to stop. [`walker`] holds the dynamics, [`table`] keeps the steps and
+//! gives the motion between them, [`small`] adds the small motions of a body. Everything is a function of seed and time.
 
+mod braking;
+mod errand;
 mod plan;
+mod setting;
 mod small;
+mod steer;
 mod table;
 #[cfg(test)]
 mod tests;
 mod walker;
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use rand::Rng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 
 use super::low::Crouch;
 use super::motion::{Moment, Motion, Person, Small};
-use super::program::{at_door, blocks, draw, dressed, inward};
+use super::program::{blocks, draw, dressed};
 use super::route::{Block, Ground};
 use super::track::smooth_step;
 use crate::random::{Purpose, generator};
 use crate::scene::file::{SceneFile, SeatFile, WanderFile};
-use plan::{Door, Seat, Setting, View};
+use setting::{Seat, Setting, View};
 use small::Sway;
 use table::{Group, Place};
 use walker::{Limits, march, vigour};
@@ -59,61 +64,25 @@ fn person(setting: &Setting, identity: [u64; 2]) -> Person {
     dressed(person, &setting.people, setting.seed)
 }
 
-/// Everybody who wanders in a scene.
-#[derive(Debug)]
-pub(super) struct Wander {
-    group: Arc<Group>,
-    slots: usize,
-    /// People in the room so far, with their slots, in the order in which they leave.
-    people: Mutex<Vec<(usize, Arc<Motion>)>>,
-    /// Somebody beyond the far wall.
-    passer_by: Option<Arc<Motion>>,
-    comes_and_goes: bool,
+/// Everybody who wanders in a scene, somebody beyond the far wall last; `people` says how many are in the room instead of the seed.
+pub(super) fn everybody(scene: &SceneFile, file: &WanderFile, seed: u64, people: Option<usize>) -> Vec<Motion> {
+    let mut rng = generator(seed, Purpose::Wander, [u64::MAX, 0]);
+    // Not used: without it, all later draws and so the people of every seed would be others.
+    let _: f64 = rng.random();
+    let count = rng.random_range(0..=file.max_people);
+    let slots = people.unwrap_or(count);
+    let group = Arc::new(Group::new(room(scene, file, seed), slots));
+    let mut all = motions(&group, slots);
+    all.extend(passer_by(scene, file, seed, &mut rng));
+    all
 }
 
-impl Wander {
-    /// The people of a scene; `people` says how many instead of the seed.
-    pub fn new(scene: &SceneFile, file: &WanderFile, seed: u64, people: Option<usize>) -> Self {
-        let mut rng = generator(seed, Purpose::Wander, [u64::MAX, 0]);
-        let (kind, count) = (rng.random::<f64>(), rng.random_range(0..=file.max_people));
-        let mut setting = room(scene, file, seed);
-        // Without a door that is clear of furniture nobody can come in.
-        setting.comes_and_goes = kind < file.come_and_go_probability && !setting.doors.is_empty();
-        let comes_and_goes = setting.comes_and_goes;
-        let slots = people.unwrap_or(if comes_and_goes { file.max_people } else { count });
-        let group = Arc::new(Group::new(setting, slots));
-        let all = if comes_and_goes { 0 } else { slots };
-        let everybody = (0..all).map(|slot| (slot, Arc::new(motion(&group, slot, 0, ALWAYS_S, [0.0; 2])))).collect();
-        Wander {
-            group,
-            slots,
-            people: Mutex::new(everybody),
-            passer_by: passer_by(scene, file, seed, &mut rng).map(Arc::new),
-            comes_and_goes,
-        }
-    }
-
-    /// Everybody who is there at some time of an interval, with a slot number.
-    pub fn between(&self, start_s: f64, end_s: f64) -> Vec<(usize, Arc<Motion>)> {
-        let mut people = self.people.lock().unwrap_or_else(PoisonError::into_inner);
-        if self.comes_and_goes {
-            for visit in self.group.visits(end_s, people.len()) {
-                let come = motion(&self.group, visit.slot, visit.number, visit.span_s, [0.0; 2]);
-                people.push((visit.slot, Arc::new(come)));
-            }
-        }
-        let is_there = |motion: &Motion| motion.start_s <= end_s && motion.end_s >= start_s;
-        let mut all: Vec<_> = people.iter().filter(|(_, motion)| is_there(motion)).cloned().collect();
-        all.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.start_s.total_cmp(&b.1.start_s)));
-        all.extend(self.passer_by.iter().map(|motion| (self.slots, Arc::clone(motion))));
-        all
-    }
+/// Motions of the people of a group.
+fn motions(group: &Arc<Group>, slots: usize) -> Vec<Motion> {
+    (0..slots).map(|slot| motion(group, slot, [0.0; 2])).collect()
 }
 
-/// The span of somebody who is always there, s.
-const ALWAYS_S: [f64; 2] = [f64::NEG_INFINITY, f64::INFINITY];
-
-/// Where people wander in a scene's room.
+/// Ground of a scene's room.
 fn room(scene: &SceneFile, file: &WanderFile, seed: u64) -> Setting {
     let size_m = [scene.room.size_m[0], scene.room.size_m[1]];
     let radar_m = [scene.radar.position_m[0], scene.radar.position_m[1]];
@@ -127,13 +96,6 @@ fn room(scene: &SceneFile, file: &WanderFile, seed: u64) -> Setting {
     }
     let ground = Ground::new(size_m, blocks.clone(), keep_off_m);
     let planned = Ground::new(size_m, blocks, keep_off_m + PLANNED_M);
-    let doors = scene.door.iter().map(|door| Door {
-        middle_m: at_door(size_m, door, 0.0, 0.0),
-        inward: inward(size_m, door),
-        width_m: door.width_m,
-    });
-    // Who comes in goes on straight for a while.
-    let is_clear = |door: &Door| [0.0, 0.15, 0.3, 0.5].iter().all(|more| ground.is_free(door.at(Door::IN_M + more)));
     let seats = scene.seat.iter().map(seat).filter(|seat| ground.is_free(seat.before_m)).collect();
     Setting {
         file: file.clone(),
@@ -141,12 +103,10 @@ fn room(scene: &SceneFile, file: &WanderFile, seed: u64) -> Setting {
         seed,
         first_identity: 0,
         size_m,
-        doors: doors.filter(is_clear).collect(),
         seats,
         ground,
         planned,
         view: Some(View { radar_m, azimuth_rad: scene.radar.azimuth_deg.to_radians() }),
-        comes_and_goes: false,
     }
 }
 
@@ -181,20 +141,18 @@ fn passer_by(scene: &SceneFile, file: &WanderFile, seed: u64, rng: &mut Xoshiro2
         planned: Ground::new(size_m, Vec::new(), PLANNED_M),
         ground,
         view: None,
-        doors: Vec::new(),
         seats: Vec::new(),
-        comes_and_goes: false,
     };
     let group = Arc::new(Group::new(setting, 1));
-    let mut motion = motion(&group, 0, 0, ALWAYS_S, [scene.room.size_m[0] + off_m, 0.0]);
+    let mut motion = motion(&group, 0, [scene.room.size_m[0] + off_m, 0.0]);
     motion.person.cloth.iter_mut().for_each(|cloth| *cloth *= level);
     Some(motion)
 }
 
-/// Motion of a visitor of a slot, all of it moved by an offset.
-fn motion(group: &Arc<Group>, slot: usize, number: u64, span_s: [f64; 2], offset_m: [f64; 2]) -> Motion {
+/// Motion of the person of a slot, all of it moved by an offset.
+fn motion(group: &Arc<Group>, slot: usize, offset_m: [f64; 2]) -> Motion {
     let setting = group.setting();
-    let identity = setting.identity(slot, number);
+    let identity = setting.identity(slot);
     let person = person(setting, identity);
     let mut rng = generator(setting.seed, Purpose::Wander, [identity[0] | 1 << 41, identity[1]]);
     let [low, high] = setting.file.sway_m.map(f64::ln);
@@ -203,8 +161,8 @@ fn motion(group: &Arc<Group>, slot: usize, number: u64, span_s: [f64; 2], offset
     let build = &person.build;
     let crouches = setting.seats.iter().map(|seat| Crouch::sit(build, seat.height_m, seat.back_m)).collect();
     let limits = setting.limits(build, person.style.stride);
-    let wanderer = Wanderer { group: Arc::clone(group), slot, span_s, offset_m, sway, limits, crouches };
-    Motion::wandering(person, wanderer, span_s)
+    let wanderer = Wanderer { group: Arc::clone(group), slot, offset_m, sway, limits, crouches };
+    Motion::wandering(person, wanderer)
 }
 
 /// One person's part in a group's motion.
@@ -212,7 +170,6 @@ fn motion(group: &Arc<Group>, slot: usize, number: u64, span_s: [f64; 2], offset
 pub(super) struct Wanderer {
     group: Arc<Group>,
     slot: usize,
-    span_s: [f64; 2],
     offset_m: [f64; 2],
     sway: Sway,
     limits: Limits,
@@ -222,17 +179,14 @@ pub(super) struct Wanderer {
 
 impl PartialEq for Wanderer {
     fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.group, &other.group) && self.slot == other.slot && self.span_s == other.span_s
+        Arc::ptr_eq(&self.group, &other.group) && self.slot == other.slot
     }
 }
 
 impl Wanderer {
-    /// Motion at a time; before and after the visit as at its ends.
+    /// Motion at a time.
     pub fn moment(&self, time_s: f64) -> Moment {
-        let [start_s, end_s] = self.span_s;
-        let Some((a, b, part)) = self.group.around(self.slot, time_s.clamp(start_s, end_s)) else {
-            return Moment::default();
-        };
+        let Some((a, b, part)) = self.group.around(self.slot, time_s) else { return Moment::default() };
         let place = Place::between(&a.pose, &b.pose, part, &self.limits);
         let low = smooth_step(2.0 * (a.down + part * (b.down - a.down)) - 1.0);
         let seat = if a.down > 0.0 { a.seat } else { b.seat };

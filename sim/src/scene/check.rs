@@ -458,7 +458,7 @@ fn check_wander(wander: &WanderFile) -> Result<(), Fault> {
     }
     within("pace_probability", w.pace_probability, 0.0, 1.0 - w.stand_probability, "(1 less stand_probability)")?;
     if w.come_and_go_probability > 0.0 {
-        let expected = "0: people who wander can get stuck in doorways yet; people of [people.visits] come and go";
+        let expected = "0: people who wander are there all the time; people of [people.visits] come and go";
         return fault("come_and_go_probability", w.come_and_go_probability, expected);
     }
     interval("stay_s", w.stay_s, 1.0, 1800.0, "s")?;

@@ -92,7 +92,7 @@ struct Room {
 #[derive(Debug, Clone, Copy, Serialize)]
 struct Point {
     room: Scores,
-    /// Absent where there is one room.
+    /// Scores on the other rooms; absent where there is one room.
     others: Option<Scores>,
 }
 
@@ -101,9 +101,9 @@ struct Point {
 struct Curve {
     room: String,
     before: Point,
-    /// By a minute of the empty room alone.
+    /// Scores after a minute of the empty room alone.
     empty: Point,
-    /// By each of the labelled times.
+    /// Scores after each of the labelled times.
     labelled: Vec<Point>,
 }
 

@@ -32,7 +32,7 @@ impl Said {
 pub struct Newest {
     /// Nothing until the first label.
     pub said: Option<Said>,
-    /// When the last frame with a signal was judged, labelled or not.
+    /// Time at which the last frame with a signal was judged, labelled or not.
     pub judged: Option<Instant>,
     /// The run so far.
     pub health: Health,

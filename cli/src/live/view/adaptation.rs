@@ -12,7 +12,7 @@ use crate::judge::CFAR;
 /// File that the command writes. `radome adapt` replaces no file that exists.
 const OUTPUT: &str = "room-mine.safetensors";
 
-/// What a page offers.
+/// Offer of a page to adapt the model.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Offer {
     /// Command line for a shell; absent where the model cannot be adapted or labels are kept in no recording.
@@ -22,7 +22,7 @@ pub struct Offer {
 }
 
 impl Offer {
-    /// Offer for the labels of a recording; `None` as long as none of them names a class.
+    /// Makes the offer for the labels of a recording. `None` as long as none of them names a class.
     pub fn new(model: &Path, recording: Option<&Path>, is_running: bool, labels: &[&LabelSpan]) -> Option<Self> {
         let seconds = Occupancy::ALL.map(|class| {
             let of_class = labels.iter().filter(|label| label.occupancy() == Some(class));

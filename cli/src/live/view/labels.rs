@@ -247,7 +247,7 @@ struct Told<'a> {
     /// Why not.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<&'a str>,
-    /// How the model is adapted by them; absent as long as there are none.
+    /// Offer to adapt the model by the labels; absent as long as there are none.
     #[serde(skip_serializing_if = "Option::is_none")]
     adaptation: Option<Offer>,
 }
@@ -351,8 +351,8 @@ pub struct Keeper {
 }
 
 impl Keeper {
-    /// With the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is what
-    /// pages offer to adapt.
+    /// Reads the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is the one
+    /// that pages offer to adapt.
     pub fn open(tape: Option<&Tape>, recording: Option<&Path>, model: &Path, interval_s: f64) -> anyhow::Result<Self> {
         let made = recording.map(|path| Place::Made { recording: path.to_owned() });
         let place = tape.map(|tape| -> anyhow::Result<Place> {

@@ -126,16 +126,17 @@ pub(super) struct Tail<'a> {
     temperature: f64,
     /// Features of a frame.
     inputs: usize,
-    /// Where weight `[output][input]` and bias of the first layer begin in the vector.
+    /// Places in the vector at which weight `[output][input]` and bias of the first layer begin.
     weight: usize,
     bias: usize,
     outputs: usize,
-    /// Where the bias of the logit of `empty` is.
+    /// Place in the vector of the bias of the logit of `empty`.
     empty: usize,
 }
 
 impl<'a> Tail<'a> {
-    /// `None` if `given` is not followed by a linear layer, or the network does not end in one.
+    /// Takes the layers of a network behind `given`. `None` if `given` is not followed by a linear layer, or the network does not end in
+    /// one.
     pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
         let parameters = parameters_behind(network, given);
         let parameters: Vec<&Parameter> = parameters.into_iter().filter(|p| is_trained(network, p)).collect();

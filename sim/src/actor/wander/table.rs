@@ -7,7 +7,8 @@
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use super::plan::{Setting, State, Visit};
+use super::plan::State;
+use super::setting::Setting;
 use super::walker::{Limits, Pose, STEP_S};
 
 /// Time of the first step, s: at 0 the group has been moving for a while.
@@ -18,8 +19,6 @@ const LAST_S: f64 = 4e6;
 const BLOCK_STEPS: usize = 640;
 /// Blocks whose nodes are kept.
 const KEPT_BLOCKS: usize = 8;
-/// A visit that has not ended so long after the time that was asked for is not waited for, s.
-const LONGEST_S: f64 = 3600.0;
 
 /// A value and its rate.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -117,15 +116,13 @@ struct Table {
     /// State at the beginning of each block that was made, and at the end of the last one.
     states: Vec<State>,
     recent: VecDeque<(usize, Arc<Block>)>,
-    /// Visits that have ended.
-    visits: Vec<Visit>,
 }
 
 impl Group {
-    /// As many people, or slots for people who come and go, in a setting.
+    /// As many people in a setting.
     pub fn new(setting: Setting, slots: usize) -> Self {
         let states = vec![State::new(&setting, slots)];
-        Group { setting, table: Mutex::new(Table { states, recent: VecDeque::new(), visits: Vec::new() }) }
+        Group { setting, table: Mutex::new(Table { states, recent: VecDeque::new() }) }
     }
 
     /// The setting.
@@ -137,7 +134,7 @@ impl Group {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn run(&self, mut state: State, visits: &mut Vec<Visit>) -> (Block, State) {
+    fn run(&self, mut state: State) -> (Block, State) {
         let mut nodes: Vec<Vec<Node>> = state
             .nodes()
             .map(|node| {
@@ -147,7 +144,7 @@ impl Group {
             })
             .collect();
         for _ in 0..BLOCK_STEPS {
-            state.step(&self.setting, visits);
+            state.step(&self.setting);
             nodes.iter_mut().zip(state.nodes()).for_each(|(all, node)| all.push(node));
         }
         (Block { nodes }, state)
@@ -164,7 +161,7 @@ impl Group {
     fn extend(&self, table: &mut Table) {
         let Some(state) = table.states.last().cloned() else { return };
         let index = table.states.len() - 1;
-        let (block, next) = self.run(state, &mut table.visits);
+        let (block, next) = self.run(state);
         Self::keep(table, index, &Arc::new(block));
         table.states.push(next);
     }
@@ -178,8 +175,7 @@ impl Group {
             return Arc::clone(block);
         }
         let state = table.states[index].clone();
-        // The visits of a block that was made before are known.
-        let (block, _) = self.run(state, &mut Vec::new());
+        let (block, _) = self.run(state);
         let block = Arc::new(block);
         Self::keep(&mut table, index, &block);
         block
@@ -193,19 +189,6 @@ impl Group {
         let block = self.block(index);
         let nodes = block.nodes.get(slot)?;
         Some((*nodes.get(at)?, *nodes.get(at + 1)?, steps - whole))
-    }
-
-    /// Visits that begin up to a time, from number `known` on, in the order of their ends: all of them have ended, too.
-    pub fn visits(&self, until_s: f64, known: usize) -> Vec<Visit> {
-        let mut table = self.lock();
-        let until_s = until_s.min(LAST_S);
-        let is_known = |state: &State| {
-            state.time_s() > until_s && (state.time_s() > until_s + LONGEST_S || !state.is_anybody_there_since(until_s))
-        };
-        while !table.states.last().is_none_or(is_known) {
-            self.extend(&mut table);
-        }
-        table.visits.iter().skip(known).copied().collect()
     }
 
     /// Blocks whose nodes are in memory.

@@ -8,7 +8,8 @@ use glam::DVec3;
 use super::super::body::PELVIS;
 use super::super::motion::Motion;
 use super::super::program::Program;
-use super::Wander;
+use super::table::Group;
+use super::{motions, room};
 use crate::field::highlight::Ellipsoid;
 use crate::scene::Scene;
 
@@ -330,15 +331,15 @@ fn an_hour_is_short_work() {
     let scene = scene("");
     let file = scene.file();
     let wander = file.people.wander.as_ref().expect("wander");
-    let all = Wander::new(file, wander, 1, Some(2));
-    let both = all.between(3599.0, 3600.0);
+    let group = Arc::new(Group::new(room(file, wander, 1), 2));
+    let both = motions(&group, 2);
     assert_eq!(both.len(), 2);
-    for (_, motion) in &both {
+    for motion in &both {
         let at = motion.walk(3600.0).position_m;
         assert!(at[0] > 0.3 && at[0] < SIZE_M[0] - 0.3 && at[1] > 0.3 && at[1] < SIZE_M[1] - 0.3, "{at:?}");
         assert!(apart(at, motion.walk(0.0).position_m).is_finite());
     }
-    assert!(all.group.kept_blocks() <= 8, "{} blocks", all.group.kept_blocks());
+    assert!(group.kept_blocks() <= 8, "{} blocks", group.kept_blocks());
 }
 
 /// As many as asked for, or as the seed draws; somebody beyond the wall counts for nobody.

@@ -1,0 +1,277 @@
+//! Rungs of a ladder: their files, and the recordings that are simulated of them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_sim::Scene;
+use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_sim::scene::file::BodyFile;
+use serde::Deserialize;
+
+/// Format of a rung's file.
+const FORMAT: u32 = 1;
+/// Most frames of a rung: a day at ten a second.
+const MOST_FRAMES: u64 = 864_000;
+/// Length of the recordings of empty rooms at most, s: hours are watched in several rooms.
+const EMPTY_RECORDING_S: f64 = 360.0;
+
+/// A rung's file.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RungFile {
+    format: u32,
+    /// Short name: letters, digits, `-` and `_`.
+    name: String,
+    /// One sentence that says how it differs from training.
+    about: String,
+    /// Scenes that are simulated.
+    scene: Vec<RungScene>,
+}
+
+/// Recordings of one scene.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RungScene {
+    /// Scene file, relative to the rung's file.
+    path: PathBuf,
+    /// First and last seed: a recording each.
+    seeds: (u64, u64),
+    /// People that the scene is forced to have at most; its own number if absent.
+    #[serde(default)]
+    people: Option<usize>,
+    /// Frames of a recording.
+    frames: u64,
+    /// Bodies of people, "ellipsoids" or "mesh"; those of the scene if absent.
+    #[serde(default)]
+    body: Option<BodyFile>,
+}
+
+/// A rung, ready to be simulated.
+pub(super) struct Rung {
+    /// Short name.
+    pub(super) name: String,
+    /// One sentence that says how it differs from training.
+    pub(super) about: String,
+    /// Its recordings.
+    pub(super) simulations: Vec<Simulation>,
+}
+
+/// A recording to be simulated.
+pub(super) struct Simulation {
+    /// Name of the recording.
+    pub(super) name: String,
+    /// Name of its scene's file.
+    stem: String,
+    /// The scene before its seed draws from it.
+    pub(super) scene: Scene,
+    /// Seed.
+    pub(super) seed: u64,
+    /// People that the scene is forced to have at most; its own number if absent.
+    pub(super) people: Option<usize>,
+    /// Frames.
+    pub(super) frames: u64,
+}
+
+/// The rungs of a folder by their files' names, or the one rung of a file.
+pub(super) fn load(path: &Path) -> anyhow::Result<Vec<Rung>> {
+    let mut files = Vec::new();
+    if path.is_dir() {
+        let cannot = || format!("cannot list {}", path.display());
+        for entry in std::fs::read_dir(path).with_context(cannot)? {
+            let file = entry.with_context(cannot)?.path();
+            if file.is_file() && file.extension().is_some_and(|extension| extension == "toml") {
+                files.push(file);
+            }
+        }
+        files.sort();
+        if files.is_empty() {
+            bail!("{}: no rung in it\n\nhint: a rung is a .toml file; fixtures/ladder has some", path.display());
+        }
+    } else {
+        files.push(path.to_owned());
+    }
+    // Each scene is read once: reading says what is to be warned of.
+    let mut scenes = BTreeMap::new();
+    let rungs = files.iter().map(|file| Rung::load(file, &mut scenes)).collect::<anyhow::Result<Vec<_>>>()?;
+    let mut names = BTreeSet::new();
+    if let Some(twice) = rungs.iter().find(|rung| !names.insert(rung.name.as_str())) {
+        bail!("{}: two rungs are called {}", path.display(), twice.name);
+    }
+    Ok(rungs)
+}
+
+impl RungFile {
+    fn check(&self) -> anyhow::Result<()> {
+        if self.format != FORMAT {
+            bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-' || letter == '_';
+        if self.name.is_empty() || !self.name.chars().all(is_plain) {
+            bail!("name is {:?}, expected letters, digits, - and _", self.name);
+        }
+        if self.scene.is_empty() {
+            bail!("no [[scene]]");
+        }
+        let mut frames = 0u64;
+        for scene in &self.scene {
+            let (first, last) = scene.seeds;
+            if first > last {
+                bail!("seeds are [{first}, {last}], expected the first one first");
+            }
+            if scene.frames == 0 {
+                bail!("frames is 0, expected 1 or more");
+            }
+            frames = frames.saturating_add((last - first).saturating_add(1).saturating_mul(scene.frames));
+        }
+        if frames > MOST_FRAMES {
+            bail!("{frames} frames, expected {MOST_FRAMES} at most");
+        }
+        Ok(())
+    }
+}
+
+impl Rung {
+    fn load(path: &Path, scenes: &mut BTreeMap<PathBuf, Scene>) -> anyhow::Result<Self> {
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        let file: RungFile =
+            toml::from_str(&text).with_context(|| format!("{} is no rung of a ladder", path.display()))?;
+        file.check().with_context(|| path.display().to_string())?;
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut simulations = Vec::new();
+        for of in &file.scene {
+            let named = named_by_spec(folder, &of.path)
+                .with_context(|| format!("{}: cannot read {}", path.display(), of.path.display()))?;
+            let mut scene = match scenes.get(&named) {
+                Some(scene) => scene.clone(),
+                None => {
+                    let scene = Scene::load(&named).with_context(|| path.display().to_string())?;
+                    scenes.insert(named.clone(), scene.clone());
+                    scene
+                }
+            };
+            if let Some(body) = of.body {
+                scene = scene.with_body(body);
+            }
+            let stem = named.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let people = of.people.map_or(String::new(), |people| format!("-people{people}"));
+            for seed in of.seeds.0..=of.seeds.1 {
+                simulations.push(Simulation {
+                    name: format!("{}-{stem}-seed{seed}{people}", file.name),
+                    stem: stem.clone(),
+                    scene: scene.clone(),
+                    seed,
+                    people: of.people,
+                    frames: of.frames,
+                });
+            }
+        }
+        Ok(Rung { name: file.name, about: file.about, simulations })
+    }
+
+    /// The same scenes without people, for so many hours together: each in recordings of six minutes at most, whose seeds follow
+    /// those that the rung has of it.
+    pub(super) fn without_people(self, hours: f64) -> anyhow::Result<Self> {
+        // By name of the scene: skins and ellipsoids of one scene are in different rungs.
+        let mut last_of_scene: BTreeMap<&str, &Simulation> = BTreeMap::new();
+        for simulation in &self.simulations {
+            let last = last_of_scene.entry(simulation.stem.as_str()).or_insert(simulation);
+            if simulation.seed > last.seed {
+                *last = simulation;
+            }
+        }
+        let time_s = hours * 3600.0 / last_of_scene.len().max(1) as f64;
+        let mut simulations = Vec::new();
+        for (stem, last) in &last_of_scene {
+            let recordings = (time_s / EMPTY_RECORDING_S).ceil();
+            let frames = (time_s / recordings / last.scene.waveform().frame_interval_s()).ceil();
+            if !(1.0..=MOST_FRAMES as f64).contains(&(recordings * frames)) {
+                bail!(
+                    "--empty-hours {hours}: {} frames of {stem}, expected 1 to {MOST_FRAMES}\n\nhint: a day is enough for any rate \
+                     that can be told",
+                    recordings * frames
+                );
+            }
+            simulations.extend((1..=recordings as u64).map(|after| {
+                let seed = last.seed.saturating_add(after);
+                Simulation {
+                    name: format!("{}-{stem}-seed{seed}-empty", self.name),
+                    stem: (*stem).to_owned(),
+                    scene: last.scene.clone(),
+                    seed,
+                    people: Some(0),
+                    frames: frames as u64,
+                }
+            }));
+        }
+        Ok(Rung { name: self.name.clone(), about: self.about.clone(), simulations })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::ladder;
+    use super::*;
+    use crate::output;
+
+    /// An hour of each rung, in rooms that the rung itself does not have.
+    #[test]
+    fn hours_of_empty_rooms_are_of_other_seeds() {
+        for rung in load(&ladder()).expect("rungs") {
+            let of_rung: Vec<(String, u64)> = rung.simulations.iter().map(|of| (of.stem.clone(), of.seed)).collect();
+            let scenes: BTreeSet<String> = of_rung.iter().map(|(stem, _)| stem.clone()).collect();
+            let name = rung.name.clone();
+            let empty = rung.without_people(1.0).expect("an hour").simulations;
+            let mut time_s = 0.0;
+            for simulation in &empty {
+                assert_eq!(simulation.people, Some(0));
+                assert!(!of_rung.contains(&(simulation.stem.clone(), simulation.seed)), "{}", simulation.name);
+                let of_it_s = simulation.frames as f64 * simulation.scene.waveform().frame_interval_s();
+                assert!(of_it_s < EMPTY_RECORDING_S + 1.0, "{}", simulation.name);
+                time_s += of_it_s;
+            }
+            assert!((3600.0..3610.0).contains(&time_s), "{name}: {time_s} s");
+            assert_eq!(empty.iter().map(|of| of.stem.clone()).collect::<BTreeSet<_>>(), scenes);
+            assert_eq!(empty.iter().map(|of| &of.name).collect::<BTreeSet<_>>().len(), empty.len(), "{name}");
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn hours_that_cannot_be_simulated_are_refused() {
+            for hours in [0.0, -1.0, f64::NAN, f64::INFINITY, 1e9, 25.0] {
+                let rung = load(&ladder().join("rooms.toml")).expect("a rung").remove(0);
+                let error = output::chain(&rung.without_people(hours).err().expect("refused"));
+                assert!(error.contains("--empty-hours") && error.contains("864000"), "{error}");
+            }
+            let rung = load(&ladder().join("rooms.toml")).expect("a rung").remove(0);
+            let few = rung.without_people(1e-9).expect("a frame").simulations;
+            assert_eq!(few.iter().map(|of| of.frames).collect::<Vec<_>>(), [1]);
+        }
+
+        #[test]
+        fn a_wrong_rung_is_refused_with_its_reason() {
+            let folder = tempfile::tempdir().expect("a folder");
+            let path = folder.path().join("rung.toml");
+            let good = "format = 1\nname = \"a\"\nabout = \"b\"\n[[scene]]\npath = \"hall.toml\"\nseeds = [1, 2]\nframes = 3\n";
+            for (from, to, expected) in [
+                ("format = 1", "format = 2", "format is 2"),
+                ("\"a\"", "\"../a\"", "expected letters"),
+                ("[1, 2]", "[2, 1]", "first one first"),
+                ("frames = 3", "frames = 0", "expected 1 or more"),
+                ("frames = 3", "frames = 864001", "at most"),
+                ("seeds", "seed", "seed"),
+                ("", "", "hall.toml"),
+            ] {
+                std::fs::write(&path, good.replacen(from, to, 1)).expect("writable");
+                let error = output::chain(&load(&path).err().expect("refused"));
+                assert!(error.contains("rung.toml") && error.contains(expected), "{to}: {error}");
+            }
+            std::fs::remove_file(&path).expect("removed");
+            let error = output::chain(&load(folder.path()).err().expect("refused"));
+            assert!(error.contains("no rung") && error.contains("hint:"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! Motions by which a person goes to a place or keeps to the other: three of each kind, from the one that is wanted to the most
+//! careful one.
+
+use super::errand::{Facing, Walker};
+use super::setting::Setting;
+use super::walker::{Command, Pose, wrapped};
+
+/// People are avoided from this distance on, m.
+const AVOID_M: f64 = 1.6;
+/// Deceleration before a goal, m/s^2.
+const SOFT_M_PER_S2: f64 = 0.35;
+
+impl Walker {
+    /// Motions of somebody who stands.
+    pub(super) fn stand(&self, facing: Facing, other: Option<Pose>) -> [Command; 3] {
+        let heading_rad = match (facing, other) {
+            (Facing::Heading(heading_rad), _) => Some(heading_rad),
+            (Facing::Other, Some(other)) => Some(self.pose.bearing_rad(other.position_m)),
+            _ => None,
+        };
+        [Command { speed_m_per_s: 0.0, heading_rad }, Command::STOP, Command::STOP]
+    }
+
+    /// Fastest that anybody walks, m/s.
+    fn fastest_m_per_s(setting: &Setting) -> f64 {
+        1.3 * setting.file.speed_m_per_s[1]
+    }
+
+    /// A walk to a place: at the walker's own speed, slower before stops and in curves, around the other.
+    pub(super) fn steer(&self, setting: &Setting, goal: [f64; 2], stops: bool, other: Option<Pose>) -> [Command; 3] {
+        let (distance_m, bearing_rad) = (self.pose.distance_m(goal), self.pose.bearing_rad(goal));
+        let [noise_of_speed, noise_of_heading] = self.noise;
+        let mut speed = self.way_m_per_s * (1.0 + 0.35 * noise_of_speed).max(0.2);
+        speed = speed.min(Self::fastest_m_per_s(setting));
+        if stops {
+            speed = speed.min((2.0 * SOFT_M_PER_S2 * distance_m).sqrt());
+        }
+        let wobble_rad = 0.35 * noise_of_heading * distance_m.min(1.0);
+        let mut heading_rad = bearing_rad + wobble_rad;
+        if let Some(other) = other {
+            let off_m = self.pose.distance_m(other.position_m);
+            let aside_rad = wrapped(bearing_rad - self.pose.bearing_rad(other.position_m));
+            if off_m < AVOID_M && off_m < distance_m + 0.3 && aside_rad.abs() < 1.2 {
+                let side = if aside_rad >= 0.0 { 1.0 } else { -1.0 };
+                heading_rad += side * (1.0 - off_m / AVOID_M);
+            }
+        }
+        let off_rad = wrapped(heading_rad - self.pose.heading_rad);
+        // The circle on which the goal lies, tangent to the heading, must be wide enough for the speed.
+        let radius_m = distance_m / (2.0 * off_rad.sin().abs().max(0.05));
+        let speed = (speed * turning_share(off_rad))
+            .min(0.9 * (self.limits.acceleration_m_per_s2 * radius_m).sqrt())
+            .min(0.9 * self.limits.turn_rad_per_s * radius_m);
+        [
+            Command { speed_m_per_s: speed, heading_rad: Some(heading_rad) },
+            Command { speed_m_per_s: 0.5 * speed, heading_rad: Some(bearing_rad) },
+            Command { speed_m_per_s: 0.0, heading_rad: Some(heading_rad) },
+        ]
+    }
+
+    /// A walk at the other's side.
+    pub(super) fn go_beside(&self, setting: &Setting, side: f64, lead: &Pose) -> [Command; 3] {
+        let beside_m = setting.file.least_distance_m + 0.25;
+        let places = [lead.beside(0.0, side * beside_m), lead.beside(0.0, -side * beside_m), lead.beside(-1.0, 0.0)];
+        let slot = places.into_iter().find(|at| setting.ground.is_free(*at)).unwrap_or(self.pose.position_m);
+        let off_m = self.pose.distance_m(slot);
+        if lead.speed_m_per_s < 0.05 && off_m < 0.35 {
+            return self.stand(Facing::Other, Some(*lead));
+        }
+        let corner = self.corner_towards(setting, slot, off_m);
+        let velocity = lead.velocity_m_per_s();
+        let gain = 0.8 * off_m / self.pose.distance_m(corner).max(1e-3);
+        let wanted = [0, 1].map(|i| velocity[i] + gain * (corner[i] - self.pose.position_m[i]));
+        self.head_for(setting, wanted[1].atan2(wanted[0]), wanted[0].hypot(wanted[1]))
+    }
+
+    /// A walk after the other.
+    pub(super) fn go_behind(&self, setting: &Setting, gap_m: f64, lead: &Pose) -> [Command; 3] {
+        let off_m = self.pose.distance_m(lead.position_m);
+        if lead.speed_m_per_s < 0.05 && off_m < gap_m + 0.2 {
+            return self.stand(Facing::Other, Some(*lead));
+        }
+        let corner = self.corner_towards(setting, lead.position_m, off_m);
+        let speed = (lead.speed_m_per_s + 0.8 * (off_m - gap_m)).max(0.0);
+        self.head_for(setting, self.pose.bearing_rad(corner), speed)
+    }
+
+    /// The next corner on the way to a place so far away.
+    fn corner_towards(&self, setting: &Setting, to: [f64; 2], off_m: f64) -> [f64; 2] {
+        if off_m < 1.0 {
+            return to;
+        }
+        setting.planned.route(self.pose.position_m, to).first().copied().unwrap_or(to)
+    }
+
+    fn head_for(&self, setting: &Setting, heading_rad: f64, speed_m_per_s: f64) -> [Command; 3] {
+        let off_rad = wrapped(heading_rad - self.pose.heading_rad);
+        let speed = speed_m_per_s.min(Self::fastest_m_per_s(setting)) * turning_share(off_rad);
+        [1.0, 0.4, 0.0].map(|part| Command { speed_m_per_s: part * speed, heading_rad: Some(heading_rad) })
+    }
+}
+
+/// Share of the speed that is left while the heading is off by an angle.
+fn turning_share(off_rad: f64) -> f64 {
+    (0.5 + 0.5 * off_rad.cos()).powi(2)
+}
