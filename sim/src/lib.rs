@@ -22,6 +22,7 @@ pub mod field;
 pub mod geometry;
 pub mod keys;
 pub(crate) mod lanes;
+pub mod paths;
 pub mod random;
 pub mod rcs;
 pub mod receiver;
