@@ -276,10 +276,6 @@ impl Environment {
         self.flats.get(facet as usize)
     }
 
-    pub(super) fn flats(&self) -> &[Flat] {
-        &self.flats
-    }
-
     /// The facet on which a point lies, if any: an antenna may be mounted on a wall.
     pub(super) fn below(&self, point: DVec3) -> Option<FacetId> {
         let holds = |flat: &Flat| flat.reflects() && flat.height(point).abs() < PLANAR_M && flat.contains(point);
