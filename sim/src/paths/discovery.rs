@@ -97,15 +97,12 @@ pub struct ImagePaths {
 impl ImagePaths {
     /// Finds the paths that leave a point.
     pub fn discover(environment: Arc<Environment>, origin: DVec3, options: &LaunchOptions) -> Self {
-        let mount = environment.below(origin);
-        let mut launch = Launch::new(&environment, origin, mount, options);
+        let mut launch = Launch::new(&environment, origin, environment.below(origin), options);
         launch.refine(options);
+        let (rays, refinements, reached_limit) = (launch.directions.len(), launch.refinements, launch.reached_limit);
         let sequences = completed(&environment, origin, launch.sequences());
-        let mut found = Self::with_sequences(environment, origin, sequences);
-        found.report.rays = launch.directions.len();
-        found.report.refinements = launch.refinements;
-        found.report.reached_limit = launch.reached_limit;
-        found
+        let found = Self::with_sequences(environment, origin, sequences);
+        ImagePaths { report: DiscoveryReport { rays, refinements, reached_limit, ..found.report }, ..found }
     }
 
     /// The images of a point that given sequences make; the point itself is the first.
