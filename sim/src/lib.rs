@@ -22,6 +22,8 @@ pub mod field;
 pub mod geometry;
 pub mod keys;
 pub(crate) mod lanes;
+pub mod path_list;
+pub mod paths;
 pub mod random;
 pub mod rcs;
 pub mod receiver;

@@ -19,6 +19,7 @@ mod labels;
 mod live;
 mod manual;
 mod models;
+mod paths;
 mod rcs;
 mod rdm;
 mod record;
@@ -68,6 +69,8 @@ pub enum Command {
     Rdm(rdm::Arguments),
     /// Range, speed, azimuth and elevation of what moves, frame by frame; and what a board's receivers are unlike in
     Echoes(echoes::Arguments),
+    /// Every path between the antennas of a scene at one time: surfaces, length, delay, Doppler shift, gain, phase
+    Paths(paths::Arguments),
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
     /// Fit a receiver to a recording; how far simulations are from it, before and after
@@ -114,6 +117,7 @@ pub fn run(command: Command) -> anyhow::Result<Ended> {
         Command::Rcs(arguments) => rcs::run(&arguments),
         Command::Rdm(arguments) => rdm::run(&arguments),
         Command::Echoes(arguments) => echoes::run(&arguments),
+        Command::Paths(arguments) => paths::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Dataset(arguments) => dataset::run(&arguments),

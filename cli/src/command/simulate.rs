@@ -1,6 +1,6 @@
 mod canvas;
 mod legend;
-mod preview;
+pub(super) mod preview;
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -164,7 +164,8 @@ fn draw_preview(arguments: &Arguments, scene: &Scene, path: &Path) -> anyhow::Re
     files::check_parent(path)?;
     let scene = scene.drawn(arguments.seed)?;
     let until_s = arguments.frames as f64 * scene.waveform().frame_interval_s();
-    let preview = preview::Preview { scene: &scene, seed: arguments.seed, people: arguments.people, until_s };
+    let (seed, people) = (arguments.seed, arguments.people);
+    let preview = preview::Preview { scene: &scene, seed, people, until_s, paths: &[] };
     preview::draw(&preview, path)
 }
 

@@ -22,6 +22,9 @@ pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
 /// A colour for each person in turn.
 pub(super) const PEOPLE: [Ink; 4] =
     [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
+/// Ways of waves that people change, and of others.
+const MOVING: Ink = Ink::solid([200, 30, 90]);
+const STATIC: Ink = Ink::solid([60, 70, 90]);
 /// Of furniture of which nothing is said.
 pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
 
@@ -75,6 +78,18 @@ pub struct Preview<'a> {
     pub people: Option<usize>,
     /// Ways are drawn up to here, s.
     pub until_s: f64,
+    /// Ways of waves.
+    pub paths: &'a [DrawnPath],
+}
+
+/// The way of a wave.
+pub struct DrawnPath {
+    /// Its corners, m.
+    pub points: Vec<DVec3>,
+    /// Whether it changes: it is drawn in another colour.
+    pub is_moving: bool,
+    /// From 0, as faint as lines get, to 1.
+    pub strength: f64,
 }
 
 /// One of the views: which axes of the room are to the right and up, and where.
@@ -170,6 +185,9 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
         }
         for way in &ways {
             draw_way(&mut canvas, view, way);
+        }
+        for path in preview.paths {
+            draw_path(&mut canvas, view, path);
         }
         draw_radar(&mut canvas, view, scene, &mut labels);
         for way in &ways {
@@ -354,6 +372,13 @@ fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
         canvas.line(&[fan[0], *end], &edge);
     }
     canvas.fill(&[fan], BEAM.faint(0.20));
+}
+
+fn draw_path(canvas: &mut Canvas, view: &View, path: &DrawnPath) {
+    let ink = if path.is_moving { MOVING } else { STATIC };
+    let line = Line { ink: ink.faint(0.15 + 0.75 * path.strength), width: 1.2, is_dashed: false };
+    let places: Vec<Pixel> = path.points.iter().map(|p| view.at(*p)).collect();
+    canvas.line(&places, &line);
 }
 
 fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
@@ -603,7 +628,7 @@ mod tests {
                 continue;
             }
             let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
-            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0 };
+            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0, paths: &[] };
             draw(&preview, &file).expect("a picture");
             let image = image::open(&file).expect("a PNG").to_rgb8();
             let inked = image.pixels().filter(|p| p.0 != [255; 3]).count();
