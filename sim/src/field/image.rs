@@ -8,65 +8,17 @@
 //! Where walls let waves through, a point beyond an upright wall has the antenna's own field times the slab's transmission, in
 //! place of the air that the slab displaces; images carry nothing there.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::fresnel::{self, Reflection};
+use super::fresnel::Reflection;
 use super::pattern::Pattern;
+pub use super::wall::Wall;
+use super::wall::WallTable;
 use super::{Phasor3, incidence_frame};
 use crate::actor::track::smooth_step;
-
-/// What a wall is made of.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Wall {
-    /// Lossy dielectric slab.
-    Slab {
-        /// Complex relative permittivity.
-        permittivity: Complex64,
-        /// Thickness, m.
-        thickness_m: f64,
-    },
-    /// Perfect conductor.
-    Conductor,
-    /// Nothing there.
-    Open,
-}
-
-impl Wall {
-    /// What it mirrors.
-    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
-        match *self {
-            Wall::Slab { permittivity, thickness_m } => {
-                fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection
-            }
-            Wall::Conductor => Reflection { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
-            Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
-        }
-    }
-
-    /// What the wall leaves of a field that goes straight through it, over what air would.
-    fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
-        match *self {
-            Wall::Slab { permittivity, thickness_m } => {
-                fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
-            }
-            Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
-            Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
-        }
-    }
-
-    /// Over how much of its outside a wall's effect grows to its whole, m: its thickness, and no less than a body takes some
-    /// chirps to pass.
-    fn depth_m(&self) -> f64 {
-        match *self {
-            Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
-            Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
-        }
-    }
-}
-
-/// Walls are at least so thick to those who pass through them, m: nothing is switched on or off between two chirps.
-const LEAST_DEPTH_M: f64 = 0.1;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
@@ -92,12 +44,14 @@ pub fn images(max_order: u32) -> Vec<ImageIndex> {
 pub struct BoxRoom {
     /// Inner size, m.
     pub size_m: DVec3,
-    /// Surfaces at low and high x, low and high y, floor, ceiling.
+    /// Surfaces at low and high x, low and high y, floor, ceiling. Fields come from what [`BoxRoom::new`] tabulated of them.
     pub walls: [Wall; 6],
     /// Wave number at which materials are evaluated, 1/m.
     pub wavenumber_per_m: f64,
     /// Whether points behind the upright walls are lit through them. If not, points outside are lit as if there were no wall.
     pub transmission: bool,
+    /// The walls' coefficients. Equal walls share them.
+    tables: [Arc<WallTable>; 6],
 }
 
 /// One antenna element in the room.
@@ -127,6 +81,19 @@ pub struct Illumination {
 }
 
 impl BoxRoom {
+    /// A room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates these at the wave
+    /// number.
+    pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
+        let mut all: Vec<Arc<WallTable>> = Vec::with_capacity(walls.len());
+        for (i, wall) in walls.iter().enumerate() {
+            let equal = walls.iter().take(i).position(|other| other == wall);
+            let shared = equal.and_then(|equal| all.get(equal)).map(Arc::clone);
+            all.push(shared.unwrap_or_else(|| Arc::new(WallTable::new(*wall, wavenumber_per_m, transmission))));
+        }
+        let tables = std::array::from_fn(|wall| Arc::clone(&all[wall]));
+        BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables }
+    }
+
     /// Position of an image.
     pub fn image_position(&self, index: ImageIndex, point: DVec3) -> DVec3 {
         let axis = |n: i32, length: f64, x: f64| {
@@ -173,7 +140,7 @@ impl BoxRoom {
         if order(index) > 0 {
             for (_, axis, wall) in self.crossings(index, source, point) {
                 let normal = DVec3::AXES[axis];
-                let reflection = self.walls[wall].reflection(self.wavenumber_per_m, direction.dot(normal).abs());
+                let reflection = self.tables[wall].reflection(direction.dot(normal).abs());
                 let (te, tm) = incidence_frame(direction, normal);
                 field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
             }
@@ -186,7 +153,7 @@ impl BoxRoom {
                 rest
             } else {
                 let normal = DVec3::AXES[axis];
-                let through = self.walls[wall].transmission(self.wavenumber_per_m, direction.dot(normal).abs());
+                let through = self.tables[wall].transmission(direction.dot(normal).abs());
                 let (te, tm) = incidence_frame(direction, normal);
                 let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
                 Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }

@@ -20,6 +20,7 @@ pub mod pattern;
 pub mod quadrature;
 pub mod terminal;
 pub mod triangle;
+pub mod wall;
 
 use glam::DVec3;
 use num_complex::Complex64;
