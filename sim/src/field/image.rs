@@ -80,6 +80,91 @@ pub struct Illumination {
     pub field: Phasor3,
 }
 
+/// A coordinate of a cell of the lattice as a coordinate of the room.
+fn folded(x: f64, length: f64, cell: i32) -> f64 {
+    let beyond = x - f64::from(cell) * length;
+    if cell % 2 == 0 { beyond } else { length - beyond }
+}
+
+/// A mirror plane between an image and a point of the room.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Crossing {
+    /// Fraction of the way from the image.
+    fraction: f64,
+    axis: usize,
+    wall: usize,
+}
+
+/// The planes across one axis that are still ahead.
+#[derive(Debug, Clone, Copy)]
+struct PlanesAhead {
+    next: i32,
+    count: u32,
+    /// From one to the next, 1 or -1.
+    step: i32,
+    /// Fraction of the way to the next.
+    fraction: f64,
+    from_m: f64,
+    span_m: f64,
+    length_m: f64,
+}
+
+/// All mirror planes between an image and a point of the room, in the order in which the way crosses them. Those across one axis
+/// are crossed one after another, so that the next of all is the nearest of three.
+struct Crossings([PlanesAhead; 3]);
+
+impl Crossings {
+    fn new(index: ImageIndex, source: DVec3, point: DVec3, size_m: DVec3) -> Self {
+        Crossings(std::array::from_fn(|axis| {
+            let n = index[axis];
+            // From above down to plane 1, the high wall; from below up to plane 0, the low wall.
+            let (next, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
+            let (from_m, span_m, length_m) = (source[axis], point[axis] - source[axis], size_m[axis]);
+            let mut planes =
+                PlanesAhead { next, count: n.unsigned_abs(), step, fraction: 0.0, from_m, span_m, length_m };
+            planes.measure();
+            planes
+        }))
+    }
+}
+
+impl PlanesAhead {
+    fn measure(&mut self) {
+        if self.count > 0 {
+            self.fraction = (f64::from(self.next) * self.length_m - self.from_m) / self.span_m;
+        }
+    }
+}
+
+impl Iterator for Crossings {
+    type Item = Crossing;
+
+    fn next(&mut self) -> Option<Crossing> {
+        let ahead = self.0.iter_mut().enumerate().filter(|(_, planes)| planes.count > 0);
+        let (axis, planes) = ahead.min_by(|(_, a), (_, b)| a.fraction.total_cmp(&b.fraction))?;
+        let wall = 2 * axis + usize::from(planes.next % 2 != 0);
+        let crossing = Crossing { fraction: planes.fraction, axis, wall };
+        planes.next += planes.step;
+        planes.count -= 1;
+        planes.measure();
+        Some(crossing)
+    }
+}
+
+/// A field past a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so that its part
+/// that is not TE is TM.
+fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflection) -> Phasor3 {
+    let across = direction.cross(DVec3::AXES[axis]);
+    let square = across.length_squared();
+    let as_tm = field.times(-reflection.tm);
+    // At normal incidence both are one.
+    if square < 1e-12 {
+        return as_tm;
+    }
+    let more = (reflection.te + reflection.tm) * (field.along(across) / square);
+    Phasor3 { re: as_tm.re + across * more.re, im: as_tm.im + across * more.im }
+}
+
 impl BoxRoom {
     /// A room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates these at the wave
     /// number.
@@ -112,21 +197,6 @@ impl BoxRoom {
         v * DVec3::new(sign(index[0]), sign(index[1]), sign(index[2]))
     }
 
-    /// The mirror planes between an image and a point of the room: (fraction of the way, axis, wall), in order.
-    fn crossings(&self, index: ImageIndex, source: DVec3, point: DVec3) -> Vec<(f64, usize, usize)> {
-        let mut all = Vec::with_capacity(order(index) as usize);
-        let (from, to, size) = (source.to_array(), point.to_array(), self.size_m.to_array());
-        for (axis, ((&n, length), (from, to))) in index.iter().zip(size).zip(from.into_iter().zip(to)).enumerate() {
-            let planes = if n > 0 { 1..=n } else { n + 1..=0 };
-            for plane in planes {
-                let fraction = (f64::from(plane) * length - from) / (to - from);
-                all.push((fraction, axis, 2 * axis + usize::from(plane % 2 != 0)));
-            }
-        }
-        all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        all
-    }
-
     /// Field of an element's image at a point of the room.
     pub fn illuminate(&self, element: &Element, index: ImageIndex, point: DVec3) -> Illumination {
         let source = self.image_position(index, element.position);
@@ -136,14 +206,9 @@ impl BoxRoom {
         let departure = element.radar_from_world * Self::image_vector(index, direction);
         let polarisation = Self::image_vector(index, element.polarisation);
         let transverse = polarisation - direction * direction.dot(polarisation);
-        let mut field = Phasor3::real(transverse).scaled(element.pattern.field(departure));
-        if order(index) > 0 {
-            for (_, axis, wall) in self.crossings(index, source, point) {
-                let normal = DVec3::AXES[axis];
-                let reflection = self.tables[wall].reflection(direction.dot(normal).abs());
-                let (te, tm) = incidence_frame(direction, normal);
-                field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
-            }
+        let mut field = Phasor3::real(transverse * element.pattern.field(departure));
+        for Crossing { axis, wall, .. } in Crossings::new(index, source, point, self.size_m) {
+            field = mirrored(field, direction, axis, self.tables[wall].reflection(direction[axis].abs()));
         }
         if self.transmission
             && let Some((axis, wall, weight)) = self.behind(element.position, point)
@@ -179,20 +244,27 @@ impl BoxRoom {
         Some((axis, wall, smooth_step(2.0 * beyond / depth_m - 1.0)))
     }
 
-    /// The way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
+    /// Corners of the way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
+    pub fn corners(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> impl Iterator<Item = DVec3> {
+        let (source, size_m) = (self.image_position(index, antenna), self.size_m);
+        // The cell of the lattice in which the way is: each crossing leads it one nearer to the room.
+        let mut cell = index;
+        let bounces = Crossings::new(index, source, point, size_m).map(move |Crossing { fraction, axis, .. }| {
+            let at = source.lerp(point, fraction);
+            let corner = DVec3::new(
+                folded(at.x, size_m.x, cell[0]),
+                folded(at.y, size_m.y, cell[1]),
+                folded(at.z, size_m.z, cell[2]),
+            );
+            cell[axis] -= cell[axis].signum();
+            corner
+        });
+        std::iter::once(antenna).chain(bounces).chain(std::iter::once(point))
+    }
+
+    /// The same corners in a list.
     pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        let source = self.image_position(index, antenna);
-        let fold = |x: f64, length: f64| {
-            let cell = (x / length).rem_euclid(2.0);
-            length * if cell > 1.0 { 2.0 - cell } else { cell }
-        };
-        let mut points = vec![antenna];
-        for (fraction, ..) in self.crossings(index, source, point) {
-            let p = source.lerp(point, fraction);
-            points.push(DVec3::new(fold(p.x, self.size_m.x), fold(p.y, self.size_m.y), fold(p.z, self.size_m.z)));
-        }
-        points.push(point);
-        points
+        self.corners(index, antenna, point).collect()
     }
 
     /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
@@ -203,5 +275,90 @@ impl BoxRoom {
         let gain = rx.pattern.field(towards_source);
         let aperture = 0.5 / (self.wavenumber_per_m * arrival.distance_m);
         (arrival.field.along(rx.polarisation) * (gain * aperture), arrival.distance_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const K: f64 = 1257.507;
+
+    fn room() -> BoxRoom {
+        let slab = |thickness_m| Wall::Slab { permittivity: Complex64::new(2.73, -0.119), thickness_m };
+        let walls = [slab(0.0125), slab(0.2), Wall::Conductor, slab(0.03), slab(0.0125), Wall::Open];
+        BoxRoom::new(DVec3::new(5.0, 4.0, 2.7), walls, K, false)
+    }
+
+    /// All planes at once, sorted by their fractions.
+    fn sorted_crossings(room: &BoxRoom, index: ImageIndex, source: DVec3, point: DVec3) -> Vec<Crossing> {
+        let mut all = Vec::new();
+        for (axis, &n) in index.iter().enumerate() {
+            let planes = if n > 0 { 1..=n } else { n + 1..=0 };
+            for plane in planes {
+                let along = f64::from(plane) * room.size_m[axis] - source[axis];
+                let fraction = along / (point[axis] - source[axis]);
+                all.push(Crossing { fraction, axis, wall: 2 * axis + usize::from(plane % 2 != 0) });
+            }
+        }
+        all.sort_by(|a, b| a.fraction.total_cmp(&b.fraction));
+        all
+    }
+
+    /// Up to six reflections: the same planes in the same order, and the field that frames of incidence and the slab itself
+    /// make of them one by one.
+    #[test]
+    fn images_are_lit_as_by_each_wall_in_turn() {
+        let room = room();
+        let element = Element {
+            position: DVec3::new(0.3, 1.1, 1.4),
+            polarisation: DVec3::new(0.0, 0.6, 0.8),
+            radar_from_world: DMat3::from_rotation_z(-0.3),
+            pattern: Pattern::new(1.0, 1.2, -15.0),
+        };
+        for index in images(6) {
+            for point in [DVec3::new(3.2, 0.4, 0.9), DVec3::new(0.3, 3.7, 2.5), DVec3::new(4.9, 1.1, 1.4)] {
+                let source = room.image_position(index, element.position);
+                let all = sorted_crossings(&room, index, source, point);
+                let ours: Vec<Crossing> = Crossings::new(index, source, point, room.size_m).collect();
+                assert_eq!(ours, all, "{index:?}");
+                let direction = (point - source).normalize();
+                let polarisation = BoxRoom::image_vector(index, element.polarisation);
+                let departure = element.radar_from_world * BoxRoom::image_vector(index, direction);
+                let transverse = polarisation - direction * direction.dot(polarisation);
+                let mut field = Phasor3::real(transverse * element.pattern.field(departure));
+                for Crossing { axis, wall, .. } in all {
+                    let normal = DVec3::AXES[axis];
+                    let Reflection { te, tm } = room.walls[wall].reflection(K, direction[axis].abs());
+                    let (across, within) = incidence_frame(direction, normal);
+                    field = Phasor3::combine(te * field.along(across), across, -tm * field.along(within), within);
+                }
+                let got = room.illuminate(&element, index, point).field;
+                let error = Phasor3 { re: got.re - field.re, im: got.im - field.im }.magnitude();
+                assert!(error < 1e-7, "{index:?} {point}: {error:e}");
+            }
+        }
+    }
+
+    /// Bounces lie on the walls that are crossed, within the room, and the folded way is as long as the unfolded one.
+    #[test]
+    fn corners_lie_on_the_walls_of_the_room() {
+        let room = room();
+        let (antenna, point) = (DVec3::new(0.3, 1.1, 1.4), DVec3::new(3.2, 0.4, 0.9));
+        for index in images(6) {
+            let corners = room.polyline(index, antenna, point);
+            assert_eq!(corners.len(), order(index) as usize + 2);
+            let source = room.image_position(index, antenna);
+            let length_m: f64 = corners.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
+            assert!((length_m - source.distance(point)).abs() < 1e-9, "{index:?}");
+            for (corner, Crossing { axis, wall, .. }) in
+                corners[1..].iter().zip(Crossings::new(index, source, point, room.size_m))
+            {
+                let plane = if wall % 2 == 0 { 0.0 } else { room.size_m[axis] };
+                assert!((corner[axis] - plane).abs() < 1e-9, "{index:?}");
+                let within = corner.cmpge(DVec3::splat(-1e-9)).all() && corner.cmple(room.size_m + 1e-9).all();
+                assert!(within, "{index:?}: {corner}");
+            }
+        }
     }
 }

@@ -60,6 +60,11 @@ impl Phasor3 {
         Phasor3 { re: self.re * factor, im: self.im * factor }
     }
 
+    /// Times a complex factor.
+    pub fn times(self, factor: Complex64) -> Self {
+        Phasor3 { re: self.re * factor.re - self.im * factor.im, im: self.re * factor.im + self.im * factor.re }
+    }
+
     /// Euclidean length over both parts.
     pub fn magnitude(self) -> f64 {
         (self.re.length_squared() + self.im.length_squared()).sqrt()

@@ -28,9 +28,11 @@ impl Pattern {
 
     /// Field relative to boresight for a unit direction away from the antenna.
     pub fn field(&self, direction_radar: DVec3) -> f64 {
-        let horizontal = direction_radar.x.hypot(direction_radar.y);
-        let lobe = if direction_radar.x > 0.0 {
-            (direction_radar.x / horizontal).powf(self.azimuth_exponent) * horizontal.powf(self.elevation_exponent)
+        let DVec3 { x, y, .. } = direction_radar;
+        let lobe = if x > 0.0 {
+            // `(x / h)^azimuth h^elevation` with the horizontal part h, in one exponential.
+            let horizontal = 0.5 * (x * x + y * y).max(f64::MIN_POSITIVE).ln();
+            (self.azimuth_exponent * (x.ln() - horizontal) + self.elevation_exponent * horizontal).exp()
         } else {
             0.0
         };
