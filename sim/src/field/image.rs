@@ -227,6 +227,41 @@ impl BoxRoom {
         Illumination { source, distance_m, direction, field }
     }
 
+    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
+    pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
+        let departure = element.radar_from_world * Self::image_vector(index, direction);
+        let mut most = element.pattern.most_within(departure, spread_rad);
+        let is_across_one_axis = index.iter().filter(|&&n| n != 0).count() == 1;
+        for (axis, &n) in index.iter().enumerate().filter(|(_, n)| **n != 0) {
+            let [te, tm] = self.most_mirrored(axis, n, direction[axis].abs(), spread_rad);
+            let either = te.max(tm);
+            if !is_across_one_axis {
+                most *= either;
+                continue;
+            }
+            // What the antenna sends as TE, at least and at most; the rest is TM.
+            let across = direction.cross(DVec3::AXES[axis]);
+            let (part, sine) = (Self::image_vector(index, element.polarisation).dot(across).abs(), across.length());
+            let least_te = ((part - spread_rad) / (sine + spread_rad).max(1e-9)).max(0.0);
+            let most_te = if sine > spread_rad { ((part + spread_rad) / (sine - spread_rad)).min(1.0) } else { 1.0 };
+            let power = (te * most_te).powi(2) + tm * tm * (1.0 - least_te * least_te).max(0.0);
+            most *= power.sqrt().min(either);
+        }
+        most
+    }
+
+    /// Upper bounds of the reflections, TE and TM, at all planes across an axis together, where the cosine of incidence differs by no more
+    /// than so much from this one.
+    fn most_mirrored(&self, axis: usize, n: i32, cosine: f64, spread: f64) -> [f64; 2] {
+        let most = |wall: usize| self.tables[wall].most_reflection(cosine - spread, cosine + spread);
+        let (low, high) = (most(2 * axis), most(2 * axis + 1));
+        // Planes alternate; the first beyond the room is the wall on the image's side.
+        let count = n.abs();
+        let (more, fewer) = ((count + 1) / 2, count / 2);
+        let (at_low, at_high) = if n > 0 { (fewer, more) } else { (more, fewer) };
+        std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
+    }
+
     /// The upright wall through which the straight way from a point of the room to one outside leads: its axis, its number, and
     /// how much of it lies between, from 0 at its inner face to 1. `None` for a point in the room.
     fn behind(&self, from: DVec3, to: DVec3) -> Option<(usize, usize, f64)> {
@@ -338,6 +373,36 @@ mod tests {
                 assert!(error < 1e-7, "{index:?} {point}: {error:e}");
             }
         }
+    }
+
+    /// No point of a ball is lit more strongly than the bound of the cone around it.
+    #[test]
+    fn bounds_of_a_cone_hold_in_it() {
+        let room = room();
+        let element = Element {
+            position: DVec3::new(0.3, 1.1, 1.4),
+            polarisation: DVec3::Z,
+            radar_from_world: DMat3::from_rotation_z(-0.3),
+            pattern: Pattern::new(0.6, 1.2, -15.0),
+        };
+        let mut close = 0;
+        for index in images(3) {
+            for middle in [DVec3::new(3.2, 0.6, 0.9), DVec3::new(0.9, 3.2, 1.4), DVec3::new(4.4, 1.1, 0.5)] {
+                let offset = middle - room.image_position(index, element.position);
+                for radius_m in [0.01, 0.1, 0.3] {
+                    let spread_rad = (radius_m / offset.length()).asin();
+                    let most = room.most_field(&element, index, offset.normalize(), spread_rad);
+                    for i in 0..60 {
+                        let (x, y) = (0.7 * f64::from(i), 1.9 * f64::from(i));
+                        let on_ball = DVec3::new(x.cos() * y.cos(), x.sin() * y.cos(), y.sin()) * radius_m;
+                        let field = room.illuminate(&element, index, middle + on_ball).field.magnitude();
+                        assert!(field <= most + 1e-9, "{index:?} {middle} {radius_m}: {field} {most}");
+                        close += usize::from(radius_m == 0.01 && field > 0.7 * most);
+                    }
+                }
+            }
+        }
+        assert!(close > 0);
     }
 
     /// Bounces lie on the walls that are crossed, within the room, and the folded way is as long as the unfolded one.
