@@ -326,12 +326,8 @@ mod tests {
     /// What reaches a place by way of the points is on average what every piece of the walls throws there.
     #[test]
     fn points_throw_what_walls_do() {
-        let room = BoxRoom {
-            size_m: DVec3::new(5.0, 4.0, 2.6),
-            walls: [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor],
-            wavenumber_per_m: 1257.0,
-            transmission: false,
-        };
+        let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
+        let room = BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false);
         let antenna = Element {
             position: DVec3::new(1.0, 1.5, 1.2),
             polarisation: DVec3::Z,
@@ -378,7 +374,7 @@ mod tests {
     }
 
     fn walks(diffuse: Diffuse, walls: [Wall; 6]) -> (BoxRoom, Vec<Walk>) {
-        let room = BoxRoom { size_m: DVec3::new(6.0, 3.5, 2.5), walls, wavenumber_per_m: 1257.0, transmission: false };
+        let room = BoxRoom::new(DVec3::new(6.0, 3.5, 2.5), walls, 1257.0, false);
         let from = DVec3::new(0.3, 1.6, 1.5);
         // Lambert's walk falls equally often on equal parts of the walls, so it may begin at any.
         let mut rng = generator(7, Purpose::WallPoints, [0, 0]);

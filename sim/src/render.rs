@@ -16,9 +16,10 @@ use crate::diffuse;
 use crate::echo::demand::{Demand, Missed};
 use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
-use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
+use crate::echo::{
+    AudiblePair, EchoReport, FrameTimes, HEARD, Paths, Snapshot, audible_pairs, audible_paths, loud_pairs,
+};
 use crate::field::curved_triangle::Integrator;
-use crate::field::image::ImageIndex;
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
@@ -416,11 +417,11 @@ impl Renderer {
         motions: &'a [Arc<Motion>],
         start_s: f64,
         halvings: Option<u32>,
-        of: impl Fn(usize, &'a Motion, &[(ImageIndex, ImageIndex)]) -> Option<Paths<'a>>,
+        of: impl Fn(usize, &'a Motion, &[AudiblePair]) -> Option<Paths<'a>>,
     ) -> (KeyedPaths, EchoReport) {
         let demand = KeyDemand {
             // 6 dB further down than a path alone in its cell, since many weak ones add up; errors further still.
-            heard_lsb: 0.5 * self.stage.threshold_lsb,
+            heard_lsb: HEARD * self.stage.threshold_lsb,
             least_lsb: 0.02 * self.stage.threshold_lsb,
             tolerance: KEY_TOLERANCE * self.options.tolerance_db / 0.5,
             halvings,
@@ -430,8 +431,10 @@ impl Renderer {
         let instants = Instants::new(motions, start_s, self.active_s(), most);
         let mut paths = KeyedPaths::new(self.waveform().shape().rx);
         let mut report = EchoReport::default();
+        // Whether a path is heard is asked at the ends and in the middle.
+        let instants_s = [0.0, 0.5, 1.0].map(|part| start_s + part * self.active_s());
         for (me, motion) in motions.iter().enumerate() {
-            let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
+            let pairs = audible_paths(&self.stage, motion, &instants_s);
             if let Some(some) = of(me, motion, &pairs) {
                 paths.add(&instants, &some, &demand, &mut report);
             }

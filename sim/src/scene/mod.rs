@@ -358,12 +358,7 @@ impl Scene {
     /// The room with its walls.
     pub fn room(&self) -> BoxRoom {
         let room = &self.file.room;
-        BoxRoom {
-            size_m: DVec3::from_array(room.size_m),
-            walls: self.walls,
-            wavenumber_per_m: self.wavenumber_per_m(),
-            transmission: room.transmission,
-        }
+        BoxRoom::new(DVec3::from_array(room.size_m), self.walls, self.wavenumber_per_m(), room.transmission)
     }
 
     /// The transmitter and the waveform's enabled receivers, vertical polarisation.
