@@ -34,12 +34,8 @@ fn seen(paths: &ImagePaths, antenna: DVec3, point: DVec3, length_m: f64) -> f64 
 
 #[test]
 fn a_box_of_facets_has_the_lattice_of_images_and_its_fields() {
-    let room = BoxRoom {
-        size_m: DVec3::new(5.1, 3.7, 2.6),
-        walls: [slab(0), slab(1), slab(2), Wall::Conductor, slab(1), slab(0)],
-        wavenumber_per_m: K,
-        transmission: false,
-    };
+    let walls = [slab(0), slab(1), slab(2), Wall::Conductor, slab(1), slab(0)];
+    let room = BoxRoom::new(DVec3::new(5.1, 3.7, 2.6), walls, K, false);
     let mut rng = Xoshiro256PlusPlus::seed_from_u64(11);
     let antenna = Element {
         position: DVec3::new(0.4, 1.9, 1.7),
@@ -241,8 +237,7 @@ fn db(ratio: f64) -> f64 {
 
 #[test]
 fn every_sequence_of_a_box_makes_the_lattice() {
-    let room =
-        BoxRoom { size_m: DVec3::new(4.0, 3.0, 2.5), walls: [slab(0); 6], wavenumber_per_m: K, transmission: false };
+    let room = BoxRoom::new(DVec3::new(4.0, 3.0, 2.5), [slab(0); 6], K, false);
     let paths = all_images(environment(Facet::of_box(&room)), DVec3::new(1.1, 1.2, 1.3), 3);
     assert_eq!(paths.images().len(), images(3).len());
 }
