@@ -25,11 +25,11 @@ use rand::seq::SliceRandom;
 use crate::echo::{Snapshot, inside_room};
 use crate::field::image::{BoxRoom, Element, Wall};
 use crate::field::{fresnel, highlight::Ellipsoid};
-use crate::keys::Stretches;
 use crate::random::{Purpose, generator};
 use crate::scene::material::SKIN_PERMITTIVITY;
-use crate::slow_time::{Bend, Key, Stretch};
+use crate::slow_time::{Bend, Key};
 use crate::stage::Stage;
+use crate::tracks::{Track, Tracks};
 
 /// No leg counts as shorter than this, m.
 const LEAST_LEG_M: f64 = 0.3;
@@ -212,39 +212,47 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
     4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
 }
 
-/// Adds somebody's diffuse echoes to the paths of each receiver: `at_ends` is everybody at the ends of the stretches, `stretch_s`
-/// long each, that the frame is halved into so often.
+/// Adds somebody's diffuse echoes to the paths of a frame: `at_ends` is everybody at the ends of the stretches, `stretch_s` long
+/// each, that the frame is halved into so often.
 pub fn add(
     stage: &Stage,
     at_ends: &[Vec<Snapshot>],
     me: usize,
     (halvings, stretch_s): (u32, f64),
-    receivers: &mut [Stretches],
+    tracks: &mut Tracks,
 ) {
     let own: Vec<&Snapshot> = at_ends.iter().filter_map(|people| people.get(me)).collect();
     let least = HEARD * stage.threshold_lsb;
-    for (rx, (receiver, out)) in stage.rx.iter().zip(receivers).enumerate() {
-        for segment in 0..own.first().map_or(0, |snapshot| snapshot.body.len()) {
-            let lit: Vec<Scatterer> = own.iter().map(|now| Scatterer::new(stage, now, segment)).collect();
-            let mut add = |there: End, back: End, phase: Complex64| {
-                let keys: Vec<(Key, Bend)> = lit.iter().map(|lit| key(stage, rx, lit, [there, back], phase)).collect();
-                if keys.iter().all(|(key, _)| key.amplitude.norm() < least) {
-                    return;
-                }
-                for (place, ends) in keys.windows(2).enumerate() {
-                    out.push(halvings, place, Stretch::between(&ends[0], &ends[1], stretch_s));
-                }
+    for segment in 0..own.first().map_or(0, |snapshot| snapshot.body.len()) {
+        let lit: Vec<Scatterer> = own.iter().map(|now| Scatterer::new(stage, now, segment)).collect();
+        // The end of the way there and that of the way back, for each receiver.
+        let mut add = |ends: Vec<[End; 2]>, phase: Complex64| {
+            let at = |lit: &Scatterer| -> Vec<(Key, Bend)> {
+                ends.iter().enumerate().map(|(rx, ends)| key(stage, rx, lit, *ends, phase)).collect()
             };
-            for point in &stage.wall_points {
-                let there = End::Point(point, point.there);
-                let back = |point: &'_ WallPoint| point.back.get(rx).copied().unwrap_or_default();
-                add(there, End::Antenna(receiver), point.phase);
-                add(End::Antenna(&stage.tx), End::Point(point, back(point)), point.phase);
-                if let Some(partner) = stage.wall_points.get(point.partner) {
-                    // One pair of as many as there are points.
-                    let weight = (stage.wall_points.len() as f64).sqrt();
-                    add(there, End::Point(partner, back(partner)), weight * point.phase * partner.phase);
+            let keys: Vec<Vec<(Key, Bend)>> = lit.iter().map(at).collect();
+            // The first receiver stands for all.
+            let is_heard = |keys: &Vec<(Key, Bend)>| keys.first().is_some_and(|key| key.0.amplitude.norm() >= least);
+            if !keys.iter().any(is_heard) {
+                return;
+            }
+            for (place, ends) in keys.windows(2).enumerate() {
+                if let Some(track) = Track::between(&ends[0], &ends[1], stretch_s) {
+                    tracks.push(halvings, place, track);
                 }
+            }
+        };
+        for point in &stage.wall_points {
+            let there = End::Point(point, point.there);
+            let by = |point| move |&back: &(f64, f64)| End::Point(point, back);
+            add(stage.rx.iter().map(|receiver| [there, End::Antenna(receiver)]).collect(), point.phase);
+            let antenna = End::Antenna(&stage.tx);
+            add(point.back.iter().map(by(point)).map(|back| [antenna, back]).collect(), point.phase);
+            if let Some(partner) = stage.wall_points.get(point.partner) {
+                // One pair of as many as there are points.
+                let weight = (stage.wall_points.len() as f64).sqrt();
+                let ends = partner.back.iter().map(by(partner)).map(|back| [there, back]).collect();
+                add(ends, weight * point.phase * partner.phase);
             }
         }
     }

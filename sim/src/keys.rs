@@ -12,7 +12,8 @@ use glam::DVec3;
 
 use crate::actor::motion::Motion;
 use crate::echo::{EchoReport, Paths, Snapshot};
-use crate::slow_time::{Bend, Key, Stretch};
+use crate::slow_time::{Bend, Key};
+use crate::tracks::{OTHERS, Track, Tracks};
 
 /// Paths are halved no more often than this: sixteenths of a frame.
 pub const MOST_HALVINGS: u32 = 4;
@@ -60,46 +61,11 @@ pub struct KeyDemand {
     pub frequency_hz: f64,
 }
 
-/// Paths of one receiver.
-#[derive(Debug, Clone, Default)]
-pub struct Stretches {
-    /// `[halvings][place]`.
-    levels: Vec<Vec<Vec<Stretch>>>,
-}
-
-impl Stretches {
-    /// Adds a path's stretch at a place.
-    pub fn push(&mut self, halvings: u32, place: usize, stretch: Stretch) {
-        while self.levels.len() <= halvings as usize {
-            self.levels.push(vec![Vec::new(); 1 << self.levels.len()]);
-        }
-        if let Some(here) = self.levels.get_mut(halvings as usize).and_then(|level| level.get_mut(place)) {
-            here.push(stretch);
-        }
-    }
-
-    /// The same paths by their delays ([`Stretch::by_delay`]).
-    pub fn by_delay(&self) -> Self {
-        let of = |paths: &Vec<Stretch>| paths.iter().map(Stretch::by_delay).collect();
-        Stretches { levels: self.levels.iter().map(|level| level.iter().map(of).collect()).collect() }
-    }
-
-    /// How often paths are halved at most.
-    pub fn most_halvings(&self) -> u32 {
-        self.levels.len().saturating_sub(1) as u32
-    }
-
-    /// The paths that are halved this often about a place: the number of a stretch as long as that.
-    pub fn at(&self, halvings: u32, place: usize) -> &[Stretch] {
-        self.levels.get(halvings as usize).and_then(|level| level.get(place)).map(Vec::as_slice).unwrap_or_default()
-    }
-}
-
 /// Everybody's paths in a frame.
 #[derive(Debug, Clone, Default)]
 pub struct KeyedPaths {
-    /// Of each receiver.
-    pub receivers: Vec<Stretches>,
+    /// The paths, to all receivers.
+    pub tracks: Tracks,
     /// Paths that were looked at.
     pub traced: usize,
     /// Those of them that are heard.
@@ -117,11 +83,6 @@ struct Met<T> {
 }
 
 impl KeyedPaths {
-    /// Of nobody yet.
-    pub fn new(receivers: usize) -> Self {
-        KeyedPaths { receivers: vec![Stretches::default(); receivers], ..KeyedPaths::default() }
-    }
-
     /// What is missed at most within stretches relative to the echoes, rms by power.
     pub fn error(&self) -> f64 {
         if self.power > 0.0 { (self.missed / self.power).sqrt() } else { 0.0 }
@@ -148,7 +109,7 @@ struct Tracer<'a> {
 
 impl Tracer<'_> {
     fn trace(&mut self, instant: usize, which: usize, near: Option<DVec3>) -> Met<Key> {
-        let mut keys = Vec::with_capacity(self.out.receivers.len());
+        let mut keys = Vec::with_capacity(1 + OTHERS);
         let place = self.paths.trace(self.path, self.instants.people(instant, which), near, &mut keys, self.report);
         Met { keys, place }
     }
@@ -191,17 +152,15 @@ impl Tracer<'_> {
         last: &Met<(Key, Bend)>,
     ) -> usize {
         let stretch_s = self.instants.span_s / f64::from(1u32 << halvings);
-        let ends = first.keys.iter().zip(&last.keys);
-        let stretches: Vec<Stretch> = ends.map(|(a, b)| Stretch::between(a, b, stretch_s)).collect();
+        let track = Track::between(&first.keys, &last.keys, stretch_s);
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
         let instants = [1, 2, 3].map(instant);
         let quarters = [self.trace(instants[0], 1, first.place), self.trace(instants[2], 1, last.place)];
-        let stretch = stretches.first();
         let between = [(0.25, &quarters[0]), (0.5, middle), (0.75, &quarters[1])];
         let (mut missed_lsb, mut loudest_lsb) = (0.0f64, 0.0f64);
         for (u, met) in between {
-            if let (Some(stretch), Some(key)) = (stretch, met.keys.first()) {
-                missed_lsb = missed_lsb.max(stretch.error_lsb(u, key, self.demand.frequency_hz));
+            if let (Some(track), Some(key)) = (&track, met.keys.first()) {
+                missed_lsb = missed_lsb.max(track.first.error_lsb(u, key, self.demand.frequency_hz));
                 loudest_lsb = loudest_lsb.max(key.amplitude.norm());
             }
         }
@@ -209,8 +168,8 @@ impl Tracer<'_> {
         if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
             self.out.missed += missed_lsb * missed_lsb * stretch_s;
             self.out.power += loudest_lsb * loudest_lsb * stretch_s;
-            for (receiver, stretch) in self.out.receivers.iter_mut().zip(stretches) {
-                receiver.push(halvings, place, stretch);
+            if let Some(track) = track {
+                self.out.tracks.push(halvings, place, track);
             }
             return 1;
         }

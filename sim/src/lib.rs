@@ -34,6 +34,7 @@ pub mod stage;
 pub mod sway;
 pub mod synthesis;
 pub mod trace;
+pub mod tracks;
 
 pub use receiver::Receiver;
 pub use scene::{Scene, SceneError, load_receiver};

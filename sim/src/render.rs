@@ -1,11 +1,13 @@
 //! One frame of a scene: truth, paths, chirps. A pure function of (scene, seed, index).
 
+use std::ops::Range;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use num_complex::{Complex, Complex64};
 use radome_dsp::{Frame, FrameShape, Occupancy, Truth, Waveform};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
+use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
 use crate::actor::body::CHEST;
@@ -19,7 +21,7 @@ use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::field::curved_triangle::Integrator;
 use crate::field::image::ImageIndex;
-use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS, Stretches};
+use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
 use crate::random::{Purpose, generator};
 use crate::receiver::RxChannel;
 use crate::receiver::adc::{leakage_by_delay_lsb_s, leakage_chirp_lsb, quantise};
@@ -33,7 +35,8 @@ use crate::shadow::{self, Column};
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
 use crate::stage::{Stage, drift, drift_phases, threshold_lsb};
 use crate::sway::SwayingReflectors;
-use crate::synthesis::{CHIRPS, ChirpGrids, Grid, SynthesisScratch, Synthesiser, Tone};
+use crate::synthesis::{CHIRPS, ChirpGrids, Grid, Grids, Places, SynthesisScratch, Synthesiser, Tone};
+use crate::tracks::Tracks;
 
 /// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
 /// skins between them are not predicted well enough.
@@ -91,8 +94,8 @@ struct Traced {
     snapshots: Vec<Vec<Snapshot>>,
     /// How often the frame is halved into those stretches.
     halvings: u32,
-    /// Paths of each receiver.
-    paths: Vec<Stretches>,
+    /// Paths to all receivers.
+    tracks: Tracks,
     /// Echoes of those who have a skin.
     skins: Option<ChirpGrids>,
     report: FrameReport,
@@ -104,7 +107,7 @@ impl Traced {
         Traced {
             snapshots: Vec::new(),
             halvings: self.halvings,
-            paths: self.paths.iter().map(Stretches::by_delay).collect(),
+            tracks: self.tracks.by_delay(),
             skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
             report: self.report,
         }
@@ -139,12 +142,25 @@ struct Clutter {
 
 /// Grids of static paths at the same times.
 struct StaticGrids {
-    grids: Vec<Grid>,
+    /// `[rx][time]`.
+    grids: Vec<Vec<Grid>>,
     by_chirp: bool,
 }
 
 /// Nothing static.
 const NO_STATIC: StaticGrids = StaticGrids { grids: Vec::new(), by_chirp: false };
+
+/// What one receiver adds to the echoes of a frame, chirp after chirp.
+struct Channel<'a> {
+    noise: Xoshiro256PlusPlus,
+    phase_noise: Xoshiro256PlusPlus,
+    /// Spurious tones, and their phases.
+    spurs: Option<(&'a Spurs, Xoshiro256PlusPlus)>,
+    /// Offset, LSB, and factor on leakage.
+    offset: (f32, f32),
+    leakage: &'a [f32],
+    shaper: Option<&'a (NoiseShaper, f32)>,
+}
 
 /// Skins of this many people are kept: those in the room, and who comes next.
 const MOST_SKINS: usize = 8;
@@ -352,12 +368,9 @@ impl Renderer {
         let clutter = self.clutter(index, start_s, &traced);
         let middles_s = (0..shape.chirps).map(|chirp| self.middle_s(chirp));
         let turns = self.turns.as_ref().map(|turns| turns.of_frame(index, start_s, middles_s)).unwrap_or_default();
-        let mut scratch = Scratch::default();
-        for rx in 0..shape.rx {
-            let of_frame =
-                OfFrame { index, start_s, traced: &traced, phase: phase.as_ref(), clutter: &clutter, turns: &turns };
-            self.render_channel(rx, &of_frame, frame, &mut scratch, &mut report);
-        }
+        let of_frame =
+            OfFrame { index, start_s, traced: &traced, phase: phase.as_ref(), clutter: &clutter, turns: &turns };
+        report.clipped = self.render_channels(&of_frame, frame);
         report
     }
 
@@ -368,9 +381,8 @@ impl Renderer {
 
     /// Adds the echoes of swaying reflectors to the paths of a frame.
     fn add_sway(&self, start_s: f64, traced: &mut Traced) {
-        traced.paths.resize(self.waveform().shape().rx, Stretches::default());
         let columns = columns(&traced.snapshots);
-        self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.paths);
+        self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.tracks);
     }
 
     /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
@@ -379,10 +391,9 @@ impl Renderer {
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut traced = self.traced_highlights(&motions, start_s, halvings);
         if !self.stage.wall_points.is_empty() {
-            traced.paths.resize(self.waveform().shape().rx, Stretches::default());
             let stretches = (traced.halvings, self.active_s() / f64::from(1u32 << traced.halvings));
             for me in 0..motions.len() {
-                diffuse::add(&self.stage, &traced.snapshots, me, stretches, &mut traced.paths);
+                diffuse::add(&self.stage, &traced.snapshots, me, stretches, &mut traced.tracks);
             }
         }
         traced
@@ -407,7 +418,7 @@ impl Renderer {
             clipped: 0,
         };
         let snapshots = self.snapshots(motions, &self.ends_s(start_s, FIRST_HALVINGS));
-        Traced { snapshots, halvings: FIRST_HALVINGS, paths: paths.receivers, skins: None, report }
+        Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, skins: None, report }
     }
 
     /// Some of everybody's paths, each at as many keys as it takes.
@@ -428,7 +439,7 @@ impl Renderer {
         };
         let most = halvings.unwrap_or(MOST_HALVINGS);
         let instants = Instants::new(motions, start_s, self.active_s(), most);
-        let mut paths = KeyedPaths::new(self.waveform().shape().rx);
+        let mut paths = KeyedPaths::default();
         let mut report = EchoReport::default();
         for (me, motion) in motions.iter().enumerate() {
             let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
@@ -465,24 +476,22 @@ impl Renderer {
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            return Traced { snapshots, halvings, paths: folds.receivers, skins: Some(grids), report };
+            return Traced { snapshots, halvings, tracks: folds.tracks, skins: Some(grids), report };
         }
     }
 
     /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
     pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
+        let shape = self.waveform().shape();
         let traced = self.traced(self.start_s(index), halvings);
-        let samples = self.waveform().shape().samples;
-        let mut scratch = Scratch::default();
-        let mut all = Vec::with_capacity(self.waveform().shape().codes());
-        for rx in 0..self.waveform().shape().rx {
-            self.each_chirp(rx, &traced, &NO_STATIC, &[], |_, grid| {
-                scratch.chirp.clear();
-                scratch.chirp.resize(samples, 0.0);
-                self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
-                all.extend_from_slice(&scratch.chirp);
-            });
-        }
+        let mut scratch = SynthesisScratch::default();
+        let mut all = vec![0f32; shape.codes()];
+        self.each_chirp(&traced, &NO_STATIC, &[], |rx, chirp, grid| {
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let Some(samples) = all.get_mut(first..first + shape.samples) {
+                self.synthesiser.transform(grid, samples, &mut scratch);
+            }
+        });
         all
     }
 
@@ -604,139 +613,152 @@ impl Renderer {
         self.stage.static_paths.iter().map(phase).collect()
     }
 
-    fn render_channel(
-        &self,
-        rx: usize,
-        of_frame: &OfFrame,
-        frame: &mut Frame,
-        scratch: &mut Scratch,
-        report: &mut FrameReport,
-    ) {
+    /// Samples of all receivers of a frame; returns how many lie at an end of the ADC's range.
+    fn render_channels(&self, of_frame: &OfFrame, frame: &mut Frame) -> usize {
         let &OfFrame { index, start_s, traced, phase, clutter, turns } = of_frame;
         let shape = self.waveform().shape();
-        let static_grids = self.static_grids(rx, clutter, false);
-        let by_delay = phase.map(|phase| self.by_delay(rx, phase, clutter, turns, scratch));
-        // The same phase in all receivers.
-        let mut phase_rng = generator(self.options.seed, Purpose::PhaseNoise, [index, 0]);
-        // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
-        let people = self.options.people.map_or(0, |people| people as u64 + 1) << 32;
-        let mut rng = generator(self.options.seed, Purpose::Noise, [index, people | rx as u64]);
-        let (offset, leakage_scale) = self.offset(rx, index);
-        let leakage = self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default();
-        let spurs = self.spurs.get(rx);
-        let mut spur_phases = spurs.map(|spurs| spurs.phases(index));
-        self.each_chirp(rx, traced, &static_grids, turns, |chirp, grid| {
+        let static_grids = self.static_grids(clutter, false);
+        let by_delay = phase.map(|phase| self.by_delay(phase, clutter, turns)).unwrap_or_default();
+        let mut channels: Vec<Channel> = (0..shape.rx).map(|rx| self.channel(rx, index)).collect();
+        let (mut scratch, mut clipped) = (Scratch::default(), 0);
+        self.each_chirp(traced, &static_grids, turns, |rx, chirp, grid| {
+            let Some(channel) = channels.get_mut(rx) else { return };
+            let (offset, leakage_scale) = channel.offset;
             scratch.chirp.clear();
-            scratch.chirp.extend(leakage.iter().map(|l| offset + l * leakage_scale));
+            scratch.chirp.extend(channel.leakage.iter().map(|l| offset + l * leakage_scale));
             self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
-            if let (Some(phase), Some(by_delay)) = (phase, &by_delay) {
-                let beside = by_delay.chunks(shape.samples).nth(chirp).unwrap_or_default();
-                phase.rates.add(&mut phase_rng, beside, &mut scratch.chirp);
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let (Some(phase), Some(beside)) = (phase, by_delay.get(first..first + shape.samples)) {
+                phase.rates.add(&mut channel.phase_noise, beside, &mut scratch.chirp);
             }
-            if let (Some(spurs), Some(phases)) = (spurs, &mut spur_phases) {
+            if let Some((spurs, phases)) = &mut channel.spurs {
                 let first_s = start_s + chirp as f64 * self.waveform().chirp_interval_s;
                 spurs.add(first_s, phases, &mut scratch.chirp);
             }
-            if let Some((shaper, scale)) = self.noise.get(rx) {
-                shaper.add(&mut rng, *scale, &mut scratch.chirp, &mut scratch.noise);
+            if let Some((shaper, scale)) = channel.shaper {
+                shaper.add(&mut channel.noise, *scale, &mut scratch.chirp, &mut scratch.noise);
             }
-            let first = (rx * shape.chirps + chirp) * shape.samples;
             if let Some(codes) = frame.codes.get_mut(first..first + shape.samples) {
                 for (code, x) in codes.iter_mut().zip(&scratch.chirp) {
                     *code = quantise(*x);
-                    report.clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
+                    clipped += usize::from(*code == 0 || *code == radome_dsp::MAX_CODE);
                 }
             }
         });
+        clipped
+    }
+
+    /// What a receiver adds to the echoes of a frame.
+    fn channel(&self, rx: usize, index: u64) -> Channel<'_> {
+        let seed = self.options.seed;
+        // Runs of one seed with other numbers of people are other recordings: where nobody is seen they are not copies.
+        let people = self.options.people.map_or(0, |people| people as u64 + 1) << 32;
+        Channel {
+            noise: generator(seed, Purpose::Noise, [index, people | rx as u64]),
+            // The same phase in all receivers.
+            phase_noise: generator(seed, Purpose::PhaseNoise, [index, 0]),
+            spurs: self.spurs.get(rx).map(|spurs| (spurs, spurs.phases(index))),
+            offset: self.offset(rx, index),
+            leakage: self.leakage.get(rx).map(Vec::as_slice).unwrap_or_default(),
+            shaper: self.noise.get(rx),
+        }
     }
 
     /// Grids of static paths at the times of their weights; with every tone times `j` and its delay if so asked.
-    fn static_grids(&self, rx: usize, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
-        let grids = clutter.weights.iter().map(|weights| self.static_grid(rx, weights, is_by_delay)).collect();
-        StaticGrids { grids, by_chirp: clutter.by_chirp }
+    fn static_grids(&self, clutter: &Clutter, is_by_delay: bool) -> StaticGrids {
+        let of = |rx: usize| clutter.weights.iter().map(|weights| self.static_grid(rx, weights, is_by_delay)).collect();
+        StaticGrids { grids: (0..self.waveform().shape().rx).map(of).collect(), by_chirp: clutter.by_chirp }
     }
 
-    /// What stands beside the phase's rate in every sample, LSB s: `[chirp][sample]`.
-    fn by_delay(
-        &self,
-        rx: usize,
-        phase: &NoisyPhase,
-        clutter: &Clutter,
-        turns: &[ChirpTurn],
-        scratch: &mut Scratch,
-    ) -> Vec<f32> {
-        let grids = self.static_grids(rx, clutter, true);
-        let channel = self.stage.channels.get(rx);
-        let leakage = channel.map(|c| leakage_by_delay_lsb_s(c, self.waveform())).unwrap_or_default();
-        let mut all = Vec::with_capacity(self.waveform().shape().codes());
-        self.each_chirp(rx, &phase.traced, &grids, turns, |_, grid| {
-            scratch.chirp.clear();
-            scratch.chirp.extend(&leakage);
-            self.synthesiser.transform(grid, &mut scratch.chirp, &mut scratch.synthesis);
-            all.extend_from_slice(&scratch.chirp);
+    /// What stands beside the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
+    fn by_delay(&self, phase: &NoisyPhase, clutter: &Clutter, turns: &[ChirpTurn]) -> Vec<f32> {
+        let shape = self.waveform().shape();
+        let grids = self.static_grids(clutter, true);
+        let leakage = |channel: &RxChannel| leakage_by_delay_lsb_s(channel, self.waveform());
+        let leakage: Vec<Vec<f32>> = self.stage.channels.iter().map(leakage).collect();
+        let mut scratch = SynthesisScratch::default();
+        let mut all = vec![0f32; shape.codes()];
+        self.each_chirp(&phase.traced, &grids, turns, |rx, chirp, grid| {
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let (Some(samples), Some(leakage)) = (all.get_mut(first..first + shape.samples), leakage.get(rx)) {
+                samples.iter_mut().zip(leakage).for_each(|(sample, leakage)| *sample = *leakage);
+                self.synthesiser.transform(grid, samples, &mut scratch);
+            }
         });
         all
     }
 
-    /// The frequency grid of every chirp in turn: static grids, paths, and skins, with the errors that all echoes of the chirp
-    /// share, if there are any.
+    /// The frequency grid of every chirp of every receiver: static grids, paths, and skins, with the errors that all echoes of the
+    /// chirp share, if there are any. Chirps of a receiver come in their order.
     fn each_chirp(
         &self,
-        rx: usize,
         traced: &Traced,
         static_grids: &StaticGrids,
         turns: &[ChirpTurn],
-        mut visit: impl FnMut(usize, &Grid),
+        mut visit: impl FnMut(usize, usize, &Grid),
     ) {
-        let (chirps, active_s) = (self.waveform().shape().chirps, self.active_s());
-        let (mut grids, mut grid) = (self.synthesiser.grids(), self.synthesiser.grid());
-        let paths = traced.paths.get(rx);
-        let finest = paths.map_or(0, Stretches::most_halvings).max(traced.halvings);
-        // Stretch of a chirp where the frame is halved so often, and its place there.
-        let place = |chirp: usize, halvings: u32| {
-            let stretches = 1usize << halvings;
-            let at = self.middle_s(chirp) / active_s * stretches as f64;
-            let stretch = (at as usize).min(stretches - 1);
-            (stretch, at - stretch as f64)
-        };
-        let mut begin = 0;
-        while begin < chirps {
-            let ahead = (begin..chirps).take(CHIRPS);
-            let end = begin + ahead.take_while(|&chirp| place(chirp, finest).0 == place(begin, finest).0).count();
-            // Chirps in the same stretches; lanes beyond them repeat the first.
-            let at = |halvings: u32| -> (usize, [f64; CHIRPS]) {
-                let chirp = |lane: usize| if begin + lane < end { begin + lane } else { begin };
-                (place(begin, halvings).0, std::array::from_fn(|lane| place(chirp(lane), halvings).1))
-            };
-            let (stretch, places) = at(traced.halvings);
-            let at_ends: &[Grid] = if static_grids.by_chirp { &[] } else { static_grids.grids.as_slice() };
-            match (at_ends.get(stretch), at_ends.get(stretch + 1)) {
-                (Some(a), Some(b)) => grids.blend(a, b, &places.map(|u| u as f32)),
-                _ => grids.clear(),
-            }
-            for halvings in 0..=finest {
-                let (stretch, places) = at(halvings);
-                let paths = paths.map(|p| p.at(halvings, stretch)).unwrap_or_default();
-                self.synthesiser.spread(&self.stage.chirp, paths, &places, &mut grids);
-            }
-            for (lane, chirp) in (begin..end).enumerate() {
-                grids.extract(lane, &mut grid);
-                if let Some(skins) = &traced.skins {
-                    skins.add_to(rx, chirp, &mut grid);
+        let shape = self.waveform().shape();
+        let mut grids = vec![self.synthesiser.grids(); shape.rx];
+        let mut grid = self.synthesiser.grid();
+        for begin in (0..shape.chirps).step_by(CHIRPS) {
+            let end = (begin + CHIRPS).min(shape.chirps);
+            self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
+            for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
+                for (stretch, places) in self.stretches_of(begin..end, halvings) {
+                    let tracks = traced.tracks.at(halvings, stretch);
+                    self.synthesiser.spread_tracks(&self.stage.chirp, tracks, &places, &mut grids);
                 }
-                if static_grids.by_chirp
-                    && let Some(own) = static_grids.grids.get(chirp)
-                {
-                    grid.add(own);
-                }
-                if let Some(turn) = turns.get(chirp) {
-                    let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
-                    self.synthesiser.turn(factor, turn.late_s * self.stage.chirp.sample_rate_hz, &mut grid);
-                }
-                visit(chirp, &grid);
             }
+            for (rx, grids) in grids.iter().enumerate() {
+                for (lane, chirp) in (begin..end).enumerate() {
+                    grids.extract(lane, &mut grid);
+                    if let Some(skins) = &traced.skins {
+                        skins.add_to(rx, chirp, &mut grid);
+                    }
+                    if static_grids.by_chirp
+                        && let Some(own) = static_grids.grids.get(rx).and_then(|grids| grids.get(chirp))
+                    {
+                        grid.add(own);
+                    }
+                    if let Some(turn) = turns.get(chirp) {
+                        let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
+                        self.synthesiser.turn(factor, turn.late_s * self.stage.chirp.sample_rate_hz, &mut grid);
+                    }
+                    visit(rx, chirp, &grid);
+                }
+            }
+        }
+    }
+
+    /// Replaces what is on the grids of a block of chirps by static paths between the ends of stretches.
+    fn lay_static(&self, block: Range<usize>, halvings: u32, static_grids: &StaticGrids, grids: &mut [Grids]) {
+        for (rx, grids) in grids.iter_mut().enumerate() {
+            grids.clear();
+            let at_ends = static_grids.grids.get(rx).filter(|_| !static_grids.by_chirp);
+            let Some(at_ends) = at_ends else { continue };
+            for (stretch, places) in self.stretches_of(block.clone(), halvings) {
+                if let Some([a, b]) = at_ends.get(stretch..stretch + 2) {
+                    grids.blend(a, b, &places);
+                }
+            }
+        }
+    }
+
+    /// The stretches of a frame that is halved this often in which chirps of a block lie, each with the places of those chirps.
+    fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
+        let (active_s, stretches) = (self.active_s(), 1usize << halvings);
+        let at = |chirp: usize| self.middle_s(chirp) / active_s * stretches as f64;
+        let stretch_of = |chirp: usize| (at(chirp) as usize).min(stretches - 1);
+        let mut of_block = Vec::new();
+        let mut begin = block.start;
+        while begin < block.end {
+            let stretch = stretch_of(begin);
+            let end = (begin..block.end).find(|&chirp| stretch_of(chirp) != stretch).unwrap_or(block.end);
+            let lanes = begin - block.start..end - block.start;
+            of_block.push((stretch, Places::new(lanes, |lane| at(block.start + lane) - stretch as f64)));
             begin = end;
         }
+        of_block
     }
 
     /// What stands still; with every tone times `j` and its delay if so asked.

@@ -91,6 +91,12 @@ impl Stretch {
         }
     }
 
+    /// Time between its ends, s.
+    #[inline(always)]
+    pub fn stretch_s(&self) -> f64 {
+        self.stretch_s
+    }
+
     /// Delay, s, and its rate, s/s.
     #[inline(always)]
     pub fn delay(&self, u: f64) -> (f64, f64) {

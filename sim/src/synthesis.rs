@@ -16,7 +16,7 @@ use realfft::{ComplexToReal, RealFftPlanner};
 
 mod spread;
 
-pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoPass, EchoWay, Grids};
+pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoPass, EchoWay, Grids, Places};
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
