@@ -35,7 +35,7 @@ use crate::shadow::{self, Column};
 use crate::simulator::{FrameReport, PersonState, SimulateOptions};
 use crate::stage::{Stage, drift, drift_phases, threshold_lsb};
 use crate::sway::SwayingReflectors;
-use crate::synthesis::{CHIRPS, ChirpGrids, Grid, Grids, Places, SynthesisScratch, Synthesiser, Tone};
+use crate::synthesis::{CHIRPS, ChirpGrids, Grid, Grids, HeldEchoes, Places, SynthesisScratch, Synthesiser, Tone};
 use crate::tracks::Tracks;
 
 /// A frame's stretches between keys, for shades and skins, to begin with: halves, and halved again (quarters, eighths) while
@@ -64,6 +64,8 @@ pub(crate) struct Renderer {
     pub(crate) options: SimulateOptions,
     program: Program,
     stage: Stage,
+    /// Points of the walls that each segment of a body takes.
+    points_a_segment: usize,
     sway: SwayingReflectors,
     /// Errors that all echoes of a chirp share; `None` where there are none.
     turns: Option<ChirpTurns>,
@@ -96,6 +98,8 @@ struct Traced {
     halvings: u32,
     /// Paths to all receivers.
     tracks: Tracks,
+    /// Diffuse echoes in each of those stretches; none where walls throw nothing about.
+    diffuse: Vec<HeldEchoes>,
     /// Echoes of those who have a skin.
     skins: Option<ChirpGrids>,
     report: FrameReport,
@@ -108,6 +112,7 @@ impl Traced {
             snapshots: Vec::new(),
             halvings: self.halvings,
             tracks: self.tracks.by_delay(),
+            diffuse: self.diffuse.iter().map(HeldEchoes::by_delay).collect(),
             skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
             report: self.report,
         }
@@ -193,6 +198,7 @@ impl Renderer {
             scene: scene.clone(),
             options,
             program: Program::new(scene, options.seed, options.people),
+            points_a_segment: diffuse::points_a_segment(stage.wall_points.len(), options.tolerance_db),
             sway: SwayingReflectors::new(scene, &stage, options.seed),
             turns: ChirpTurns::new(scene, options.seed),
             spurs: (0..stage.channels.len()).map(spurs).collect(),
@@ -391,9 +397,10 @@ impl Renderer {
             self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
         let mut traced = self.traced_highlights(&motions, start_s, halvings);
         if !self.stage.wall_points.is_empty() {
-            let stretches = (traced.halvings, self.active_s() / f64::from(1u32 << traced.halvings));
+            let stretch_s = self.active_s() / f64::from(1u32 << traced.halvings);
+            traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << traced.halvings];
             for me in 0..motions.len() {
-                diffuse::add(&self.stage, &traced.snapshots, me, stretches, &mut traced.tracks);
+                diffuse::add(&self.stage, self.points_a_segment, &traced.snapshots, me, &mut traced.diffuse);
             }
         }
         traced
@@ -418,7 +425,7 @@ impl Renderer {
             clipped: 0,
         };
         let snapshots = self.snapshots(motions, &self.ends_s(start_s, FIRST_HALVINGS));
-        Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, skins: None, report }
+        Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
     }
 
     /// Some of everybody's paths, each at as many keys as it takes.
@@ -476,7 +483,14 @@ impl Renderer {
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            return Traced { snapshots, halvings, tracks: folds.tracks, skins: Some(grids), report };
+            return Traced {
+                snapshots,
+                halvings,
+                tracks: folds.tracks,
+                diffuse: Vec::new(),
+                skins: Some(grids),
+                report,
+            };
         }
     }
 
@@ -707,6 +721,13 @@ impl Renderer {
                 for (stretch, places) in self.stretches_of(begin..end, halvings) {
                     let tracks = traced.tracks.at(halvings, stretch);
                     self.synthesiser.spread_tracks(&self.stage.chirp, tracks, &places, &mut grids);
+                }
+            }
+            if !traced.diffuse.is_empty() {
+                for (stretch, places) in self.stretches_of(begin..end, traced.halvings) {
+                    if let Some(echoes) = traced.diffuse.get(stretch) {
+                        self.synthesiser.spread_held(&self.stage.chirp, echoes, &places, &mut grids);
+                    }
                 }
             }
             for (rx, grids) in grids.iter().enumerate() {
