@@ -6,7 +6,7 @@
 
 use num_complex::{Complex, Complex64};
 
-use crate::slow_time::{Bend, Key, Stretch};
+use crate::slow_time::{Bend, FiveKeys, Key, Stretch, cubic_of_four};
 
 /// Most receivers beside the first.
 pub const OTHERS: usize = 2;
@@ -38,6 +38,14 @@ impl Aside {
         Aside { delay_s, ratio: ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude)) }
     }
 
+    /// Through keys of the first receiver and of another one at the ends, quarters and middle of a stretch.
+    pub fn through(first: &FiveKeys, other: &FiveKeys) -> Self {
+        let difference = |i: usize| other[i].delay_s - first[i].delay_s;
+        let (delay_s, _) = cubic_of_four([0, 1, 3, 4].map(difference));
+        let ratio = ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude));
+        Aside { delay_s: delay_s.map(|c| c as f32), ratio }
+    }
+
     /// Delay beyond the first receiver's, s.
     #[inline(always)]
     pub fn delay(&self, u: f32) -> f32 {
@@ -53,15 +61,16 @@ impl Aside {
     }
 }
 
-/// Ratio of amplitudes at the beginning, and its change until the end; constant where one end is too weak to tell.
-fn ratio(first: [Complex64; 2], other: [Complex64; 2]) -> [Complex<f32>; 2] {
-    let loudest = first[0].norm_sqr().max(first[1].norm_sqr());
-    let at = |end: usize| (first[end].norm_sqr() > LEAST_POWER * loudest).then(|| other[end] / first[end]);
-    let [begin, end] = match (at(0), at(1)) {
-        (Some(begin), Some(end)) => [begin, end],
-        (Some(only), None) | (None, Some(only)) => [only; 2],
-        (None, None) => [Complex64::ONE; 2],
+/// Ratio of amplitudes at the beginning, and its change until the end. Where one of these is too weak to tell, it is the ratio
+/// at the loudest time.
+fn ratio<const N: usize>(first: [Complex64; N], other: [Complex64; N]) -> [Complex<f32>; 2] {
+    let loudest = (0..N).max_by(|&a, &b| first[a].norm_sqr().total_cmp(&first[b].norm_sqr())).unwrap_or(0);
+    let most = first[loudest].norm_sqr();
+    let at = |time: usize| {
+        let time = if first[time].norm_sqr() > LEAST_POWER * most { time } else { loudest };
+        if most > 0.0 { other[time] / first[time] } else { Complex64::ONE }
     };
+    let (begin, end) = (at(0), at(N - 1));
     [begin, end - begin].map(|c| Complex::new(c.re as f32, c.im as f32))
 }
 
@@ -83,6 +92,18 @@ impl Track {
             *aside = Aside::between([&first_begin.0, &first_end.0], [&a.0, &b.0], stretch_s);
         }
         Some(Track { first: Stretch::between(first_begin, first_end, stretch_s), others })
+    }
+
+    /// Through the keys of every receiver at the ends, quarters and middle of a stretch, and what is missed of the first
+    /// receiver's ([`Stretch::through`]); `None` without a receiver.
+    pub fn through(receivers: &[FiveKeys], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
+        let keys_of_first = receivers.first()?;
+        let (first, missed_lsb) = Stretch::through(keys_of_first, stretch_s, frequency_hz);
+        let mut others = [Aside::default(); OTHERS];
+        for (aside, keys) in others.iter_mut().zip(receivers.iter().skip(1)) {
+            *aside = Aside::through(keys_of_first, keys);
+        }
+        Some((Track { first, others }, missed_lsb))
     }
 
     /// The same path by its delays ([`Stretch::by_delay`]).
