@@ -13,15 +13,17 @@ use std::sync::Arc;
 use glam::DVec3;
 use num_complex::Complex64;
 
+use crate::actor::body::SEGMENTS;
 use crate::actor::motion::Motion;
 use crate::echo::{EchoReport, Paths, Snapshot};
+use crate::field::highlight::Ellipsoid;
 use crate::slow_time::{FiveKeys, Key};
 use crate::tracks::{OTHERS, Track, Tracks};
 
 /// Paths are halved no more often than this: sixteenths of a frame.
 pub const MOST_HALVINGS: u32 = 4;
 
-/// Everybody at the times that may be asked for: fractions of a frame.
+/// Everybody in a frame at the times that may be asked for, each looked at once.
 pub struct Instants<'a> {
     motions: &'a [Arc<Motion>],
     start_s: f64,
@@ -39,11 +41,39 @@ impl<'a> Instants<'a> {
         Instants { motions, start_s, span_s, count, snapshots: vec![OnceCell::new(); count + 1] }
     }
 
+    /// How everybody moves.
+    pub fn motions(&self) -> &'a [Arc<Motion>] {
+        self.motions
+    }
+
+    /// The first instant, s.
+    pub fn start_s(&self) -> f64 {
+        self.start_s
+    }
+
+    fn time_s(&self, instant: usize) -> f64 {
+        self.start_s + self.span_s * instant as f64 / self.count as f64
+    }
+
     /// Everybody at an instant.
     fn people(&self, instant: usize) -> &[Snapshot] {
         let Some(cell) = self.snapshots.get(instant) else { return &[] };
-        let time_s = self.start_s + self.span_s * instant as f64 / self.count as f64;
+        let time_s = self.time_s(instant);
         cell.get_or_init(|| self.motions.iter().map(|m| Snapshot::new(m, time_s)).collect())
+    }
+
+    /// Everybody at the ends of the stretches into which so many halvings cut the frame.
+    pub fn at_ends(&self, halvings: u32) -> Vec<Vec<Snapshot>> {
+        (0..=1usize << halvings).map(|end| self.people((end * self.count) >> halvings).to_vec()).collect()
+    }
+
+    /// Somebody's body at a quarter of the frame, 0 to 4.
+    pub fn body_at_quarter(&self, person: usize, quarter: usize) -> Option<[Ellipsoid; SEGMENTS]> {
+        let instant = quarter * self.count / 4;
+        match self.snapshots.get(instant).and_then(OnceCell::get) {
+            Some(people) => people.get(person).map(|snapshot| snapshot.body),
+            None => self.motions.get(person).map(|motion| motion.body(self.time_s(instant))),
+        }
     }
 }
 
@@ -98,7 +128,7 @@ fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveKeys> {
         if five[at].existing(receiver).is_some() {
             return own;
         }
-        let existing = (0..5).filter_map(|i| Some((i, five[i].existing(receiver)?)));
+        let existing = (0..5usize).filter_map(|i| Some((i, five[i].existing(receiver)?)));
         let Some((i, near)) = existing.min_by_key(|(i, _)| i.abs_diff(at)) else { return own };
         let later_s = apart_s * (at as f64 - i as f64);
         Key { delay_s: near.delay_s + near.delay_rate * later_s, delay_rate: near.delay_rate, ..own }

@@ -10,7 +10,7 @@ use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use rayon::prelude::*;
 
-use crate::actor::body::CHEST;
+use crate::actor::body::{CHEST, SEGMENTS};
 use crate::actor::motion::Motion;
 use crate::actor::program::{Program, half_extent};
 use crate::actor::skin::{EDGE_M, WalkingMesh};
@@ -20,6 +20,7 @@ use crate::echo::dense;
 use crate::echo::skin::SkinnedPerson;
 use crate::echo::{EchoReport, FrameTimes, Paths, Snapshot, audible_pairs, loud_pairs};
 use crate::field::curved_triangle::Integrator;
+use crate::field::highlight::Ellipsoid;
 use crate::field::image::ImageIndex;
 use crate::keys::{Instants, KeyDemand, KeyedPaths, MOST_HALVINGS};
 use crate::random::{Purpose, generator};
@@ -48,7 +49,7 @@ const MOST_SKIN_HALVINGS: u32 = 3;
 const KEY_TOLERANCE: f64 = 0.01;
 /// The same of all of a skin's echoes.
 const SKIN_KEY_TOLERANCE: f64 = 0.03;
-/// Truth is looked up at this many times of a frame.
+/// Truth is looked up at this many times of a frame: its quarters.
 const TRUTH_TIMES: usize = 5;
 
 /// How far below the noise of a cell a path is left out, dB: those of 10 dB below it add half a decibel to a cell that
@@ -248,24 +249,36 @@ impl Renderer {
     }
 
     pub(crate) fn truth(&self, index: u64) -> Truth {
-        self.truth_from(self.start_s(index))
+        let start_s = self.start_s(index);
+        let motions = self.motions(start_s);
+        self.truth_of(&motions, start_s, |person, time| {
+            Some(motions.get(person)?.body(self.truth_time_s(start_s, time)))
+        })
     }
 
-    /// What is true of a frame that begins then.
-    fn truth_from(&self, start: f64) -> Truth {
-        let active = self.active_s();
+    /// Time at which truth is looked up, s.
+    fn truth_time_s(&self, start_s: f64, time: usize) -> f64 {
+        start_s + self.active_s() * time as f64 / (TRUTH_TIMES - 1) as f64
+    }
+
+    /// What is true of a frame, given the bodies of people by the number of the time.
+    fn truth_of(
+        &self,
+        motions: &[Arc<Motion>],
+        start_s: f64,
+        body: impl Fn(usize, usize) -> Option<[Ellipsoid; SEGMENTS]>,
+    ) -> Truth {
         let size = self.stage.room.size_m;
         let (mut count, mut transition) = (0, false);
-        for (_, motion) in self.program.between(start, start + active) {
+        for (person, motion) in motions.iter().enumerate() {
             let (mut in_room, mut outside) = (false, false);
-            for i in 0..TRUTH_TIMES {
-                let t = start + active * i as f64 / (TRUTH_TIMES - 1) as f64;
-                if !motion.exists(t) {
+            for time in 0..TRUTH_TIMES {
+                if !motion.exists(self.truth_time_s(start_s, time)) {
                     outside = true;
                     continue;
                 }
-                for segment in motion.body(t) {
-                    let half = half_extent(&segment);
+                for segment in body(person, time).iter().flatten() {
+                    let half = half_extent(segment);
                     let (low, high) = (segment.centre - half, segment.centre + half);
                     in_room |= high.x > 0.0 && high.y > 0.0 && low.x < size.x && low.y < size.y;
                     outside |= low.x < 0.0 || low.y < 0.0 || high.x > size.x || high.y > size.y;
@@ -276,6 +289,11 @@ impl Renderer {
         }
         let occupancy = Occupancy::from_index(count.min(2)).unwrap_or(Occupancy::Two);
         Truth { occupancy, transition }
+    }
+
+    /// How everybody moves who is there in a frame.
+    fn motions(&self, start_s: f64) -> Vec<Arc<Motion>> {
+        self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, motion)| motion).collect()
     }
 
     pub(crate) fn people(&self, index: u64) -> Vec<PersonState> {
@@ -307,11 +325,6 @@ impl Renderer {
     fn demand(&self) -> Demand {
         let noise_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), 0.0);
         Demand { tolerance_db: self.options.tolerance_db, noise_lsb }
-    }
-
-    /// Everybody at the ends of a frame's stretches.
-    fn snapshots(&self, motions: &[Arc<Motion>], times_s: &[f64]) -> Vec<Vec<Snapshot>> {
-        times_s.iter().map(|&t| motions.iter().map(|m| Snapshot::new(m, t)).collect()).collect()
     }
 
     /// Ends of a frame's stretches, s.
@@ -365,9 +378,13 @@ impl Renderer {
         frame.temperature_millicelsius = None;
         frame.codes.clear();
         frame.codes.resize(shape.codes(), 0);
-        frame.truth = Some(self.truth_from(start_s));
 
-        let mut traced = self.traced(start_s, None);
+        let motions = self.motions(start_s);
+        let instants = self.instants(&motions, start_s, None);
+        let mut traced = self.traced(&instants, None);
+        // Bodies that paths were traced by are known by now.
+        let body = |person: usize, quarter: usize| instants.body_at_quarter(person, quarter);
+        frame.truth = Some(self.truth_of(&motions, start_s, body));
         self.add_sway(start_s, &mut traced);
         let phase = self.phase_rates.as_ref().map(|rates| NoisyPhase { traced: traced.by_delay(), rates });
         let mut report = traced.report;
@@ -391,29 +408,32 @@ impl Renderer {
         self.sway.add(start_s, self.active_s(), &columns, self.stage.wavelength_m, &mut traced.tracks);
     }
 
+    /// Everybody in a frame, at the times that its paths may take if they are halved this often.
+    fn instants<'a>(&self, motions: &'a [Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Instants<'a> {
+        let most = MOST_HALVINGS.max(MOST_SKIN_HALVINGS).max(halvings.unwrap_or(0));
+        Instants::new(motions, start_s, self.active_s(), most)
+    }
+
     /// Everybody's paths in a frame, at as many keys as it takes, or halved this often.
-    fn traced(&self, start_s: f64, halvings: Option<u32>) -> Traced {
-        let motions: Vec<Arc<Motion>> =
-            self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
-        let mut traced = self.traced_highlights(&motions, start_s, halvings);
+    fn traced(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
+        let mut traced = match self.scene.file().people.body {
+            BodyFile::Mesh => self.traced_skins(instants, halvings),
+            BodyFile::Ellipsoids => self.traced_highlights(instants, halvings),
+        };
         if !self.stage.wall_points.is_empty() {
             let stretch_s = self.active_s() / f64::from(1u32 << traced.halvings);
             traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << traced.halvings];
-            for me in 0..motions.len() {
+            for me in 0..instants.motions().len() {
                 diffuse::add(&self.stage, self.points_a_segment, &traced.snapshots, me, &mut traced.diffuse);
             }
         }
         traced
     }
 
-    /// The same without what walls throw in all directions.
-    fn traced_highlights(&self, motions: &[Arc<Motion>], start_s: f64, halvings: Option<u32>) -> Traced {
-        if self.scene.file().people.body == BodyFile::Mesh {
-            return self.traced_skins(motions, start_s, halvings);
-        }
-        let (paths, echo_report) = self.keyed_paths(motions, start_s, halvings, |me, motion, pairs| {
-            Some(Paths::new(&self.stage, motion, me, pairs))
-        });
+    /// The same of ellipsoids, without what walls throw in all directions.
+    fn traced_highlights(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
+        let (paths, echo_report) =
+            self.keyed_paths(instants, halvings, |me, motion, pairs| Some(Paths::new(&self.stage, motion, me, pairs)));
         let report = FrameReport {
             static_paths: self.stage.static_paths.len(),
             traced_paths: paths.traced,
@@ -424,15 +444,14 @@ impl Renderer {
             clamped: echo_report.clamped,
             clipped: 0,
         };
-        let snapshots = self.snapshots(motions, &self.ends_s(start_s, FIRST_HALVINGS));
+        let snapshots = instants.at_ends(FIRST_HALVINGS);
         Traced { snapshots, halvings: FIRST_HALVINGS, tracks: paths.tracks, diffuse: Vec::new(), skins: None, report }
     }
 
     /// Some of everybody's paths, each at as many keys as it takes.
     fn keyed_paths<'a>(
         &'a self,
-        motions: &'a [Arc<Motion>],
-        start_s: f64,
+        instants: &Instants<'a>,
         halvings: Option<u32>,
         of: impl Fn(usize, &'a Motion, &[(ImageIndex, ImageIndex)]) -> Option<Paths<'a>>,
     ) -> (KeyedPaths, EchoReport) {
@@ -444,34 +463,31 @@ impl Renderer {
             halvings,
             frequency_hz: self.stage.chirp.start_hz,
         };
-        let most = halvings.unwrap_or(MOST_HALVINGS);
-        let instants = Instants::new(motions, start_s, self.active_s(), most);
         let mut paths = KeyedPaths::default();
         let mut report = EchoReport::default();
-        for (me, motion) in motions.iter().enumerate() {
-            let pairs = audible_pairs(&self.stage, motion, start_s + 0.5 * self.active_s());
+        for (me, motion) in instants.motions().iter().enumerate() {
+            let pairs = audible_pairs(&self.stage, motion, instants.start_s() + 0.5 * self.active_s());
             if let Some(some) = of(me, motion, &pairs) {
-                paths.add(&instants, &some, &demand, &mut report);
+                paths.add(instants, &some, &demand, &mut report);
             }
         }
         (paths, report)
     }
 
     /// The same where people have skins.
-    fn traced_skins(&self, motions: &[Arc<Motion>], start_s: f64, asked: Option<u32>) -> Traced {
+    fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
         let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
         loop {
             let mut echo_report = EchoReport::default();
-            let ends_s = self.ends_s(start_s, halvings);
-            let (keys, snapshots) = (ends_s.len(), self.snapshots(motions, &ends_s));
-            let (grids, missed) = self.skin_echoes(motions, &snapshots, ends_s, &mut echo_report);
+            let ends_s = self.ends_s(instants.start_s(), halvings);
+            let (keys, snapshots) = (ends_s.len(), instants.at_ends(halvings));
+            let (grids, missed) = self.skin_echoes(instants.motions(), &snapshots, ends_s, &mut echo_report);
             if missed.between_keys > SKIN_KEY_TOLERANCE && halvings < MOST_SKIN_HALVINGS && asked.is_none() {
                 halvings += 1;
                 continue;
             }
-            let (folds, of_folds) = self.keyed_paths(motions, start_s, None, |me, motion, pairs| {
-                Paths::of_folds(&self.stage, motion, me, pairs)
-            });
+            let (folds, of_folds) =
+                self.keyed_paths(instants, None, |me, motion, pairs| Paths::of_folds(&self.stage, motion, me, pairs));
             echo_report.clamped += of_folds.clamped;
             let report = FrameReport {
                 static_paths: self.stage.static_paths.len(),
@@ -479,25 +495,21 @@ impl Renderer {
                 moving_paths: echo_report.synthesised + folds.heard,
                 keys,
                 between_keys: missed.between_keys,
-                estimate_db: (!motions.is_empty()).then(|| missed.db()),
+                estimate_db: (!instants.motions().is_empty()).then(|| missed.db()),
                 clamped: echo_report.clamped,
                 clipped: 0,
             };
-            return Traced {
-                snapshots,
-                halvings,
-                tracks: folds.tracks,
-                diffuse: Vec::new(),
-                skins: Some(grids),
-                report,
-            };
+            let (tracks, skins) = (folds.tracks, Some(grids));
+            return Traced { snapshots, halvings, tracks, diffuse: Vec::new(), skins, report };
         }
     }
 
     /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
     pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
         let shape = self.waveform().shape();
-        let traced = self.traced(self.start_s(index), halvings);
+        let start_s = self.start_s(index);
+        let motions = self.motions(start_s);
+        let traced = self.traced(&self.instants(&motions, start_s, halvings), halvings);
         let mut scratch = SynthesisScratch::default();
         let mut all = vec![0f32; shape.codes()];
         self.each_chirp(&traced, &NO_STATIC, &[], |rx, chirp, grid| {
@@ -520,8 +532,7 @@ impl Renderer {
     /// One chirp of it: `[rx][sample]`.
     pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
-        let motions: Vec<Arc<Motion>> =
-            self.program.between(start_s, start_s + self.active_s()).into_iter().map(|(_, m)| m).collect();
+        let motions = self.motions(start_s);
         let mut stage = self.stage.clone();
         stage.threshold_lsb = threshold_lsb(self.scene.receiver(), self.waveform(), margin_db);
         let middle_s = start_s + 0.5 * self.active_s();
