@@ -47,15 +47,14 @@ fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
     4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
 }
 
-/// Adds somebody's diffuse echoes to those of each stretch of a frame: `at_ends` is everybody at the ends of the stretches. Each
+/// Adds somebody's diffuse echoes to those of each stretch of a frame: `own` is that person at the ends of the stretches. Each
 /// segment of the body takes so many of the points, whose echoes are the stronger for it: the mean power does not change.
-pub fn add(stage: &Stage, points_a_segment: usize, at_ends: &[Vec<Snapshot>], me: usize, stretches: &mut [HeldEchoes]) {
-    let own: Vec<&Snapshot> = at_ends.iter().filter_map(|people| people.get(me)).collect();
+pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
     let points = &stage.wall_points;
     let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
     let segments: Vec<Segment> =
-        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(stage, &own, s, share)).collect();
-    let audible = audible(stage, &own, &segments);
+        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(stage, own, s, share)).collect();
+    let audible = audible(stage, own, &segments);
     let (mut legs, mut legs_of_partner, mut keys) = (Vec::new(), Vec::new(), Vec::new());
     // One pair of points of as many as there are points.
     let weight = (points.len() as f64).sqrt();

@@ -32,8 +32,8 @@ impl Renderer {
                     self.synthesiser.spread_tracks(&self.stage.chirp, tracks, &places, &mut grids);
                 }
             }
-            if !traced.diffuse.is_empty() {
-                for (stretch, places) in self.stretches_of(begin..end, traced.halvings) {
+            if let Some(halvings) = traced.diffuse.len().checked_ilog2() {
+                for (stretch, places) in self.stretches_of(begin..end, halvings) {
                     if let Some(echoes) = traced.diffuse.get(stretch) {
                         self.synthesiser.spread_held(&self.stage.chirp, echoes, &places, &mut grids);
                     }

@@ -31,7 +31,7 @@ pub(super) struct Traced {
     pub(super) halvings: u32,
     /// Paths to all receivers.
     pub(super) tracks: Tracks,
-    /// Diffuse echoes in each of those stretches; none where walls throw nothing about.
+    /// Diffuse echoes in each stretch of a frame that may be halved less often; none where walls throw nothing about.
     pub(super) diffuse: Vec<HeldEchoes>,
     /// Echoes of those who have a skin.
     pub(super) skins: Option<ChirpGrids>,
@@ -66,13 +66,23 @@ impl Renderer {
             BodyFile::Ellipsoids => self.traced_highlights(instants, halvings),
         };
         if !self.stage.wall_points.is_empty() {
-            let stretch_s = self.active_s() / f64::from(1u32 << traced.halvings);
-            traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << traced.halvings];
-            for me in 0..instants.motions().len() {
-                diffuse::add(&self.stage, self.points_a_segment, &traced.snapshots, me, &mut traced.diffuse);
-            }
+            self.add_diffuse(instants.motions().len(), &mut traced);
         }
         traced
+    }
+
+    /// Adds what walls throw in all directions, in halves of the frame: a quintic between them follows a segment's middle even
+    /// where skins need more.
+    fn add_diffuse(&self, people: usize, traced: &mut Traced) {
+        let halvings = traced.halvings.min(FIRST_HALVINGS);
+        let stretch_s = self.active_s() / f64::from(1u32 << halvings);
+        traced.diffuse = vec![HeldEchoes::new(stretch_s); 1 << halvings];
+        let step = 1usize << (traced.halvings - halvings);
+        for me in 0..people {
+            let own: Vec<&Snapshot> =
+                traced.snapshots.iter().step_by(step).filter_map(|people| people.get(me)).collect();
+            diffuse::add(&self.stage, self.points_a_segment, &own, &mut traced.diffuse);
+        }
     }
 
     /// The same of ellipsoids, without what walls throw in all directions.
