@@ -11,8 +11,8 @@ use crate::receiver::chirp_turn::ChirpTurn;
 use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
 
 impl Renderer {
-    /// The frequency grid of every chirp of every receiver: static grids, paths, and skins, with the errors that all echoes of the
-    /// chirp share, if there are any. Chirps of a receiver come in their order.
+    /// The frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with the errors that all
+    /// echoes of the chirp share, if there are any. Chirps of a receiver come in their order.
     pub(super) fn each_chirp(
         &self,
         traced: &Traced,

@@ -85,7 +85,7 @@ impl Renderer {
         }
     }
 
-    /// The same of ellipsoids, without what walls throw in all directions.
+    /// Highlights of people who are ellipsoids.
     fn traced_highlights(&self, instants: &Instants, halvings: Option<u32>) -> Traced {
         let (paths, echo_report) =
             self.keyed_paths(instants, halvings, |me, motion, pairs| Some(Paths::new(&self.stage, motion, me, pairs)));

@@ -107,16 +107,22 @@ impl Renderer {
         }
     }
 
-    /// The same paths, each times `j` and its delay.
-    fn by_delay(&mut self) -> Self {
-        Traced {
-            snapshots: Vec::new(),
-            halvings: self.halvings,
-            tracks: self.tracks.by_delay(),
-            diffuse: self.diffuse.iter().map(HeldEchoes::by_delay).collect(),
-            skins: self.skins.as_mut().and_then(ChirpGrids::take_by_delay),
-            report: self.report,
-        }
+    /// What stands beside the phase's rate in every sample, LSB s: `[rx][chirp][sample]`.
+    fn by_delay(&self, phase: &NoisyPhase, clutter: &Clutter, turns: &[ChirpTurn]) -> Vec<f32> {
+        let shape = self.waveform().shape();
+        let grids = self.static_grids(clutter, true);
+        let leakage = |channel: &RxChannel| leakage_by_delay_lsb_s(channel, self.waveform());
+        let leakage: Vec<Vec<f32>> = self.stage.channels.iter().map(leakage).collect();
+        let mut scratch = SynthesisScratch::default();
+        let mut all = vec![0f32; shape.codes()];
+        self.each_chirp(&phase.traced, &grids, turns, |rx, chirp, grid| {
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let (Some(samples), Some(leakage)) = (all.get_mut(first..first + shape.samples), leakage.get(rx)) {
+                samples.iter_mut().zip(leakage).for_each(|(sample, leakage)| *sample = *leakage);
+                self.synthesiser.transform(grid, samples, &mut scratch);
+            }
+        });
+        all
     }
 
     /// Offset (LSB) and factor on leakage of a channel in a frame.

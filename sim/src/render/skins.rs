@@ -80,7 +80,7 @@ impl Renderer {
         (grids, most)
     }
 
-    /// The same where people have skins.
+    /// Echoes of people who have skins, at keys that are close enough together or as asked, and highlights of their folds.
     pub(super) fn traced_skins(&self, instants: &Instants, asked: Option<u32>) -> Traced {
         let mut halvings = asked.unwrap_or(FIRST_HALVINGS);
         loop {
@@ -110,7 +110,7 @@ impl Renderer {
         }
     }
 
-    /// The same the slow way ([`dense`]): skins only.
+    /// Samples of people's echoes the slow way ([`dense`]), LSB: `[rx][chirp][sample]`; skins only.
     pub(crate) fn dense_echo_samples(&self, index: u64, margin_db: f64) -> Vec<f64> {
         let shape = self.waveform().shape();
         let chirp = |chirp| self.dense_echo_chirp(index, chirp, margin_db);
@@ -118,7 +118,7 @@ impl Renderer {
         (0..shape.rx).flat_map(|rx| chirps.iter().flat_map(move |c| c[rx].iter().copied())).collect()
     }
 
-    /// One chirp of it: `[rx][sample]`.
+    /// One chirp of that: `[rx][sample]`.
     pub(crate) fn dense_echo_chirp(&self, index: u64, chirp: usize, margin_db: f64) -> Vec<Vec<f64>> {
         let (shape, start_s) = (self.waveform().shape(), self.start_s(index));
         let motions = self.motions(start_s);
