@@ -96,6 +96,9 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
         furniture.material.iter().try_for_each(|name| check_material(file, "material", name))?;
     }
     let room = &file.room;
+    if room.plan.is_some() && !room.mesh.is_empty() {
+        return fault("plan", "given", "either [room.plan] or [[room.mesh]]");
+    }
     for (key, surface) in surfaces(room) {
         let is_of_plan = room.plan.is_some() && !["floor", "ceiling"].contains(&key);
         match (room.mesh.is_empty() && !is_of_plan, surface.material.as_str()) {

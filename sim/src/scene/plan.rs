@@ -21,9 +21,6 @@ const MOST: f64 = 200.0;
 /// Where there is a plan: checks it, and puts the size of the box around it and its walls in their place.
 pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
     let Some(plan) = &file.room.plan else { return Ok(()) };
-    if !file.room.mesh.is_empty() {
-        return fault("plan", "given", "either [room.plan] or [[room.mesh]]");
-    }
     if file.room.size_m != [0.0; 3] {
         return fault("size_m", file.room.size_m, "none beside [room.plan]: the size is that of the box around it");
     }

@@ -2,7 +2,8 @@
 //!
 //! Walls, floors and the sides of furniture are [`Face`]s: plane polygons of a slab of a material. What is curved or small stays
 //! a mesh of triangles ([`SmallPart`]), which hides what is behind it. Faces that close a volume have air on one side, and their
-//! normals point to it; all others have air on both.
+//! normals point to it: into the room where the volume holds the radar. All others have air on both sides, and their normals
+//! point to the side of the radar.
 
 mod sides;
 pub(super) mod sources;
@@ -25,9 +26,9 @@ const STRAIGHT_RAD: f64 = 0.01;
 /// On which sides of a face there is air.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sides {
-    /// Where its normal points to.
+    /// Where its normal points to: nothing mirrors on the other side.
     One,
-    /// On either: what passes through the slab goes on.
+    /// On either side.
     Two,
 }
 
@@ -155,7 +156,7 @@ impl Surfaces {
         let index = Index::new(&polygons, &triangles);
         let touches = touches(&polygons, &index);
         let covered_by: Vec<Option<usize>> = (0..polygons.len()).map(|face| cover(&polygons, &index, face)).collect();
-        let sides = sides::resolve(&mut drafts, &touches, radar);
+        let sides = sides::resolve(&mut drafts, &touches, &covered_by, radar);
 
         let mut made = Surfaces { small, ..Surfaces::default() };
         let mut number: Vec<Option<usize>> = Vec::with_capacity(drafts.len());

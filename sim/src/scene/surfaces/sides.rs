@@ -17,10 +17,20 @@ struct Shell {
 }
 
 /// Turns faces that close a volume towards the air: inwards where the volume holds the radar, outwards otherwise. All others have
-/// air on both sides, and stay as they are.
-pub(super) fn resolve(drafts: &mut [Draft], touches: &[Touch], radar: DVec3) -> Vec<Sides> {
+/// air on both sides, and are turned towards the radar. Of faces that others of their group cover (`covered_by`), no volume is made.
+pub(super) fn resolve(
+    drafts: &mut [Draft],
+    touches: &[Touch],
+    covered_by: &[Option<usize>],
+    radar: DVec3,
+) -> Vec<Sides> {
     let mut sides = vec![Sides::Two; drafts.len()];
-    let shells = shells(drafts, touches);
+    let is_twice = |face: usize| {
+        let by = covered_by.get(face).copied().flatten();
+        by.is_some_and(|by| drafts[by].group == drafts[face].group)
+    };
+    let is_twice: Vec<bool> = (0..drafts.len()).map(is_twice).collect();
+    let shells = shells(drafts, touches, &is_twice);
     // Of nested ones, as a house's outer walls around its inner ones, every other has air within.
     let mut around: Vec<usize> = (0..shells.len()).filter(|&s| holds(drafts, &shells[s], radar)).collect();
     around.sort_by(|&s, &t| shells[s].volume_m3.abs().total_cmp(&shells[t].volume_m3.abs()));
@@ -34,19 +44,24 @@ pub(super) fn resolve(drafts: &mut [Draft], touches: &[Touch], radar: DVec3) -> 
             }
         }
     }
+    for (draft, _) in drafts.iter_mut().zip(&sides).filter(|(_, sides)| **sides == Sides::Two) {
+        if draft.polygon.height_m(radar) < 0.0 {
+            draft.polygon = draft.polygon.clone().flipped();
+        }
+    }
     sides
 }
 
 /// Faces of a group that hang together by edges of exactly two, and leave none open.
-fn shells(drafts: &[Draft], touches: &[Touch]) -> Vec<Shell> {
+fn shells(drafts: &[Draft], touches: &[Touch], is_twice: &[bool]) -> Vec<Shell> {
     let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); drafts.len()];
-    let mut is_open = vec![false; drafts.len()];
+    let mut is_open = is_twice.to_vec();
     for touch in touches {
         let mut others = touch
             .sheets
             .iter()
             .filter_map(|sheet| Some((sheet.face?, sheet.ends_opposed?)))
-            .filter(|&(other, _)| drafts[other].group == drafts[touch.face].group);
+            .filter(|&(other, _)| drafts[other].group == drafts[touch.face].group && !is_twice[other]);
         match (others.next(), others.next()) {
             (Some(other), None) => next[touch.face].push(other),
             _ => is_open[touch.face] = true,

@@ -82,6 +82,11 @@ fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f
             if size_m[axis] <= SHEET_M && is_high {
                 continue;
             }
+            let name = match name {
+                "floor" => "bottom",
+                "ceiling" => "top",
+                upright => upright,
+            };
             if let Some(polygon) = box_side([low, low + size_m], axis, is_high) {
                 drafts.push(Draft { polygon, wall, name: format!("{} {name}", furniture.name), group });
             }
