@@ -111,8 +111,10 @@ fn furniture_of_a_material_has_faces_and_wedges() {
         assert!((air_rad - 1.5 * PI).abs() < 1e-9, "{edge:?}");
         let length_m = edge.ends[0].distance(edge.ends[1]);
         assert!([0.4, 0.8, 1.9].iter().any(|m| (m - length_m).abs() < 1e-9), "{edge:?}");
+        assert!(edge.diffracts_from(DVec3::new(2.4, 2.0, 2.5)) && !edge.diffracts_from(DVec3::new(2.4, 0.2, 1.0)));
         // The angle about the edge rises from the face through the air.
         let out = edge.ends[0].lerp(edge.ends[1], 0.5) + edge.air;
+        assert!((edge.angle_rad(out) - 0.5 * PI).abs() < 1e-9, "{edge:?}");
         let face = &room.faces[edge.face].polygon;
         assert!(face.height_m(out) > 0.9 && edge.inwards.dot(face.normal).abs() < 1e-12);
     }
@@ -287,6 +289,10 @@ mod hard_cases {
         assert_eq!(expected.faces.len(), 5);
         assert!(expected.faces.iter().all(|face| face.sides == Sides::Two));
         assert_eq!(count(&expected, is_free), 4);
+        // Who is inside meets the rim alone; the corners of the sheets diffract outside.
+        let inside = DVec3::new(0.5, 1.0, 1.2);
+        assert_eq!(expected.diffracting().filter(|edge| edge.diffracts_from(inside)).count(), 4);
+        assert_eq!(expected.diffracting().count(), 4 + 8);
         let keys = "ceiling = { material = \"open\" }\n";
         let all = room_quads();
         let by_stl = from_files(keys, &[("room.stl", MM, stl(&triangles(&all[..5]), 1000.0))]);

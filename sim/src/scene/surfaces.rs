@@ -64,9 +64,6 @@ pub enum EdgeKind {
 }
 
 /// A part of an edge of a face along which the same others meet it.
-///
-/// The angle of a point about the edge, from the face through the air, is `atan2(air . r, inwards . r)` with `r` from the edge to
-/// the point, taken modulo two pi.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FaceEdge {
     /// The face.
@@ -87,6 +84,22 @@ impl FaceEdge {
     /// Whether it diffracts.
     pub fn diffracts(&self) -> bool {
         matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. })
+    }
+
+    /// Angle of a point about the edge, from the face through the air of a wedge, rad: 0 to two pi.
+    pub fn angle_rad(&self, point: DVec3) -> f64 {
+        let from_edge = point - self.ends[0];
+        self.air.dot(from_edge).atan2(self.inwards.dot(from_edge)).rem_euclid(TAU)
+    }
+
+    /// Whether it diffracts what comes from a point: of a wedge, whether the point lies in its air. A corner of two sheets is a
+    /// wedge for who is outside, and none for who is inside.
+    pub fn diffracts_from(&self, point: DVec3) -> bool {
+        match self.kind {
+            EdgeKind::Free => true,
+            EdgeKind::Wedge { air_rad, .. } => self.angle_rad(point) < air_rad,
+            EdgeKind::Inner | EdgeKind::Flat => false,
+        }
     }
 }
 
@@ -149,7 +162,7 @@ impl Surfaces {
     pub(super) fn assemble(mut drafts: Vec<Draft>, small: Vec<SmallPart>, radar: DVec3) -> Self {
         let polygons: Vec<PlanarPolygon> = drafts.iter().map(|draft| draft.polygon.clone()).collect();
         let triangles = small.iter().flat_map(|part| {
-            let corners = (0..part.mesh.triangles.len()).filter_map(|t| part.mesh.corners(t));
+            let corners = (0..part.mesh.triangles.len()).filter_map(move |t| part.mesh.corners(t));
             corners.filter_map(|corners| PlanarPolygon::from_corners(&corners, &[]))
         });
         let triangles: Vec<PlanarPolygon> = triangles.collect();

@@ -31,7 +31,7 @@ pub(super) fn resolve(
     };
     let is_twice: Vec<bool> = (0..drafts.len()).map(is_twice).collect();
     let shells = shells(drafts, touches, &is_twice);
-    // Of nested ones, as a house's outer walls around its inner ones, every other has air within.
+    // Of nested ones, as the outer faces of a building's walls around the inner ones, every other has air within.
     let mut around: Vec<usize> = (0..shells.len()).filter(|&s| holds(drafts, &shells[s], radar)).collect();
     around.sort_by(|&s, &t| shells[s].volume_m3.abs().total_cmp(&shells[t].volume_m3.abs()));
     for (number, shell) in shells.iter().enumerate() {
