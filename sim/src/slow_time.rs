@@ -137,9 +137,23 @@ fn quartic_of_five([a, b, m, c, d]: [f64; 5]) -> ([f64; 5], f64) {
     (std::array::from_fn(at), predicted)
 }
 
+/// A sixth of the fourth difference of the amplitude as third differences let expect it, LSB.
+fn missed_by_third_differences(keys: &FiveKeys) -> f64 {
+    let a = keys.map(|key| key.amplitude);
+    let third = |i: usize| (a[i + 3] - a[i] + 3.0 * (a[i + 1] - a[i + 2])).norm();
+    let loudest = a.iter().map(|a| a.norm()).fold(0.0, f64::max);
+    let relative = third(0).max(third(1)) / loudest.max(f64::MIN_POSITIVE);
+    loudest * relative * relative.cbrt() / 6.0
+}
+
 impl Stretch {
-    /// Through keys at the ends, quarters and middle of a stretch, and how far from the key in the middle the other four alone
-    /// would be, as a field at `frequency_hz`, LSB. The middle adds its amplitude to what the others give.
+    /// Through keys at the ends, quarters and middle of a stretch, and an estimate of what is missed, LSB. The middle adds its amplitude
+    /// to what the other four give.
+    ///
+    /// The estimate is how far from the key in the middle the other four alone would be, as a field at `frequency_hz`. A step about
+    /// the middle, as shadows make, is met there by symmetry: third differences of the amplitude, which then are large, give a second
+    /// estimate, and the larger one counts. In smooth amplitudes fourth differences are to third ones about as these are to the
+    /// cube of the amplitude's change.
     pub fn through(keys: &FiveKeys, stretch_s: f64, frequency_hz: f64) -> (Self, f64) {
         let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * stretch_s];
         let (delay_s, middle_s) = septic_of_four([0, 1, 3, 4].map(delay));
@@ -149,7 +163,7 @@ impl Stretch {
         let amplitude = std::array::from_fn(|power| Complex::new(at(re, power), at(im, power)));
         let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - keys[2].delay_s));
         let missed_lsb = (Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude).norm();
-        (Stretch { delay_s, amplitude, stretch_s }, missed_lsb)
+        (Stretch { delay_s, amplitude, stretch_s }, missed_lsb.max(missed_by_third_differences(keys)))
     }
 
     /// Between two keys `stretch_s` apart.
@@ -247,7 +261,8 @@ mod tests {
     #[test]
     fn five_keys_hold_a_septic_and_a_quartic() {
         let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
-        let parts = [[1.0, -2.0, 3.0, 0.5, -1.0], [0.3, 1.0, -4.0, 2.0, 1.0]];
+        // Of no third derivative in the middle of the stretch.
+        let parts = [[1.0, -2.0, 3.0, 1.2, -1.0], [0.3, 1.0, -4.0, -1.2, 1.0]];
         let at = |c: &[f64], t: f64| c.iter().rev().fold(0.0, |sum, c| sum * t + c);
         let rate = |t: f64| (1..8).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
         let amplitude = |t: f64| Complex64::new(at(&parts[0], t), at(&parts[1], t));
@@ -264,6 +279,17 @@ mod tests {
         // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is a sixth of that off.
         let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * stretch_s).powi(4) / 6.0;
         assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
+    }
+
+    /// A step about the middle, on which a cubic through the other four keys lies, is told by third differences.
+    #[test]
+    fn a_step_is_not_taken_for_smooth() {
+        let step = [1.0, 1.0, 0.5, 0.0, 0.0];
+        let keys = step.map(|a| Key { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
+        assert!(Stretch::through(&keys, 0.01, 60e9).1 > 0.05);
+        let smooth = [0.0f64, 0.1, 0.2, 0.3, 0.4].map(|t| t.cos());
+        let keys = smooth.map(|a| Key { delay_s: 1e-8, delay_rate: 0.0, amplitude: Complex64::from(a) });
+        assert!(Stretch::through(&keys, 0.01, 60e9).1 < 1e-4);
     }
 
     /// Differences find the bends of a cubic exactly.

@@ -1,11 +1,15 @@
 //! The surfaces of a scene as paths meet them: plane polygons with a wall each, and a structure for rays over their triangles.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec2, DVec3};
 use thiserror::Error;
 
 use super::edges::{SoftEdge, soft_edges};
 use super::triangulate::{doubled_area, triangulate};
+use crate::field::fresnel::Reflection;
 use crate::field::image::{BoxRoom, Wall};
+use crate::field::wall::WallTable;
 use crate::geometry::{Mesh, polygon};
 use crate::trace::{Body, BodyError, Build, Ray, Surface, World};
 
@@ -191,10 +195,27 @@ fn distance_m(outline: &[DVec2], p: DVec2) -> f64 {
     outline.iter().zip(outline.iter().cycle().skip(1)).map(to_side).fold(f64::INFINITY, f64::min)
 }
 
+/// Tables of the facets' walls, one for all that are equal.
+fn wall_tables(flats: &[Flat], wavenumber_per_m: f64) -> Vec<Arc<WallTable>> {
+    let mut different: Vec<(Wall, Arc<WallTable>)> = Vec::new();
+    let table = |flat: &Flat| {
+        let wall = flat.facet.wall;
+        if let Some((_, table)) = different.iter().find(|(other, _)| *other == wall) {
+            return Arc::clone(table);
+        }
+        let table = Arc::new(WallTable::new(wall, wavenumber_per_m, false));
+        different.push((wall, Arc::clone(&table)));
+        table
+    };
+    flats.iter().map(table).collect()
+}
+
 /// Plane polygons that waves meet.
 #[derive(Debug, Clone)]
 pub struct Environment {
     flats: Vec<Flat>,
+    /// Reflection coefficients of each facet's wall; equal walls share them.
+    tables: Vec<Arc<WallTable>>,
     soft_edges: Vec<SoftEdge>,
     world: World,
     facet_of_triangle: Vec<FacetId>,
@@ -234,7 +255,8 @@ impl Environment {
                 }
             }
         }
-        Ok(Environment { flats, soft_edges, world, facet_of_triangle, planes, wavenumber_per_m })
+        let tables = wall_tables(&flats, wavenumber_per_m);
+        Ok(Environment { flats, tables, soft_edges, world, facet_of_triangle, planes, wavenumber_per_m })
     }
 
     /// Number of facets.
@@ -260,6 +282,11 @@ impl Environment {
     /// Edges that diffract.
     pub fn soft_edges(&self) -> &[SoftEdge] {
         &self.soft_edges
+    }
+
+    /// Reflection coefficients of a facet at a cosine of the angle of incidence; none of a facet that does not exist.
+    pub(super) fn reflection(&self, facet: FacetId, cosine: f64) -> Option<Reflection> {
+        self.tables.get(facet as usize).map(|table| table.reflection(cosine))
     }
 
     /// Wave number at which materials are evaluated, 1/m.

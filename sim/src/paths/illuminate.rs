@@ -222,9 +222,9 @@ impl ImagePaths {
         }
         let mut field = launched;
         for (&facet, &normal) in sequence.iter().zip(&normals) {
-            let Some(flat) = environment.flat(facet) else { continue };
-            let cosine = direction.dot(normal).abs().min(1.0);
-            let reflection = flat.facet.wall.reflection(environment.wavenumber_per_m(), cosine);
+            let Some(reflection) = environment.reflection(facet, direction.dot(normal).abs().min(1.0)) else {
+                continue;
+            };
             let (te, tm) = incidence_frame(direction, normal);
             field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
         }
