@@ -37,7 +37,8 @@ struct Arguments {
 
 fn main() -> ExitCode {
     panics::remember_places();
-    let arguments = Arguments::parse();
+    let given = std::env::args_os().collect();
+    let arguments = Arguments::parse_from(command::former_names::with_present_names(given));
     let wire = match &arguments.command {
         command::Command::Doctor(doctor) => doctor.wire_log(),
         _ => None,

@@ -91,3 +91,8 @@ pub fn catch_interrupts() -> anyhow::Result<()> {
 pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
 }
+
+/// Error of work that ended because [`interrupted`] is true.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+pub struct Interrupted;

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use super::point::Point;
-use super::{circuit, networks, people, rdm, synthesis};
+use super::{circuit_time, networks, people, rdm, synthesis};
 use crate::{output, plot};
 
 #[derive(clap::Args)]
@@ -29,7 +29,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             0 => rdm::points(200, python)?,
             1 => synthesis::points()?,
             2 => people::points(5)?,
-            3 => circuit::points(50)?,
+            3 => circuit_time::points(50)?,
             _ => networks::points(python)?,
         });
         bar.inc(1);

@@ -14,7 +14,8 @@ use rayon::prelude::*;
 use serde_json::json;
 
 use super::plan::{self, Plan, PlanCard};
-use super::unit::{self, Interrupted};
+use super::unit;
+use crate::output::Interrupted;
 use crate::shard::Shard;
 use crate::{files, output, panics};
 

@@ -12,22 +12,11 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use rayon::prelude::*;
 
 use super::plan::{Plan, Unit, UnitSource};
+use crate::output::Interrupted;
 use crate::{labels, output};
 
 /// Frames that are rendered before maps are made of them.
 const CHUNK: usize = 32;
-
-/// Somebody pressed Ctrl-C.
-#[derive(Debug)]
-pub struct Interrupted;
-
-impl std::fmt::Display for Interrupted {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str("interrupted")
-    }
-}
-
-impl std::error::Error for Interrupted {}
 
 /// Makes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are rendered on all
 /// threads; the bytes are the same either way.

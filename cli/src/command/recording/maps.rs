@@ -1,0 +1,171 @@
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent};
+use serde_json::json;
+
+use crate::output_file::Overwrite;
+use crate::source::{self, SourceOptions};
+use crate::{files, output, plot};
+
+/// `radome recording maps`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recording or SCENE.toml
+    source: String,
+    /// Array to write, f32 dB `[frame][rx][doppler][range]`
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Picture of one map to write
+    #[arg(long)]
+    png: Option<PathBuf>,
+    /// Frame of the picture; the last by default
+    #[arg(long)]
+    frame: Option<u64>,
+    /// Which kind of map
+    #[arg(long, value_enum, default_value_t = Preset::Default)]
+    preset: Preset,
+    /// One receive channel, 1-based
+    #[arg(long, conflicts_with = "incoherent")]
+    rx: Option<usize>,
+    /// Mean power of all receive channels
+    #[arg(long)]
+    incoherent: bool,
+    /// Remove what stands still: slow-time mean
+    #[arg(long)]
+    remove_static: bool,
+    /// One map from the last so many frames instead of one from the chirps of each
+    #[arg(long)]
+    across_frames: Option<usize>,
+    /// Frames of a simulation
+    #[arg(long, default_value_t = 100)]
+    frames: u64,
+    /// Seed of a simulation
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Preset {
+    /// Codes minus 2048 over 2048, Hann x Hann, dBFS
+    Default,
+    /// As the paper's statistics
+    Paper,
+    /// As the vendor's examples
+    Sdk,
+}
+
+/// Range-Doppler maps of a source.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    if arguments.output.is_none() && arguments.png.is_none() {
+        anyhow::bail!(
+            "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
+        );
+    }
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
+    let options = SourceOptions { seed: arguments.seed, frames: Some(arguments.frames), ..Default::default() };
+    let mut source = source::open(&arguments.source, &options)?;
+    let waveform = source.frames.waveform().clone();
+    let mut spec = match arguments.preset {
+        Preset::Default => RdmSpec::default(),
+        Preset::Paper => RdmSpec::paper(),
+        Preset::Sdk => RdmSpec::sdk(&waveform),
+    };
+    if let Some(rx) = arguments.rx {
+        spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
+    }
+    if arguments.incoherent {
+        spec.channels = Channels::IncoherentSum;
+    }
+    if arguments.remove_static {
+        spec.static_removal = StaticRemoval::SlowTimeMean;
+    }
+    if let Some(frames) = arguments.across_frames {
+        spec.slow_time = SlowTime::Frames { frames };
+        spec.doppler_fft_length = None;
+    }
+    let mut processor = RdmProcessor::new(&spec, &waveform)?;
+    let mut map = processor.empty_map();
+    let mut frame = Frame::zeroed(waveform.shape());
+    let (mut maps, mut saturated, mut non_finite, mut pictured) = (0u64, 0u64, 0u64, false);
+    let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
+    // The array grows as maps come: a night of them fits no memory.
+    let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
+        while !output::interrupted() {
+            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => processor.reset(),
+                SourceEvent::Frame => {
+                    bar.inc(1);
+                    if processor.process(&frame, &mut map)? != MapStatus::Ready {
+                        continue;
+                    }
+                    maps += 1;
+                    saturated += u64::from(map.flags.saturated_samples);
+                    non_finite += u64::from(map.flags.non_finite_cells);
+                    write(&map)?;
+                    if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
+                        plot::map(path, &map, 0)?;
+                        pictured = true;
+                    }
+                }
+            }
+        }
+        anyhow::Ok(maps)
+    };
+    match &arguments.output {
+        None => {
+            each_map(&mut |_| Ok(()))?;
+        }
+        Some(path) => {
+            let empty = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
+            files::write_output(path, arguments.overwrite.existing(), |file| {
+                files::write_growing_array(file, &empty, |file| {
+                    each_map(&mut |map| {
+                        map.db
+                            .iter()
+                            .try_for_each(|value| file.write_all(&value.to_le_bytes()))
+                            .context("cannot write the array")
+                    })
+                })
+            })?;
+        }
+    }
+    bar.finish_and_clear();
+    if let (Some(path), false, true) = (&arguments.png, pictured, maps > 0) {
+        plot::map(path, &map, 0)?;
+    }
+    let [rx, doppler, range] = map_shape(&map);
+    let shape = [maps, rx, doppler, range];
+    if arguments.json {
+        return output::json_line(&json!({
+            "maps": maps,
+            "shape": shape,
+            "range_step_m": map.range_step_m,
+            "velocity_step_m_per_s": map.velocity_step_m_per_s,
+            "saturated_samples": saturated,
+            "non_finite_cells": non_finite,
+        }));
+    }
+    output::text_line(&format!(
+        "{maps} maps of {}, {:.4} m by {:.4} m/s{}",
+        map.shape,
+        map.range_step_m,
+        map.velocity_step_m_per_s,
+        if saturated > 0 { format!(", {saturated} samples at the ends of the ADC") } else { String::new() }
+    ))
+}
+
+fn map_shape(map: &Rdm) -> [u64; 3] {
+    [map.shape.rx as u64, map.shape.doppler as u64, map.shape.range as u64]
+}

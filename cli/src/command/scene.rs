@@ -1,0 +1,32 @@
+//! `radome scene`: scenes, their simulation, and their comparison with recordings.
+
+mod calibrate;
+mod pair;
+mod simulate;
+
+/// `radome scene`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    /// Simulate a scene: raw frames, truth and labels
+    Simulate(simulate::Arguments),
+    /// Fit a receiver to a recording; report the difference between simulation and recording before and after
+    Calibrate(calibrate::Arguments),
+    /// Simulate the scene that mirrors a recording, and store the maps of both as one dataset
+    Pair(pair::Arguments),
+    // Paths of echoes (`paths`) belong here.
+}
+
+/// Runs a command of the group.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    match &arguments.action {
+        Action::Simulate(arguments) => simulate::run(arguments),
+        Action::Calibrate(arguments) => calibrate::run(arguments),
+        Action::Pair(arguments) => pair::run(arguments),
+    }
+}
