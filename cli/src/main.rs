@@ -12,7 +12,7 @@ mod live;
 mod output;
 mod output_file;
 mod panics;
-mod plot;
+mod picture;
 mod shard;
 mod source;
 

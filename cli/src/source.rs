@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
-use radome_driver::recording::{Extent, Recording};
+use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
     Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace,
     Player, RealTime, Reconnect, Transport, candidates,
@@ -289,7 +289,10 @@ pub fn seconds(text: &str) -> Result<Duration, String> {
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
-/// A waveform by name (`paper`) or from a TOML file of a [`radome_dsp::WaveformRequest`].
+/// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file, or of a recording.
+///
+/// # Errors
+/// The file cannot be read or holds no waveform, or the chip cannot produce the waveform.
 pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if spec == "paper" {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
@@ -298,8 +301,18 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(radome_models::ModelCard::load(path)?.waveform);
     }
+    if path.is_dir() || path.is_file() {
+        match Recording::open(path) {
+            Ok(recording) => return Ok(recording.waveform().clone()),
+            Err(RecordingError::Unknown { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| {
-        format!("cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, or a model file")
+        format!(
+            "cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, a model file or a \
+             recording"
+        )
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;
     Ok(Waveform::realise(request)?)

@@ -3,6 +3,7 @@
 mod config;
 mod emulate;
 mod list;
+mod reset;
 
 /// `radome board`
 #[derive(clap::Args)]
@@ -21,6 +22,8 @@ enum Action {
     Config(config::Arguments),
     /// Emulate a board on a pseudo-terminal, with the frames of any source, until stopped
     Emulate(emulate::Arguments),
+    /// Reset the chip of a kit through its debug probe
+    Reset(reset::Arguments),
 }
 
 /// Runs a command of the group.
@@ -29,5 +32,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Action::List(arguments) => list::run(arguments),
         Action::Config(arguments) => config::run(arguments),
         Action::Emulate(arguments) => emulate::run(arguments),
+        Action::Reset(arguments) => reset::run(arguments),
     }
 }

@@ -4,6 +4,7 @@ mod answers;
 mod convert;
 mod detector;
 mod echoes;
+mod info;
 mod label;
 mod labels;
 mod maps;
@@ -20,14 +21,16 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand)]
 enum Action {
+    /// Show format, length, waveform, board, labels and model of a recording
+    Info(info::Arguments),
     /// Convert a recording to another format: MCAP, Infineon's folder, text
     Convert(convert::Arguments),
     /// Save what can be read of a cut or damaged recording to a new file, and report what is lost
     Repair(repair::Arguments),
     /// Label a recording by hand, from a file, from its truth, or by a classical detector
     Label(label::Arguments),
-    /// Show, export or import labels
-    // Former command, replaced by `label`.
+    // Replaced by `label`.
+    /// Show, export or import labels. Former command
     #[command(hide = true)]
     Labels(labels::Arguments),
     /// Show the answers that `live -o` recorded with the frames, as CSV or JSON
@@ -41,6 +44,7 @@ enum Action {
 /// Runs a command of the group.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match &arguments.action {
+        Action::Info(arguments) => info::run(arguments),
         Action::Convert(arguments) => convert::run(arguments),
         Action::Repair(arguments) => return repair::run(arguments),
         Action::Label(arguments) => label::run(arguments),

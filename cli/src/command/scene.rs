@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod pair;
+mod preview;
 mod simulate;
 
 /// `radome scene`
@@ -15,17 +16,20 @@ pub struct Arguments {
 enum Action {
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
+    // `paths` comes here.
+    /// Draw a scene without simulating it: what stands in it, the radar's beam, and the way of each person
+    Preview(preview::Arguments),
     /// Fit a receiver to a recording; report the difference between simulation and recording before and after
     Calibrate(calibrate::Arguments),
     /// Simulate the scene that mirrors a recording, and store the maps of both as one dataset
     Pair(pair::Arguments),
-    // Paths of echoes (`paths`) belong here.
 }
 
 /// Runs a command of the group.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::Simulate(arguments) => simulate::run(arguments),
+        Action::Preview(arguments) => preview::run(arguments),
         Action::Calibrate(arguments) => calibrate::run(arguments),
         Action::Pair(arguments) => pair::run(arguments),
     }

@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use super::point::Point;
 use super::{circuit_time, networks, people, rdm, synthesis};
-use crate::{output, plot};
+use crate::output;
+use crate::picture::plot;
 
 #[derive(clap::Args)]
 pub struct Arguments {

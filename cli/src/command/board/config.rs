@@ -8,7 +8,7 @@ use crate::{output, source};
 /// `radome board config`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// `paper`, a .toml file with the fields of a waveform, or a model file
+    /// `paper`, a .toml file with the fields of a waveform, a model file, or a recording
     #[arg(default_value = "paper")]
     waveform: String,
     /// The register list that it compiles to, with the names of registers and fields

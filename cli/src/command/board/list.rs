@@ -1,13 +1,10 @@
-use std::path::Path;
 use std::time::Duration;
 
-use anyhow::bail;
 use radome_driver::Candidate;
 use radome_driver::discover::{self, Change, Identity, Roots, State, Watch};
-use radome_driver::probe::{Probe, ResetMethod};
 use serde::Serialize;
-use serde_json::json;
 
+use super::reset;
 use crate::output;
 
 /// Between two looks of `--watch`.
@@ -23,8 +20,8 @@ pub struct Arguments {
     /// Say what is plugged in and unplugged, until stopped
     #[arg(long, conflicts_with_all = ["reset", "udev_rules"])]
     watch: bool,
-    /// Reset the chip on a debug probe: its path, its serial number, or the port of the kit that it belongs to
-    #[arg(long, value_name = "PROBE", conflicts_with = "udev_rules")]
+    /// Reset the chip on a debug probe. Former option, replaced by `radome board reset`
+    #[arg(long, hide = true, value_name = "PROBE", conflicts_with = "udev_rules")]
     reset: Option<String>,
     /// Print the udev rules that give every user access
     #[arg(long)]
@@ -51,7 +48,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return output::text_line(discover::UDEV_RULES.trim_end());
     }
     if let Some(probe) = &arguments.reset {
-        return reset(probe, arguments.json);
+        return reset::reset(probe, arguments.json);
     }
     if arguments.watch {
         return watch(arguments);
@@ -88,36 +85,6 @@ fn watch(arguments: &Arguments) -> anyhow::Result<()> {
         std::thread::sleep(LOOK_INTERVAL);
     }
     Ok(())
-}
-
-/// The debug probe meant: itself, or the one beside a port.
-fn find_probe(name: &str) -> anyhow::Result<Candidate> {
-    let candidates = discover::candidates();
-    let is_named = |c: &&Candidate| {
-        c.path == Path::new(name) || c.usb.as_ref().is_some_and(|usb| usb.serial_number.as_deref() == Some(name))
-    };
-    let named: Vec<&Candidate> = candidates.iter().filter(is_named).collect();
-    let beside = named.iter().find_map(|c| c.debug_probe.as_ref());
-    let found = candidates.iter().find(|c| c.is_probe() && (named.contains(c) || Some(&c.path) == beside));
-    match (found, named.is_empty()) {
-        (Some(probe), _) => Ok(probe.clone()),
-        (None, false) => bail!("{name} has no debug probe\n\nhint: radome devices lists the probes"),
-        (None, true) => bail!("{name} is no debug probe\n\nhint: radome devices lists the probes"),
-    }
-}
-
-fn reset(name: &str, as_json: bool) -> anyhow::Result<()> {
-    let candidate = find_probe(name)?;
-    let method = Probe::open(&candidate)?.reset_target()?;
-    let path = candidate.path.display();
-    if as_json {
-        return output::json_line(&json!({ "probe": path.to_string(), "reset": method }));
-    }
-    let how = match method {
-        ResetMethod::Sequence => "by the probe's own sequence",
-        ResetMethod::Pin => "by its reset line",
-    };
-    output::text_line(&format!("{path}: the target was reset {how}"))
 }
 
 fn describe(report: &Report) -> String {

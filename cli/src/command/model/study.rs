@@ -8,8 +8,9 @@ use radome_models::study::{Outcome, Progress, Report, Study, StudySpec};
 use radome_sim::bounded_file::named_by_spec;
 use serde::Deserialize;
 
+use crate::picture::plot;
 use crate::shard::Shard;
-use crate::{files, output, plot};
+use crate::{files, output};
 
 /// `radome model study`
 #[derive(clap::Args)]

@@ -15,7 +15,7 @@ use crate::{labels, output};
 
 /// `radome recording label`
 #[derive(clap::Args)]
-#[command(group = clap::ArgGroup::new("what").required(true).multiple(true))]
+#[command(group = clap::ArgGroup::new("what").multiple(true))]
 pub struct Arguments {
     /// Recording of any kind; labels go into an MCAP file, or into a file beside other kinds
     recording: PathBuf,
@@ -28,13 +28,14 @@ pub struct Arguments {
     /// What the frames' own truth says (simulations have it), or what a classical detector believes
     #[arg(long, value_enum, group = "what")]
     propose: Option<Proposer>,
-    /// Write the labels to this file for review, .txt or .label, instead of adding them to the recording
+    /// Write the labels to this file, .txt or .label, instead of adding them to the recording; without --span, --from and --propose
+    /// those that the recording has
     #[arg(short, long)]
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Who says so
-    #[arg(long)]
+    /// Author of the labels, stored with them
+    #[arg(long, requires = "what")]
     who: Option<String>,
     /// A list of objects
     #[arg(long)]
@@ -55,10 +56,16 @@ fn parse_span(text: &str) -> Result<LabelSpan, String> {
     Ok(LabelSpan::new(time(start)?, time(end)?, label.trim()))
 }
 
-/// Collects labels and writes them.
+/// Adds labels to a recording, or shows those that it has.
+///
+/// # Errors
+/// The recording or a file of labels cannot be read or written, or the labels contradict each other or the recording.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(file) = &arguments.output {
         arguments.overwrite.check(file)?;
+    }
+    if arguments.span.is_empty() && arguments.from.is_none() && arguments.propose.is_none() {
+        return show(arguments);
     }
     let mut spans = arguments.span.clone();
     if let Some(file) = &arguments.from {
@@ -82,10 +89,23 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => labels::add(&arguments.recording, &spans)?,
     };
     eprintln!("{} labels written to {}", spans.len(), place.display());
-    if arguments.json {
+    print(&spans, arguments.json)
+}
+
+/// Prints the labels of a recording and writes them to the output file, if one is named.
+fn show(arguments: &Arguments) -> anyhow::Result<()> {
+    let spans = labels::of(&arguments.recording)?;
+    if let Some(file) = &arguments.output {
+        labels::write(file, arguments.overwrite.existing(), &spans)?;
+    }
+    print(&spans, arguments.json)
+}
+
+fn print(spans: &[LabelSpan], as_json: bool) -> anyhow::Result<()> {
+    if as_json {
         return output::json_line(&json!(spans));
     }
-    for LabelSpan { start_s, end_s, label, confidence, .. } in &spans {
+    for LabelSpan { start_s, end_s, label, confidence, .. } in spans {
         let confidence = confidence.map_or_else(String::new, |c| format!("{c:.2}"));
         output::text_line(&format!("{start_s:10.3} s  {end_s:10.3} s  {label}  {confidence}"))?;
     }

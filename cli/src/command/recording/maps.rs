@@ -7,8 +7,9 @@ use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent};
 use serde_json::json;
 
 use crate::output_file::Overwrite;
+use crate::picture::plot;
 use crate::source::{self, SourceOptions};
-use crate::{files, output, plot};
+use crate::{files, output};
 
 /// `radome recording maps`
 #[derive(clap::Args)]

@@ -1,7 +1,3 @@
-mod canvas;
-mod legend;
-mod preview;
-
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -12,6 +8,7 @@ use radome_dsp::{Frame, FrameSource, SourceEvent};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde_json::json;
 
+use super::preview;
 use crate::output_file::Overwrite;
 use crate::shard::Shard;
 use crate::{files, output};
@@ -42,9 +39,8 @@ pub struct Arguments {
     /// Kubernetes array
     #[arg(long, value_name = "I/N", requires = "output")]
     shard: Option<Shard>,
-    /// PNG file to draw the scene into: from above and from the side, with the radar's beam, and who goes where in these frames.
-    /// Without `--output` that is all that is done
-    #[arg(long, value_name = "FILE.png")]
+    /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`
+    #[arg(long, hide = true, value_name = "FILE.png")]
     preview: Option<PathBuf>,
     /// One object at the end
     #[arg(long)]
@@ -90,9 +86,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     });
     let scene = Scene::load(&arguments.scene)?;
     if let Some(path) = &arguments.preview {
-        draw_preview(arguments, &scene, path)?;
+        preview::draw(&scene, arguments.seed, arguments.people, arguments.frames, path)?;
         if arguments.output.is_none() {
-            return tell_preview(arguments, path);
+            return preview::report(&arguments.scene, arguments.seed, path, arguments.json);
         }
     }
     let mut options =
@@ -157,23 +153,6 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
     let what = file.as_ref().unwrap_or(&arguments.scene).display();
     output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
-}
-
-/// Draws the scene as the seed makes it.
-fn draw_preview(arguments: &Arguments, scene: &Scene, path: &Path) -> anyhow::Result<()> {
-    files::check_parent(path)?;
-    let scene = scene.drawn(arguments.seed)?;
-    let until_s = arguments.frames as f64 * scene.waveform().frame_interval_s();
-    let preview = preview::Preview { scene: &scene, seed: arguments.seed, people: arguments.people, until_s };
-    preview::draw(&preview, path)
-}
-
-/// Says what was drawn.
-fn tell_preview(arguments: &Arguments, path: &Path) -> anyhow::Result<()> {
-    if arguments.json {
-        return output::json_line(&json!({ "preview": path.display().to_string(), "seed": arguments.seed }));
-    }
-    output::text_line(&format!("{}: {}, seed {}", path.display(), arguments.scene.display(), arguments.seed))
 }
 
 /// Says that a shard was there.

@@ -1,9 +1,9 @@
-//! What the signs and colours of a picture of a scene stand for.
+//! Legend of the picture of a scene: signs and their names.
 
 use radome_sim::Scene;
 
 use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
-use super::preview::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, Way, colour, ring};
+use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
 
 /// What stands for something in the legend.
 pub(super) enum Sign {
@@ -15,8 +15,8 @@ pub(super) enum Sign {
     Rest,
 }
 
-/// All that is in a picture, with its name.
-pub(super) fn legend(scene: &Scene, ways: &[Way]) -> Vec<(Sign, String)> {
+/// Signs of a picture with their names. `people` has the colour and the height, m, of each person.
+pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)> {
     let file = scene.file();
     let room = &file.room;
     let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
@@ -27,7 +27,7 @@ pub(super) fn legend(scene: &Scene, ways: &[Way]) -> Vec<(Sign, String)> {
     names.dedup();
     let mut all = vec![(Sign::Radar, "radar".to_owned()), (Sign::Beam, "its beam to -3 dB, one way".to_owned())];
     for name in names {
-        let sign = if name == "open" { Sign::Open } else { Sign::Area(colour(scene, name)) };
+        let sign = if name == "open" { Sign::Open } else { Sign::Area(material_ink(scene, name)) };
         all.push((sign, name.replace('_', " ")));
     }
     if file.furniture.iter().any(|f| f.material.is_none()) {
@@ -36,9 +36,8 @@ pub(super) fn legend(scene: &Scene, ways: &[Way]) -> Vec<(Sign, String)> {
     if !(file.seat.is_empty() && file.bed.is_empty()) {
         all.push((Sign::Rest, "place to sit or lie".to_owned()));
     }
-    for (number, way) in ways.iter().enumerate().take(PEOPLE.len()) {
-        let height_m = way.motion.person.build.height_m;
-        all.push((Sign::Way(way.ink), format!("person {}, {height_m:.2} m tall", number + 1)));
+    for (number, (ink, height_m)) in people.iter().enumerate().take(PEOPLE.len()) {
+        all.push((Sign::Way(*ink), format!("person {}, {height_m:.2} m tall", number + 1)));
     }
     all
 }

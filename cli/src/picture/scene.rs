@@ -15,34 +15,9 @@ use radome_sim::scene::file::{BodyFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
+use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
 
-pub(super) const INK: Ink = Ink::solid([40, 44, 52]);
-pub(super) const GREY: Ink = Ink::solid([120, 126, 136]);
-pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
-/// A colour for each person in turn.
-pub(super) const PEOPLE: [Ink; 4] =
-    [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
-/// Of furniture of which nothing is said.
-pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
-
-/// Materials of the table, and colours for those that scenes name themselves.
-const MATERIALS: [(&str, [u8; 3]); 11] = [
-    ("concrete", [128, 132, 138]),
-    ("brick", [178, 84, 62]),
-    ("plasterboard", [214, 200, 172]),
-    ("wood", [166, 112, 58]),
-    ("glass", [98, 184, 222]),
-    ("ceiling_board", [190, 178, 222]),
-    ("chipboard", [204, 158, 92]),
-    ("plywood", [224, 186, 120]),
-    ("marble", [160, 196, 186]),
-    ("floorboard", [126, 84, 44]),
-    ("metal", [62, 78, 104]),
-];
-const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
-
-/// Room around each view and between them, pixels: left for numbers, below for numbers and the axis's name.
-pub(super) const LEFT: f64 = 66.0;
+/// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
 const BELOW: f64 = 62.0;
 const TOP: f64 = 64.0;
 const RIGHT: f64 = 30.0;
@@ -118,9 +93,9 @@ impl View {
 }
 
 /// Somebody's way while they are there.
-pub(super) struct Way {
-    pub(super) motion: Arc<Motion>,
-    pub(super) ink: Ink,
+struct Way {
+    motion: Arc<Motion>,
+    ink: Ink,
     /// Times, s, and places of the hips.
     places: Vec<(f64, DVec3)>,
     /// Times at which the body is drawn, s.
@@ -149,7 +124,8 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
         if is_long { plan } else { View { corner: [LEFT, TOP + (size_m.z - size_m.y).max(0.0) * per_m], ..plan } };
     let side = View { across, up: 2, corner: beside, per_m, size_m };
     let ways = ways(preview);
-    let legend = legend(scene, &ways);
+    let people: Vec<(Ink, f64)> = ways.iter().map(|way| (way.ink, way.motion.person.build.height_m)).collect();
+    let legend = legend(scene, &people);
     let width = (plan.frame()[1][0].max(side.frame()[1][0]) + RIGHT).max(900.0);
     let rows = legend_rows(&legend, width);
     let below = plan.frame()[1][1].max(side.frame()[1][1]) + BELOW;
@@ -243,14 +219,6 @@ fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
     times
 }
 
-pub(super) fn colour(scene: &Scene, material: &str) -> Ink {
-    if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
-        return Ink::solid(*rgb);
-    }
-    let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
-    Ink::solid(OWN[own % OWN.len()])
-}
-
 /// The four surfaces around a view, in the order lower end across, higher end across, lower end up, higher end up.
 fn surfaces<'a>(view: &View, scene: &'a Scene) -> [&'a SurfaceFile; 4] {
     let room = &scene.file().room;
@@ -266,8 +234,11 @@ fn surfaces<'a>(view: &View, scene: &'a Scene) -> [&'a SurfaceFile; 4] {
 fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
     let [[x0, y0], [x1, y1]] = view.frame();
     let area = vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
-    let back =
-        if view.is_plan() { colour(scene, &scene.file().room.floor.material).faint(0.10) } else { GREY.faint(0.05) };
+    let back = if view.is_plan() {
+        material_ink(scene, &scene.file().room.floor.material).faint(0.10)
+    } else {
+        GREY.faint(0.05)
+    };
     canvas.fill(&[area], back);
     let w = WALL;
     let walls = [
@@ -281,11 +252,11 @@ fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
         if surface.material == "open" {
             canvas.around(&[wall], &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
         } else {
-            canvas.fill(&[wall], colour(scene, &surface.material));
+            canvas.fill(&[wall], material_ink(scene, &surface.material));
         }
     }
     for outline in scene.outlines() {
-        let line = Line { ink: colour(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
+        let line = Line { ink: material_ink(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
         for edge in &outline.edges {
             canvas.line(&edge.map(|p| view.at(p)), &line);
         }
@@ -382,7 +353,7 @@ fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
     for furniture in all {
         let low = DVec3::from_array(furniture.position_m);
         let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
-        let ink = furniture.material.as_deref().map_or(UNSAID, |material| colour(scene, material));
+        let ink = furniture.material.as_deref().map_or(UNSAID, |material| material_ink(scene, material));
         canvas.fill(std::slice::from_ref(&area), ink.faint(0.45));
         canvas.around(&[area], &Line { ink: ink.darker(0.35), width: 1.6, is_dashed: false });
     }
@@ -415,13 +386,6 @@ fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut
             canvas.text(at, &furniture.name, Letters::Small, INK);
         }
     }
-}
-
-pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
-    (0..24)
-        .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
-        .map(|(s, c)| [x + radius * c, y + radius * s])
-        .collect()
 }
 
 fn bounds(area: &[Pixel]) -> (Pixel, Pixel) {
