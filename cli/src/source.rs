@@ -258,11 +258,11 @@ fn the_one_board() -> anyhow::Result<Address> {
     match (boards.pop(), boards.is_empty()) {
         (Some(board), true) => Ok(board),
         (Some(_), false) => {
-            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome devices lists them")
+            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome board list lists them")
         }
         (None, _) => {
             bail!(
-                "no board is attached\n\nhint: radome devices says what was found; emulated:SCENE.toml needs no board"
+                "no board is attached\n\nhint: radome board list says what was found; emulated:SCENE.toml needs no board"
             )
         }
     }

@@ -49,7 +49,7 @@ pub struct Arguments {
     give_up_after_s: Option<Duration>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
+    /// What the empty room shows, as `radome model background` has captured it: fans and curtains count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
     /// Stop after so many frames

@@ -122,7 +122,7 @@ impl Background {
         }
         if background.model_hash != judge.model_hash {
             bail!(
-                "{} was captured with another model than {}, whose maps are others\n\nhint: radome background SOURCE --model {} -o \
+                "{} was captured with another model than {}, whose maps are others\n\nhint: radome model background SOURCE --model {} -o \
                  FILE.json captures the empty room anew",
                 path.display(),
                 judge.model,

@@ -47,7 +47,7 @@ pub struct Arguments {
     read_only_labels: bool,
     #[command(flatten)]
     access: access::Arguments,
-    /// Folder that `dataset pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
+    /// Folder that `scene pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
     /// NAME.mcap
     #[arg(long, value_name = "DIR")]
     pair: Option<PathBuf>,

@@ -29,7 +29,7 @@ const SIZE: usize = 128;
 /// `radome bench train`, `radome bench infer`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Networks, as `radome models` names them
+    /// Networks, as `radome model list` names them
     networks: Vec<String>,
     /// Maps of a step or of a call
     #[arg(long)]
@@ -186,7 +186,7 @@ fn compare(
     let mut rows = Vec::new();
     for name in &names {
         let Some(spec) = NetworkSpec::named(name) else {
-            bail!("there is no network '{name}'\n\nhint: `radome models` lists them");
+            bail!("there is no network '{name}'\n\nhint: `radome model list` lists them");
         };
         // What the circuit costs shows beside the same network with a linear head, which takes its turns too.
         let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };

@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         say(&Report { event: None, candidate, state }, arguments.json)?;
     }
     if is_empty && !arguments.json {
-        eprintln!("nothing found\n\nhint: radome demo needs no board; radome emulate makes one");
+        eprintln!("nothing found\n\nhint: radome demo needs no board; radome board emulate makes one");
     }
     Ok(())
 }
@@ -98,7 +98,7 @@ fn describe(report: &Report) -> String {
         line += &format!(" \"{product}\"");
     }
     let reset =
-        candidate.debug_probe.as_ref().map(|probe| format!("\n    hint: radome devices --reset {}", probe.display()));
+        candidate.debug_probe.as_ref().map(|probe| format!("\n    hint: radome board reset {}", probe.display()));
     match state {
         None => {}
         Some(State::Ready { identity: Identity::Board(board) }) => {

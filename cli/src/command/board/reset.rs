@@ -39,8 +39,8 @@ fn find_probe(name: &str) -> anyhow::Result<Candidate> {
     let found = candidates.iter().find(|c| c.is_probe() && (named.contains(c) || Some(&c.path) == beside));
     match (found, named.is_empty()) {
         (Some(probe), _) => Ok(probe.clone()),
-        (None, false) => bail!("{name} has no debug probe\n\nhint: radome devices lists the probes"),
-        (None, true) => bail!("{name} is no debug probe\n\nhint: radome devices lists the probes"),
+        (None, false) => bail!("{name} has no debug probe\n\nhint: radome board list lists the probes"),
+        (None, true) => bail!("{name} is no debug probe\n\nhint: radome board list lists the probes"),
     }
 }
 

@@ -131,7 +131,7 @@ pub fn devices() -> Vec<Check> {
             State::Busy => Check::warn("device", format!("{name}, in use"), "another program has it: stop that first"),
             State::PermissionDenied { remedy } => Check::fail("device", format!("{name}, permission denied"), remedy),
             State::NotAnswering { why } => {
-                Check::fail("device", format!("{name}, {why}"), "radome devices says more; unplug it and plug it in")
+                Check::fail("device", format!("{name}, {why}"), "radome board list says more; unplug it and plug it in")
             }
             State::OtherChip { chip } => {
                 Check::fail("device", format!("{name}, radar chip {chip}"), "this program drives the BGT60TR13C")
@@ -226,11 +226,7 @@ fn frames(
         interval_s * 1e3
     );
     if count == 0 {
-        return Check::fail(
-            "frames",
-            found,
-            "the board is silent: radome devices --reset, or unplug it and plug it in",
-        );
+        return Check::fail("frames", found, "the board is silent: radome board reset, or unplug it and plug it in");
     }
     if lost > 0 {
         return Check::warn("frames", found, "another socket or a shorter cable; a hub that others do not share");

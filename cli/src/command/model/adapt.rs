@@ -153,7 +153,7 @@ fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<Ad
     let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
     if found.frames.iter().all(|frame| frame.label.is_none()) {
         bail!(
-            "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome dataset label; or say what all of \
+            "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \
              it shows: {0}=empty",
             named()
         );

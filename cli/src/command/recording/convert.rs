@@ -8,7 +8,7 @@ use serde_json::json;
 use crate::output;
 use crate::output_file::Overwrite;
 
-const REPAIR_HINT: &str = "\n\nhint: radome repair saves what can be read of it";
+const REPAIR_HINT: &str = "\n\nhint: radome recording repair saves what can be read of it";
 
 /// `radome recording convert`
 #[derive(clap::Args)]

@@ -191,7 +191,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let Some(first) = taken.first().copied() else { bail!("{}: no frame", arguments.recording) };
     if taken.iter().all(|of| of.truth.is_none()) {
         bail!(
-            "{}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome dataset label {0} \
+            "{}: no frame has a label\n\nhint: say how many people there are with --people, or label it: radome recording label {0} \
              --propose detector",
             arguments.recording
         );
@@ -282,7 +282,7 @@ fn mirror_text(
         scripts.extend(script::steps(person, &role.knots, radar, arguments.seated)?);
     }
     Ok(format!(
-        "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome dataset pair {} {} -o {}\n# Schema: \
+        "# The scene that mirrors a recording, from its first frame on. Made by:\n#     radome scene pair {} {} -o {}\n# Schema: \
          sim/src/scene/file.rs.\n{}",
         arguments.recording,
         arguments.scene.display(),

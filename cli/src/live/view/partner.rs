@@ -1,4 +1,4 @@
-//! The simulated partner of a recording: the scene that `dataset pair` made of it, at the moment of the frame that is shown.
+//! The simulated partner of a recording: the scene that `scene pair` made of it, at the moment of the frame that is shown.
 
 use std::path::{Path, PathBuf};
 
@@ -36,7 +36,7 @@ impl Partner {
             },
         };
         let partner = Self::open(&folder, tape, waveform).with_context(|| {
-            format!("{} is no pair of {}\n\nhint: radome dataset pair makes one", folder.display(), tape.path.display())
+            format!("{} is no pair of {}\n\nhint: radome scene pair makes one", folder.display(), tape.path.display())
         })?;
         eprintln!("simulated partner: {}", folder.display());
         Ok(Some(partner))

@@ -92,7 +92,7 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
     let text = toml::to_string(receiver).context("the receiver as TOML")?;
     // Where files lay says nothing to others.
     let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-    let mut command = "radome calibrate".to_owned();
+    let mut command = "radome scene calibrate".to_owned();
     arguments.recordings.iter().for_each(|recording| command += &format!(" {}", file_name(recording)));
     if let Some(base) = &arguments.base {
         command += &format!(" --base {}", file_name(base));
