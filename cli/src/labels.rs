@@ -8,7 +8,7 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
-use radome_dsp::{Frame, FrameSource, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth, Waveform};
 
 use crate::files;
 
@@ -106,6 +106,20 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
     let last_s = first_s + waveform.request.chirps_per_frame as f64 * waveform.request.chirp_interval_s;
     let occupancy = at(first_s)?;
     Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
+}
+
+/// Spans of one class each, from the classes of single frames: a frame lasts until the next one, and the last for a frame
+/// interval.
+pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
+    let mut spans: Vec<LabelSpan> = Vec::new();
+    for (index, (time_s, class)) in frames.iter().enumerate() {
+        let end_s = frames.get(index + 1).map_or(time_s + interval_s, |(next_s, _)| *next_s);
+        match spans.last_mut().filter(|span| span.label == class.name()) {
+            Some(span) => span.end_s = end_s,
+            None => spans.push(LabelSpan::new(*time_s, end_s, class.name())),
+        }
+    }
+    spans
 }
 
 /// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's

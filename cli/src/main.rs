@@ -4,11 +4,13 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod command;
+mod dataset;
 mod exit;
 mod files;
 mod judge;
 mod labels;
 mod live;
+mod map_preset;
 mod output;
 mod output_file;
 mod panics;

@@ -1,19 +1,11 @@
 //! `radome dataset`: from a spec to labelled maps, on one machine or many.
-//!
-//! A spec ([`spec`]) is planned into units, runs of a scene and recordings ([`plan`]); each unit becomes a small dataset of
-//! its own ([`unit`]), whole or absent; together they are merged in the order of the plan ([`build`], [`merge`]). So the
-//! bytes that come out depend neither on how many processes made the units nor on how often one was killed.
 
 mod build;
+mod counts;
 mod features;
-mod folders;
 mod merge;
-mod plan;
-mod print;
 mod slurm;
-mod spec;
 mod stats;
-mod unit;
 mod verify;
 
 pub use build::whole as build;
@@ -39,7 +31,7 @@ enum Action {
     Slurm(slurm::Arguments),
 }
 
-/// Runs one of them.
+/// Runs a command of the group.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::Build(arguments) => build::run(arguments),

@@ -2,7 +2,6 @@
 
 mod answers;
 mod convert;
-mod detector;
 mod echoes;
 mod info;
 mod label;

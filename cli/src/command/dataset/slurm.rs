@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-use super::plan::Plan;
+use crate::dataset::plan::Plan;
 use crate::output;
 use crate::shard::Shard;
 

@@ -7,6 +7,7 @@ use radome_models::dataset::{Dataset, Split, SplitSpec, statistics};
 use radome_models::standardise::LEAST_SIGMA_DB;
 
 use super::features;
+use crate::dataset::features::compare;
 use crate::output;
 
 /// `radome dataset stats`
@@ -50,7 +51,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|index| wanted.is_none_or(|wanted| splits.get(*index) == Some(&wanted))).collect();
     if arguments.features {
-        return features::run(&dataset, &indices, &arguments.frames, arguments.measured.as_deref(), arguments.json);
+        let rows = compare(&dataset, &indices, &arguments.frames, arguments.measured.as_deref())?;
+        return features::print(&rows, !arguments.frames.is_empty(), arguments.json);
     }
     let table = statistics(&dataset, &indices)?;
     if arguments.json {

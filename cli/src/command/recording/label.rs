@@ -6,10 +6,10 @@ use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
 use serde_json::json;
 
-use super::detector;
+use crate::dataset::detector;
 use crate::output_file::Overwrite;
 use crate::{labels, output};
 
@@ -112,20 +112,6 @@ fn print(spans: &[LabelSpan], as_json: bool) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Stretches of one class each, from what is said of single frames: a frame holds until the next one, and the last for a
-/// frame interval.
-pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
-    let mut spans: Vec<LabelSpan> = Vec::new();
-    for (index, (time_s, class)) in frames.iter().enumerate() {
-        let end_s = frames.get(index + 1).map_or(time_s + interval_s, |(next_s, _)| *next_s);
-        match spans.last_mut().filter(|span| span.label == class.name()) {
-            Some(span) => span.end_s = end_s,
-            None => spans.push(LabelSpan::new(*time_s, end_s, class.name())),
-        }
-    }
-    spans
-}
-
 fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let mut recording = Recording::open(path)?;
     let interval_s = recording.waveform().frame_interval_s();
@@ -150,7 +136,7 @@ fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     if frames.is_empty() {
         bail!("{}: no frame", path.display());
     }
-    let mut spans = spans_of(&frames, interval_s);
+    let mut spans = labels::spans_of(&frames, interval_s);
     for span in &mut spans {
         (span.who, span.confidence) = (Some("truth".into()), Some(1.0));
     }

@@ -3,9 +3,10 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
-use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, SourceEvent};
 use serde_json::json;
 
+use crate::map_preset::MapPreset;
 use crate::output_file::Overwrite;
 use crate::picture::plot;
 use crate::source::{self, SourceOptions};
@@ -27,9 +28,9 @@ pub struct Arguments {
     /// Frame of the picture; the last by default
     #[arg(long)]
     frame: Option<u64>,
-    /// Which kind of map
-    #[arg(long, value_enum, default_value_t = Preset::Default)]
-    preset: Preset,
+    /// Kind of map
+    #[arg(long, value_enum, default_value_t)]
+    preset: MapPreset,
     /// One receive channel, 1-based
     #[arg(long, conflicts_with = "incoherent")]
     rx: Option<usize>,
@@ -53,16 +54,6 @@ pub struct Arguments {
     json: bool,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum Preset {
-    /// Codes minus 2048 over 2048, Hann x Hann, dBFS
-    Default,
-    /// As the paper's statistics
-    Paper,
-    /// As the vendor's examples
-    Sdk,
-}
-
 /// Range-Doppler maps of a source.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
@@ -77,11 +68,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let options = SourceOptions { seed: arguments.seed, frames: Some(arguments.frames), ..Default::default() };
     let mut source = source::open(&arguments.source, &options)?;
     let waveform = source.frames.waveform().clone();
-    let mut spec = match arguments.preset {
-        Preset::Default => RdmSpec::default(),
-        Preset::Paper => RdmSpec::paper(),
-        Preset::Sdk => RdmSpec::sdk(&waveform),
-    };
+    let mut spec = arguments.preset.spec(&waveform);
     if let Some(rx) = arguments.rx {
         spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
     }

@@ -8,7 +8,7 @@ use radome_dsp::echo::Echo;
 use serde::Serialize;
 use serde_json::json;
 
-use super::follow::Look;
+use super::detections::Detections;
 use super::script::Role;
 use super::smooth::{Sensor, Smoothed};
 use crate::output;
@@ -67,7 +67,13 @@ pub struct Report {
 }
 
 impl Report {
-    pub fn new(roles: &[Role], real: &[Look], mirror: &[Look], sensor: &Sensor, labels_agree: usize) -> Self {
+    pub fn new(
+        roles: &[Role],
+        real: &[Detections],
+        mirror: &[Detections],
+        sensor: &Sensor,
+        labels_agree: usize,
+    ) -> Self {
         let people = roles.iter().filter(|role| !role.knots.is_empty()).map(|role| person(role, real, mirror, sensor));
         Report { frames: real.len(), people: people.collect(), labels_agree, tells_direction: sensor.tells_direction() }
     }
@@ -111,17 +117,19 @@ impl Report {
     }
 }
 
-fn person(role: &Role, real: &[Look], mirror: &[Look], sensor: &Sensor) -> Person {
+fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sensor) -> Person {
     let (mut range, mut speed, mut angle) = (Vec::new(), Vec::new(), Vec::new());
     let (mut visible, mut followed, mut sigma_m) = (0, 0, 0f64);
-    for sighting in &role.sightings {
-        followed += sighting.track.len();
-        for state in &sighting.track {
+    for tracklet in &role.tracklets {
+        followed += tracklet.track.len();
+        for state in &tracklet.track {
             sigma_m = sigma_m.max(state.sigma_m);
-            let place = sighting.places.iter().find(|p| p.0 == state.frame);
+            let place = tracklet.places.iter().find(|p| p.0 == state.frame);
             let Some(echo) = place.and_then(|p| real.get(p.0)?.echoes.get(p.1)) else { continue };
             visible += usize::from(state.is_visible);
-            let Some(other) = mirror.get(state.frame).and_then(|look| near(look, state, sensor)) else { continue };
+            let Some(other) = mirror.get(state.frame).and_then(|detected| near(detected, state, sensor)) else {
+                continue;
+            };
             range.push(other.range_m - echo.range_m);
             speed.push(sensor.wrapped(other.velocity_m_per_s - echo.velocity_m_per_s));
             if let (Some(Some(a)), Some(Some(b))) = (echo.cosines.first(), other.cosines.first()) {
@@ -141,20 +149,20 @@ fn person(role: &Role, real: &[Look], mirror: &[Look], sensor: &Sensor) -> Perso
 }
 
 /// The strongest echo of the mirror where somebody should be.
-fn near<'a>(look: &'a Look, state: &Smoothed, sensor: &Sensor) -> Option<&'a Echo> {
+fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Echo> {
     let expected = sensor.expected(state);
     let is_near = |echo: &&Echo| {
         (echo.range_m - expected.range_m).abs() < NEAR_M
             && sensor.wrapped(echo.velocity_m_per_s - expected.velocity_m_per_s).abs() < NEAR_M_PER_S
     };
-    look.echoes.iter().filter(is_near).max_by(|a, b| a.snr_db.total_cmp(&b.snr_db))
+    detected.echoes.iter().filter(is_near).max_by(|a, b| a.snr_db.total_cmp(&b.snr_db))
 }
 
 /// A line of JSON for each frame in which somebody was followed.
 pub fn track_lines(roles: &[Role], frames: &[(u64, f64)]) -> anyhow::Result<String> {
     let mut text = String::new();
     for (i, role) in roles.iter().enumerate() {
-        for state in role.sightings.iter().flat_map(|s| &s.track) {
+        for state in role.tracklets.iter().flat_map(|s| &s.track) {
             let Some((frame, begin_s)) = frames.get(state.frame) else { continue };
             let line = json!({
                 "person": i + 1, "frame": frame, "frame_begins_s": begin_s, "position_m": [state.x, state.y],

@@ -1,4 +1,4 @@
-//! A person's script: sightings, way-points and doors become legs that a scene file can state.
+//! A person's script: tracklets, way-points and doors become legs that a scene file can state.
 //!
 //! The recording wins where somebody was followed. What lies between is bridged when it is short, goes by way-points where
 //! some are given, and through a door where labels say that the person came or went; anything else is refused by name.
@@ -8,7 +8,8 @@ use radome_sim::scene::file::{DoorFile, SceneFile, StepFile};
 use serde::Deserialize;
 use thiserror::Error;
 
-use super::follow::{Look, Sighting};
+use super::detections::Detections;
+use super::follow::Tracklet;
 use super::smooth::Smoothed;
 
 /// Stretches without an echo that are bridged, s.
@@ -35,7 +36,7 @@ pub struct Knot {
 /// One person over the whole recording.
 #[derive(Debug, Clone, Default)]
 pub struct Role {
-    pub sightings: Vec<Sighting>,
+    pub tracklets: Vec<Tracklet>,
     pub knots: Vec<Knot>,
 }
 
@@ -92,20 +93,20 @@ pub enum ScriptError {
     Order { person: usize, time_s: f64, before_s: f64 },
 }
 
-/// Deals sightings out to so many people: each goes on with who was last seen nearest to where it begins.
-pub fn deal(sightings: Vec<Sighting>, people: usize) -> Vec<Role> {
+/// Deals tracklets out to so many people: each goes on with who was last seen nearest to where it begins.
+pub fn deal(tracklets: Vec<Tracklet>, people: usize) -> Vec<Role> {
     let mut roles = vec![Role::default(); people];
-    for sighting in sightings {
-        let Some(begin) = sighting.track.first().copied() else { continue };
+    for tracklet in tracklets {
+        let Some(begin) = tracklet.track.first().copied() else { continue };
         let from = |role: &Role| -> Option<f64> {
-            let Some(last) = role.sightings.last().and_then(|s| s.track.last()) else { return Some(10.0) };
+            let Some(last) = role.tracklets.last().and_then(|s| s.track.last()) else { return Some(10.0) };
             let gap_s = begin.time_s - last.time_s;
             let foreseen = place(last) + velocity(last) * gap_s.min(1.0);
             (gap_s > 0.0).then(|| foreseen.distance(place(&begin)))
         };
         let nearest = roles.iter_mut().filter_map(|role| Some((from(role)?, role))).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, role)) = nearest {
-            role.sightings.push(sighting);
+            role.tracklets.push(tracklet);
         }
     }
     roles
@@ -121,14 +122,19 @@ fn velocity(state: &Smoothed) -> DVec2 {
 
 /// How many of the other roles are followed in a frame.
 fn others(roles: &[Role], person: usize, frame: usize) -> usize {
-    let holds = |s: &Sighting| (s.frames().0..=s.frames().1).contains(&frame);
-    roles.iter().enumerate().filter(|(i, role)| *i != person && role.sightings.iter().any(holds)).count()
+    let holds = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
+    roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
 }
 
 /// Fills in the knots of all roles.
-pub fn fill(roles: &mut [Role], looks: &[Look], scene: &SceneFile, points: &WayPoints) -> Result<(), ScriptError> {
+pub fn fill(
+    roles: &mut [Role],
+    detections: &[Detections],
+    scene: &SceneFile,
+    points: &WayPoints,
+) -> Result<(), ScriptError> {
     let all: Vec<Vec<Knot>> =
-        (0..roles.len()).map(|person| knots(roles, person, looks, scene, points)).collect::<Result<_, _>>()?;
+        (0..roles.len()).map(|person| knots(roles, person, detections, scene, points)).collect::<Result<_, _>>()?;
     roles.iter_mut().zip(all).for_each(|(role, knots)| role.knots = knots);
     Ok(())
 }
@@ -136,7 +142,7 @@ pub fn fill(roles: &mut [Role], looks: &[Look], scene: &SceneFile, points: &WayP
 fn knots(
     roles: &[Role],
     person: usize,
-    looks: &[Look],
+    detections: &[Detections],
     scene: &SceneFile,
     points: &WayPoints,
 ) -> Result<Vec<Knot>, ScriptError> {
@@ -153,27 +159,28 @@ fn knots(
     }
     let between = |from_s: f64, to_s: f64| given.iter().copied().filter(move |k| k.time_s > from_s && k.time_s < to_s);
     let unknown = |from_s: f64, to_s: f64| ScriptError::Unknown { person: person + 1, from_s, to_s };
-    let (Some(begin_s), Some(end_s)) = (looks.first().map(|l| l.time_s), looks.last().map(|l| l.time_s)) else {
+    let (Some(begin_s), Some(end_s)) = (detections.first().map(|l| l.time_s), detections.last().map(|l| l.time_s))
+    else {
         return Ok(given);
     };
     // Frames of a stretch in which labels leave no room for this person.
     let absent = |from_s: f64, to_s: f64| {
-        let within = looks.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
+        let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
         let away: Vec<f64> = within
-            .filter(|(frame, look)| look.people <= others(roles, person, *frame))
+            .filter(|(frame, detected)| detected.people <= others(roles, person, *frame))
             .map(|(_, l)| l.time_s)
             .collect();
         away.first().copied().zip(away.last().copied())
     };
     let mut knots: Vec<Knot> = Vec::new();
-    let (Some(first), Some(last)) = (role.sightings.first(), role.sightings.last()) else {
+    let (Some(first), Some(last)) = (role.tracklets.first(), role.tracklets.last()) else {
         let there =
-            looks.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k)).map(|(_, l)| l.time_s);
+            detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k)).map(|(_, l)| l.time_s);
         let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), t| (t.min(a), t.max(b)));
         // Nobody was seen and nobody is missed.
         return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
     };
-    let ends = |sighting: &Sighting| Some((*sighting.track.first()?, *sighting.track.last()?));
+    let ends = |tracklet: &Tracklet| Some((*tracklet.track.first()?, *tracklet.track.last()?));
     // Before.
     if let Some((start, _)) = ends(first) {
         let given: Vec<Knot> = between(f64::NEG_INFINITY, start.time_s).collect();
@@ -186,10 +193,10 @@ fn knots(
             knots.extend(given);
         }
     }
-    for (i, sighting) in role.sightings.iter().enumerate() {
-        knots.extend(sighting.track.iter().map(|s| Knot { time_s: s.time_s, place: place(s) }));
-        let Some(next) = role.sightings.get(i + 1) else { break };
-        let (Some((_, end)), Some((start, _))) = (ends(sighting), ends(next)) else { continue };
+    for (i, tracklet) in role.tracklets.iter().enumerate() {
+        knots.extend(tracklet.track.iter().map(|s| Knot { time_s: s.time_s, place: place(s) }));
+        let Some(next) = role.tracklets.get(i + 1) else { break };
+        let (Some((_, end)), Some((start, _))) = (ends(tracklet), ends(next)) else { continue };
         let given: Vec<Knot> = between(end.time_s, start.time_s).collect();
         let gap_s = start.time_s - end.time_s;
         if !given.is_empty() {

@@ -1,45 +1,33 @@
 //! Which echoes are somebody: the best chains through the echoes of all frames.
 //!
-//! A chain of echoes that follow from each other by range, speed and direction is a sighting. The best set of sightings that
-//! do not overlap in time is found for the whole recording at once, by dynamic programming: what makes a sighting begin or
+//! A chain of echoes that follow from each other by range, speed and direction is a tracklet. The best set of tracklets that
+//! do not overlap in time is found for the whole recording at once, by dynamic programming: what makes a tracklet begin or
 //! end is not decided frame by frame. A second person is looked for among the echoes that the first does not explain, their
 //! repeats off the room's walls included.
 
 use glam::DVec3;
 use radome_dsp::echo::Echo;
 
+use super::detections::{Detections, Place};
 use super::smooth::{Sensor, Smoothed, smooth};
-
-/// Echoes of one frame.
-#[derive(Debug, Clone)]
-pub struct Look {
-    /// Middle of the frame, s.
-    pub time_s: f64,
-    /// People whom labels allow; as many as are looked for where there is none.
-    pub people: usize,
-    pub echoes: Vec<Echo>,
-}
-
-/// An echo by frame and place in its list.
-pub type Place = (usize, usize);
 
 /// A stretch of time in which somebody was followed.
 #[derive(Debug, Clone)]
-pub struct Sighting {
+pub struct Tracklet {
     pub places: Vec<Place>,
     pub track: Vec<Smoothed>,
 }
 
-impl Sighting {
+impl Tracklet {
     /// First and last frame.
     pub fn frames(&self) -> (usize, usize) {
         (self.places.first().map_or(0, |p| p.0), self.places.last().map_or(0, |p| p.0))
     }
 }
 
-/// Frames without an echo within a sighting last no longer than this, s.
+/// Frames without an echo within a tracklet last no longer than this, s.
 pub const BRIDGE_S: f64 = 1.0;
-/// A sighting has to be worth as much: an echo 20 dB above noise is worth 1.
+/// A tracklet has to be worth as much: an echo 20 dB above noise is worth 1.
 const LEAST_WORTH: f64 = 6.0;
 /// Worth of a decibel beyond that: repeats are weaker than what they repeat.
 const STRONGER: f64 = 0.01;
@@ -49,7 +37,7 @@ const LIMB: f64 = 0.06;
 const MOST_LIMB_DB: f64 = 25.0;
 /// Nobody goes faster along the radar's sight, m/s.
 const FASTEST_M_PER_S: f64 = 2.6;
-/// Worth of a frame without an echo, within a sighting.
+/// Worth of a frame without an echo, within a tracklet.
 const MISS: f64 = -0.3;
 /// What still people are worth against those who move: their echoes last.
 const STILL: f64 = 0.5;
@@ -64,54 +52,58 @@ const BODY_M: f64 = 0.55;
 const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
 /// What a piece of wall throws of somebody lies so near, m, to the way by its middle.
-const THROWN_M: f64 = 0.25;
+const MULTIPATH_M: f64 = 0.25;
 /// It is stronger for a while than on average, dB: one part in fifty of what fades by Rayleigh's law lies above this.
 const FADING_DB: f64 = 6.0;
 /// From one point of the walls that is tried to the next, m.
 const WALL_STEP_M: f64 = 0.25;
 
-/// Follows up to `people` through the looks.
-pub fn follow(looks: &[Look], people: usize, sensor: &Sensor) -> Vec<Sighting> {
-    let mut free: Vec<Vec<bool>> = looks.iter().map(|look| vec![look.people > 0; look.echoes.len()]).collect();
-    let mut all: Vec<Sighting> = Vec::new();
+/// Follows up to `people` through the detections.
+pub fn follow(detections: &[Detections], people: usize, sensor: &Sensor) -> Vec<Tracklet> {
+    let mut free: Vec<Vec<bool>> =
+        detections.iter().map(|detected| vec![detected.people > 0; detected.echoes.len()]).collect();
+    let mut all: Vec<Tracklet> = Vec::new();
     for person in 0..people {
-        let mut chains = best_chains(looks, &free, sensor);
+        let mut chains = best_chains(detections, &free, sensor);
         // The longest first: what walls throw of somebody is told by who that is.
         chains.sort_by_key(|places| std::cmp::Reverse(places.len()));
         for places in chains {
             // A second person is where labels say so, for the better part.
-            let counted = places.iter().filter(|p| looks.get(p.0).is_some_and(|look| look.people > person)).count();
+            let counted =
+                places.iter().filter(|p| detections.get(p.0).is_some_and(|detected| detected.people > person)).count();
             if 2 * counted < places.len() {
                 continue;
             }
-            let track = smooth(looks, &places, sensor);
-            if is_thrown(&track, &all, sensor) {
+            let track = smooth(detections, &places, sensor);
+            if is_multipath(&track, &all, sensor) {
                 continue;
             }
             for state in &track {
-                let Some((look, free)) = looks.get(state.frame).zip(free.get_mut(state.frame)) else { continue };
-                for (echo, free) in look.echoes.iter().zip(free) {
+                let Some((detected, free)) = detections.get(state.frame).zip(free.get_mut(state.frame)) else {
+                    continue;
+                };
+                for (echo, free) in detected.echoes.iter().zip(free) {
                     *free &= !explains(state, echo, sensor);
                 }
             }
-            all.push(Sighting { places, track });
+            all.push(Tracklet { places, track });
         }
     }
-    all.sort_by_key(|sighting| sighting.frames());
+    all.sort_by_key(|tracklet| tracklet.frames());
     all
 }
 
 /// Whether a track is no person but what a wall throws of somebody: for most of it one and the same piece of wall explains its
 /// ranges by where that body was, and its levels too. Who walks behind another, in their shadow, is as weak, but not where
 /// a wall is that could throw as much; who stands keeps to the range of a piece of wall, but is louder.
-fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
+fn is_multipath(track: &[Smoothed], others: &[Tracklet], sensor: &Sensor) -> bool {
     // Of each frame somebody, and by how much what is followed is farther (m) and louder (dB) than they are.
     let mut beside: Vec<(Smoothed, f64, f64)> = Vec::new();
     for state in track {
         for (other, is_followed) in others.iter().filter_map(|other| at(other, state)) {
             let farther_m = sensor.expected(state).range_m - sensor.expected(&other).range_m;
             // Nothing so near is told from the echo of a body itself, where there is one.
-            let least_m = if is_followed { BODY_M } else { THROWN_M };
+            let least_m = if is_followed { BODY_M } else { MULTIPATH_M };
             if let (Some(own_db), Some(other_db), true) = (state.snr_db, other.snr_db, farther_m > least_m) {
                 beside.push((other, farther_m, own_db - other_db));
             }
@@ -122,8 +114,8 @@ fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
     is_most(beside.len())
         && sensor.wall_pieces(WALL_STEP_M).any(|piece| {
             let is_explained = |(other, farther_m, louder_db): &&(Smoothed, f64, f64)| {
-                let thrown = sensor.thrown(other, &piece);
-                (thrown.farther_m - farther_m).abs() < THROWN_M && *louder_db < thrown.louder_db + FADING_DB
+                let multipath = sensor.multipath(other, &piece);
+                (multipath.farther_m - farther_m).abs() < MULTIPATH_M && *louder_db < multipath.louder_db + FADING_DB
             };
             is_most(beside.iter().filter(is_explained).count())
         })
@@ -131,10 +123,10 @@ fn is_thrown(track: &[Smoothed], others: &[Sighting], sensor: &Sensor) -> bool {
 
 /// Somebody at the time of a state, and whether they were followed then. Who goes nearer to the radar than echoes are told, or out
 /// of its beam, is not gone: for a while they go straight on, as loud on walls as they were, and walls throw of them still.
-fn at(sighting: &Sighting, state: &Smoothed) -> Option<(Smoothed, bool)> {
-    let (first, last) = (sighting.track.first()?, sighting.track.last()?);
+fn at(tracklet: &Tracklet, state: &Smoothed) -> Option<(Smoothed, bool)> {
+    let (first, last) = (tracklet.track.first()?, tracklet.track.last()?);
     if (first.frame..=last.frame).contains(&state.frame) {
-        return sighting.track.get(state.frame - first.frame).map(|followed| (*followed, true));
+        return tracklet.track.get(state.frame - first.frame).map(|followed| (*followed, true));
     }
     let end = if state.frame < first.frame { first } else { last };
     let later_s = state.time_s - end.time_s;
@@ -167,21 +159,21 @@ fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor) -> bool {
     })
 }
 
-/// The best sightings that do not overlap, in order of time.
-fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
-    /// Where a chain came from: an echo before, or nothing, after the best set of sightings that ended by then.
+/// The best tracklets that do not overlap, in order of time.
+fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
+    /// Where a chain came from: an echo before, or nothing, after the best set of tracklets that ended by then.
     #[derive(Clone, Copy)]
     enum From {
         Echo(Place),
         Ended(Option<Place>),
     }
-    let mut best: Vec<Vec<(f64, From)>> = looks.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
-    // By frame, the best set of sightings that have ended before it.
+    let mut best: Vec<Vec<(f64, From)>> = detections.iter().map(|l| Vec::with_capacity(l.echoes.len())).collect();
+    // By frame, the best set of tracklets that have ended before it.
     let mut ended: Vec<(f64, Option<Place>)> = vec![(0.0, None)];
-    for (k, look) in looks.iter().enumerate() {
+    for (k, detected) in detections.iter().enumerate() {
         let before = ended.last().copied().unwrap_or((0.0, None));
         let mut now = before;
-        for (i, echo) in look.echoes.iter().enumerate() {
+        for (i, echo) in detected.echoes.iter().enumerate() {
             if !free.get(k).and_then(|f| f.get(i)).is_some_and(|f| *f) {
                 if let Some(row) = best.get_mut(k) {
                     row.push((f64::NEG_INFINITY, From::Ended(None)));
@@ -189,8 +181,8 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
                 continue;
             }
             let mut reached = (before.0 - LEAST_WORTH, From::Ended(before.1));
-            for (j, earlier) in looks.iter().enumerate().take(k).rev() {
-                let gap_s = look.time_s - earlier.time_s;
+            for (j, earlier) in detections.iter().enumerate().take(k).rev() {
+                let gap_s = detected.time_s - earlier.time_s;
                 if gap_s > BRIDGE_S {
                     break;
                 }
@@ -203,7 +195,7 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
                     }
                 }
             }
-            let score = reached.0 + worth(echo, look);
+            let score = reached.0 + worth(echo, detected);
             if let Some(row) = best.get_mut(k) {
                 row.push((score, reached.1));
             }
@@ -234,8 +226,9 @@ fn best_chains(looks: &[Look], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<P
 
 /// What clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over from whom is far to
 /// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
-fn worth(echo: &Echo, look: &Look) -> f64 {
-    let near = look.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
+fn worth(echo: &Echo, detected: &Detections) -> f64 {
+    let near =
+        detected.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
     let weaker_db = near.map(|e| e.snr_db - echo.snr_db).fold(0.0, f64::max);
     let worth =
         (0.3 + 0.1 * (echo.snr_db - 12.0)).min(1.0) + STRONGER * echo.snr_db - LIMB * weaker_db.min(MOST_LIMB_DB);
@@ -292,8 +285,8 @@ mod tests {
         (0..50).map(state).collect()
     }
 
-    fn walker(sensor: &Sensor, at: impl Fn(f64) -> [f64; 2]) -> [Sighting; 1] {
-        [Sighting { places: Vec::new(), track: track(sensor, |_| 0.0, at) }]
+    fn walker(sensor: &Sensor, at: impl Fn(f64) -> [f64; 2]) -> [Tracklet; 1] {
+        [Tracklet { places: Vec::new(), track: track(sensor, |_| 0.0, at) }]
     }
 
     /// What a piece of wall throws of a walker, as it is followed: on the boresight, fading by 5 dB to and fro.
@@ -307,7 +300,7 @@ mod tests {
                 (DVec3::new(8.0, 2.6, 0.7), -DVec3::X),
             ];
             for piece in pieces {
-                let of = |frame: usize| sensor.thrown(&walker[0].track[frame], &piece);
+                let of = |frame: usize| sensor.multipath(&walker[0].track[frame], &piece);
                 let range = |frame: usize| sensor.expected(&walker[0].track[frame]).range_m + of(frame).farther_m;
                 let at = |t: f64| [sensor.position.x + range(((10.0 * t) as usize).min(49)) + 0.115, sensor.position.y];
                 let mut ghost = track(&sensor, |_| 0.0, at);
@@ -315,7 +308,7 @@ mod tests {
                     let fading_db = 5.0 * (0.7 * frame as f64).sin();
                     state.snr_db = walker[0].track[frame].snr_db.map(|db| db + of(frame).louder_db + fading_db);
                 }
-                assert!(is_thrown(&ghost, &walker, &sensor), "{piece:?}");
+                assert!(is_multipath(&ghost, &walker, &sensor), "{piece:?}");
             }
         }
     }
@@ -330,14 +323,14 @@ mod tests {
         let level = walker[0].track[45].snr_db;
         let mut ghost: Vec<Smoothed> = whole;
         for state in &mut ghost {
-            let thrown = sensor.thrown(state, &piece);
-            let range_m = sensor.expected(state).range_m + thrown.farther_m;
+            let multipath = sensor.multipath(state, &piece);
+            let range_m = sensor.expected(state).range_m + multipath.farther_m;
             let (x, y) = (sensor.position.x + range_m + 0.115, sensor.position.y);
-            *state = Smoothed { x, y, vx: 0.0, vy: 0.0, snr_db: level.map(|db| db + thrown.louder_db), ..*state };
+            *state = Smoothed { x, y, vx: 0.0, vy: 0.0, snr_db: level.map(|db| db + multipath.louder_db), ..*state };
         }
-        assert!(is_thrown(&ghost, &walker, &sensor));
+        assert!(is_multipath(&ghost, &walker, &sensor));
         let back = track(&sensor, |_| 0.0, |t| [0.7 + 1.2 * (t - 4.6), 3.3]);
-        assert!(!is_thrown(&back[46..], &walker, &sensor));
+        assert!(!is_multipath(&back[46..], &walker, &sensor));
     }
 
     #[test]
@@ -349,8 +342,8 @@ mod tests {
             [("child", 8.0, 0.0, [6.5, 3.1]), ("follows", 16.0, -0.9, [7.5, 3.2]), ("goes", 16.0, 0.8, [4.0, 2.0])]
         {
             let somebody = track(&sensor, |_| less_db, |t| [at[0] + speed * t, at[1]]);
-            assert!(!is_thrown(&somebody, &others, &sensor), "{name}");
+            assert!(!is_multipath(&somebody, &others, &sensor), "{name}");
         }
-        assert!(!is_thrown(&others[0].track, &[], &sensor));
+        assert!(!is_multipath(&others[0].track, &[], &sensor));
     }
 }

@@ -15,8 +15,8 @@ use radome_sim::bounded_file::named_by_spec;
 use radome_sim::scene::file::BodyFile;
 use serde::{Deserialize, Serialize};
 
+use super::fingerprints::Fingerprints;
 use super::folders::{self, Found, Reading, Rules};
-use super::print::Fingerprints;
 use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
 use crate::shard::Shard;
 

@@ -1,4 +1,4 @@
-//! Where somebody was, from the echoes of a sighting: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
+//! Where somebody was, from the echoes of a tracklet: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
 //! again about their own answer until it stays (the Gauss-Newton step of the whole trajectory).
 //!
 //! The state is a place and a velocity on the ground plan. An echo tells the range of the trunk's near surface, its radial
@@ -16,7 +16,7 @@ use radome_sim::field::image::{BoxRoom, Wall};
 use radome_sim::field::pattern::Pattern;
 use radome_sim::scene::ANTENNA_OFFSETS_M;
 
-use super::follow::{Look, Place};
+use super::detections::{Detections, Place};
 
 /// From the middle of the chest to its surface before or behind it, and beside it, m: its semi-axes in a body of average girth
 /// (sim/src/actor/body.rs).
@@ -40,7 +40,7 @@ const MOST_TURN: f64 = 300.0;
 const CLEAR: f64 = 0.5;
 /// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse.rs), and how
 /// much of a wall a range cell holds, m^2.
-const THROWN_SHARE: f64 = 0.16;
+const MULTIPATH_SHARE: f64 = 0.16;
 const PIECE_M2: f64 = 3.0;
 /// No way by a wall counts as shorter, m.
 const LEAST_LEG_M: f64 = 0.3;
@@ -67,7 +67,7 @@ pub struct Sensor {
 /// A person in a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Smoothed {
-    /// Index among the looks.
+    /// Index among the detections.
     pub frame: usize,
     pub time_s: f64,
     pub x: f64,
@@ -92,7 +92,7 @@ pub struct Expected {
 
 /// What a piece of wall throws of somebody, on average, beside their own echo.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Thrown {
+pub struct Multipath {
     /// How much farther it seems to be, m.
     pub farther_m: f64,
     /// Level over theirs, dB.
@@ -142,7 +142,7 @@ impl Sensor {
 
     /// What a piece of wall, its middle and the normal into the room, throws of somebody on the way there, to them and home,
     /// and the other way round.
-    pub fn thrown(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Thrown {
+    pub fn multipath(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Multipath {
         let place = DVec3::new(state.x, state.y, self.trunk_height_m);
         let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
         let [there_m, on_m, back_m] = [there, on, back].map(|way| way.length().max(LEAST_LEG_M));
@@ -151,8 +151,8 @@ impl Sensor {
         let by_pattern = (field(there) / field(-back).max(1e-3)).powi(2);
         // Two ways, in phase, of which a receiver takes one polarisation; the body throws as much to all sides.
         let power =
-            4.0 * 0.5 * THROWN_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
-        Thrown { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
+            4.0 * 0.5 * MULTIPATH_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
+        Multipath { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
     }
 
     /// Middles of pieces of floor, ceiling and walls, that far apart, each with the normal into the room.
@@ -274,18 +274,18 @@ struct Measure {
     doubt: f64,
 }
 
-/// The trajectory of a sighting, a state for each frame from its first to its last.
-pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
+/// The trajectory of a tracklet, a state for each frame from its first to its last.
+pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
     let (Some(first), Some(last)) = (places.first().map(|p| p.0), places.last().map(|p| p.0)) else {
         return Vec::new();
     };
-    let frames: Vec<&Look> = looks.iter().take(last + 1).skip(first).collect();
+    let frames: Vec<&Detections> = detections.iter().take(last + 1).skip(first).collect();
     let mut measures: Vec<Vec<Measure>> = frames.iter().map(|_| Vec::new()).collect();
     let mut snr_db = vec![None; frames.len()];
     let mut seen: Vec<(f64, DVec2)> = Vec::new();
     for &(frame, echo) in places {
-        let Some(echo) = looks.get(frame).and_then(|look| look.echoes.get(echo)) else { continue };
-        let Some((row, (level, look))) =
+        let Some(echo) = detections.get(frame).and_then(|detected| detected.echoes.get(echo)) else { continue };
+        let Some((row, (level, detected))) =
             measures.get_mut(frame - first).zip(snr_db.get_mut(frame - first).zip(frames.get(frame - first)))
         else {
             continue;
@@ -308,7 +308,7 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
                 (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt(),
             );
         }
-        seen.push((look.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
+        seen.push((detected.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
     }
     let mut states = first_guess(&frames, &seen);
     let mut sigmas = vec![0.0; states.len()];
@@ -326,9 +326,9 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
         }
     }
     let all = frames.iter().zip(states).zip(sigmas.into_iter().zip(snr_db)).enumerate();
-    all.map(|(i, ((look, s), (sigma_m, snr_db)))| Smoothed {
+    all.map(|(i, ((detected, s), (sigma_m, snr_db)))| Smoothed {
         frame: first + i,
-        time_s: look.time_s,
+        time_s: detected.time_s,
         x: s.x,
         y: s.y,
         vx: s.z,
@@ -342,13 +342,13 @@ pub fn smooth(looks: &[Look], places: &[Place], sensor: &Sensor) -> Vec<Smoothed
 
 /// Factor on how restless somebody is at each time, by how much their velocity changes there: as with errors, what is unlikely
 /// is taken for something else that happened.
-fn turns(frames: &[&Look], states: &[DVec4]) -> Vec<f64> {
+fn turns(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
     let at = |time_s: f64| {
-        let later = frames.partition_point(|look| look.time_s < time_s).min(states.len().saturating_sub(1));
+        let later = frames.partition_point(|detected| detected.time_s < time_s).min(states.len().saturating_sub(1));
         states.get(later).map_or(DVec2::ZERO, |s| DVec2::new(s.z, s.w))
     };
-    let factor = |look: &&Look| {
-        let change = at(look.time_s + 0.5 * TURN_S) - at(look.time_s - 0.5 * TURN_S);
+    let factor = |detected: &&Detections| {
+        let change = at(detected.time_s + 0.5 * TURN_S) - at(detected.time_s - 0.5 * TURN_S);
         let usual = 2.0 * RESTLESSNESS * RESTLESSNESS * TURN_S;
         1.0 + (change.length_squared() / usual).powi(2).min(MOST_TURN)
     };
@@ -362,7 +362,7 @@ fn off(measure: &Measure, value: f64, sensor: &Sensor) -> f64 {
 }
 
 /// Places between those seen, averaged over half a second either way, with the slope of that.
-fn first_guess(frames: &[&Look], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
+fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
     const HALF_S: f64 = 0.5;
     let about = |time_s: f64| {
         let near = seen.iter().filter(|(t, _)| (t - time_s).abs() <= HALF_S);
@@ -373,8 +373,9 @@ fn first_guess(frames: &[&Look], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
         let nearest = seen.iter().min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()));
         nearest.map_or(DVec2::ZERO, |(_, place)| *place)
     };
-    let guess = |look: &&Look| {
-        let (place, velocity) = (about(look.time_s), about(look.time_s + HALF_S) - about(look.time_s - HALF_S));
+    let guess = |detected: &&Detections| {
+        let (place, velocity) =
+            (about(detected.time_s), about(detected.time_s + HALF_S) - about(detected.time_s - HALF_S));
         DVec4::new(place.x, place.y, velocity.x / (2.0 * HALF_S), velocity.y / (2.0 * HALF_S))
     };
     frames.iter().map(guess).collect()
@@ -382,7 +383,7 @@ fn first_guess(frames: &[&Look], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
 
 /// Forth and back once, with all measures linear about `about`. States, and standard deviations of the places.
 fn once(
-    frames: &[&Look],
+    frames: &[&Detections],
     measures: &[Vec<Measure>],
     about: &[DVec4],
     restless: &[f64],
@@ -391,12 +392,12 @@ fn once(
     let mut state = about.first().copied().unwrap_or_default();
     // Little is known before.
     let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
-    let mut before_s = frames.first().map_or(0.0, |look| look.time_s);
+    let mut before_s = frames.first().map_or(0.0, |detected| detected.time_s);
     // Of each frame: what the frame before made of it, and what its echo added; and how it came from there.
     let mut passed: Vec<(DMat4, DVec4, DMat4, DVec4, DMat4)> = Vec::with_capacity(frames.len());
-    for ((look, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
-        let dt = look.time_s - before_s;
-        before_s = look.time_s;
+    for ((detected, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
+        let dt = detected.time_s - before_s;
+        before_s = detected.time_s;
         let mut step = DMat4::IDENTITY;
         (step.z_axis.x, step.w_axis.y) = (dt, dt);
         let q = RESTLESSNESS * RESTLESSNESS * restless;
@@ -458,7 +459,7 @@ mod tests {
     }
 
     /// Echoes of somebody on a straight way, exactly as the sensor expects them, but for some that come from elsewhere.
-    fn looks(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Look>, Vec<Smoothed>) {
+    fn detections(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Detections>, Vec<Smoothed>) {
         let truth = |i: usize| {
             let time_s = 0.1 * i as f64;
             Smoothed {
@@ -473,7 +474,7 @@ mod tests {
                 is_visible: true,
             }
         };
-        let look = |i: usize| {
+        let detected = |i: usize| {
             let expected = sensor.expected(&truth(i));
             let (range, cosine) = if wrong(i) { (0.5, -0.3) } else { (0.0, 0.0) };
             let echo = Echo {
@@ -483,17 +484,17 @@ mod tests {
                 cosines: vec![Some(expected.cosine + cosine)],
                 is_still: false,
             };
-            Look { time_s: truth(i).time_s, people: 1, echoes: vec![echo] }
+            Detections { time_s: truth(i).time_s, people: 1, echoes: vec![echo] }
         };
-        ((0..40).map(look).collect(), (0..40).map(truth).collect())
+        ((0..40).map(detected).collect(), (0..40).map(truth).collect())
     }
 
     #[test]
     fn a_straight_way_is_found_again_from_what_it_makes() {
         let sensor = sensor();
-        let (looks, truth) = looks(&sensor, |_| false);
+        let (detections, truth) = detections(&sensor, |_| false);
         let places: Vec<Place> = (0..40).filter(|i| !(15..20).contains(i)).map(|i| (i, 0)).collect();
-        let track = smooth(&looks, &places, &sensor);
+        let track = smooth(&detections, &places, &sensor);
         assert_eq!(track.len(), 40);
         for (told, truth) in track.iter().zip(&truth) {
             let (place, speed) =
@@ -508,9 +509,9 @@ mod tests {
     #[test]
     fn echoes_from_elsewhere_pull_little() {
         let sensor = sensor();
-        let (looks, truth) = looks(&sensor, |i| i % 7 == 3 && (7..33).contains(&i));
+        let (detections, truth) = detections(&sensor, |i| i % 7 == 3 && (7..33).contains(&i));
         let places: Vec<Place> = (0..40).map(|i| (i, 0)).collect();
-        for (told, truth) in smooth(&looks, &places, &sensor).iter().zip(&truth) {
+        for (told, truth) in smooth(&detections, &places, &sensor).iter().zip(&truth) {
             assert!((told.x - truth.x).hypot(told.y - truth.y) < 0.13, "{told:?} {truth:?}");
         }
     }
@@ -538,7 +539,7 @@ mod tests {
         #[test]
         fn nothing_to_follow_is_no_trajectory() {
             assert!(smooth(&[], &[], &sensor()).is_empty());
-            let lone = Look { time_s: 0.0, people: 1, echoes: Vec::new() };
+            let lone = Detections { time_s: 0.0, people: 1, echoes: Vec::new() };
             assert!(smooth(&[lone], &[(0, 3)], &sensor()).len() <= 1);
         }
     }

@@ -6,7 +6,7 @@
 
 use glam::DVec2;
 
-use super::follow::Sighting;
+use super::follow::Tracklet;
 use super::script::Role;
 
 /// The miss is averaged over this either way, s: it is a matter of the place, what is not is noise.
@@ -17,8 +17,8 @@ const MOVING_M_PER_S: f64 = 0.3;
 const NEAR_M: f64 = 0.8;
 
 /// Shifts the trajectories of `roles`, along which the mirror's people went, by what `seen` says that following misses.
-pub fn correct(roles: &mut [Role], seen: &[Sighting]) {
-    for state in roles.iter_mut().flat_map(|role| &mut role.sightings) {
+pub fn correct(roles: &mut [Role], seen: &[Tracklet]) {
+    for state in roles.iter_mut().flat_map(|role| &mut role.tracklets) {
         let misses: Vec<(f64, DVec2)> = state
             .track
             .iter()

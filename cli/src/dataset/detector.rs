@@ -9,7 +9,7 @@ use radome_driver::recording::Recording;
 use radome_dsp::people::{PeopleCounter, Seen};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 
-use super::label::spans_of;
+use crate::labels::spans_of;
 
 /// Time over which frames are asked to agree, s.
 const AGREEMENT_S: f64 = 1.5;
