@@ -15,8 +15,6 @@ use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
 
-use crate::live::classify::Delays;
-
 /// The name that takes the place of a model file.
 pub const CFAR: &str = "cfar";
 
@@ -50,6 +48,21 @@ fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
 
+/// Delays of the number of people against flicker.
+#[derive(Debug, Clone, Copy)]
+pub struct Delays {
+    /// Time of agreement before a greater number counts, s.
+    pub on_s: f64,
+    /// Time of agreement before a smaller number counts, s.
+    pub off_s: f64,
+}
+
+impl Default for Delays {
+    fn default() -> Self {
+        Delays { on_s: 0.5, off_s: 3.0 }
+    }
+}
+
 /// A model, before it is known which frames it will see.
 pub enum Model {
     /// A trained network, native or ONNX.
@@ -69,7 +82,7 @@ enum Kind {
 }
 
 /// What a judge says of a frame.
-pub enum Verdict {
+pub enum Prediction {
     /// Its window over frames is not full yet: so many of so many.
     WarmingUp { have: usize, need: usize },
     /// Probabilities of empty, one and two by this frame.
@@ -289,7 +302,7 @@ impl Judge {
     ///
     /// # Errors
     /// The frame is of another shape than the waveform says, or the model fails.
-    pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
+    pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
         let receivers = frame.shape.rx;
         let mut dead = 0;
         for rx in 0..receivers {
@@ -299,24 +312,24 @@ impl Judge {
             }
         }
         // A map is made of any frame: what shows maps has the newest.
-        let verdict = self.judge(frame)?;
+        let prediction = self.judge(frame)?;
         if dead < receivers {
-            return Ok(verdict);
+            return Ok(prediction);
         }
         // The frames behind it are not held against it.
         self.reset();
-        Ok(Verdict::NoSignal)
+        Ok(Prediction::NoSignal)
     }
 
-    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
+    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
         match &mut self.0 {
             Kind::Network { classifier, processor, map } => match processor.process(frame, map)? {
-                MapStatus::WarmingUp { have, need } => Ok(Verdict::WarmingUp { have, need }),
-                MapStatus::Ready => Ok(Verdict::Probabilities(classifier.classify(map)?)),
+                MapStatus::WarmingUp { have, need } => Ok(Prediction::WarmingUp { have, need }),
+                MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
             },
             Kind::Cfar(counter) => {
                 let seen = counter.look(frame)?;
-                Ok(Verdict::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
+                Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
             }
         }
     }
@@ -377,13 +390,13 @@ mod tests {
         for name in [CFAR, BUILT_IN] {
             let mut judge = Model::open(Path::new(name)).expect("a model").judge(&of).expect("its waveform");
             let mut frame = Frame::zeroed(of.shape());
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::NoSignal), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::NoSignal), "{name}");
             frame.sequence = 1;
             frame.codes.iter_mut().enumerate().for_each(|(index, code)| *code = 2000 + (index % 97) as u16);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::Probabilities(_)), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
             frame.sequence = 2;
             frame.codes[..length].fill(2048);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::Probabilities(_)), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
         }
     }
 

@@ -20,7 +20,7 @@ mod source;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use tracing_subscriber::prelude::*;
 
 /// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
@@ -46,7 +46,7 @@ fn main() -> ExitCode {
         _ => None,
     };
     start_log(arguments.verbose, wire);
-    let outcome = panics::caught(|| command::run(arguments.command));
+    let outcome = panics::caught(|| command::run(arguments.command, Arguments::command()));
     exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
 }
 

@@ -7,9 +7,9 @@ use radome_driver::{RecorderOptions, RecordingHeader};
 use radome_dsp::Waveform;
 
 use crate::exit::Ended;
-use crate::judge::{BUILT_IN, Model};
+use crate::judge::{BUILT_IN, Delays, Model};
 use crate::live::background::Background;
-use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
+use crate::live::classify::{FrameClassifier, run as run_classifier};
 use crate::live::home::{self, Home};
 use crate::live::pipeline::{Pipeline, Policy};
 use crate::live::recorder::RecorderSink;

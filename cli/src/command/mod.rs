@@ -49,8 +49,8 @@ pub enum Command {
     Man(manual::ManArguments),
 }
 
-/// Runs a command.
-pub fn run(command: Command) -> anyhow::Result<Ended> {
+/// Runs a command. `program` describes all commands and options.
+pub fn run(command: Command, program: clap::Command) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match command {
         Command::Demo(arguments) => return demo::run(arguments),
         Command::Live(arguments) => return live::run(&arguments),
@@ -62,8 +62,8 @@ pub fn run(command: Command) -> anyhow::Result<Ended> {
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Model(arguments) => model::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
-        Command::Completions(arguments) => manual::completions(&arguments),
-        Command::Man(arguments) => manual::man(&arguments),
+        Command::Completions(arguments) => manual::completions(&arguments, program),
+        Command::Man(arguments) => manual::man(&arguments, program),
     };
     done.map(|()| Ended::Done)
 }

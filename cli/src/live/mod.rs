@@ -1,6 +1,7 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
 pub mod access;
+pub mod answer;
 pub mod background;
 pub mod classify;
 pub mod health;

@@ -12,7 +12,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bound
 use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
-use super::classify::{Probabilities, Summary};
+use super::answer::{Probabilities, Summary};
 use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item};
 use super::sink::{Moment, Sink};

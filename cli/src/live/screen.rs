@@ -5,7 +5,7 @@ use std::io::IsTerminal;
 use radome_dsp::{Gap, Occupancy};
 use serde_json::json;
 
-use super::classify::Summary;
+use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
 use crate::output;

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use radome_dsp::{Frame, Gap, Rdm};
 
-use super::classify::{Answer, Summary};
+use super::answer::{Answer, Summary};
 use super::health::Health;
 
 /// A frame that has been judged, and everything that is known then.

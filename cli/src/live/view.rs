@@ -1,7 +1,7 @@
 //! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, a tape's keys.
 //!
 //! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
-//! their own, at most thirty a second and only those that somebody looks at. [`server`] decides what is served to whom, [`control`]
+//! their own, at most thirty a second and only those that somebody looks at. [`server`] serves, [`policy`] decides to whom, [`control`]
 //! what a page may ask for, [`labels`] keeps the labels, [`adaptation`] offers a command that uses them, [`partner`] the simulation that mirrors a recording.
 
 mod adaptation;
@@ -9,29 +9,32 @@ mod control;
 mod feed;
 mod labels;
 mod partner;
+mod policy;
 mod server;
+mod shared;
 
 use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
 use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
-use radome_driver::BoardIdentity;
-use radome_dsp::{Gap, Waveform};
+use radome_dsp::Gap;
 use serde_json::json;
 
 use super::access::{self, Token};
-use super::classify::Summary;
+use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
-use crate::source::{Source, Tape};
+use crate::source::Source;
 use feed::Feed;
 use labels::Keeper;
 use partner::Partner;
+use policy::Policy;
+use shared::{About, Shared};
 
 /// Options of the page.
 #[derive(clap::Args)]
@@ -62,62 +65,6 @@ impl Arguments {
     /// Access policy of the ports.
     pub fn access(&self) -> &access::Arguments {
         &self.access
-    }
-}
-
-/// What a page is told of the run when it comes.
-struct About {
-    description: String,
-    model: String,
-    waveform: Waveform,
-    board: Option<BoardIdentity>,
-    tape: Option<Tape>,
-    has_partner: bool,
-    read_only_labels: bool,
-}
-
-impl About {
-    fn hello(&self) -> serde_json::Value {
-        let shape = self.waveform.shape();
-        let tape = self.tape.as_ref().map(|tape| {
-            let extent = tape.extent;
-            json!({
-                "first_s": extent.first.time_s(),
-                "last_s": extent.last.time_s(),
-                "first_sequence": extent.first.sequence,
-                "last_sequence": extent.last.sequence,
-            })
-        });
-        json!({ "hello": {
-            "version": env!("CARGO_PKG_VERSION"),
-            "source": self.description,
-            "model": self.model,
-            "rx": shape.rx,
-            "chirps": shape.chirps,
-            "samples": shape.samples,
-            "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
-            "frame_interval_s": self.waveform.frame_interval_s(),
-            "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
-            "tape": tape,
-            "partner": self.has_partner,
-            "read_only_labels": self.read_only_labels,
-        } })
-    }
-}
-
-/// What the server's tasks share.
-struct Shared {
-    about: About,
-    feed: Feed,
-    labels: Keeper,
-    policy: server::Policy,
-    /// What the run amounted to, once it is over.
-    over: Mutex<Option<serde_json::Value>>,
-}
-
-impl Shared {
-    fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
-        self.over.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -173,7 +120,7 @@ impl Page {
                 waveform,
                 tape,
             },
-            policy: server::Policy::new(address, &arguments.access, token.as_ref()),
+            policy: Policy::new(address, &arguments.access, token.as_ref()),
             over: Mutex::new(None),
         });
         let mut threads = Vec::new();

@@ -10,9 +10,10 @@ use serde::Serialize;
 use serde_json::json;
 use zip::write::SimpleFileOptions;
 
+use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
-use super::{Check, WireLog};
+use super::wire::WireLog;
 use crate::files;
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";

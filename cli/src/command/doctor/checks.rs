@@ -10,8 +10,8 @@ use radome_driver::RecordingHeader;
 use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
 use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
-use super::Check;
-use crate::judge::{Judge, Model, Verdict};
+use super::check::Check;
+use crate::judge::{Judge, Model, Prediction};
 use crate::live::home::broker::BrokerArguments;
 use crate::source::{self, SourceOptions};
 
@@ -208,7 +208,9 @@ fn frames(
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first one sets things up.
-                    Some(Ok(Verdict::Probabilities(_))) if !kept.is_empty() => slowest = slowest.max(asked.elapsed()),
+                    Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
+                        slowest = slowest.max(asked.elapsed())
+                    }
                     _ => {}
                 }
                 kept.push(frame.clone());

@@ -1,16 +1,18 @@
 mod curve;
+mod frames;
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use anyhow::{Context, bail};
-use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Waveform};
+use radome_dsp::{Frame, FrameSource, Occupancy};
 use radome_models::Dataset;
-use radome_models::train::{AdaptFrame, AdaptRecording, Adaptation, Adapter, BeforeAfter};
+use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
 use serde_json::json;
 
+use self::frames::Frames;
 use super::evaluate::LabelledRecording;
-use crate::judge::{CFAR, Model, Verdict};
+use crate::judge::{CFAR, Model};
 use crate::output;
 use crate::output_file::Overwrite;
 
@@ -69,7 +71,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return curve::run(judging, &adapter, rooms, arguments.json);
     }
     let inputs = inputs(arguments)?;
-    let mut frames = Frames { model: Some(judging), adapter: &adapter };
+    let mut frames = Frames::new(judging, &adapter);
     let bar = output::progress(inputs.len() as u64, "reading");
     let mut recordings = Vec::with_capacity(inputs.len());
     for input in &inputs {
@@ -107,41 +109,6 @@ fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
         }
     }
     Ok(inputs)
-}
-
-/// Makes recordings of frames.
-struct Frames<'a> {
-    /// The model; absent while it is at work, and after an error.
-    model: Option<Model>,
-    adapter: &'a Adapter,
-}
-
-impl Frames<'_> {
-    /// Features and labels of frames, which `next` gives one after another.
-    fn read(
-        &mut self,
-        waveform: &Waveform,
-        mut next: impl FnMut(&mut Frame) -> anyhow::Result<SourceEvent>,
-        truth: impl Fn(&Frame) -> Option<Occupancy>,
-    ) -> anyhow::Result<AdaptRecording> {
-        let mut judge = self.model.take().context("an earlier recording has failed")?.judge(waveform)?;
-        let mut frame = Frame::zeroed(waveform.shape());
-        let mut frames = Vec::new();
-        loop {
-            match next(&mut frame)? {
-                SourceEvent::End => break,
-                SourceEvent::Gap(_) => judge.reset(),
-                SourceEvent::Frame => {
-                    if let Verdict::Probabilities(_) = judge.frame(&frame)? {
-                        let features = self.adapter.features(judge.map())?;
-                        frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
-                    }
-                }
-            }
-        }
-        self.model = Some(judge.into_model());
-        Ok(AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames })
-    }
 }
 
 /// The frames of a recording.

@@ -4,7 +4,7 @@ use anyhow::Context;
 use radome_dsp::{Frame, SourceEvent};
 use serde_json::json;
 
-use crate::judge::{Model, Verdict};
+use crate::judge::{Model, Prediction};
 use crate::live::background::{Background, Capture};
 use crate::output;
 use crate::output_file::Overwrite;
@@ -60,7 +60,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > arguments.seconds {
                     break;
                 }
-                if let Verdict::Probabilities(_) = at_work.frame(&frame)? {
+                if let Prediction::Probabilities(_) = at_work.frame(&frame)? {
                     capture.add(at_work.map());
                 }
             }

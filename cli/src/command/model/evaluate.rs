@@ -17,7 +17,7 @@ use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, ev
 use serde::Serialize;
 use serde_json::json;
 
-use self::candidate::{Candidate, Predictions, Refused, add_confusion};
+use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion};
 pub use self::labelled::LabelledRecording;
 use self::thermal::ThermalNoise;
 use crate::judge::{CFAR, Model};
@@ -205,9 +205,6 @@ impl Judged {
         Ok(())
     }
 }
-
-/// Number of frames by true class (row) and by the class that they were called (column).
-type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
     let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;

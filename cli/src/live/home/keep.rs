@@ -15,7 +15,7 @@ use radome_driver::{FrameResult, LabelSpan, RecordingHeader};
 use radome_dsp::{Frame, Gap, Occupancy};
 
 use super::latest::{Latest, count};
-use crate::live::classify::Summary;
+use crate::live::answer::Summary;
 use crate::live::health::Health;
 use crate::live::recorder::frame_result;
 use crate::live::sink::{Moment, Sink};

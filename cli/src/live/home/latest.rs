@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use radome_dsp::Gap;
 use tokio::sync::watch;
 
-use crate::live::classify::Summary;
+use crate::live::answer::Summary;
 use crate::live::health::Health;
 use crate::live::sink::{Moment, Sink};
 

@@ -5,9 +5,9 @@ use radome_driver::LabelSpan;
 use radome_dsp::Occupancy;
 use serde::Deserialize;
 
-use super::Shared;
 use super::feed::{Look, PageId};
 use super::labels::Edit;
+use super::shared::Shared;
 
 /// Longest name of who labels, characters.
 const MOST_WHO: usize = 60;

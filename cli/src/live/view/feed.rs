@@ -20,7 +20,7 @@ use serde_json::json;
 use tokio::sync::mpsc;
 
 use super::partner::Partner;
-use crate::live::classify::{Answer, Probabilities};
+use crate::live::answer::{Answer, Probabilities};
 use crate::live::sink::Moment;
 
 /// Pictures a second are enough for eyes.

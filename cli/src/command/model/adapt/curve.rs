@@ -14,7 +14,7 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::Frames;
+use super::frames::Frames;
 use crate::judge::Model;
 use crate::output;
 
@@ -115,7 +115,7 @@ pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::
     file.check().with_context(|| path.display().to_string())?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let bar = output::progress(file.room.len() as u64, "rooms");
-    let mut frames = Frames { model: Some(model), adapter };
+    let mut frames = Frames::new(model, adapter);
     let mut rooms = Vec::with_capacity(file.room.len());
     for of in &file.room {
         bar.set_message(of.name.clone());

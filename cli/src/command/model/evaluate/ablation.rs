@@ -8,7 +8,7 @@ use radome_models::{Classifier, Metrics};
 use serde::Serialize;
 
 use super::labelled::LabelledRecording;
-use crate::judge::{CFAR, Model, Verdict};
+use crate::judge::{CFAR, Model, Prediction};
 use crate::output;
 
 /// Scores with one part of the maps replaced, by single maps.
@@ -38,9 +38,9 @@ pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> any
                 SourceEvent::End => break,
                 SourceEvent::Gap(_) => judge.reset(),
                 SourceEvent::Frame => {
-                    let verdict = judge.frame(&frame)?;
-                    if let (Verdict::Probabilities(_), Some(label)) =
-                        (verdict, recording.truth(&frame, source.waveform()))
+                    let prediction = judge.frame(&frame)?;
+                    if let (Prediction::Probabilities(_), Some(label)) =
+                        (prediction, recording.truth(&frame, source.waveform()))
                     {
                         let map = judge.map().clone();
                         if let Some(classifier) = judge.classifier() {

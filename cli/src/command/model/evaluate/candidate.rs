@@ -9,7 +9,7 @@ use radome_models::occupancy_filter::OccupancyFilter;
 use radome_models::train::FilterSequence;
 use serde::Serialize;
 
-use crate::judge::{Judge, Model, Verdict};
+use crate::judge::{Judge, Model, Prediction};
 use crate::output;
 
 /// A model that judges one recording after another.
@@ -82,7 +82,7 @@ impl Run {
     /// # Errors
     /// If the model cannot judge it.
     pub fn frame(&mut self, frame: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
-        if let Verdict::Probabilities(alone) = self.judge.frame(frame)? {
+        if let Prediction::Probabilities(alone) = self.judge.frame(frame)? {
             let time_s = frame.time_s();
             let filtered = self.filter.update(time_s, alone);
             self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
@@ -150,8 +150,11 @@ impl Refused {
     }
 }
 
+/// Number of frames by true class (row) and by the class that they were called (column).
+pub type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+
 /// Adds the counts of one confusion matrix to another.
-pub fn add_confusion(sum: &mut [[u64; 3]; 3], more: &[[u64; 3]; 3]) {
+pub fn add_confusion(sum: &mut Confusion, more: &Confusion) {
     for (sum, more) in sum.iter_mut().flatten().zip(more.iter().flatten()) {
         *sum += more;
     }

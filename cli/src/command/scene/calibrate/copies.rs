@@ -8,8 +8,8 @@ use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, ChannelFit, LEAST_FRAMES};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
+use super::arguments::{Arguments, WINDOW_S};
 use super::sample::{Sample, Sampler};
-use super::{Arguments, WINDOW_S};
 use crate::output;
 
 /// A scene to be simulated through one receiver after the other.

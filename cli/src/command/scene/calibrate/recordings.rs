@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use anyhow::bail;
 use radome_driver::recording::Recording;
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_sim::receiver::calibration::LEAST_FRAMES;
 
-use super::LEAST_FRAMES;
 use crate::output;
 
 /// Recordings of one waveform, each cut in two.

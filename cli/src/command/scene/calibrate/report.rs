@@ -8,7 +8,7 @@ use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::gain::{GainFit, LEAST_BINS, LEAST_RANGE_M};
 use serde::Serialize;
 
-use super::Arguments;
+use super::arguments::Arguments;
 use super::gap::{Channel, Figures};
 use super::line::{Lines, Many};
 use super::still::Clutter;

@@ -4,8 +4,8 @@ use radome_dsp::{Waveform, Window};
 use radome_sim::receiver::calibration::gain::{self, Bin, GainFit, fit_gain};
 use serde::Serialize;
 
-use super::Measured;
 use super::copies::Copies;
+use super::measured::Measured;
 
 /// Jitter shows where an echo stands so far above noise, as power.
 const LEAST_OVER_NOISE: f64 = 100.0;

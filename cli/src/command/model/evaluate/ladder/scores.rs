@@ -8,8 +8,7 @@ use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores}
 use radome_models::train::{FilterSequence, SmoothingFit};
 use serde::Serialize;
 
-use super::super::Confusion;
-use super::super::candidate::{Predictions, Refused, add_confusion};
+use super::super::candidate::{Confusion, Predictions, Refused, add_confusion};
 use super::rung::Rung;
 use crate::output;
 
