@@ -26,6 +26,53 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::panics::Guarded;
 
+/// Seed of a simulation where none is named.
+pub const DEFAULT_SEED: u64 = 1;
+
+/// Source of frames and its options, as every command that reads frames takes them.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SourceArgs {
+    /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
+    #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
+    pub source: String,
+    /// Waveform to program a board with: `paper`, a .toml file, a model file, or a recording
+    #[arg(long)]
+    pub waveform: Option<String>,
+    /// Stop after so many frames
+    #[arg(long)]
+    pub frames: Option<u64>,
+    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
+    #[arg(long)]
+    pub speed: Option<f64>,
+    /// Seed of a simulation; 1 if absent, 100001 for `live`
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// People that a simulation is forced to have
+    #[arg(long)]
+    pub people: Option<usize>,
+    /// Seconds for which a board that is lost is looked for
+    #[arg(long, hide = true, value_parser = seconds)]
+    pub give_up_after_s: Option<Duration>,
+}
+
+impl SourceArgs {
+    /// Options with which the source is opened.
+    ///
+    /// # Errors
+    /// Those of [`waveform`].
+    pub fn options(&self) -> anyhow::Result<SourceOptions> {
+        Ok(SourceOptions {
+            waveform: self.waveform.as_deref().map(waveform).transpose()?,
+            seed: self.seed.unwrap_or(DEFAULT_SEED),
+            people: self.people,
+            frames: self.frames,
+            speed: self.speed,
+            as_tape: false,
+            give_up_after: self.give_up_after_s,
+        })
+    }
+}
+
 /// What to do with a source beyond its name.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {

@@ -10,7 +10,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 300)]
     frames: u64,
     /// Seed of the people's ways; the shipped model was trained on seeds below 100000
-    #[arg(long, default_value_t = 100_001)]
+    #[arg(long, default_value_t = super::live::UNSEEN_SEED)]
     seed: u64,
     /// Times real time; 0 is as fast as it goes
     #[arg(long, default_value_t = 1.0)]

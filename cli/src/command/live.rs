@@ -18,7 +18,10 @@ use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output;
 use crate::output_file::{self, Overwrite};
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs, SourceOptions};
+
+/// Seed of a simulation that no training of the shipped models has seen.
+pub const UNSEEN_SEED: u64 = 100_001;
 
 /// `radome live`
 #[derive(clap::Args)]
@@ -28,15 +31,12 @@ use crate::source::{self, SourceOptions};
                         marked unfinished; answers go on without it, and the status is 1 at the end."
 )]
 pub struct Arguments {
-    /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
-    source: String,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Model file, which names the waveform that a board is programmed with; room-hqnn, which is built in and takes nearly any
     /// waveform; or cfar, the classical detector, for any waveform
     #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
-    /// Waveform to program a board with, for a model that names none (cfar): `paper`, a .toml file, or a model file
-    #[arg(long)]
-    waveform: Option<String>,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
     /// for the time
     #[arg(short, long, value_name = "FILE.mcap")]
@@ -44,26 +44,11 @@ pub struct Arguments {
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
     #[arg(long)]
     allow_loss: bool,
-    /// Seconds for which a board that is lost is looked for
-    #[arg(long, hide = true, value_parser = source::seconds)]
-    give_up_after_s: Option<Duration>,
     #[command(flatten)]
     overwrite: Overwrite,
     /// What the empty room shows, as `radome model background` has captured it: fans and curtains count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
-    /// Stop after so many frames
-    #[arg(long)]
-    frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
-    #[arg(long)]
-    speed: Option<f64>,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 100_001)]
-    seed: u64,
-    /// People that a simulation is forced to have
-    #[arg(long)]
-    people: Option<usize>,
     /// Seconds of agreement before `occupied` is said
     #[arg(long, default_value_t = Delays::default().on_s)]
     on_delay_s: f64,
@@ -83,13 +68,13 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let output = arguments.output.as_deref().map(output_file::dated);
     watch(&Watch {
-        source: &arguments.source,
+        source: &arguments.source.source,
         model: &arguments.model,
-        waveform: arguments.waveform.as_deref(),
-        seed: arguments.seed,
-        people: arguments.people,
-        frames: arguments.frames,
-        speed: arguments.speed,
+        waveform: arguments.source.waveform.as_deref(),
+        seed: arguments.source.seed.unwrap_or(UNSEEN_SEED),
+        people: arguments.source.people,
+        frames: arguments.source.frames,
+        speed: arguments.source.speed,
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
@@ -98,7 +83,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         background: arguments.background.as_deref(),
         home: &arguments.home,
         allow_loss: arguments.allow_loss,
-        give_up_after: arguments.give_up_after_s,
+        give_up_after: arguments.source.give_up_after_s,
     })
 }
 

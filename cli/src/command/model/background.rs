@@ -8,13 +8,13 @@ use crate::judge::{Model, Prediction};
 use crate::live::background::{Background, Capture};
 use crate::output;
 use crate::output_file::Overwrite;
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs};
 
 /// `radome model background`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// The empty room: serial:PORT, auto, a recording, ...
-    source: String,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Model that will judge the room
     #[arg(long)]
     model: PathBuf,
@@ -26,9 +26,6 @@ pub struct Arguments {
     /// How long to look, by the frames' own clock
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// One object at the end
     #[arg(long)]
     json: bool,
@@ -40,23 +37,22 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output)?;
     let model = Model::open(&arguments.model)?;
     let judge = model.named(&arguments.model, Default::default())?;
-    let options = SourceOptions {
-        waveform: model.waveform().cloned(),
-        seed: arguments.seed,
-        people: Some(0),
-        ..Default::default()
-    };
-    let mut source = source::open(&arguments.source, &options)?;
+    let mut options = arguments.source.options()?;
+    options.waveform = options.waveform.or_else(|| model.waveform().cloned());
+    options.people.get_or_insert(0);
+    let mut source = source::open(&arguments.source.source, &options)?;
     eprintln!("{}; nobody should be in the room", source.description);
     let mut at_work = model.judge(source.frames.waveform())?;
     let mut frame = Frame::zeroed(source.frames.waveform().shape());
     let mut capture = Capture::new();
     let mut start_s = None;
-    while !output::interrupted() {
+    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
+    while frames_left > 0 && !output::interrupted() {
         match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
             SourceEvent::Gap(_) => at_work.reset(),
             SourceEvent::Frame => {
+                frames_left -= 1;
                 if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > arguments.seconds {
                     break;
                 }
@@ -67,7 +63,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
     }
     let background: Background =
-        capture.finish(&judge).with_context(|| format!("{} is not captured", arguments.source))?;
+        capture.finish(&judge).with_context(|| format!("{} is not captured", arguments.source.source))?;
     background.save(&arguments.output, arguments.overwrite.existing())?;
     let file = arguments.output.display().to_string();
     if arguments.json {

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::json;
 
 use crate::output_file::Overwrite;
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs, SourceOptions};
 use crate::{files, output};
 
 /// Time over which frames are compared to find what sits or stands, s.
@@ -21,14 +21,14 @@ const REFLECTOR_M: f64 = 0.3;
 /// Frames over which a reflector is averaged.
 const REFLECTOR_FRAMES: u64 = 50;
 
+/// Frames to look at where no number is named.
+const FRAMES: u64 = 100;
+
 /// `radome recording echoes`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recording, SCENE.toml, or a board
-    source: String,
-    /// Frames to look at
-    #[arg(long, default_value_t = 100)]
-    frames: u64,
+    #[command(flatten)]
+    source: SourceArgs,
     /// What the receivers of this board are unlike in, as --reflector wrote it
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
@@ -46,12 +46,6 @@ pub struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
-    /// People that a simulation is forced to have
-    #[arg(long)]
-    people: Option<usize>,
     /// One object a frame
     #[arg(long)]
     json: bool,
@@ -86,13 +80,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         arguments.overwrite.check(path)?;
     }
     let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
-    let options = SourceOptions {
-        seed: arguments.seed,
-        people: arguments.people,
-        frames: Some(arguments.frames),
-        ..Default::default()
-    };
-    let mut source = source::open(&arguments.source, &options)?.frames;
+    let frames = arguments.source.frames.unwrap_or(FRAMES);
+    let options = SourceOptions { frames: Some(frames), ..arguments.source.options()? };
+    let mut source = source::open(&arguments.source.source, &options)?.frames;
     let waveform = source.waveform().clone();
     let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
     if receivers.baselines().is_empty() {
@@ -102,7 +92,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
     let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(window + 1);
     let mut frame = Frame::zeroed(waveform.shape());
-    let wanted = if arguments.reflector.is_some() { arguments.frames.min(REFLECTOR_FRAMES) } else { arguments.frames };
+    let wanted = if arguments.reflector.is_some() { frames.min(REFLECTOR_FRAMES) } else { frames };
     let most = if arguments.reflector.is_some() { REFLECTOR_FRAMES as usize } else { window };
     let mut looked = 0;
     while looked < wanted && !output::interrupted() {
@@ -149,7 +139,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let calibration = receivers.calibrate(&echo.cosines, truth, waveform.wavelength_m());
     let measured_from = format!(
         "{}: a reflector at {range_m} m, {azimuth_deg} degrees left, {elevation_deg} up; seen at {:.3} m, {:.0} dB over the median range",
-        arguments.source, echo.range_m, echo.snr_db
+        arguments.source.source, echo.range_m, echo.snr_db
     );
     let file = AngleFile { format: 1, measured_from, calibration };
     if let Some(path) = &arguments.output {

@@ -9,14 +9,17 @@ use serde_json::json;
 use crate::map_preset::MapPreset;
 use crate::output_file::Overwrite;
 use crate::picture::plot;
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs};
 use crate::{files, output};
+
+/// Frames of a simulation where no number is named.
+const SIMULATED_FRAMES: u64 = 100;
 
 /// `radome recording maps`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Recording or SCENE.toml
-    source: String,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Array to write, f32 dB `[frame][rx][doppler][range]`
     #[arg(short, long)]
     output: Option<PathBuf>,
@@ -43,12 +46,6 @@ pub struct Arguments {
     /// One map from the last so many frames instead of one from the chirps of each
     #[arg(long)]
     across_frames: Option<usize>,
-    /// Frames of a simulation
-    #[arg(long, default_value_t = 100)]
-    frames: u64,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// One object at the end
     #[arg(long)]
     json: bool,
@@ -65,8 +62,10 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.output {
         arguments.overwrite.check(path)?;
     }
-    let options = SourceOptions { seed: arguments.seed, frames: Some(arguments.frames), ..Default::default() };
-    let mut source = source::open(&arguments.source, &options)?;
+    let mut options = arguments.source.options()?;
+    options.frames.get_or_insert(SIMULATED_FRAMES);
+    let mut source = source::open(&arguments.source.source, &options)?;
+    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
     let waveform = source.frames.waveform().clone();
     let mut spec = arguments.preset.spec(&waveform);
     if let Some(rx) = arguments.rx {
@@ -89,11 +88,12 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
     // The array grows as maps come: a night of them fits no memory.
     let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
-        while !output::interrupted() {
+        while frames_left > 0 && !output::interrupted() {
             match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
                 SourceEvent::End => break,
                 SourceEvent::Gap(_) => processor.reset(),
                 SourceEvent::Frame => {
+                    frames_left -= 1;
                     bar.inc(1);
                     if processor.process(&frame, &mut map)? != MapStatus::Ready {
                         continue;
