@@ -67,7 +67,7 @@ impl SourceArgs {
             people: self.people,
             frames: self.frames,
             speed: self.speed,
-            as_tape: false,
+            as_playback: false,
             give_up_after: self.give_up_after_s,
         })
     }
@@ -84,10 +84,10 @@ pub struct SourceOptions {
     pub people: Option<usize>,
     /// Frames that a simulation ends after.
     pub frames: Option<u64>,
-    /// Times real time; 0 is as fast as it goes, and so is `None` but for a tape. Boards have their own pace.
+    /// Times real time; 0 is as fast as it goes, and so is `None` except for a [`Playback`]. Boards have their own pace.
     pub speed: Option<f64>,
-    /// Whether a recording is to be a [`Tape`], by default at the pace at which it was taken.
-    pub as_tape: bool,
+    /// Whether a recording is to be a [`Playback`], by default at the pace at which it was taken.
+    pub as_playback: bool,
     /// Time for which a lost board is looked for; the default if `None`.
     pub give_up_after: Option<Duration>,
 }
@@ -101,7 +101,7 @@ impl SourceOptions {
 
 /// A recording that somebody plays, pauses and seeks.
 #[derive(Clone)]
-pub struct Tape {
+pub struct Playback {
     /// Its keys.
     pub transport: Transport,
     /// Its first and last frame.
@@ -123,12 +123,12 @@ pub struct Source {
     /// What its chip was programmed with.
     pub registers: RegisterList,
     /// The recording, where it is one that can be sought.
-    pub tape: Option<Tape>,
+    pub playback: Option<Playback>,
 }
 
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
-        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), tape: None }
+        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), playback: None }
     }
 }
 
@@ -181,8 +181,8 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
-    if options.as_tape && !is_scene(path) {
-        return tape(path, options.speed.unwrap_or(1.0));
+    if options.as_playback && !is_scene(path) {
+        return playback(path, options.speed.unwrap_or(1.0));
     }
     let mut source = if is_scene(path) {
         let simulator = simulator(&Scene::load(path)?, options)?;
@@ -239,13 +239,13 @@ fn simulation_in(
 }
 
 /// A recording to play; its board is the one that it was taken with.
-fn tape(path: &Path, speed: f64) -> anyhow::Result<Source> {
+fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();
     let Some(player) = Player::new(recording, speed)? else { bail!("{}: no frame", path.display()) };
-    let tape = Tape { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
+    let playback = Playback { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
     let source = Source::without_board(Box::new(player), format!("recording {}", path.display()));
-    Ok(Source { board: header.board, registers: header.registers, tape: Some(tape), ..source })
+    Ok(Source { board: header.board, registers: header.registers, playback: Some(playback), ..source })
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
@@ -274,7 +274,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
                 description,
                 board: Some(identity),
                 registers,
-                tape: None,
+                playback: None,
             })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
@@ -296,7 +296,14 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     let description = format!("{} on {}", identity.name, board.path().display());
     let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
     let registers = stream.registers().clone();
-    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers, tape: None })
+    Ok(Source {
+        frames: Box::new(stream),
+        is_live: true,
+        description,
+        board: Some(identity),
+        registers,
+        playback: None,
+    })
 }
 
 /// The only board that discovery finds.
@@ -317,7 +324,7 @@ fn the_one_board() -> anyhow::Result<Address> {
 
 /// The same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open_unstamped(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
+    let source = open_unstamped(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
     let emulated =
@@ -327,7 +334,7 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
     let is_live = speed.is_some();
-    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, tape: None })
+    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
 }
 
 /// Seconds, as an argument.

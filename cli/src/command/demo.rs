@@ -46,7 +46,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
         output: None,
         overwrite: Default::default(),
         background: None,
-        home: &Default::default(),
+        integrations: &Default::default(),
         allow_loss: false,
         give_up_after: None,
     })

@@ -13,7 +13,7 @@ use serde_json::json;
 
 use self::check::{Check, Outcome};
 use self::redact::{Kind, Redactor};
-use crate::live::home::broker::{self, BrokerArguments, Secret};
+use crate::live::integrations::broker::{self, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
 

@@ -10,7 +10,7 @@ use crate::exit::Ended;
 use crate::judge::{BUILT_IN, Delays, Model};
 use crate::live::background::Background;
 use crate::live::classify::{FrameClassifier, run as run_classifier};
-use crate::live::home::{self, Home};
+use crate::live::integrations::{self, Integrations};
 use crate::live::pipeline::{Pipeline, Policy};
 use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
@@ -61,7 +61,7 @@ pub struct Arguments {
     #[command(flatten)]
     view: view::Arguments,
     #[command(flatten)]
-    home: home::Arguments,
+    integrations: integrations::Arguments,
 }
 
 /// Online classification of any source.
@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
         output: output.as_deref(),
         overwrite: arguments.overwrite,
         background: arguments.background.as_deref(),
-        home: &arguments.home,
+        integrations: &arguments.integrations,
         allow_loss: arguments.allow_loss,
         give_up_after: arguments.source.give_up_after_s,
     })
@@ -116,7 +116,7 @@ pub struct Watch<'a> {
     /// Capture of the empty room.
     pub background: Option<&'a Path>,
     /// Who else is told.
-    pub home: &'a home::Arguments,
+    pub integrations: &'a integrations::Arguments,
     /// Whether gaps in the recording count as success.
     pub allow_loss: bool,
     /// Time for which a lost board is looked for; the default if `None`.
@@ -143,7 +143,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         people: watch.people,
         frames: watch.frames,
         speed: watch.speed,
-        as_tape: watch.view.is_wanted(),
+        as_playback: watch.view.is_wanted(),
         give_up_after: watch.give_up_after,
     };
     let source = source::open(watch.source, &options)?;
@@ -151,8 +151,8 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     eprintln!("judged by {}", watch.model.display());
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
-    if let Some(tape) = &source.tape {
-        tape.transport.set_preroll_s(judge.memory_s());
+    if let Some(playback) = &source.playback {
+        playback.transport.set_preroll_s(judge.memory_s());
     }
     // Before anything is written: a page that cannot be served leaves files as they are.
     let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
@@ -162,7 +162,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut home = Home::open(watch.home, watch.view.access(), &header, started)?;
+    let mut integrations = Integrations::open(watch.integrations, watch.view.access(), &header, started)?;
     let screen = Screen::new(watch.json)?;
 
     let mut pipeline = Pipeline::new();
@@ -178,7 +178,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     };
     let reader = pipeline.start(source.frames, watch.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = home.take_sinks();
+    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
     if let Some(recorder) = recorder {
         sinks.push(Box::new(recorder));
@@ -189,7 +189,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     sinks.push(Box::new(screen));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
-    drop(home);
+    drop(integrations);
     outcome?;
     let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !watch.allow_loss;
     if is_lost {

@@ -1,4 +1,4 @@
-//! Where answers go: the terminal, the page, the home, a recording.
+//! Where answers go: the terminal, the page, the integrations, a recording.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, a tape's keys.
+//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, keys to play, pause and seek.
 //!
 //! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
 //! their own, at most thirty a second and only those that somebody looks at. [`server`] serves, [`policy`] decides to whom, [`control`]
@@ -87,8 +87,8 @@ impl Page {
             return Ok(None);
         }
         let waveform = source.frames.waveform().clone();
-        let tape = source.tape.clone();
-        let partner = Partner::find(arguments.pair.as_deref(), tape.as_ref(), &waveform)?;
+        let playback = source.playback.clone();
+        let partner = Partner::find(arguments.pair.as_deref(), playback.as_ref(), &waveform)?;
         let token = match arguments.access.token()? {
             None if !arguments.listen.ip().is_loopback() => Some(Token::random()?),
             token => token,
@@ -109,8 +109,8 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(tape.as_ref(), recording, model, waveform.frame_interval_s())?,
-            feed: Feed::new(&waveform, tape.is_some()),
+            labels: Keeper::open(playback.as_ref(), recording, model, waveform.frame_interval_s())?,
+            feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),
                 model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -118,7 +118,7 @@ impl Page {
                 has_partner: partner.is_some(),
                 read_only_labels: arguments.read_only_labels,
                 waveform,
-                tape,
+                playback,
             },
             policy: Policy::new(address, &arguments.access, token.as_ref()),
             over: Mutex::new(None),
@@ -208,8 +208,8 @@ fn yield_to_others() {
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         // Frames before one that was sought only tell the network what came before.
-        if let Some(tape) = &self.shared.about.tape
-            && tape.transport.is_preroll(moment.answer.sequence)
+        if let Some(playback) = &self.shared.about.playback
+            && playback.transport.is_preroll(moment.answer.sequence)
         {
             return Ok(());
         }
@@ -224,8 +224,8 @@ impl Sink for Page {
     }
 
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
-        if let Some(tape) = &self.shared.about.tape {
-            tape.transport.close();
+        if let Some(playback) = &self.shared.about.playback {
+            playback.transport.close();
         }
         *self.shared.over() = Some(json!({ "over": summary }));
         self.shared.feed.close();

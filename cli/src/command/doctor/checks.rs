@@ -12,7 +12,7 @@ use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
 use super::check::Check;
 use crate::judge::{Judge, Model, Prediction};
-use crate::live::home::broker::BrokerArguments;
+use crate::live::integrations::broker::BrokerArguments;
 use crate::source::{self, SourceOptions};
 
 /// The program itself.

@@ -53,11 +53,12 @@ pub enum Command {
 }
 
 /// Does what a page asks for; an error says why not.
-pub fn obey(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
+pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
     let command: Command = serde_json::from_str(text).context("that is no message of this page")?;
     let transport = || {
-        let tape = shared.about.tape.as_ref().context("only recordings can be sought, paused and stepped through")?;
-        anyhow::Ok(&tape.transport)
+        let playback =
+            shared.about.playback.as_ref().context("only recordings can be sought, paused and stepped through")?;
+        anyhow::Ok(&playback.transport)
     };
     let edit = |edit: Edit| {
         if shared.about.read_only_labels {

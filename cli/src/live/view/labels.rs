@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::adaptation::Offer;
 use crate::labels;
-use crate::source::Tape;
+use crate::source::Playback;
 
 /// More labels than anybody makes by hand.
 const MOST_SPANS: usize = 5_000;
@@ -353,10 +353,15 @@ pub struct Keeper {
 impl Keeper {
     /// Reads the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is the one
     /// that pages offer to adapt.
-    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, model: &Path, interval_s: f64) -> anyhow::Result<Self> {
+    pub fn open(
+        playback: Option<&Playback>,
+        recording: Option<&Path>,
+        model: &Path,
+        interval_s: f64,
+    ) -> anyhow::Result<Self> {
         let made = recording.map(|path| Place::Made { recording: path.to_owned() });
-        let place = tape.map(|tape| -> anyhow::Result<Place> {
-            let recording = tape.path.clone();
+        let place = playback.map(|playback| -> anyhow::Result<Place> {
+            let recording = playback.path.clone();
             Ok(match Recording::open(&recording)? {
                 Recording::Mcap(_) => Place::Mcap(recording),
                 _ => {
@@ -367,7 +372,8 @@ impl Keeper {
         });
         let place = place.transpose()?.or(made);
         let known = place.as_ref().map_or(Ok(Vec::new()), Place::read)?;
-        let extent_s = tape.map(|tape| (tape.extent.first.time_s(), tape.extent.last.time_s() + interval_s));
+        let extent_s =
+            playback.map(|playback| (playback.extent.first.time_s(), playback.extent.last.time_s() + interval_s));
         let state = State { book: Book::new(known.clone(), extent_s), known, ..State::default() };
         Ok(Keeper {
             state: Mutex::new(state),

@@ -258,7 +258,7 @@ async fn converse(
                         return throw_out(&mut socket, "too many messages").await;
                     }
                     let obeyed = match &message {
-                        Message::Text(text) => control::obey(shared, page, text.as_str()),
+                        Message::Text(text) => control::handle(shared, page, text.as_str()),
                         _ => Err(anyhow::anyhow!("that is no message of this page")),
                     };
                     if let Err(error) = obeyed {
@@ -315,8 +315,8 @@ async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool 
             return false;
         }
     }
-    if let Some(tape) = &shared.about.tape {
-        let playback = tape.transport.playback();
+    if let Some(playback) = &shared.about.playback {
+        let playback = playback.transport.playback();
         // Where it is, pictures say, unless it stands.
         let is_news = told.playback.is_none_or(|told| {
             (told.playing, told.speed, told.at_end) != (playback.playing, playback.speed, playback.at_end)

@@ -9,7 +9,7 @@ use serde_json::json;
 use super::feed::Feed;
 use super::labels::Keeper;
 use super::policy::Policy;
-use crate::source::Tape;
+use crate::source::Playback;
 
 /// Description of the run for pages.
 pub struct About {
@@ -17,7 +17,7 @@ pub struct About {
     pub model: String,
     pub waveform: Waveform,
     pub board: Option<BoardIdentity>,
-    pub tape: Option<Tape>,
+    pub playback: Option<Playback>,
     pub has_partner: bool,
     pub read_only_labels: bool,
 }
@@ -26,8 +26,8 @@ impl About {
     /// First message to a page.
     pub fn hello(&self) -> serde_json::Value {
         let shape = self.waveform.shape();
-        let tape = self.tape.as_ref().map(|tape| {
-            let extent = tape.extent;
+        let playback = self.playback.as_ref().map(|playback| {
+            let extent = playback.extent;
             json!({
                 "first_s": extent.first.time_s(),
                 "last_s": extent.last.time_s(),
@@ -45,7 +45,7 @@ impl About {
             "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
             "frame_interval_s": self.waveform.frame_interval_s(),
             "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
-            "tape": tape,
+            "tape": playback,
             "partner": self.has_partner,
             "read_only_labels": self.read_only_labels,
         } })

@@ -1,5 +1,5 @@
-//! What the house reads of a run: MQTT for its hub, metrics for Prometheus, notifications for systemd. All of them look at what
-//! is newest when it suits them, on threads of their own: none of them can hold up the classifier.
+//! Connections of a run to other programs: MQTT for home automation, metrics for Prometheus, notifications for systemd. Each reads the
+//! newest answer on a thread of its own and cannot hold up the classifier.
 
 pub mod broker;
 mod discovery;
@@ -57,8 +57,8 @@ const FAREWELL: Duration = Duration::from_secs(4);
 const SILENT_FRAMES: f64 = 20.0;
 const SILENCE: Duration = Duration::from_secs(5);
 
-/// The house, for as long as the run lasts.
-pub struct Home {
+/// Connections to other programs for as long as the run lasts.
+pub struct Integrations {
     sinks: Vec<Box<dyn Sink>>,
     stop: watch::Sender<bool>,
     tasks: Vec<JoinHandle<()>>,
@@ -67,7 +67,7 @@ pub struct Home {
     saver: Option<Saver>,
 }
 
-impl Home {
+impl Integrations {
     /// Opens what is wanted; `header` says of what, `access` who may use the metrics' port.
     pub fn open(
         arguments: &Arguments,
@@ -76,24 +76,27 @@ impl Home {
         started: Instant,
     ) -> anyhow::Result<Self> {
         let (stop, stopped) = watch::channel(false);
-        let mut home = Home { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
+        let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
         let is_notified = systemd::is_wanted();
         let keeps = arguments.keep.is_wanted();
         if arguments.broker.url().is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
-            return Ok(home);
+            return Ok(integrations);
         }
         let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
         let latest = Latest::new(started, silence);
-        home.sinks.push(Box::new(LatestSink(latest.clone())));
+        integrations.sinks.push(Box::new(LatestSink(latest.clone())));
         let mut reports = None;
         if let Some((keeper, way, saver)) = Keeper::open(&arguments.keep, header, latest.clone())? {
-            home.sinks.push(Box::new(keeper));
-            home.saver = Some(saver);
+            integrations.sinks.push(Box::new(keeper));
+            integrations.saver = Some(saver);
             reports = Some(way);
         }
 
-        let runtime =
-            tokio::runtime::Builder::new_multi_thread().worker_threads(1).thread_name("home").enable_all().build()?;
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("integrations")
+            .enable_all()
+            .build()?;
         let _inside = runtime.enter();
         if let Some(address) = arguments.metrics {
             let token = access.token()?;
@@ -116,10 +119,10 @@ impl Home {
             let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
             let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
             let mqtt = mqtt::Mqtt { broker, options, device, latest: latest.clone(), reports: reports.clone() };
-            home.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
+            integrations.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
         }
         if is_notified {
-            home.tasks.push(tokio::spawn(systemd::run(latest.clone(), stopped.clone())));
+            integrations.tasks.push(tokio::spawn(systemd::run(latest.clone(), stopped.clone())));
         }
         if let Some(reports) = reports {
             let mut signals = signal(SignalKind::user_defined1()).context("cannot catch SIGUSR1")?;
@@ -130,8 +133,8 @@ impl Home {
             });
         }
         drop(_inside);
-        home.runtime = Some(runtime);
-        Ok(home)
+        integrations.runtime = Some(runtime);
+        Ok(integrations)
     }
 
     /// What the classifier's thread hands its answers to.
@@ -146,7 +149,7 @@ fn report_false_alarm(reports: &Reports) {
     }
 }
 
-impl Drop for Home {
+impl Drop for Integrations {
     fn drop(&mut self) {
         let _ = self.stop.send(true);
         let Some(runtime) = self.runtime.take() else { return };
