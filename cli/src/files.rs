@@ -1,4 +1,4 @@
-//! Where the program's own scenes and models lie, and files that appear whole or not at all.
+//! Paths of the program's own scenes and models, and files that appear whole or not at all.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};

@@ -1,4 +1,4 @@
-//! What judges frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
+//! Classifiers of frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -81,7 +81,7 @@ enum Kind {
     Cfar(Box<PeopleCounter>),
 }
 
-/// What a judge says of a frame.
+/// Prediction for one frame.
 pub enum Prediction {
     /// Its window over frames is not full yet: so many of so many.
     WarmingUp { have: usize, need: usize },
@@ -145,7 +145,7 @@ impl Model {
         }
     }
 
-    /// Who judges, as recordings name it.
+    /// Name and hash of the model, as recordings store them.
     pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {
@@ -164,7 +164,7 @@ impl Model {
         Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
     }
 
-    /// How answers to frames are put together.
+    /// Settings of the filter over predictions.
     pub fn smoothing(&self) -> Smoothing {
         match self {
             Model::Network(classifier) => classifier.card().smoothing,

@@ -67,7 +67,7 @@ pub fn rewrite_beside(
     Ok(partial.finish()?)
 }
 
-/// Where the labels of a recording lie that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
+/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
 pub fn name_beside(recording: &Path) -> PathBuf {
     if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
 }

@@ -73,7 +73,7 @@ impl SourceArgs {
     }
 }
 
-/// What to do with a source beyond its name.
+/// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
     /// Waveform to program a board with, if not the one that it has; recordings and scenes bring their own.
@@ -106,7 +106,7 @@ pub struct Playback {
     pub transport: Transport,
     /// Its first and last frame.
     pub extent: Extent,
-    /// Where it lies.
+    /// Path of the recording.
     pub path: PathBuf,
 }
 
@@ -120,7 +120,7 @@ pub struct Source {
     pub description: String,
     /// The board behind it, if there is one.
     pub board: Option<BoardIdentity>,
-    /// What its chip was programmed with.
+    /// Registers of its chip.
     pub registers: RegisterList,
     /// The recording, where it is one that can be sought.
     pub playback: Option<Playback>,

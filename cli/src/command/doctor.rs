@@ -1,4 +1,4 @@
-//! What could keep the program from doing its work on this machine, found before it does.
+//! Checks of everything that could keep the program from working on this machine.
 
 mod bundle;
 mod check;
@@ -38,13 +38,13 @@ pub struct Arguments {
     /// One object a check
     #[arg(long)]
     json: bool,
-    /// What is said on the wire meanwhile.
+    /// Trace of the board's protocol meanwhile.
     #[arg(skip)]
     wire: WireLog,
 }
 
 impl Arguments {
-    /// Where what is said on the wire is to go, if anybody will read it.
+    /// Destination of the trace of the protocol, if a bundle is to be written.
     pub fn wire_log(&self) -> Option<&WireLog> {
         self.bundle.as_ref().map(|_| &self.wire)
     }

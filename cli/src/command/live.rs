@@ -46,7 +46,7 @@ pub struct Arguments {
     allow_loss: bool,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// What the empty room shows, as `radome model background` has captured it: fans and curtains count as nobody
+    /// Measurement of the empty room by `radome model background`: fans and curtains then count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
     /// Seconds of agreement before `occupied` is said
@@ -87,7 +87,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     })
 }
 
-/// What `live` and `demo` have in common.
+/// Inputs and options of `live` and `demo`.
 pub struct Watch<'a> {
     /// SOURCE.
     pub source: &'a str,
@@ -115,7 +115,7 @@ pub struct Watch<'a> {
     pub overwrite: Overwrite,
     /// Capture of the empty room.
     pub background: Option<&'a Path>,
-    /// Who else is told.
+    /// Options of the integrations.
     pub integrations: &'a integrations::Arguments,
     /// Whether gaps in the recording count as success.
     pub allow_loss: bool,
@@ -198,7 +198,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(is_lost))
 }
 
-/// What a board is to be programmed with: what is named, if the model can judge it, or what the model was made for.
+/// Waveform to program a board with: the named one if the model can judge it, else the model's own.
 fn waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
     let Some(named) = watch.waveform else { return Ok(model.waveform().cloned()) };
     let waveform = source::waveform(named)?;

@@ -8,7 +8,7 @@ use crate::output;
 /// `radome completions`
 #[derive(clap::Args)]
 pub struct CompletionArguments {
-    /// Which shell
+    /// Name of the shell
     shell: Shell,
 }
 

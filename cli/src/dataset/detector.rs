@@ -1,4 +1,4 @@
-//! What a classical detector believes of a recording ([`radome_dsp::people`]): something to correct by hand, not to train on as
+//! Labels that a classical detector proposes for a recording ([`radome_dsp::people`]): something to correct by hand, not to train on as
 //! it is.
 
 use std::path::Path;
@@ -56,7 +56,7 @@ pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     Ok(spans)
 }
 
-/// What most frames within [`AGREEMENT_S`] about each believe.
+/// Class of most frames within [`AGREEMENT_S`] about each.
 fn agree(believed: &[(f64, Occupancy)]) -> Vec<(f64, Occupancy)> {
     let half_s = 0.5 * AGREEMENT_S;
     let (mut from, mut to) = (0, 0);

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::source::{self, SourceOptions};
 
-/// What recordings of walking people show, if no other file is named.
+/// Measured features of walking people, if no other file is named.
 const WALKING: &str = include_str!("../../../fixtures/features/walking.toml");
 /// Ranges at which static clutter is looked for, m.
 const CLUTTER_M: [f64; 2] = [1.8, 3.9];
@@ -41,7 +41,7 @@ pub struct Measured {
     pub name: String,
     /// Least and greatest value over recordings.
     pub measured: [f64; 2],
-    /// How far outside of that a median may be, in its unit.
+    /// Tolerance of the median beyond that range, in its unit.
     #[serde(default)]
     within: f64,
     /// The same as a ratio of amplitudes, dB.

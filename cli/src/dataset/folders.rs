@@ -13,9 +13,9 @@ const DEEPEST: usize = 12;
 /// A recording that was found.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Found {
-    /// What to open.
+    /// Path to open.
     pub path: PathBuf,
-    /// What was recorded together, by its path from the folder; several radars may have recorded it.
+    /// Session by its path from the folder; several radars may have recorded it.
     pub session: String,
     /// The recording: the session, and which radar where there are several.
     pub name: String,
@@ -92,7 +92,7 @@ fn is_text(path: &Path) -> bool {
         || (path.extension().is_some_and(|e| e == "txt") && path.file_stem().is_some_and(with_config))
 }
 
-/// What a name says.
+/// Meaning of a name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Reading {
     pub label: FolderLabel,
@@ -112,7 +112,7 @@ impl Rules {
         Ok(Rules(rules.collect::<anyhow::Result<_>>()?))
     }
 
-    /// What a name says: the one pattern that fits decides.
+    /// Label by name: the one pattern that fits decides.
     pub fn read(&self, name: &str) -> anyhow::Result<Reading> {
         let last = name.rsplit('/').next().unwrap_or(name);
         let fits = |(pattern, regex, label): &(String, Regex, FolderLabel)| {

@@ -54,7 +54,7 @@ pub struct Plan {
     pub card: PlanCard,
 }
 
-/// What decides the bytes of a build, as written beside its units: whoever goes on with them, or merges them, compares it.
+/// Inputs that decide the bytes of a build, as written beside its units: a later run or a merge compares them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlanCard {
@@ -64,7 +64,7 @@ pub struct PlanCard {
     /// Instructions that the maps are made with.
     kernel: KernelLevel,
     pub spec: BuildSpec,
-    /// What stands in the files that the spec names, by the names that it gives them.
+    /// Fingerprints of the files that the spec names, by the names that it gives them.
     sources: BTreeMap<String, String>,
     /// Units of the whole build; unit `k` is shard `k mod N`'s.
     pub units: usize,
@@ -279,7 +279,7 @@ impl PlanCard {
         Ok(serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n")
     }
 
-    /// What makes another plan's units unfit to stand beside this one's; `None` if nothing does.
+    /// Difference that keeps another plan's units from being merged with this one's; `None` if there is none.
     pub fn difference(&self, other: &PlanCard) -> Option<String> {
         if self.program != other.program {
             return Some(format!("made by version {} of this program, not {}", other.program, self.program));

@@ -1,4 +1,4 @@
-//! What a dataset is made of: the TOML file. Paths in it are relative to it.
+//! Spec of a dataset: a TOML file. Paths in it are relative to it.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -24,14 +24,14 @@ const MOST_RUNS: u64 = 1_000_000;
 #[serde(deny_unknown_fields)]
 pub struct BuildSpec {
     format: u32,
-    /// Which map: keys that are left out are those of [`map_of_networks`].
+    /// Kind of map: keys that are left out are those of [`map_of_networks`].
     #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
     pub map: RdmSpec,
     /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
     /// bit if it is given.
     #[serde(default)]
     pub kernel: Option<KernelLevel>,
-    /// How splits are dealt out, once and for all; left to who trains if absent.
+    /// Rule by which splits are made, once and for all; left to the training if absent.
     #[serde(default)]
     pub split: Option<SplitSpec>,
     /// Runs of scenes.
@@ -61,7 +61,7 @@ pub struct Simulated {
     /// Other values of keys of the scene's `[waveform]`. Maps on physical axes may come of several waveforms.
     #[serde(default)]
     pub waveform: toml::Table,
-    /// What people are made of; what the scene says if absent.
+    /// Kind of body; the scene's own if absent.
     #[serde(default)]
     pub body: Option<Body>,
     /// Error of the echoes that is asked for, dB; the simulator's own if absent.
@@ -72,7 +72,7 @@ pub struct Simulated {
     pub split: Option<Split>,
 }
 
-/// What people are made of.
+/// Kind of body.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Body {
@@ -106,10 +106,10 @@ pub struct Recorded {
     /// Scene or place.
     #[serde(default)]
     pub scene: Option<String>,
-    /// Who is in it.
+    /// Name of the person.
     #[serde(default)]
     pub subject: Option<String>,
-    /// What the maps belong to; the recording if absent.
+    /// Sequence of the maps; the recording if absent.
     #[serde(default)]
     pub sequence: Option<String>,
     /// Take one map in so many.
@@ -120,7 +120,7 @@ pub struct Recorded {
     pub split: Option<Split>,
 }
 
-/// What the recordings are whose names fit a pattern.
+/// Label of the recordings whose names fit a pattern.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FolderLabel {
@@ -130,13 +130,13 @@ pub enum FolderLabel {
     One,
     /// Two people or more, throughout.
     Two,
-    /// What their own labels say.
+    /// Labels of the recordings themselves.
     Spans,
     /// Not for the dataset.
     Skip,
 }
 
-/// What a network can be trained on, whatever the board: the mean power of all receivers, less each chirp's mean and what stands
+/// Map on which networks are trained, whatever the board: the mean power of all receivers, less each chirp's mean and what stands
 /// still within the frame.
 fn map_of_networks() -> RdmSpec {
     RdmSpec {

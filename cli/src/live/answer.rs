@@ -33,7 +33,7 @@ impl From<[f32; 3]> for Probabilities {
     }
 }
 
-/// What is said about one frame.
+/// Answer to one frame.
 #[derive(Debug, Clone, Serialize)]
 pub struct Answer {
     /// Sequence number of the frame.
@@ -58,7 +58,7 @@ pub struct Answer {
     /// before.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub no_signal: bool,
-    /// What is known to be true.
+    /// True class, where it is known.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub truth: Option<Occupancy>,
     /// Whether someone is partly in the room.
@@ -86,7 +86,7 @@ pub struct Latency {
     pub p99: f64,
 }
 
-/// What a run amounts to.
+/// Summary of a run.
 #[derive(Debug, Clone, Serialize)]
 pub struct Summary {
     /// Frames that arrived.
@@ -98,7 +98,7 @@ pub struct Summary {
     pub dropped_by_reason: BTreeMap<&'static str, u64>,
     /// Frames with a label.
     pub labelled: u64,
-    /// How often each label was given.
+    /// Number of frames with each label.
     pub labels: BTreeMap<&'static str, u64>,
     /// Mean recall over the classes that occurred, over all frames with truth.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -1,4 +1,4 @@
-//! What an empty room shows: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
+//! Levels of an empty room: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
 //! network makes of it.
 
 use std::path::Path;

@@ -75,7 +75,7 @@ impl FrameClassifier {
         &self.health
     }
 
-    /// How far back an answer looks, s: the frames of a map, and as long as people stay.
+    /// Time that an answer looks back, s: the frames of a map, and as long as people stay.
     pub fn memory_s(&self) -> f64 {
         self.map_s + self.smoothing.dwell_s.min(10.0)
     }
@@ -157,7 +157,7 @@ impl FrameClassifier {
         Ok(answer)
     }
 
-    /// What the run amounts to.
+    /// Summary of the run.
     pub fn summary(&self) -> Summary {
         let metrics = |confusion: &Confusion| {
             (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))

@@ -24,7 +24,7 @@ const WAITING_RESULTS: usize = 1024;
 /// A source that is silent for this long may never come back: what it said is made safe.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// What is recorded of a moment.
+/// Content of a moment that is recorded.
 pub fn frame_result(moment: &Moment) -> FrameResult {
     let Moment { answer, frame, .. } = moment;
     FrameResult {

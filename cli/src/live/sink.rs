@@ -1,4 +1,4 @@
-//! Where answers go: the terminal, the page, the integrations, a recording.
+//! Destinations of answers: the terminal, the page, the integrations, a recording.
 
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use super::health::Health;
 
 /// A frame that has been judged, and everything that is known then.
 pub struct Moment<'a> {
-    /// What is said about it.
+    /// Answer to the frame.
     pub answer: &'a Answer,
     /// The frame; a sink that keeps it longer takes it out of the pool, which then grows by one.
     pub frame: &'a Arc<Frame>,

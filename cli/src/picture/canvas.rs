@@ -47,7 +47,7 @@ impl Ink {
     }
 }
 
-/// How a line is drawn.
+/// Style of a line.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Line {
     /// Colour.

@@ -5,7 +5,7 @@ use radome_sim::Scene;
 use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
 use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
 
-/// What stands for something in the legend.
+/// Sign in the legend.
 pub(super) enum Sign {
     Area(Ink),
     Open,

@@ -40,13 +40,13 @@ const OUTSIDE_M: f64 = 0.15;
 /// Bodies drawn of everybody after the first.
 const LATER: usize = 3;
 
-/// What is drawn beside the scene.
+/// Scene and options of its picture.
 pub struct Preview<'a> {
     /// The scene as its seed drew it.
     pub scene: &'a Scene,
     /// The seed.
     pub seed: u64,
-    /// How many people there are; the scene's own number if `None`.
+    /// Number of people; the scene's own number if `None`.
     pub people: Option<usize>,
     /// Ways are drawn up to here, s.
     pub until_s: f64,
@@ -306,7 +306,7 @@ fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
     (0..=steps).map(|i| world_from_radar * cut(half * (2.0 * f64::from(i) / f64::from(steps) - 1.0))).collect()
 }
 
-/// Where a ray from a place in the room meets a wall.
+/// Point where a ray from a place in the room meets a wall.
 fn to_wall(from: DVec3, direction: DVec3, size: DVec3) -> DVec3 {
     let length = (0..3)
         .filter(|&i| direction[i].abs() > 1e-9)

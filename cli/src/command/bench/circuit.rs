@@ -16,7 +16,7 @@ pub struct Arguments {
     /// Qubits, 1 to 12
     #[arg(long, default_value_t = 2)]
     qubits: usize,
-    /// How inputs become a state: the ZZ feature map, or RY(x)
+    /// Encoding of inputs: the ZZ feature map, or RY(x)
     #[arg(long, value_enum, default_value = "zz")]
     encoding: EncodingName,
     /// Repetitions of the feature map, 1 or 2
@@ -115,7 +115,7 @@ impl Arguments {
     }
 }
 
-/// What the circuit answers, by the names of what is measured: `ZI`, `IZ`.
+/// Expectations and gradients by the names of observables: `ZI`, `IZ`.
 struct Answer {
     names: Vec<String>,
     jacobian: Jacobian,

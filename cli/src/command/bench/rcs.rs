@@ -64,7 +64,7 @@ pub struct Arguments {
     /// Electric field of the radar
     #[arg(long, value_enum, default_value_t = Field::Vertical)]
     polarisation: Field,
-    /// How to solve; the program chooses what suits the target
+    /// Method; the program chooses one that suits the target
     #[arg(long, value_enum, default_value_t = How::Auto)]
     method: How,
     /// Work on a mesh with edges of this length instead of the exact shape
@@ -95,7 +95,7 @@ enum Field {
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]
 enum How {
-    /// What suits the target
+    /// Method that suits the target
     Auto,
     /// Stationary phase on the exact shape
     Highlight,
@@ -119,7 +119,7 @@ struct Answer {
     milliseconds: f64,
     rays: usize,
     facets: usize,
-    /// Where the analytic value is from.
+    /// Origin of the analytic value.
     analytic_source: Option<&'static str>,
     /// The method's own estimate of its numerical error.
     estimate_db: Option<f64>,

@@ -90,7 +90,7 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
     Ok(points)
 }
 
-/// What the script of the peer says, or nothing where it cannot run.
+/// Output of the script of the peer; `None` where it cannot run.
 fn scipy_ms(python: Option<&Path>) -> Option<f64> {
     let python = python.unwrap_or(Path::new("python3"));
     // The script is in the program, so that it is found wherever that runs.

@@ -56,7 +56,7 @@ struct Nearest {
     realised: f64,
 }
 
-/// How the board hands frames over.
+/// Slices in which the board sends frames.
 #[derive(Serialize)]
 struct SlicePlan {
     samples: usize,
@@ -115,7 +115,7 @@ impl<'a> Derived<'a> {
         })
     }
 
-    /// What a person reads, line by line.
+    /// Names and values as text.
     fn rows(&self) -> Vec<(&'static str, String)> {
         let w = self.waveform;
         let band = |start: f64, width: f64| {

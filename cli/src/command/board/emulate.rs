@@ -38,7 +38,7 @@ pub struct Arguments {
     /// Be a CMSIS-DAP debug probe, and no board: on a HID gadget's node such as /dev/hidg0, or on a mounted FunctionFS
     #[arg(long, value_name = "NODE", exclusive = true)]
     probe: Option<PathBuf>,
-    /// What the board speaks
+    /// Protocol of the board
     #[arg(long, value_enum, default_value_t)]
     protocol: Protocol,
     /// Symbolic link to the pty, so that it has the same path each time; for mcu7-bulk the folder of its endpoints
@@ -53,7 +53,7 @@ pub struct Arguments {
     /// Time that a request takes to reach the board, as over USB; frames do not wait
     #[arg(long, value_name = "MS", default_value = "1.5", value_parser = milliseconds)]
     latency_ms: Duration,
-    /// What goes wrong: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
+    /// Faults: `drop 5, flip 12:345, unplug 70:2.5, slow 80:0.5, chip 0x606`; packets count from 0
     #[arg(long, value_delimiter = ',')]
     faults: Vec<Fault>,
     /// Times real time; 0 is as fast as the host reads

@@ -12,7 +12,7 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// What no two splits may share beside sequences
+    /// Property that no two splits may share beside sequences
     #[arg(long, value_enum, default_value_t = By::Sequence)]
     by: By,
     /// One object

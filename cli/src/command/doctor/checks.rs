@@ -142,7 +142,7 @@ pub fn devices() -> Vec<Check> {
     candidates.iter().map(check).collect()
 }
 
-/// What was seen of a source.
+/// Frames and header of a source.
 pub struct Examined {
     /// The source in words.
     pub description: String,

@@ -18,12 +18,12 @@ pub struct Arguments {
     /// Model that will judge the room
     #[arg(long)]
     model: PathBuf,
-    /// What to write, for `live --background`
+    /// File to write, for `live --background`
     #[arg(short, long, value_name = "FILE.json")]
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// How long to look, by the frames' own clock
+    /// Seconds to measure, by the frames' own clock
     #[arg(long, default_value_t = 60.0)]
     seconds: f64,
     /// One object at the end

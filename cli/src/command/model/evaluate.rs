@@ -43,7 +43,7 @@ pub struct Arguments {
     /// status is 1
     #[arg(long)]
     skip_refused: bool,
-    /// Which split of a dataset
+    /// Split of a dataset
     #[arg(long, value_enum, default_value_t = Split::Test)]
     split: Split,
     /// Of recordings, also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's, dB
@@ -122,7 +122,7 @@ fn is_dataset(path: &Path) -> bool {
     path.is_dir() && matches!(Recording::open(path), Err(RecordingError::Unknown { .. }))
 }
 
-/// How a recording was judged.
+/// Answers to one recording.
 #[derive(Serialize)]
 struct Judged {
     path: PathBuf,

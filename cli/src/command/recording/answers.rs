@@ -29,7 +29,7 @@ pub struct Arguments {
 
 const HEAD: &str = "sequence,time_s,host_time_s,label,p_empty,p_one,p_two,occupied,people,latency_ms";
 
-/// What was said about the frames of a recording, as CSV or JSON lines.
+/// Prints the answers to the frames of a recording as CSV or JSON lines.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let named = arguments.recording.display();
     let recording = Recording::open(&arguments.recording)?;

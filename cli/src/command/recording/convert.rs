@@ -15,7 +15,7 @@ const REPAIR_HINT: &str = "\n\nhint: radome recording repair saves what can be r
 pub struct Arguments {
     /// Recording: MCAP file, Infineon folder or text file
     input: PathBuf,
-    /// What to write: FILE.mcap, FILE.txt (with FILE.txt_config.json), or a FOLDER/
+    /// Output: FILE.mcap, FILE.txt (with FILE.txt_config.json), or a FOLDER/
     output: PathBuf,
     #[command(flatten)]
     overwrite: Overwrite,

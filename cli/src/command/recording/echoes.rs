@@ -29,7 +29,7 @@ const FRAMES: u64 = 100;
 pub struct Arguments {
     #[command(flatten)]
     source: SourceArgs,
-    /// What the receivers of this board are unlike in, as --reflector wrote it
+    /// Offsets between the receivers of this board, as --reflector wrote them
     #[arg(long, value_name = "FILE")]
     angles: Option<PathBuf>,
     /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: tell what the receivers are unlike in
@@ -51,7 +51,7 @@ pub struct Arguments {
     json: bool,
 }
 
-/// What a file of angles holds.
+/// Content of a file of angles.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct AngleFile {

@@ -25,7 +25,7 @@ pub struct Arguments {
     /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
     #[arg(long, group = "what")]
     from: Option<PathBuf>,
-    /// What the frames' own truth says (simulations have it), or what a classical detector believes
+    /// Labels from the frames' own truth, which simulations have, or from a classical detector
     #[arg(long, value_enum, group = "what")]
     propose: Option<Proposer>,
     /// Write the labels to this file, .txt or .label, instead of adding them to the recording; without --span, --from and --propose

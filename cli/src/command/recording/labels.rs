@@ -20,7 +20,7 @@ pub struct Arguments {
     /// Add the labels of such a file
     #[arg(long)]
     import: Option<PathBuf>,
-    /// Who says so, noted with what is imported
+    /// Author of the imported labels, stored with them
     #[arg(long, requires = "import")]
     who: Option<String>,
     /// A list of objects

@@ -22,7 +22,7 @@ pub struct Arguments {
     /// So many people are there wherever no label says otherwise
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=2))]
     people: Option<u8>,
-    /// Where people were when they were not seen: TOML, [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
+    /// Positions of people at times when they were not seen: TOML, [[person]] with point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]
     #[arg(long)]
     waypoints: Option<PathBuf>,
     /// Body height of the people, m
@@ -37,10 +37,10 @@ pub struct Arguments {
     /// Name of the pair; the recording's without
     #[arg(long)]
     name: Option<String>,
-    /// Who is in it
+    /// Name of the person in the recording
     #[arg(long)]
     subject: Option<String>,
-    /// How often the trajectory is corrected by what following the mirror misses
+    /// Number of times that the trajectory is corrected by following the mirror
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=4))]
     corrections: u8,
     /// End after this many frames

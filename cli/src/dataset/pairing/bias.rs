@@ -1,4 +1,4 @@
-//! What following a person makes of them, told by following their mirror.
+//! Bias of followed trajectories, measured by following the people of the mirror.
 //!
 //! An echo's range is not that of the chest alone: hips and thighs lie lower, floor and walls add their own ways, and near
 //! walls the direction is pulled towards repeats. All of that is in the simulation too. Where a mirror's people are is known,
@@ -13,7 +13,7 @@ use super::script::Role;
 const HALF_S: f64 = 1.5;
 /// Slower people stand, m/s.
 const MOVING_M_PER_S: f64 = 0.3;
-/// Who is followed in the mirror this far from where they are is somebody else, m.
+/// Distance from a person of the mirror beyond which a followed one is somebody else, m.
 const NEAR_M: f64 = 0.8;
 
 /// Shifts the trajectories of `roles`, along which the mirror's people went, by what `seen` says that following misses.

@@ -1,4 +1,4 @@
-//! Which echoes are somebody: the best chains through the echoes of all frames.
+//! Tracking of people: the best chains through the echoes of all frames.
 //!
 //! A chain of echoes that follow from each other by range, speed and direction is a tracklet. The best set of tracklets that
 //! do not overlap in time is found for the whole recording at once, by dynamic programming: what makes a tracklet begin or
@@ -39,9 +39,9 @@ const MOST_LIMB_DB: f64 = 25.0;
 const FASTEST_M_PER_S: f64 = 2.6;
 /// Worth of a frame without an echo, within a tracklet.
 const MISS: f64 = -0.3;
-/// What still people are worth against those who move: their echoes last.
+/// Weight of still people against those who move: their echoes last.
 const STILL: f64 = 0.5;
-/// How far two echoes of a chain may differ from each other: range by their speeds (m), speed (m/s and for each second),
+/// Standard differences between two echoes of a chain: range by their speeds (m), speed (m/s and for each second),
 /// direction (cosine and for each second).
 const RANGE_M: f64 = 0.12;
 const SPEED_M_PER_S: [f64; 2] = [0.25, 1.0];
@@ -51,7 +51,7 @@ const BODY_M: f64 = 0.55;
 /// Echoes so near to where a wall would repeat somebody are that repeat, m and m/s.
 const REPEAT_M: f64 = 0.25;
 const REPEAT_M_PER_S: f64 = 0.5;
-/// What a piece of wall throws of somebody lies so near, m, to the way by its middle.
+/// Tolerance of the range of a ghost by a piece of wall, m, about the way by its middle.
 const MULTIPATH_M: f64 = 0.25;
 /// It is stronger for a while than on average, dB: one part in fifty of what fades by Rayleigh's law lies above this.
 const FADING_DB: f64 = 6.0;
@@ -161,7 +161,7 @@ fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor) -> bool {
 
 /// The best tracklets that do not overlap, in order of time.
 fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -> Vec<Vec<Place>> {
-    /// Where a chain came from: an echo before, or nothing, after the best set of tracklets that ended by then.
+    /// Predecessor of a chain: an echo before, or nothing, after the best set of tracklets that ended by then.
     #[derive(Clone, Copy)]
     enum From {
         Echo(Place),
@@ -224,7 +224,8 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
     chains
 }
 
-/// What clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over from whom is far to
+/// Worth of an echo: one that clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over
+/// from whom is far to
 /// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
 fn worth(echo: &Echo, detected: &Detections) -> f64 {
     let near =
@@ -235,7 +236,7 @@ fn worth(echo: &Echo, detected: &Detections) -> f64 {
     if echo.is_still { STILL * worth } else { worth }
 }
 
-/// How unlikely it is that one echo follows another, as half a sum of squares.
+/// Improbability that one echo follows another, as half a sum of squares.
 fn step_cost(a: &Echo, b: &Echo, gap_s: f64, sensor: &Sensor) -> f64 {
     // Speeds may be folded: the one that people can have and that carries the first echo nearest to the second counts.
     let span = sensor.span_m_per_s;
@@ -289,7 +290,7 @@ mod tests {
         [Tracklet { places: Vec::new(), track: track(sensor, |_| 0.0, at) }]
     }
 
-    /// What a piece of wall throws of a walker, as it is followed: on the boresight, fading by 5 dB to and fro.
+    /// Ghost of a walker by a piece of wall, as it is followed: on the boresight, fading by 5 dB to and fro.
     #[test]
     fn what_a_wall_throws_of_a_walker_is_nobody() {
         let sensor = sensor();

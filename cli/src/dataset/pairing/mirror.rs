@@ -77,7 +77,7 @@ impl Stage {
     /// Files that belong beside the stored scene.
     ///
     /// # Errors
-    /// Where one cannot be read.
+    /// One cannot be read.
     pub fn mesh_files(&self) -> anyhow::Result<Vec<(&str, Vec<u8>)>> {
         let mut files = Vec::new();
         for (name, path) in &self.meshes {

@@ -52,7 +52,7 @@ pub struct Settings {
     pub labels: Option<PathBuf>,
     /// Number of people where there is no label.
     pub people: Option<u8>,
-    /// Where people were when they were not seen: TOML with a list `person` of `point`s.
+    /// Positions of people at times when they were not seen: TOML with a list `person` of `point`s.
     pub waypoints: Option<PathBuf>,
     /// Body height of the people, m.
     pub height_m: f64,

@@ -1,4 +1,4 @@
-//! How near a mirror is to its recording.
+//! Differences between a mirror and its recording.
 
 use std::fmt::Write;
 use std::path::Path;

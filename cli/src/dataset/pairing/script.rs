@@ -70,7 +70,7 @@ pub struct WayPoint {
     pub position_m: [f64; 2],
 }
 
-/// Where nobody knows where a person was.
+/// Stretch of time without a known position of a person.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ScriptError {
     /// Not followed, and no way-points.
@@ -120,7 +120,7 @@ fn velocity(state: &Smoothed) -> DVec2 {
     DVec2::new(state.vx, state.vy)
 }
 
-/// How many of the other roles are followed in a frame.
+/// Number of the other roles that are followed in a frame.
 fn others(roles: &[Role], person: usize, frame: usize) -> usize {
     let holds = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
     roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
@@ -405,7 +405,7 @@ mod tests {
         all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
     }
 
-    /// What a script's steps make, at even speeds and without rounding.
+    /// Trajectory of a script's steps, at even speeds and without rounding.
     fn walked(start_s: f64, steps: &[StepFile], time_s: f64) -> DVec2 {
         let mut at = DVec2::from_array(steps[0].walk_to_m.expect("a place"));
         let mut now_s = start_s;

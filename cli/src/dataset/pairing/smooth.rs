@@ -1,4 +1,4 @@
-//! Where somebody was, from the echoes of a tracklet: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
+//! Trajectory of a person from the echoes of a tracklet: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
 //! again about their own answer until it stays (the Gauss-Newton step of the whole trajectory).
 //!
 //! The state is a place and a velocity on the ground plan. An echo tells the range of the trunk's near surface, its radial
@@ -33,7 +33,7 @@ const COSINE: f64 = 0.03;
 const ACROSS_M: f64 = 0.08;
 /// People change their velocity by so much, m/s, in the root of a second, as they walk on; where they turn or stop, by more.
 const RESTLESSNESS: f64 = 0.2;
-/// What is taken for a turn is looked at over this, s.
+/// Time over which a turn is looked for, s.
 const TURN_S: f64 = 0.5;
 const MOST_TURN: f64 = 300.0;
 /// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
@@ -82,7 +82,7 @@ pub struct Smoothed {
     pub is_visible: bool,
 }
 
-/// What an echo of somebody would be.
+/// Echo that is expected of a person.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Expected {
     pub range_m: f64,
@@ -90,10 +90,10 @@ pub struct Expected {
     pub cosine: f64,
 }
 
-/// What a piece of wall throws of somebody, on average, beside their own echo.
+/// Ghost of a person by a piece of wall, on average, beside their own echo.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Multipath {
-    /// How much farther it seems to be, m.
+    /// Additional range of the ghost, m.
     pub farther_m: f64,
     /// Level over theirs, dB.
     pub louder_db: f64,
@@ -140,8 +140,8 @@ impl Sensor {
         speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
     }
 
-    /// What a piece of wall, its middle and the normal into the room, throws of somebody on the way there, to them and home,
-    /// and the other way round.
+    /// Ghost of a person by a piece of wall, which is given by its middle and its normal into the room: by the way from the radar
+    /// over the wall and the person back, and the other way round.
     pub fn multipath(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Multipath {
         let place = DVec3::new(state.x, state.y, self.trunk_height_m);
         let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
@@ -220,7 +220,7 @@ impl Sensor {
         })
     }
 
-    /// What an echo of somebody would be.
+    /// Echo that is expected of a person.
     pub fn expected(&self, state: &Smoothed) -> Expected {
         let [range, speed, cosine] = self.measures(DVec4::new(state.x, state.y, state.vx, state.vy));
         Expected { range_m: range.0, velocity_m_per_s: speed.0, cosine: cosine.0 }

@@ -25,7 +25,7 @@ pub const PASSWORD_VARIABLE: &str = "RADOME_MQTT_PASSWORD";
 const MOST_PASSWORD_BYTES: u64 = 4096;
 /// Longest packet that is taken from a broker: what is subscribed to has messages of a few bytes.
 const MOST_PACKET_BYTES: u32 = 4096;
-/// How long a silent connection lives; the broker says that the radar is gone after one and a half times this.
+/// Longest silence of a connection; the broker says that the radar is gone after one and a half times this.
 const KEEP_ALIVE: Duration = Duration::from_secs(15);
 
 /// Options that name a broker.
@@ -197,7 +197,7 @@ impl Broker {
         self.password.as_ref()
     }
 
-    /// What a connection needs to know, less the last will. `authorities` is a file of certificates to trust in place of the
+    /// Options of a connection, less the last will. `authorities` is a file of certificates to trust in place of the
     /// system's.
     pub fn options(&self, client_id: &str, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
         let mut options = MqttOptions::new(client_id, &self.host, self.port);

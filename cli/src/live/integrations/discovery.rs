@@ -1,4 +1,4 @@
-//! What Home Assistant is told: one device with all its entities in one retained message (its "device discovery", for which see
+//! Messages to Home Assistant: one device with all its entities in one retained message (its "device discovery", for which see
 //! <https://www.home-assistant.io/integrations/mqtt/>), and the states that those entities read.
 
 use radome_driver::BoardIdentity;
@@ -44,7 +44,7 @@ impl Device {
         }
     }
 
-    /// Who to be at the broker: the same after a restart, so that the broker drops the connection that went before.
+    /// Client identity at the broker: the same after a restart, so that the broker drops the connection that went before.
     pub fn client_id(&self) -> String {
         format!("radome-{}", self.id)
     }
@@ -59,22 +59,22 @@ impl Device {
         format!("radome/{}/state", self.id)
     }
 
-    /// Where reports arrive: the name of a class that would have been right.
+    /// Topic where reports arrive: the name of a class that would have been right.
     pub fn report_topic(&self) -> Option<String> {
         self.takes_reports.then(|| format!("radome/{}/report", self.id))
     }
 
-    /// Where the hub says that it is there.
+    /// Topic where the hub reports that it is there.
     pub fn hub_topic(&self) -> String {
         format!("{}/status", self.discovery_prefix)
     }
 
-    /// Where the hub looks for devices.
+    /// Topic where the hub looks for devices.
     pub fn discovery_topic(&self) -> String {
         format!("{}/device/bgt60_{}/config", self.discovery_prefix, self.id)
     }
 
-    /// What the hub finds there.
+    /// Message that the hub finds there.
     pub fn discovery(&self) -> Value {
         let version = env!("CARGO_PKG_VERSION");
         let unique = |what: &str| format!("bgt60_{}_{what}", self.id);
@@ -132,7 +132,7 @@ pub fn state(said: &Said, dropped_frames: u64) -> Value {
     })
 }
 
-/// What may stand in a topic and in an id: lower-case letters, digits and `_`.
+/// Text as it may stand in a topic and in an id: lower-case letters, digits and `_`.
 fn slug(name: &str) -> String {
     let text: String =
         name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).take(64).collect();

@@ -28,7 +28,7 @@ pub struct Arguments {
     /// POST to /report/empty on the metrics' address, or by SIGUSR1 (false alarm)
     #[arg(long, value_name = "FOLDER")]
     keep_to: Option<PathBuf>,
-    /// How much of the past is kept
+    /// Seconds of the past to keep
     #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
     keep_last_s: f64,
     /// Memory for it; what does not fit is not kept
@@ -49,7 +49,7 @@ impl Arguments {
 /// Somebody says what would have been right.
 #[derive(Debug, Clone, Copy)]
 pub struct Report {
-    /// What is true.
+    /// True class.
     pub truth: Occupancy,
     /// By which way it came.
     pub by: &'static str,
@@ -232,7 +232,7 @@ impl Sink for Keeper {
     }
 }
 
-/// What saving needs to know.
+/// Inputs of saving.
 struct Saving {
     ring: Arc<Mutex<Ring>>,
     folder: PathBuf,

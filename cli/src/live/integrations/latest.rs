@@ -11,7 +11,7 @@ use crate::live::answer::Summary;
 use crate::live::health::Health;
 use crate::live::sink::{Moment, Sink};
 
-/// What was said last.
+/// Newest answer and counters.
 #[derive(Debug, Clone, Copy)]
 pub struct Said {
     /// Probabilities of empty, one and two.
@@ -38,7 +38,7 @@ pub struct Newest {
     pub health: Health,
 }
 
-/// What others have done with the run, and what was refused of them: each an event a counter.
+/// Requests of others to the run and refusals of them, each with a counter.
 #[derive(Debug, Default)]
 pub struct Counters {
     /// Whether the broker listens.
@@ -69,7 +69,7 @@ pub struct Latest {
     newest: Mutex<Newest>,
     changes: watch::Sender<u64>,
     silence: Duration,
-    /// What others have done.
+    /// Requests of others.
     pub counters: Counters,
 }
 
@@ -89,7 +89,7 @@ impl Latest {
         self.lock().clone()
     }
 
-    /// What was said last, if frames still come: an old answer is none.
+    /// Newest answer, if frames still come: an old answer is none.
     pub fn said(&self) -> Option<Said> {
         let newest = self.lock();
         newest.said.filter(|_| newest.judged.is_some_and(|judged| judged.elapsed() < self.silence))

@@ -37,7 +37,7 @@ pub struct Arguments {
     /// Name of the radar in the house; where no board has an identity of its own, what it is known by
     #[arg(long, value_name = "NAME", requires = "mqtt")]
     mqtt_name: Option<String>,
-    /// Where the hub looks for devices
+    /// Topic prefix where the hub looks for devices
     #[arg(long, value_name = "TOPIC", default_value = "homeassistant")]
     mqtt_discovery_prefix: String,
     /// Certificates to trust the broker by, instead of the system's
@@ -51,7 +51,7 @@ pub struct Arguments {
     keep: keep::Arguments,
 }
 
-/// How long good-byes may take.
+/// Longest time to close connections.
 const FAREWELL: Duration = Duration::from_secs(4);
 /// A board that gives no frame for so many intervals, and this long, counts as gone.
 const SILENT_FRAMES: f64 = 20.0;
@@ -137,7 +137,7 @@ impl Integrations {
         Ok(integrations)
     }
 
-    /// What the classifier's thread hands its answers to.
+    /// Sinks for the classifier's thread.
     pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
         std::mem::take(&mut self.sinks)
     }

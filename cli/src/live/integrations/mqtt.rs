@@ -24,24 +24,24 @@ const LOOK: Duration = Duration::from_secs(1);
 const WAITS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(15)];
 /// A connection that lasted so long was a good one.
 const GOOD_CONNECTION: Duration = Duration::from_secs(30);
-/// How long the broker may take over our good-bye.
+/// Longest time that the broker may take to close.
 const FAREWELL: Duration = Duration::from_secs(2);
 
-/// What a connection needs to know.
+/// Options of a connection.
 pub struct Mqtt {
     /// For messages.
     pub broker: Broker,
     /// Address, login, limits.
     pub options: MqttOptions,
-    /// Who we are.
+    /// Device that is announced.
     pub device: Device,
-    /// What there is to tell.
+    /// Newest answer.
     pub latest: Arc<Latest>,
-    /// Where reports of wrong answers go.
+    /// Destination of reports of wrong answers.
     pub reports: Option<Reports>,
 }
 
-/// What the connection hears.
+/// Events of the connection.
 #[derive(Clone, Copy)]
 enum Heard {
     /// The broker listens.
@@ -147,7 +147,7 @@ impl Listener {
         }
     }
 
-    /// What a message means; nothing if it is not what it should be.
+    /// Meaning of a message; `None` if it is malformed.
     fn understand(&self, message: &Publish) -> Option<Heard> {
         let topic = message.topic.as_ref();
         let text = std::str::from_utf8(&message.payload).ok()?.trim();
@@ -193,7 +193,7 @@ fn in_words(error: &ConnectionError) -> String {
 struct Teller<'a> {
     mqtt: &'a Mqtt,
     client: AsyncClient,
-    /// What the broker was last told of our availability on this connection.
+    /// Availability that the broker was last told on this connection.
     told_online: Option<bool>,
     /// When the hub was last told who we are.
     announced: Option<Instant>,
@@ -265,7 +265,7 @@ impl Teller<'_> {
         }
     }
 
-    /// Who we are, whether we are there, and what we say.
+    /// Publishes the device, its availability and its state.
     fn announce(&mut self) {
         let device = &self.mqtt.device;
         self.publish(&device.discovery_topic(), device.discovery().to_string());

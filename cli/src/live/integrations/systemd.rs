@@ -1,4 +1,4 @@
-//! What systemd is told, where it has started us (`Type=notify`): when we are ready, that frames still come, when we stop.
+//! Notifications for systemd, where it has started us (`Type=notify`): when we are ready, that frames still come, when we stop.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,4 +1,4 @@
-//! What a page may ask for: one JSON object a message, checked here and nowhere else.
+//! Requests of a page: one JSON object a message, checked here and nowhere else.
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
@@ -20,7 +20,7 @@ const MOST_SPEED: f64 = 1000.0;
 pub enum Command {
     /// A picture has been taken in; the next may come.
     Seen,
-    /// What this page wants to see.
+    /// Selection of this page.
     Look(Look),
     /// The recording goes on.
     Play,

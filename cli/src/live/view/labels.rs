@@ -23,7 +23,7 @@ const MOST_SPANS: usize = 5_000;
 const MOST_UNDO: usize = 100;
 /// Shorter spans are slips of the hand, s.
 const SHORTEST_S: f64 = 1e-3;
-/// How often a label that grows is written to the disk, and how often to a recording that is being made: what is lost if this
+/// Interval at which a growing label is written to the disk, and to a recording that is being made: what is lost if this
 /// program is killed is not more than of its frames.
 const GROWING_SAVED: Duration = Duration::from_secs(10);
 const GROWING_RECORDED: Duration = Duration::from_millis(500);
@@ -35,7 +35,7 @@ const IN_A_ROW: Duration = Duration::from_millis(300);
 pub struct Span {
     /// Its name.
     pub id: u64,
-    /// What it says.
+    /// Text of the label.
     #[serde(flatten)]
     pub label: LabelSpan,
 }
@@ -43,9 +43,9 @@ pub struct Span {
 /// A label that still goes on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Open {
-    /// Where it began, s.
+    /// Beginning, s.
     pub start_s: f64,
-    /// What it says.
+    /// Text of the label.
     pub label: Occupancy,
     #[serde(skip)]
     who: Option<String>,
@@ -212,7 +212,7 @@ fn now_ns() -> Option<u64> {
     SystemTime::now().duration_since(UNIX_EPOCH).ok().and_then(|since| u64::try_from(since.as_nanos()).ok())
 }
 
-/// What a page may do to labels.
+/// Edit of labels by a page.
 #[derive(Debug)]
 pub enum Edit {
     /// A key: from here on.
@@ -233,14 +233,14 @@ pub enum Edit {
     Redo,
 }
 
-/// What pages are told of the labels.
+/// Message about labels to pages.
 #[derive(Serialize)]
 struct Told<'a> {
     spans: &'a [Span],
     open: &'a Option<Open>,
     can_undo: bool,
     can_redo: bool,
-    /// Where they are kept, if anywhere.
+    /// Path of the labels, if they are stored.
     place: Option<String>,
     /// Whether what is shown is there.
     saved: bool,
@@ -252,7 +252,7 @@ struct Told<'a> {
     adaptation: Option<Offer>,
 }
 
-/// Where labels are kept.
+/// Storage of labels.
 #[derive(Debug, Clone)]
 enum Place {
     /// In a finished recording: beside it as long as they change, and in its channel of labels in the end.
@@ -450,7 +450,7 @@ impl Keeper {
         self.state().told
     }
 
-    /// What pages are told.
+    /// Message to pages.
     pub fn told(&self) -> serde_json::Value {
         let state = self.state();
         let recording = self.place.as_ref().map(Place::recording);

@@ -30,11 +30,11 @@ const MOST_MESSAGES: u32 = 200;
 const MOST_MALFORMED: u32 = 20;
 /// A page that says nothing whole for so long is dropped. Pages answer pings.
 const SILENCE: Duration = Duration::from_secs(30);
-/// How often pages are pinged.
+/// Interval between pings of pages.
 const PING: Duration = Duration::from_secs(10);
 /// A page that takes a message in for longer is given up.
 const SLOWEST_SEND: Duration = Duration::from_secs(10);
-/// How often a page is told what has changed beside pictures.
+/// Interval at which a page is told of changes beside pictures.
 const TICK: Duration = Duration::from_millis(100);
 /// Longest wait for pages at the end of a run.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -212,7 +212,7 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
     })
 }
 
-/// What a page has been told beside pictures.
+/// State that a page has been told beside pictures.
 #[derive(Default)]
 struct Told {
     labels: Option<u64>,
@@ -306,7 +306,7 @@ async fn converse(
     }
 }
 
-/// What has changed beside pictures.
+/// Sends changes beside pictures.
 async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool {
     let labels = shared.labels.told_count();
     if told.labels != Some(labels) {

@@ -58,7 +58,7 @@ pub struct Shared {
     pub feed: Feed,
     pub labels: Keeper,
     pub policy: Policy,
-    /// What the run amounted to, once it is over.
+    /// Summary of the run, once it is over.
     pub over: Mutex<Option<serde_json::Value>>,
 }
 

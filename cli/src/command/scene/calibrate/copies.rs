@@ -22,13 +22,13 @@ pub struct Copies {
     frames: u64,
 }
 
-/// What is compared of copies through one receiver.
+/// Samples of copies through one receiver.
 pub struct Simulated {
     /// By seed.
     pub samples: Vec<Sample>,
     /// Of all of them.
     pub channels: Vec<ChannelFit>,
-    /// Who moves in each.
+    /// Line of the moving person in each.
     pub lines: Vec<Option<Line>>,
 }
 
@@ -83,7 +83,7 @@ impl Copies {
         Ok(Simulated { samples, channels: calibration.fit(receiver, "", "")?.channels, lines })
     }
 
-    /// What stands still in the scene, without people and without leakage.
+    /// Static echoes of the scene, without people and without leakage.
     pub fn clutter(&self, receiver: &Receiver) -> anyhow::Result<SlowTime> {
         let mut quiet = receiver.clone();
         for rx in &mut quiet.rx {

@@ -1,4 +1,4 @@
-//! How far simulations are from recordings, and how far recordings are from each other: the only meaningful unit.
+//! Differences of simulations from recordings, beside differences between recordings, which are their only meaningful unit.
 //!
 //! Intervals come from drawing recordings anew, not cells, which are far from independent; of a single recording, contiguous
 //! blocks stand for them, and simulated copies for the copies.
@@ -50,12 +50,12 @@ pub struct Channel {
     pub noise_mean_db: f64,
     /// By range bin, from the second to the last but one, dB.
     pub noise_by_bin_db: Vec<f64>,
-    /// What differs between the mean chirps' lowest range bins, over what is there in the recording.
+    /// Difference between the mean chirps' lowest range bins, relative to the recording's.
     pub leakage_error: f64,
     /// Of the maps.
     #[serde(flatten)]
     pub figures: Figures,
-    /// Where those lie in 95 of 100 draws.
+    /// Interval that holds 95 of 100 draws.
     pub interval: BTreeMap<&'static str, [f64; 2]>,
 }
 
@@ -84,7 +84,7 @@ impl Real {
         &self.regions
     }
 
-    /// What intervals were drawn over.
+    /// Units that were resampled for the intervals.
     pub fn resampled(&self) -> &'static str {
         self.resampled
     }
@@ -210,7 +210,7 @@ fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapSample {
     of_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
 }
 
-/// What differs between two mean chirps in the range bins that hold leakage, complex, over what is there in the first; both
+/// Difference between two mean chirps in the range bins that hold leakage, complex, over what is there in the first; both
 /// without their means, under Hann's window.
 fn leakage_error(real: &[f64], simulated: &[f64]) -> f64 {
     let bins = |chirp: &[f64]| {

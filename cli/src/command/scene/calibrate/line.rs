@@ -1,4 +1,4 @@
-//! Who moves, in the recordings and in their simulated copies.
+//! Lines of moving people in the recordings and in their simulated copies.
 
 use radome_dsp::slow_time::Line;
 use serde::Serialize;

@@ -22,7 +22,7 @@ pub struct Cut {
     fitted: u64,
 }
 
-/// Where in a recording a frame is.
+/// Position of a frame in a recording.
 pub struct Place {
     /// Whether the receiver is fitted to it.
     pub is_fitted: bool,
@@ -91,7 +91,7 @@ impl Recordings {
         self.all.first().map(Cut::name).unwrap_or_default()
     }
 
-    /// What a receiver was fitted to.
+    /// Names of the recordings that a receiver was fitted to.
     pub fn measured_from(&self) -> String {
         let of = |cut: &Cut| format!("{}: {} of {} frames", cut.name(), cut.fitted, cut.frames);
         self.all.iter().map(of).collect::<Vec<_>>().join("; ")

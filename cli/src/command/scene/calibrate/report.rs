@@ -22,10 +22,10 @@ pub struct Answer<'a> {
     pub frames_judged: u64,
     pub copies: u64,
     pub fit_residual_lsb: Vec<f64>,
-    /// How far what stands still is from constant; nothing where too little does.
+    /// Drift of static echoes; `None` where there are too few.
     pub clutter: Option<Clutter>,
     pub gain: Option<Gain>,
-    /// What intervals were drawn over.
+    /// Units that were resampled for the intervals.
     pub resampled: &'static str,
     pub between_real: Vec<Figures>,
     pub before: Vec<Channel>,
@@ -217,7 +217,7 @@ fn figures(figures: &Figures, interval: &str) -> String {
     )
 }
 
-/// Who moves.
+/// Lines of moving people.
 fn slow_time(lines: &Lines) -> anyhow::Result<()> {
     let breath = |hz: Option<f64>| hz.map_or(String::new(), |hz| format!(", {hz:.2} Hz"));
     output::text_line(&match &lines.real {

@@ -1,4 +1,4 @@
-//! What is compared of frames: their maps, receiver by receiver.
+//! Samples of frames for comparison: their maps, receiver by receiver.
 
 use radome_dsp::distance::{MapSample, Regions};
 use radome_dsp::echo::LEAKAGE_BINS;
@@ -8,7 +8,7 @@ use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, Window}
 /// Range bins to either side of who is there that are looked at by themselves.
 const TARGET_BINS: usize = 2;
 
-/// Where to look in maps, given who is where.
+/// Regions of maps to compare, given the positions of people.
 pub fn regions(target_bin: Option<usize>) -> Regions {
     let target = target_bin.map_or(0..0, |bin| bin.saturating_sub(TARGET_BINS)..bin + TARGET_BINS + 1);
     Regions { first_bin: LEAKAGE_BINS, target }

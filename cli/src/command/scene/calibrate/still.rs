@@ -1,4 +1,4 @@
-//! What stands still in recordings: how strong echoes are beside a scene's, and how far from constant.
+//! Static echoes in recordings: their level beside a scene's, and their drift.
 
 use radome_dsp::{Waveform, Window};
 use radome_sim::receiver::calibration::gain::{self, Bin, GainFit, fit_gain};
@@ -9,12 +9,12 @@ use super::measured::Measured;
 
 /// Jitter shows where an echo stands so far above noise, as power.
 const LEAST_OVER_NOISE: f64 = 100.0;
-/// What drifts by 0.6 rad in ten seconds moves by this part of its power at most.
+/// An echo that drifts by 0.6 rad in ten seconds moves by this part of its power at most.
 const MOST_MOVING: f64 = 0.3;
 /// With fewer bins nothing is said of clutter.
 const LEAST_BINS: usize = 3;
 
-/// How far what stands still is from constant: medians of bins, noise subtracted.
+/// Drift of static echoes: medians of bins, noise subtracted.
 #[derive(Debug, Clone, Copy, Serialize)]
 pub struct Clutter {
     pub phase_jitter_rad: f64,
