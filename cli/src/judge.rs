@@ -127,6 +127,9 @@ fn say_fault(faulty: FaultyReceiver) {
 
 impl Model {
     /// `cfar`, the built-in model by its name, or a model file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no model.
     pub fn open(name: &Path) -> anyhow::Result<Self> {
         if name == Path::new(CFAR) && !name.exists() {
             return Ok(Model::Cfar);
@@ -146,6 +149,9 @@ impl Model {
     }
 
     /// Name and hash of the model, as recordings store them.
+    ///
+    /// # Errors
+    /// The file cannot be read.
     pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {

@@ -30,6 +30,9 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 }
 
 /// Reads a file of labels: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file.
+///
+/// # Errors
+/// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let format = format(path)?;
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -41,6 +44,9 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 /// Writes such a file, whole or not at all.
+///
+/// # Errors
+/// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
 pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
     let text = text(path, spans)?;
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
@@ -56,6 +62,9 @@ fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
 
 /// Replaces the labels in the file beside a recording that cannot hold any by what `change` makes of those that are there. Meanwhile
 /// nobody else writes to it.
+///
+/// # Errors
+/// The labels cannot be read or written, or `change` fails.
 pub fn rewrite_beside(
     recording: &Path,
     file: &Path,
@@ -87,6 +96,9 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
 }
 
 /// All labels of a recording.
+///
+/// # Errors
+/// The recording or the file beside it cannot be read.
 pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     match Recording::open(recording)? {
         Recording::Mcap(reader) => Ok(reader.labels()?),
@@ -124,6 +136,9 @@ pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> 
 
 /// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's
 /// range, or that overlap each other or those that are there, are refused, and nothing is written.
+///
+/// # Errors
+/// The recording cannot be read or written, or the labels are refused.
 pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     let mut source = Recording::open(recording)?;
     let named = || format!("{}: labels refused", recording.display());

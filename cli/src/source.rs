@@ -133,6 +133,9 @@ impl Source {
 }
 
 /// Opens a SOURCE. A panic below it is an error of its frames.
+///
+/// # Errors
+/// There is no such source, it cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let mut source = open_unstamped(spec, options)?;
     if source.is_live {
@@ -210,6 +213,9 @@ fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator
 
 /// Feed of an emulated board and a one-line description. A scene is simulated in whatever waveform a client
 /// programs; a recording can be begun again.
+///
+/// # Errors
+/// Those of [`open`].
 pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String)> {
     let Source { frames, description, .. } = open(spec, options)?;
     let (path, options) = (PathBuf::from(spec), options.clone());
@@ -338,6 +344,9 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
 }
 
 /// Seconds, as an argument.
+///
+/// # Errors
+/// The text is no number of seconds.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())

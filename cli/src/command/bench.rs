@@ -45,6 +45,9 @@ enum Stage {
 }
 
 /// Speed against error: one stage, or all of them in one table.
+///
+/// # Errors
+/// A stage cannot be set up or measured, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.stage {
         None => table::run(&arguments.table),

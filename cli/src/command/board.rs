@@ -27,6 +27,9 @@ enum Action {
 }
 
 /// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::List(arguments) => list::run(arguments),

@@ -32,6 +32,9 @@ enum Action {
 }
 
 /// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::Build(arguments) => build::run(arguments),

@@ -29,6 +29,9 @@ pub struct Arguments {
 }
 
 /// The main job with nothing attached.
+///
+/// # Errors
+/// The scene or the model is not found, or the run fails.
 pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
     let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
     let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;

@@ -82,6 +82,9 @@ impl Arguments {
 }
 
 /// Looks at everything; fails if something does.
+///
+/// # Errors
+/// A check fails, or the bundle cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.bundle {
         bundle::check_absent(path)?;

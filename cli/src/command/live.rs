@@ -65,6 +65,9 @@ pub struct Arguments {
 }
 
 /// Online classification of any source.
+///
+/// # Errors
+/// The model, the source or the output cannot be opened, or the run fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let output = arguments.output.as_deref().map(output_file::dated);
     watch(&Watch {
@@ -125,6 +128,9 @@ pub struct Watch<'a> {
 
 /// Watches a source until it ends, is stopped, or has given enough frames. Frames that are missing are in the summary; only in a
 /// recording do they count as lost.
+///
+/// # Errors
+/// The model, the source or the output cannot be opened, or the run fails.
 pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;

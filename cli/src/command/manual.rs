@@ -21,6 +21,9 @@ pub struct ManArguments {
 }
 
 /// A script that completes commands and options.
+///
+/// # Errors
+/// Standard output cannot be written.
 pub fn completions(arguments: &CompletionArguments, mut program: clap::Command) -> anyhow::Result<()> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut program, "radome", &mut script);
@@ -28,6 +31,9 @@ pub fn completions(arguments: &CompletionArguments, mut program: clap::Command) 
 }
 
 /// Manual pages: what `--help` says, for `man`.
+///
+/// # Errors
+/// The folder cannot be made, or a page cannot be written.
 pub fn man(arguments: &ManArguments, program: clap::Command) -> anyhow::Result<()> {
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;

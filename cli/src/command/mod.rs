@@ -50,6 +50,9 @@ pub enum Command {
 }
 
 /// Runs a command. `program` describes all commands and options.
+///
+/// # Errors
+/// Those of the command.
 pub fn run(command: Command, program: clap::Command) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match command {
         Command::Demo(arguments) => return demo::run(arguments),

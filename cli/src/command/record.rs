@@ -42,6 +42,9 @@ pub struct Arguments {
 }
 
 /// Captures every frame, or stops and says why it cannot.
+///
+/// # Errors
+/// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);

@@ -41,6 +41,9 @@ enum Action {
 }
 
 /// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match &arguments.action {
         Action::Info(arguments) => info::run(arguments),

@@ -15,6 +15,9 @@ use crate::labels::spans_of;
 const AGREEMENT_S: f64 = 1.5;
 
 /// Labels for a recording: each with the share of its frames that agreed.
+///
+/// # Errors
+/// The recording cannot be read, holds no frame, or has a waveform that the detector cannot use.
 pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let mut recording = Recording::open(path)?;
     let waveform = recording.waveform().clone();

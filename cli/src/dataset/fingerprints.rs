@@ -33,6 +33,9 @@ impl Fingerprints {
     }
 
     /// A file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
     pub fn file(&mut self, name: &Path) -> anyhow::Result<()> {
         let print = of_file(&self.base.join(name))?;
         self.prints.insert(name.display().to_string(), print);
@@ -40,6 +43,9 @@ impl Fingerprints {
     }
 
     /// A scene file and every file that it names, and so on.
+    ///
+    /// # Errors
+    /// A file cannot be read, or files name each other too deeply.
     pub fn scene(&mut self, name: &Path) -> anyhow::Result<()> {
         self.named(name, 0)
     }
@@ -67,6 +73,9 @@ impl Fingerprints {
     }
 
     /// A recording, file or folder, with the file of its labels.
+    ///
+    /// # Errors
+    /// A file of the recording cannot be read.
     pub fn recording(&mut self, name: &str, path: &Path, labels: Option<&Path>) -> anyhow::Result<()> {
         let mut files: Vec<PathBuf> = Vec::new();
         if path.is_dir() {

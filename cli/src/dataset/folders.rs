@@ -22,6 +22,9 @@ pub struct Found {
 }
 
 /// All recordings in a folder, by name.
+///
+/// # Errors
+/// A folder cannot be listed, or there is no recording in it.
 pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
     let mut found = Vec::new();
     search(folder, "", &mut found, 0)?;
@@ -107,12 +110,18 @@ pub struct Rules(Vec<(String, Regex, FolderLabel)>);
 
 impl Rules {
     /// From the spec.
+    ///
+    /// # Errors
+    /// A pattern is not valid.
     pub fn new(source: &Recorded) -> anyhow::Result<Self> {
         let rules = source.labels.iter().map(|(pattern, label)| Ok((pattern.clone(), compile(pattern)?, *label)));
         Ok(Rules(rules.collect::<anyhow::Result<_>>()?))
     }
 
     /// Label by name: the one pattern that fits decides.
+    ///
+    /// # Errors
+    /// No pattern fits the name, or more than one does.
     pub fn read(&self, name: &str) -> anyhow::Result<Reading> {
         let last = name.rsplit('/').next().unwrap_or(name);
         let fits = |(pattern, regex, label): &(String, Regex, FolderLabel)| {

@@ -73,6 +73,9 @@ pub struct PlanCard {
 
 impl Plan {
     /// The plan of a spec file.
+    ///
+    /// # Errors
+    /// The spec or a source cannot be read, a name occurs twice, or the machine lacks the kernel.
     pub fn new(path: &Path, shard: Shard) -> anyhow::Result<Self> {
         let spec = BuildSpec::load(path)?;
         let base = path.parent().unwrap_or(Path::new("."));
@@ -256,6 +259,9 @@ impl List<'_> {
 
 impl PlanCard {
     /// Reads the card in a folder of units.
+    ///
+    /// # Errors
+    /// The card cannot be read or is of another format.
     pub fn read(folder: &Path) -> anyhow::Result<Self> {
         let path = folder.join(FILE);
         let text = read_text(&path, CARD_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
@@ -275,6 +281,9 @@ impl PlanCard {
     }
 
     /// As text.
+    ///
+    /// # Errors
+    /// The card cannot be written as JSON.
     pub fn to_json(&self) -> anyhow::Result<String> {
         Ok(serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n")
     }

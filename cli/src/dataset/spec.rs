@@ -163,12 +163,18 @@ fn one() -> u64 {
 
 impl BuildSpec {
     /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a value is not valid.
     pub fn load(path: &Path) -> anyhow::Result<Self> {
         let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
         Self::parse(&text).with_context(|| format!("{} is no dataset spec", path.display()))
     }
 
     /// Parses and checks a file's text.
+    ///
+    /// # Errors
+    /// The text is no spec, or a value is not valid.
     pub fn parse(text: &str) -> anyhow::Result<Self> {
         let spec: BuildSpec = toml::from_str(text)?;
         spec.check()?;

@@ -20,6 +20,9 @@ const CHUNK: usize = 32;
 
 /// Makes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are rendered on all
 /// threads; the bytes are the same either way.
+///
+/// # Errors
+/// The source cannot be read or simulated, a map cannot be written, or the user interrupts.
 pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::Result<()> {
     let mut sink = Sink { writer: DatasetWriter::create(folder, &plan.header)?, unit, made: 0 };
     match &unit.source {

@@ -39,6 +39,9 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
+    ///
+    /// # Errors
+    /// The model does not take the waveform.
     pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
@@ -87,6 +90,9 @@ impl FrameClassifier {
     }
 
     /// Judges a frame that arrived at `arrived`.
+    ///
+    /// # Errors
+    /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {

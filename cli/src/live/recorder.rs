@@ -62,6 +62,9 @@ enum Recorded {
 
 impl RecorderSink {
     /// Creates the file and starts the thread. The header must name a judge.
+    ///
+    /// # Errors
+    /// The file cannot be made, or the thread cannot be started.
     pub fn start(
         path: &Path,
         header: &RecordingHeader,

@@ -77,6 +77,9 @@ pub struct Page {
 impl Page {
     /// Starts serving if the page is wanted. Labels of a source that is no recording itself are those of `recording`, which is being
     /// made.
+    ///
+    /// # Errors
+    /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
     pub fn open(
         arguments: &Arguments,
         source: &Source,

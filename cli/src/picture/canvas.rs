@@ -89,6 +89,9 @@ pub struct Canvas {
 
 impl Canvas {
     /// A white one.
+    ///
+    /// # Errors
+    /// The width or the height is zero, or both are too large.
     pub fn new(width: f64, height: f64) -> anyhow::Result<Self> {
         let mut pixels = Pixmap::new(width.ceil() as u32, height.ceil() as u32).context("the picture has no size")?;
         pixels.fill(Color::WHITE);
@@ -173,6 +176,9 @@ impl Canvas {
     }
 
     /// Writes a PNG, whole or not at all.
+    ///
+    /// # Errors
+    /// The file cannot be written.
     pub fn save(&self, path: &Path) -> anyhow::Result<()> {
         let mut image = RgbImage::new(self.pixels.width(), self.pixels.height());
         for (to, from) in image.pixels_mut().zip(self.pixels.pixels()) {

@@ -15,6 +15,9 @@ const INK: Rgb<u8> = Rgb([40, 44, 52]);
 
 /// Writes one channel of a map: range to the right in metres, velocity upwards in m/s (receding above), colour in dB from
 /// 10 dB under the median to the peak.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
     let (doppler, range) = (map.shape.doppler as u32, map.shape.range as u32);
     let (cell_x, cell_y) = ((768 / range).max(1), (512 / doppler).max(1));
@@ -79,6 +82,9 @@ pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
 }
 
 /// Writes points of several series on logarithmic axes, a colour a series.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
     const WIDTH: u32 = 640;
     const HEIGHT: u32 = 400;
@@ -136,6 +142,9 @@ pub fn scatter(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f6
 
 /// Writes lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn
 /// from the tenth below the lowest point to 1.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn lines(path: &Path, (across, up): (&str, &str), series: &[(&str, Vec<(f64, f64)>)]) -> anyhow::Result<()> {
     const WIDTH: u32 = 640;
     const HEIGHT: u32 = 400;

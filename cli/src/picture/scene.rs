@@ -103,6 +103,9 @@ struct Way {
 }
 
 /// Draws a scene.
+///
+/// # Errors
+/// The picture is too large, or the file cannot be written.
 pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
     let scene = preview.scene;
     let size_m = scene.room().size_m;

@@ -61,6 +61,9 @@ enum GradientName {
 }
 
 /// A quantum circuit at one point.
+///
+/// # Errors
+/// The circuit is not valid, or inputs and angles are not as many as it takes.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let spec = arguments.spec();
     let circuit = Circuit::new(&spec)?;

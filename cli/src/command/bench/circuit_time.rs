@@ -13,6 +13,9 @@ const STAGE: &str = "a sample by the circuit";
 const BATCH: usize = 256;
 
 /// A batch of the paper's circuit, forward and all gradients; the error is the rms of the expectations.
+///
+/// # Errors
+/// The circuit is not valid.
 pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     let x: Vec<[f32; 2]> = (0..BATCH).map(|k| [(0.37 * k as f64 % PI) as f32, (1.91 * k as f64 % PI) as f32]).collect();
     let theta = [0.4, -1.2, 2.0, 0.7];

@@ -36,6 +36,9 @@ pub struct DenseSamples {
 impl DenseFrame<'_> {
     /// From the folder where it is kept and still what the program makes: one chirp is computed again. Otherwise computed, with
     /// progress, and kept there.
+    ///
+    /// # Errors
+    /// The frame cannot be computed, or the file of kept samples cannot be read or written.
     pub fn samples(&self, folder: Option<&Path>) -> anyhow::Result<DenseSamples> {
         let Some(folder) = folder else { return self.compute() };
         let path = self.path(folder);

@@ -67,6 +67,9 @@ struct Row {
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// A training step: forward, backward, Adam.
+///
+/// # Errors
+/// There is no such network, or the peer fails.
 pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(32), arguments.repeats.unwrap_or(5));
     compare(arguments, "train", batch, repeats, &|spec, _| {
@@ -80,6 +83,9 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// One map to logits, for the table of all stages; errors are those of logits against the portable
 /// kernels, over the largest.
+///
+/// # Errors
+/// A network cannot be prepared, or the peer fails.
 pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     const ROUNDS: usize = 30;
     let folder = std::env::temp_dir().join(format!("radome-bench-{}", std::process::id()));
@@ -136,6 +142,9 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
 }
 
 /// Maps to logits.
+///
+/// # Errors
+/// There is no such network, or the peer fails.
 pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(1), arguments.repeats.unwrap_or(30));
     compare(arguments, "infer", batch, repeats, &|spec, folder| {

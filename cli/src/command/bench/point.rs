@@ -22,6 +22,9 @@ pub struct Point {
 }
 
 /// Milliseconds of the fastest of several runs.
+///
+/// # Errors
+/// The job fails.
 pub fn least_ms(rounds: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     let mut least = f64::INFINITY;
     for _ in 0..rounds.max(1) {

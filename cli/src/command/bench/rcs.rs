@@ -134,6 +134,9 @@ struct Answer {
 }
 
 /// One target through the solver.
+///
+/// # Errors
+/// The target, its sizes or its material are not valid, or the solver refuses the setup.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let target = target(arguments)?;
     let setup = setup(arguments, &target)?;

@@ -45,6 +45,9 @@ struct Row {
 }
 
 /// Every method on every target at every tolerance, on one thread.
+///
+/// # Errors
+/// A target cannot be solved, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let targets = targets();
     let bar = output::progress(targets.len() as u64, "targets");

@@ -21,6 +21,9 @@ pub struct Arguments {
 }
 
 /// All stages from chirps to labels.
+///
+/// # Errors
+/// A stage cannot be measured, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let python = arguments.python.as_deref();
     let bar = output::progress(5, "stages");

@@ -172,6 +172,9 @@ fn nearest(requested: &WaveformRequest, realised: &WaveformRequest) -> Vec<Neare
 }
 
 /// Checks a waveform and says what follows from it.
+///
+/// # Errors
+/// The waveform cannot be read, or the chip cannot produce it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let waveform = source::waveform(&arguments.waveform)?;
     let derived = Derived::new(&waveform, arguments.registers)?;

@@ -68,6 +68,9 @@ pub struct Arguments {
 }
 
 /// Prints the path of a pty that behaves as a board, and serves until stopped.
+///
+/// # Errors
+/// The source cannot be opened, or the pty or the endpoints cannot be made.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(node) = &arguments.probe {
         return serve_probe(node);

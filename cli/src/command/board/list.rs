@@ -43,6 +43,9 @@ struct Report {
 }
 
 /// Lists what might be a board or its debug probe, and what to do about those that cannot be used.
+///
+/// # Errors
+/// A probe cannot be reset, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.udev_rules {
         return output::text_line(discover::UDEV_RULES.trim_end());

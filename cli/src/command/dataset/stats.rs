@@ -40,6 +40,9 @@ enum SplitName {
 }
 
 /// Prints the table. A zero sigma is an error, after the table that shows it.
+///
+/// # Errors
+/// The dataset or the measured features cannot be read, or a class has a sigma of zero.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let wanted = arguments.split.map(|split| match split {

@@ -32,6 +32,9 @@ enum By {
 const SHOWN: usize = 5;
 
 /// Reads everything, says what is wrong; fails if anything is.
+///
+/// # Errors
+/// The dataset cannot be read, or something is wrong with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let by = match arguments.by {

@@ -49,6 +49,9 @@ pub struct Arguments {
 }
 
 /// Adapts a model to a room and tells what that changes on recordings that were held out.
+///
+/// # Errors
+/// The model or a recording cannot be read, nothing is labelled, or the adapted model is worse and not forced.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.output {
         arguments.overwrite.check(path)?;

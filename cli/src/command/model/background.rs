@@ -32,6 +32,9 @@ pub struct Arguments {
 }
 
 /// Captures what an empty room shows.
+///
+/// # Errors
+/// The model or the source cannot be opened, too few frames come, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     arguments.overwrite.check(&arguments.output)?;

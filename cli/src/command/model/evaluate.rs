@@ -82,6 +82,9 @@ enum Split {
 }
 
 /// Metrics of a model on one split of a dataset or on labelled recordings; of several models on a ladder.
+///
+/// # Errors
+/// A model or an input cannot be read, or the model refuses a recording.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.ladder {
         let models: Vec<PathBuf> =

@@ -33,6 +33,9 @@ pub struct Arguments {
 }
 
 /// Writes a model as ONNX (opset 17), which every runtime of ONNX can read, and `live`, `evaluate` and all that takes a model too.
+///
+/// # Errors
+/// The model cannot be read or has no ONNX form, or the file cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     arguments.overwrite.check(&arguments.output)?;
     let model = Model::load(&arguments.model)?;

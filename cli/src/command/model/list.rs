@@ -23,6 +23,9 @@ pub struct Arguments {
 }
 
 /// The networks that can be trained.
+///
+/// # Errors
+/// Standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let networks = radome_models::networks();
     if arguments.json {

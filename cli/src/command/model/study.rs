@@ -44,6 +44,9 @@ struct StudyFile {
 }
 
 /// Trains and judges many networks, and writes one report.
+///
+/// # Errors
+/// The spec or the dataset cannot be read, a training fails, or the report cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let path = &arguments.spec;
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;

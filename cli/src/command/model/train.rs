@@ -47,6 +47,9 @@ pub struct Arguments {
 }
 
 /// Trains a network and writes the weights of its best epoch.
+///
+/// # Errors
+/// The dataset or the spec cannot be read, or the training fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
         let mut name = arguments.output.file_name().unwrap_or_default().to_owned();

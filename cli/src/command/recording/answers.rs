@@ -30,6 +30,9 @@ pub struct Arguments {
 const HEAD: &str = "sequence,time_s,host_time_s,label,p_empty,p_one,p_two,occupied,people,latency_ms";
 
 /// Prints the answers to the frames of a recording as CSV or JSON lines.
+///
+/// # Errors
+/// The recording cannot be read or holds no answers, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let named = arguments.recording.display();
     let recording = Recording::open(&arguments.recording)?;

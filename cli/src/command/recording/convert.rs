@@ -38,6 +38,9 @@ enum To {
 }
 
 /// Writes a recording in another format. The output is whole or absent; what its format cannot hold is said on stderr.
+///
+/// # Errors
+/// The input cannot be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let Arguments { input, output: path, .. } = arguments;

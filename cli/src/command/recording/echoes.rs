@@ -74,6 +74,9 @@ struct Said {
 }
 
 /// Ranges, speeds and directions of what moves, frame by frame; or what receivers are unlike in.
+///
+/// # Errors
+/// The source or the angles cannot be read, or no reflector is found.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if let Some(path) = &arguments.output {

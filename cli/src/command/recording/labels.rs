@@ -29,6 +29,9 @@ pub struct Arguments {
 }
 
 /// Shows, writes or adds the labels of a recording.
+///
+/// # Errors
+/// The recording or a file of labels cannot be read or written, or labels contradict each other.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.import {
         let mut spans = labels::read(path)?;

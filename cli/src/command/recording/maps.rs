@@ -52,6 +52,9 @@ pub struct Arguments {
 }
 
 /// Range-Doppler maps of a source.
+///
+/// # Errors
+/// The source cannot be opened, the map is not valid for its waveform, or an output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     if arguments.output.is_none() && arguments.png.is_none() {

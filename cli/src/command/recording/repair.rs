@@ -29,6 +29,9 @@ pub struct Arguments {
 ///
 /// A recording that was never finished counts as lost only where bytes of it cannot be read: what its recorder had in its hands
 /// when it was killed was never in the file.
+///
+/// # Errors
+/// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     arguments.overwrite.check(&arguments.output)?;
     let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;

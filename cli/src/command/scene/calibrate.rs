@@ -19,6 +19,9 @@ use self::measured::measure;
 use self::recordings::Recordings;
 
 /// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
+///
+/// # Errors
+/// A recording, the scene or the base receiver cannot be read, too few frames can be fitted, or the output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(output) = &arguments.output {
         arguments.overwrite.check(output)?;

@@ -66,6 +66,9 @@ impl Arguments {
 }
 
 /// Simulates a scene into a recording.
+///
+/// # Errors
+/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts a shard.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let (first, end) = arguments.range();

@@ -24,6 +24,9 @@ pub struct Stage {
 
 impl Stage {
     /// Reads a scene file; its people, if it has any, are left out.
+    ///
+    /// # Errors
+    /// The file cannot be read, is another scene for each seed, or does not take the recording's waveform.
     pub fn load(path: &Path, waveform: &Waveform) -> anyhow::Result<Self> {
         let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("{} cannot be read", path.display()))?;
         let mut table: Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;

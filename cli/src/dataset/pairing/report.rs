@@ -78,6 +78,10 @@ impl Report {
         Report { frames: real.len(), people: people.collect(), labels_agree, tells_direction: sensor.tells_direction() }
     }
 
+    /// Prints the report.
+    ///
+    /// # Errors
+    /// Standard output cannot be written.
     pub fn tell(&self, folder: &Path, pair: &str, maps: usize, json: bool) -> anyhow::Result<()> {
         if json {
             return output::json_line(&json!({
@@ -159,6 +163,9 @@ fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Opti
 }
 
 /// A line of JSON for each frame in which somebody was followed.
+///
+/// # Errors
+/// A line cannot be formatted.
 pub fn track_lines(roles: &[Role], frames: &[(u64, f64)]) -> anyhow::Result<String> {
     let mut text = String::new();
     for (i, role) in roles.iter().enumerate() {

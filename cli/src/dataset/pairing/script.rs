@@ -127,6 +127,9 @@ fn others(roles: &[Role], person: usize, frame: usize) -> usize {
 }
 
 /// Fills in the knots of all roles.
+///
+/// # Errors
+/// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of order.
 pub fn fill(
     roles: &mut [Role],
     detections: &[Detections],
@@ -309,6 +312,9 @@ fn doorway(door: &DoorFile, from: DVec2, size: DVec2) -> (DVec2, DVec2) {
 }
 
 /// A role's steps from a start, as a scene states them. Times are those of the scene.
+///
+/// # Errors
+/// [`ScriptError::TooFast`] where a person would have to go faster than scripts go.
 pub fn steps(
     person: usize,
     knots: &[Knot],

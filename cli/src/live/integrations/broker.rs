@@ -199,6 +199,9 @@ impl Broker {
 
     /// Options of a connection, less the last will. `authorities` is a file of certificates to trust in place of the
     /// system's.
+    ///
+    /// # Errors
+    /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
     pub fn options(&self, client_id: &str, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
         let mut options = MqttOptions::new(client_id, &self.host, self.port);
         options.set_keep_alive(KEEP_ALIVE);

@@ -153,6 +153,9 @@ pub struct Saver {
 
 impl Keeper {
     /// A keeper, the way to it, and its thread; nothing if nothing is to be kept.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or the thread cannot be started.
     pub fn open(
         arguments: &Arguments,
         header: &RecordingHeader,

@@ -69,6 +69,9 @@ pub struct Integrations {
 
 impl Integrations {
     /// Opens what is wanted; `header` says of what, `access` who may use the metrics' port.
+    ///
+    /// # Errors
+    /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
     pub fn open(
         arguments: &Arguments,
         access: &access::Arguments,

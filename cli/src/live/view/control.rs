@@ -53,6 +53,9 @@ pub enum Command {
 }
 
 /// Does what a page asks for; an error says why not.
+///
+/// # Errors
+/// The message is malformed, or the request cannot be met.
 pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
     let command: Command = serde_json::from_str(text).context("that is no message of this page")?;
     let transport = || {

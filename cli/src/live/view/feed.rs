@@ -299,6 +299,9 @@ impl Feed {
     }
 
     /// A page wants to see something else.
+    ///
+    /// # Errors
+    /// The frames have no such channel or chirp.
     pub fn look(&self, page: PageId, look: Look) -> anyhow::Result<()> {
         let shape = self.waveform.shape();
         if let Channel::Rx(rx) = look.channel

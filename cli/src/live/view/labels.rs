@@ -353,6 +353,9 @@ pub struct Keeper {
 impl Keeper {
     /// Reads the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is the one
     /// that pages offer to adapt.
+    ///
+    /// # Errors
+    /// The recording or its labels cannot be read.
     pub fn open(
         playback: Option<&Playback>,
         recording: Option<&Path>,
@@ -399,6 +402,9 @@ impl Keeper {
     }
 
     /// Makes a change; why not otherwise.
+    ///
+    /// # Errors
+    /// The edit does not fit the labels.
     pub fn edit(&self, edit: Edit) -> anyhow::Result<()> {
         let now_s = self.now_s();
         let mut state = self.state();
@@ -518,6 +524,9 @@ impl Keeper {
     }
 
     /// Gives the recording its labels for good; says what could not be kept.
+    ///
+    /// # Errors
+    /// The labels cannot be written.
     pub fn last_word(&self) -> anyhow::Result<()> {
         let state = self.state();
         let count = state.book.spans.len();

@@ -21,6 +21,9 @@ pub struct Partner {
 
 impl Partner {
     /// The partner in `folder`, or, without it, in the folder beside the recording that is named after it, if there is one.
+    ///
+    /// # Errors
+    /// The folder is no pair of the recording or cannot be read.
     pub fn find(
         folder: Option<&Path>,
         playback: Option<&Playback>,

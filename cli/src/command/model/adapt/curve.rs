@@ -108,6 +108,9 @@ struct Curve {
 }
 
 /// Adapts the model to each room of a file and tells how accurate it is then.
+///
+/// # Errors
+/// The file of rooms or a scene cannot be read, or the model does not take their waveform.
 pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
     output::catch_interrupts()?;
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;

@@ -24,6 +24,9 @@ pub struct Row {
 }
 
 /// Scores of a network over the labelled frames of recordings, each by itself; and the network again.
+///
+/// # Errors
+/// A recording cannot be read, or the model does not take its waveform.
 pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> anyhow::Result<(Model, Vec<Row>)> {
     let Model::Network(classifier) = &model else { bail!("{CFAR} has no maps of which parts can be replaced") };
     let mut scores = AblationScores::new(classifier.card());
@@ -58,6 +61,9 @@ pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> any
 }
 
 /// Scores of a network over maps of a dataset.
+///
+/// # Errors
+/// A map cannot be read, or the network fails.
 pub fn on_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
     Ok(rows(&ablate(classifier, dataset, indices)?))
 }
@@ -73,6 +79,9 @@ fn rows(scores: &AblationScores) -> Vec<Row> {
 }
 
 /// A table; nothing of no rows.
+///
+/// # Errors
+/// Standard output cannot be written.
 pub fn print(rows: &[Row]) -> anyhow::Result<()> {
     if rows.is_empty() {
         return Ok(());

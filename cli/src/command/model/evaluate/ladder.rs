@@ -25,6 +25,9 @@ use crate::panics::Guarded;
 /// them best.
 ///
 /// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
+///
+/// # Errors
+/// A rung or a model cannot be read, a simulation fails, or nothing can be judged.
 pub fn run(
     models: &[PathBuf],
     ladder: &Path,

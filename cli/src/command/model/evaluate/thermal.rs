@@ -17,6 +17,9 @@ const MOST_CODE: f64 = 4095.0;
 impl ThermalNoise {
     /// Noise whose variance is the signal's over `10^(snr_db / 10)`. The signal's variance is that of the samples about the mean
     /// of their chirp, over the whole recording: an offset is no signal.
+    ///
+    /// # Errors
+    /// The recording cannot be read, or the ratio gives no finite noise.
     pub fn of(path: &Path, snr_db: f64) -> anyhow::Result<Self> {
         let mut source = radome_driver::recording::open(path)?;
         let shape = source.waveform().shape();

@@ -34,6 +34,9 @@ pub struct Simulated {
 
 impl Copies {
     /// Of the scene that was asked for, or of nothing.
+    ///
+    /// # Errors
+    /// The scene cannot be read, or its waveform is not that of the recordings.
     pub fn new(arguments: &Arguments, waveform: &Waveform) -> anyhow::Result<Self> {
         let scene = match &arguments.scene {
             Some(path) => {
@@ -59,6 +62,9 @@ impl Copies {
     }
 
     /// Simulates all copies through a receiver.
+    ///
+    /// # Errors
+    /// The receiver does not fit the scene, or the simulation fails.
     pub fn sample(&self, receiver: &Receiver, regions: &Regions) -> anyhow::Result<Simulated> {
         let copies = (self.seeds.end - self.seeds.start) as usize;
         let waveform = self.scene.waveform();
@@ -84,6 +90,9 @@ impl Copies {
     }
 
     /// Static echoes of the scene, without people and without leakage.
+    ///
+    /// # Errors
+    /// The simulation fails.
     pub fn clutter(&self, receiver: &Receiver) -> anyhow::Result<SlowTime> {
         let mut quiet = receiver.clone();
         for rx in &mut quiet.rx {

@@ -61,6 +61,9 @@ pub struct Channel {
 
 impl Real {
     /// Reads the recordings' maps; `target` is the range bin of who is there.
+    ///
+    /// # Errors
+    /// A recording cannot be read.
     pub fn new(recordings: &Recordings, channels: Vec<ChannelFit>, target: Option<usize>) -> anyhow::Result<Self> {
         let regions = regions(target);
         let mut sampler = Sampler::new(recordings.waveform(), &regions)?;

@@ -32,6 +32,9 @@ pub struct Place {
 
 impl Recordings {
     /// Opens recordings, of which the first part is fitted.
+    ///
+    /// # Errors
+    /// A recording cannot be read or is too short, or two have different waveforms.
     pub fn open(paths: &[PathBuf], part: f64) -> anyhow::Result<Self> {
         let (mut waveform, mut all) = (None::<(Waveform, &Path)>, Vec::new());
         for path in paths {
@@ -104,6 +107,9 @@ impl Cut {
     }
 
     /// Reads it once more; one that has gaps is as good as several.
+    ///
+    /// # Errors
+    /// The recording cannot be read, or the callback fails.
     pub fn each_frame(
         &self,
         what: &'static str,

@@ -88,6 +88,9 @@ pub fn round(receiver: &mut Receiver) {
 }
 
 /// Writes the fitted receiver, with the command that makes it again.
+///
+/// # Errors
+/// The file cannot be written.
 pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -> anyhow::Result<()> {
     let text = toml::to_string(receiver).context("the receiver as TOML")?;
     // Where files lay says nothing to others.
@@ -114,6 +117,9 @@ pub fn write_receiver(path: &Path, receiver: &Receiver, arguments: &Arguments) -
 }
 
 /// One object, or lines to read.
+///
+/// # Errors
+/// Standard output cannot be written.
 pub fn print(answer: &Answer, is_json: bool) -> anyhow::Result<()> {
     if is_json {
         return output::json_line(answer);

@@ -29,6 +29,10 @@ pub struct Sample {
 }
 
 impl Sampler {
+    /// Sampler for frames of a waveform.
+    ///
+    /// # Errors
+    /// The map is not valid for the waveform.
     pub fn new(waveform: &Waveform, regions: &Regions) -> anyhow::Result<Self> {
         let moving = RdmSpec { static_removal: StaticRemoval::SlowTimeMean, ..RdmSpec::default() };
         let processors = [RdmProcessor::new(&moving, waveform)?, RdmProcessor::new(&RdmSpec::default(), waveform)?];
@@ -37,6 +41,9 @@ impl Sampler {
     }
 
     /// Adds a frame to a sample.
+    ///
+    /// # Errors
+    /// The frame is of another shape than the waveform says.
     pub fn add(&mut self, frame: &Frame, sample: &mut Sample) -> anyhow::Result<()> {
         sample.maps.resize(frame.shape.rx, MapSample::default());
         let [moving, all] = &mut self.processors;

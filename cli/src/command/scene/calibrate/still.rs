@@ -62,6 +62,9 @@ pub fn fit_clutter(waveform: &Waveform, measured: &mut Measured) -> Option<Clutt
 }
 
 /// Fits the level of echoes to what stands still in the recordings and in the scene without people, if enough does.
+///
+/// # Errors
+/// The simulation fails.
 pub fn fit_level(waveform: &Waveform, copies: &Copies, measured: &mut Measured) -> anyhow::Result<GainFit> {
     let clutter = copies.clutter(&measured.fit.receiver)?;
     let real = &measured.fitted_slow_time;
