@@ -46,7 +46,7 @@ fn main() -> ExitCode {
         _ => None,
     };
     start_log(arguments.verbose, wire);
-    let outcome = panics::caught(|| command::run(arguments.command, Arguments::command()));
+    let outcome = panics::caught(|| command::run(arguments.command, Arguments::command));
     exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
 }
 

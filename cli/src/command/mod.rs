@@ -53,7 +53,7 @@ pub enum Command {
 ///
 /// # Errors
 /// Those of the command.
-pub fn run(command: Command, program: clap::Command) -> anyhow::Result<Ended> {
+pub fn run(command: Command, program: fn() -> clap::Command) -> anyhow::Result<Ended> {
     let done: anyhow::Result<()> = match command {
         Command::Demo(arguments) => return demo::run(arguments),
         Command::Live(arguments) => return live::run(&arguments),
@@ -65,8 +65,8 @@ pub fn run(command: Command, program: clap::Command) -> anyhow::Result<Ended> {
         Command::Dataset(arguments) => dataset::run(&arguments),
         Command::Model(arguments) => model::run(&arguments),
         Command::Bench(arguments) => bench::run(&arguments),
-        Command::Completions(arguments) => manual::completions(&arguments, program),
-        Command::Man(arguments) => manual::man(&arguments, program),
+        Command::Completions(arguments) => manual::completions(&arguments, program()),
+        Command::Man(arguments) => manual::man(&arguments, program()),
     };
     done.map(|()| Ended::Done)
 }
