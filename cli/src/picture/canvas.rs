@@ -6,7 +6,8 @@ use anyhow::Context;
 use image::{Rgb, RgbImage};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 use tiny_skia::{
-    Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, Pixmap, PremultipliedColorU8, Stroke, StrokeDash, Transform,
+    Color, FillRule, LineCap, LineJoin, Paint, PathBuilder, Pixmap, PremultipliedColorU8, Rect, Stroke, StrokeDash,
+    Transform,
 };
 
 use crate::files;
@@ -110,6 +111,13 @@ impl Canvas {
         }
         if let Some(path) = path.finish() {
             self.pixels.fill_path(&path, &ink.paint(), FillRule::Winding, Transform::identity(), None);
+        }
+    }
+
+    /// Fills a rectangle with its upper left corner there.
+    pub fn rectangle(&mut self, [x, y]: Pixel, [width, height]: [f64; 2], ink: Ink) {
+        if let Some(area) = Rect::from_xywh(x as f32, y as f32, width as f32, height as f32) {
+            self.pixels.fill_rect(area, &ink.paint(), Transform::identity(), None);
         }
     }
 
