@@ -1,9 +1,11 @@
 //! Echoes of people: highlights of their segments by every audible pair of images, at key times.
 
+mod audible;
 pub mod chirp_sum;
 pub mod demand;
 pub mod dense;
 mod key_rows;
+mod obstruction;
 mod patch;
 mod posed_patch;
 pub mod self_shadow;
@@ -11,12 +13,12 @@ pub mod skin;
 mod strength;
 mod workbench;
 
+pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
-
-use std::sync::Arc;
 
 use glam::DVec3;
 use num_complex::Complex64;
+use obstruction::{Way, past_people, visibility};
 use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
@@ -25,10 +27,10 @@ use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::{ImageIndex, order};
+use crate::field::image::ImageIndex;
 use crate::field::{Phasor3, incidence_frame};
 use crate::scene::material::SKIN_PERMITTIVITY;
-use crate::shadow::{self, Column};
+use crate::shadow::Column;
 use crate::slow_time::Key;
 use crate::stage::Stage;
 
@@ -36,8 +38,6 @@ use crate::stage::Stage;
 pub const LEAST_DISTANCE_M: f64 = 0.1;
 /// Half of the interval over which velocities are taken, s.
 const VELOCITY_STEP_S: f64 = 2e-4;
-/// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
-const BODY_BOUND_M: f64 = 0.25;
 
 /// Somebody at one key time.
 #[derive(Debug, Clone)]
@@ -93,114 +93,6 @@ pub struct EchoReport {
     pub clamped: usize,
 }
 
-/// Image pairs through which somebody may be heard, by a bound at the trunk.
-pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
-    let body = motion.body(time_s);
-    let centre = body[CHEST].centre;
-    let aperture = stage.wavelength_m / (4.0 * std::f64::consts::PI);
-    let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
-    let reach = |index: ImageIndex| {
-        let i = stage.room.illuminate(&stage.tx, index, centre);
-        (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
-    };
-    let audible = |&(p, q): &(ImageIndex, ImageIndex)| {
-        if order(p) + order(q) == 0 {
-            return true;
-        }
-        let ((a, r), (b, s)) = (reach(p), reach(q));
-        let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
-        lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
-    };
-    stage.body_pairs.iter().filter(|pair| audible(pair)).copied().collect()
-}
-
-/// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest
-/// first, each with that strength, LSB.
-pub fn loud_pairs(
-    stage: &Stage,
-    motion: &Motion,
-    people: &[Snapshot],
-    me: usize,
-    pairs: &[(ImageIndex, ImageIndex)],
-) -> Vec<((ImageIndex, ImageIndex), f64)> {
-    let (mut keys, mut report) = (Vec::new(), EchoReport::default());
-    let mut loud: Vec<_> = pairs
-        .iter()
-        .map(|&pair| {
-            keys.clear();
-            echoes(stage, motion, people, me, &[pair], &mut keys, &mut report);
-            let power: f64 = keys.iter().step_by(stage.rx.len().max(1)).map(|k| k.amplitude.norm_sqr()).sum();
-            (pair, power.sqrt())
-        })
-        .filter(|(_, strength)| *strength > stage.threshold_lsb)
-        .collect();
-    loud.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-    loud
-}
-
-/// Which segment may hide a limb: the same limb of the other side.
-fn opposite(segment: usize) -> Option<usize> {
-    (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
-}
-
-/// One way of a path: between a highlight and an antenna by one of its images.
-struct Way {
-    image: ImageIndex,
-    /// Position of the image.
-    source: DVec3,
-    /// Position of the antenna itself.
-    antenna: DVec3,
-}
-
-/// Field left on the way between a point on somebody's segment and an antenna.
-fn visibility(stage: &Stage, people: &[Snapshot], me: usize, segment: usize, way: &Way, point: DVec3) -> f64 {
-    let &Way { image, source, antenna } = way;
-    let Some(own) = people.get(me) else { return 0.0 };
-    let wavelength_m = stage.wavelength_m;
-    let mut weight = 1.0;
-    // The leg that touches the body, in the unfolded room (long enough: bodies are far smaller than rooms).
-    if segment >= 3 {
-        weight *= shadow::past(point, source, &own.trunk, wavelength_m);
-        if let Some(other) = opposite(segment).and_then(|i| own.body.get(i)) {
-            let radius_m = other.semi_axes_m.x.min(other.semi_axes_m.y);
-            let column = Column {
-                x: other.centre.x,
-                y: other.centre.y,
-                radius_m,
-                height_m: other.centre.z + other.semi_axes_m.z,
-            };
-            weight *= shadow::past(point, source, &column, wavelength_m);
-        }
-    }
-    weight * past_people(stage, people, me, image, antenna, point)
-}
-
-/// Field that other people leave on the way between a point of somebody's body and an antenna by one of its images, and the
-/// own body before the last wall.
-fn past_people(stage: &Stage, people: &[Snapshot], me: usize, image: ImageIndex, antenna: DVec3, point: DVec3) -> f64 {
-    let wavelength_m = stage.wavelength_m;
-    let mut weight = 1.0;
-    if order(image) == 0 {
-        for (i, other) in people.iter().enumerate() {
-            if i != me {
-                weight *= shadow::past(point, antenna, &other.column, wavelength_m);
-            }
-        }
-        return weight;
-    }
-    let polyline = stage.room.polyline(image, antenna, point);
-    let last = polyline.len().saturating_sub(2);
-    for (leg, ends) in polyline.windows(2).enumerate() {
-        let [a, b] = ends else { continue };
-        for (i, other) in people.iter().enumerate() {
-            if i != me || leg != last {
-                weight *= shadow::past(*a, *b, &other.column, wavelength_m);
-            }
-        }
-    }
-    weight
-}
-
 /// All of somebody's echoes at one key time, appended: `[pair][segment][rx]`, then what a person at a desk has besides. Paths
 /// that do not exist have amplitude zero.
 pub fn echoes(
@@ -226,21 +118,24 @@ struct Pair {
     sinks: Vec<DVec3>,
 }
 
-/// Somebody's paths, to be traced one by one: `[pair][segment]`, then what a person at a desk has besides. Where folds are rough,
-/// each segment's highlight is followed by the places from which they scatter.
+/// Somebody's paths, to be traced one by one: `[pair][segment]`, of each pair the segments that it may make heard, then what a
+/// person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from which they scatter.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
     me: usize,
     pairs: Vec<Pair>,
+    /// Number of the pair and segment of each highlight, in order.
+    highlights: Vec<(usize, usize)>,
     /// Of each segment, its highlight (0) and its places with folds (from 1 on).
     places: std::ops::Range<usize>,
 }
 
 impl<'a> Paths<'a> {
-    /// By these pairs of images, of which the direct one is the first.
-    pub fn new(stage: &'a Stage, motion: &'a Motion, me: usize, pairs: &[(ImageIndex, ImageIndex)]) -> Self {
-        let pair = |&(p, q): &(ImageIndex, ImageIndex)| {
+    /// By these pairs of images, of which the direct one is the first: pairs of indices for all segments, or [`AudiblePair`]s.
+    pub fn new<P: Copy + Into<AudiblePair>>(stage: &'a Stage, motion: &'a Motion, me: usize, pairs: &[P]) -> Self {
+        let pairs: Vec<AudiblePair> = pairs.iter().map(|&pair| pair.into()).collect();
+        let pair = |&AudiblePair { pair: (p, q), .. }: &AudiblePair| {
             let source = stage.room.image_position(p, stage.tx.position);
             let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
             let first_rx = stage.rx.first().unwrap_or(&stage.tx);
@@ -249,15 +144,20 @@ impl<'a> Paths<'a> {
             Pair { there, back, sinks }
         };
         let folds = if motion.person.clothing.folds().is_some() { FOLD_PLACES } else { 0 };
-        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect(), places: 0..1 + folds }
+        let of_pair = |(number, pair): (usize, &AudiblePair)| {
+            let pair = *pair;
+            (0..SEGMENTS).filter(move |&segment| pair.has(segment)).map(move |segment| (number, segment))
+        };
+        let highlights = pairs.iter().enumerate().flat_map(of_pair).collect();
+        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect(), highlights, places: 0..1 + folds }
     }
 
     /// Those of rough folds alone: for a skin, whose highlights are not these.
-    pub fn of_folds(
+    pub fn of_folds<P: Copy + Into<AudiblePair>>(
         stage: &'a Stage,
         motion: &'a Motion,
         me: usize,
-        pairs: &[(ImageIndex, ImageIndex)],
+        pairs: &[P],
     ) -> Option<Self> {
         let all = Paths::new(stage, motion, me, pairs);
         (all.places.end > 1).then_some(Paths { places: 1..all.places.end, ..all })
@@ -269,7 +169,7 @@ impl<'a> Paths<'a> {
             let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
             bounces + desk.points.len()
         });
-        self.pairs.len() * SEGMENTS * self.places.len() + besides
+        self.highlights.len() * self.places.len() + besides
     }
 
     /// One of them at one time, appended: a key for each receiver, of amplitude zero where there is no such path. `near` is
@@ -284,12 +184,12 @@ impl<'a> Paths<'a> {
     ) -> Option<DVec3> {
         let own = people.get(self.me)?;
         let places = self.places.len();
-        if let Some(pair) = self.pairs.get(path / (SEGMENTS * places)) {
-            let (segment, place) = (path / places % SEGMENTS, self.places.start + path % places);
+        if let Some(&(number, segment)) = self.highlights.get(path / places) {
+            let (pair, place) = (self.pairs.get(number)?, self.places.start + path % places);
             return self.highlight(pair, (segment, place), own, people, near, out, report);
         }
         let (desk, direct) = (self.motion.person.at_desk.as_ref()?, self.pairs.first()?);
-        let besides = path - self.pairs.len() * SEGMENTS * places;
+        let besides = path - self.highlights.len() * places;
         let bounces = if desk.double_bounce > 0.0 { SEGMENTS } else { 0 };
         let segment = if besides < bounces { besides } else { CHEST };
         let mut once = Vec::with_capacity(direct.sinks.len());

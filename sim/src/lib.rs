@@ -3,8 +3,9 @@
 //! [`Scene::load`] reads a room, a radar, a receiver and what people do in it; a [`Simulator`] makes frames of it, as a
 //! [`radome_dsp::FrameSource`] or one by one. One frame goes: [`actor`] (where are the people's thirteen ellipsoids at the key
 //! times) -> [`echo`] (what each of them reflects by every audible pair of image antennas) -> [`keys`] (how many key times each path
-//! takes) -> [`slow_time`] (every chirp between them) -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding). People who are meshes go by
-//! [`echo::skin`] instead, to an error that is asked for.
+//! takes) -> [`slow_time`] (every chirp between them) and [`tracks`] (every receiver), beside them [`diffuse`] (what walls throw about)
+//! -> [`synthesis`] (paths to samples) -> [`receiver`] (leakage, noise, rounding). People who are meshes go by [`echo::skin`]
+//! instead, to an error that is asked for.
 //!
 //! Beside it, [`rcs`] puts canonical targets before the solver's parts in [`field`], one by one, against what is known of them.
 //!
@@ -22,6 +23,8 @@ pub mod field;
 pub mod geometry;
 pub mod keys;
 pub(crate) mod lanes;
+pub mod path_list;
+pub mod paths;
 pub mod random;
 pub mod rcs;
 pub mod receiver;
@@ -34,6 +37,7 @@ pub mod stage;
 pub mod sway;
 pub mod synthesis;
 pub mod trace;
+pub mod tracks;
 
 pub use receiver::Receiver;
 pub use scene::{Scene, SceneError, load_receiver};

@@ -27,6 +27,9 @@ pub const REACH_M: f64 = 0.5;
 /// Half of the loss over which the knife edge's onset is rounded, dB.
 const ONSET_DB: f64 = 3.0;
 
+/// A leg that clears the edge by so much, as Fresnel's parameter, loses nothing.
+const CLEAR_NU: f64 = 1.32;
+
 /// Field behind a knife edge relative to free space: ITU-R P.526 `J(nu) = 6.9 + 20 log10(sqrt((nu - 0.1)^2 + 1) + nu - 0.1)`
 /// dB, which begins at `nu = -0.78` with a corner. That is rounded here while `J` is within 3 dB of none: no loss below
 /// `nu = -1.24`, and half a decibel at the corner.
@@ -51,8 +54,8 @@ struct Beside {
     axis_m: f64,
     /// Height of the leg there, m.
     height_m: f64,
-    /// Fresnel's parameter of a metre of clearance there, 1/m.
-    nu_per_m: f64,
+    /// Square of Fresnel's parameter of a metre of clearance there, 1/m^2.
+    square_nu_per_m2: f64,
 }
 
 impl Beside {
@@ -61,17 +64,22 @@ impl Beside {
         let (ax, ay) = (a.x - column.x, a.y - column.y);
         let (dx, dy) = (b.x - a.x, b.y - a.y);
         let plan = dx * dx + dy * dy;
-        let fraction = if plan > 1e-12 { (-(ax * dx + ay * dy) / plan).clamp(0.0, 1.0) } else { 0.5 };
-        let axis_m = ((ax + fraction * dx).powi(2) + (ay + fraction * dy).powi(2)).sqrt();
-        if axis_m - column.radius_m > REACH_M {
+        // Most columns are far from the whole line: no division, no root.
+        let (cross, reach_m) = (ax * dy - ay * dx, column.radius_m + REACH_M);
+        if cross * cross > reach_m * reach_m * plan {
             return None;
         }
-        let length = (b - a).length();
+        let fraction = if plan > 1e-12 { (-(ax * dx + ay * dy) / plan).clamp(0.0, 1.0) } else { 0.5 };
+        let square = (ax + fraction * dx).powi(2) + (ay + fraction * dy).powi(2);
+        if square > reach_m * reach_m {
+            return None;
+        }
+        let (axis_m, length) = (square.sqrt(), (b - a).length());
         let (d1, d2) = ((fraction * length).max(0.05), ((1.0 - fraction) * length).max(0.05));
         Some(Beside {
             axis_m,
             height_m: a.z + fraction * (b.z - a.z),
-            nu_per_m: (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt(),
+            square_nu_per_m2: 2.0 * (d1 + d2) / (wavelength_m * d1 * d2),
         })
     }
 }
@@ -80,7 +88,10 @@ impl Beside {
 pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
     let Some(beside) = Beside::new(a, b, column, wavelength_m) else { return 1.0 };
     let clearance = (beside.axis_m - column.radius_m).max(beside.height_m - column.height_m);
-    knife_edge(-clearance * beside.nu_per_m)
+    if clearance > 0.0 && clearance * clearance * beside.square_nu_per_m2 > CLEAR_NU * CLEAR_NU {
+        return 1.0;
+    }
+    knife_edge(-clearance * beside.square_nu_per_m2.sqrt())
 }
 
 /// Part of the field that passes a half-plane whose edge lies `nu` beyond the leg, relative to free space: 1 far from the edge in the
@@ -99,9 +110,10 @@ pub fn half_plane(nu: f64) -> Complex64 {
 /// space (`e^{+jwt}`): what both sides and the top diffract, beside the column as well as behind it. What the sides diffract fades
 /// out towards [`REACH_M`] beside the column.
 pub fn past_strip(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> Complex64 {
-    let Some(Beside { axis_m, height_m, nu_per_m }) = Beside::new(a, b, column, wavelength_m) else {
+    let Some(Beside { axis_m, height_m, square_nu_per_m2 }) = Beside::new(a, b, column, wavelength_m) else {
         return Complex64::ONE;
     };
+    let nu_per_m = square_nu_per_m2.sqrt();
     let covered = |low_m: f64, high_m: f64| half_plane(high_m * nu_per_m) - half_plane(low_m * nu_per_m);
     let across = covered(axis_m - column.radius_m, axis_m + column.radius_m);
     let upright = covered(-height_m, column.height_m - height_m);
@@ -190,6 +202,7 @@ mod tests {
     fn knife_edge_has_its_textbook_values() {
         assert!((20.0 * knife_edge(0.0).log10() + 6.02).abs() < 0.1);
         assert_eq!(knife_edge(-2.0), 1.0);
+        assert_eq!(knife_edge(-CLEAR_NU), 1.0);
         assert!((20.0 * knife_edge(2.4).log10() + 20.5).abs() < 0.5);
         let [mut before, mut last] = [1.0; 2];
         for i in -200..300 {

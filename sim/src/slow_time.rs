@@ -1,6 +1,9 @@
-//! From a few key times to every chirp: a septic Hermite in delay and a quintic in complex amplitude, from what a path is, how it
-//! moves and how it bends at both ends of a stretch. On a walker two keys do what seven or more of a cubic would
-//! (`tests/slow_time.rs`).
+//! From a few key times to every chirp: polynomials in delay and complex amplitude over a stretch of time.
+//!
+//! Where it is known how a path bends at both ends of a stretch ([`Stretch::between`]), it is a septic Hermite in delay and a
+//! quintic in amplitude: on a walker two such keys do what seven or more of a cubic would (`tests/slow_time.rs`). Where it is not
+//! ([`Stretch::through`]), keys at the ends, quarters and middle of the stretch give a septic in delay, a quartic in amplitude,
+//! and an estimate of what is missed between them.
 
 use num_complex::{Complex, Complex64};
 
@@ -50,7 +53,7 @@ pub struct Stretch {
 }
 
 /// Quintic Hermite over 0..1 by powers, from values and two derivatives at the ends.
-fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
+pub(crate) fn quintic([y0, v0, w0]: [f64; 3], [y1, v1, w1]: [f64; 3]) -> [f64; 6] {
     // What the parabola of the first end misses at the second.
     let (y, v, w) = (y1 - y0 - v0 - 0.5 * w0, v1 - v0 - w0, w1 - w0);
     [y0, v0, 0.5 * w0, 10.0 * y - 4.0 * v + 0.5 * w, -15.0 * y + 7.0 * v - w, 6.0 * y - 3.0 * v + 0.5 * w]
@@ -73,7 +76,82 @@ fn septic([y0, v0, w0, j0]: [f64; 4], [y1, v1, w1, j1]: [f64; 4]) -> [f64; 8] {
     ]
 }
 
+/// Keys of a path at the ends, quarters and middle of a stretch, in their order.
+pub type FiveKeys = [Key; 5];
+
+/// Squares of the distances of quarters and ends from the middle, in stretches.
+const QUARTER: f64 = 1.0 / 16.0;
+const END: f64 = 1.0 / 4.0;
+
+/// Powers of a polynomial of `x + by`, given those of `x`.
+fn shifted<const N: usize>(mut powers: [f64; N], by: f64) -> [f64; N] {
+    for low in 0..N {
+        for power in (low..N - 1).rev() {
+            powers[power] += by * powers[power + 1];
+        }
+    }
+    powers
+}
+
+/// Cubic by powers of `z` from values and slopes at the squares of quarters and ends.
+fn cubic_of_square([y0, v0]: [f64; 2], [y1, v1]: [f64; 2]) -> [f64; 4] {
+    let apart = END - QUARTER;
+    let slope = (y1 - y0) / apart;
+    shifted([y0, v0, (3.0 * slope - 2.0 * v0 - v1) / apart, (v0 + v1 - 2.0 * slope) / (apart * apart)], -QUARTER)
+}
+
+/// Line by powers of `z` from values at the squares of quarters and ends.
+fn line_of_square(at_quarter: f64, at_end: f64) -> [f64; 2] {
+    let slope = (at_end - at_quarter) / (END - QUARTER);
+    [at_quarter - slope * QUARTER, slope]
+}
+
+/// Septic by powers of `u` from values and slopes by `u` at both ends and quarters: even and odd parts about the middle are each a
+/// cubic of the square of the distance from there. Also its value in the middle.
+fn septic_of_four([a, b, c, d]: [[f64; 2]; 4]) -> ([f64; 8], f64) {
+    let even = |low: [f64; 2], high: [f64; 2], x: f64| [0.5 * (low[0] + high[0]), (high[1] - low[1]) / (4.0 * x)];
+    let odd = |low: [f64; 2], high: [f64; 2], x: f64| {
+        let value = (high[0] - low[0]) / (2.0 * x);
+        [value, (0.5 * (low[1] + high[1]) - value) / (2.0 * x * x)]
+    };
+    let e = cubic_of_square(even(b, c, 0.25), even(a, d, 0.5));
+    let o = cubic_of_square(odd(b, c, 0.25), odd(a, d, 0.5));
+    (shifted([e[0], o[0], e[1], o[1], e[2], o[2], e[3], o[3]], -0.5), e[0])
+}
+
+/// Cubic by powers of `u` through values at both ends and quarters. Also its value in the middle.
+pub(crate) fn cubic_of_four([a, b, c, d]: [f64; 4]) -> ([f64; 4], f64) {
+    let e = line_of_square(0.5 * (b + c), 0.5 * (a + d));
+    let o = line_of_square(2.0 * (c - b), d - a);
+    (shifted([e[0], o[0], e[1], o[1]], -0.5), e[0])
+}
+
+/// Quartic by powers of `u` through values at both ends, quarters and the middle. Also the value in the middle of the cubic
+/// through the others.
+fn quartic_of_five([a, b, m, c, d]: [f64; 5]) -> ([f64; 5], f64) {
+    let (cubic, predicted) = cubic_of_four([a, b, c, d]);
+    // (x^2 - 1/16) (x^2 - 1/4), which is 1/64 in the middle.
+    let factor = (m - predicted) / (QUARTER * END);
+    let rest = shifted([QUARTER * END, 0.0, -(QUARTER + END), 0.0, 1.0], -0.5);
+    let at = |power: usize| cubic.get(power).copied().unwrap_or(0.0) + factor * rest[power];
+    (std::array::from_fn(at), predicted)
+}
+
 impl Stretch {
+    /// Through keys at the ends, quarters and middle of a stretch, and how far from the key in the middle the other four alone
+    /// would be, as a field at `frequency_hz`, LSB. The middle adds its amplitude to what the others give.
+    pub fn through(keys: &FiveKeys, stretch_s: f64, frequency_hz: f64) -> (Self, f64) {
+        let delay = |i: usize| [keys[i].delay_s, keys[i].delay_rate * stretch_s];
+        let (delay_s, middle_s) = septic_of_four([0, 1, 3, 4].map(delay));
+        let [(re, middle_re), (im, middle_im)] =
+            [(|c| c.re) as fn(Complex64) -> f64, |c| c.im].map(|of| quartic_of_five(keys.map(|key| of(key.amplitude))));
+        let at = |of: [f64; 5], power: usize| of.get(power).copied().unwrap_or(0.0) as f32;
+        let amplitude = std::array::from_fn(|power| Complex::new(at(re, power), at(im, power)));
+        let turn = Complex64::from_polar(1.0, std::f64::consts::TAU * frequency_hz * (middle_s - keys[2].delay_s));
+        let missed_lsb = (Complex64::new(middle_re, middle_im) * turn - keys[2].amplitude).norm();
+        (Stretch { delay_s, amplitude, stretch_s }, missed_lsb)
+    }
+
     /// Between two keys `stretch_s` apart.
     pub fn between(a: &(Key, Bend), b: &(Key, Bend), stretch_s: f64) -> Self {
         let (first, second, third) = (stretch_s, stretch_s * stretch_s, stretch_s * stretch_s * stretch_s);
@@ -89,6 +167,12 @@ impl Stretch {
             amplitude: std::array::from_fn(|p| Complex::new(re[p] as f32, im[p] as f32)),
             stretch_s,
         }
+    }
+
+    /// Time between its ends, s.
+    #[inline(always)]
+    pub fn stretch_s(&self) -> f64 {
+        self.stretch_s
     }
 
     /// Delay, s, and its rate, s/s.
@@ -157,6 +241,29 @@ mod tests {
             assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(0, t)).norm() < 1e-5, "{t}");
         }
         assert!(stretch.error_lsb(0.5, &key(0.3).0, 60e9) < 1e-5);
+    }
+
+    /// Any septic is met through five keys, and any quartic of amplitude; what the middle adds to a cubic is what is missed.
+    #[test]
+    fn five_keys_hold_a_septic_and_a_quartic() {
+        let delay_s = [1e-8, -2e-8, 3e-7, 4e-7, -5e-6, 6e-6, 3e-6, -2e-6];
+        let parts = [[1.0, -2.0, 3.0, 0.5, -1.0], [0.3, 1.0, -4.0, 2.0, 1.0]];
+        let at = |c: &[f64], t: f64| c.iter().rev().fold(0.0, |sum, c| sum * t + c);
+        let rate = |t: f64| (1..8).map(|p| p as f64 * delay_s[p] * t.powi(p as i32 - 1)).sum::<f64>();
+        let amplitude = |t: f64| Complex64::new(at(&parts[0], t), at(&parts[1], t));
+        let key = |t: f64| Key { delay_s: at(&delay_s, t), delay_rate: rate(t), amplitude: amplitude(t) };
+        let stretch_s = 0.4;
+        let keys = [0.0, 0.25, 0.5, 0.75, 1.0].map(|u| key(0.1 + stretch_s * u));
+        let (stretch, missed_lsb) = Stretch::through(&keys, stretch_s, 60e9);
+        for u in [0.0, 0.1, 0.3, 0.5, 0.9, 1.0] {
+            let (t, (value, slope)) = (0.1 + stretch_s * u, stretch.delay(u));
+            assert!((value - at(&delay_s, t)).abs() < 1e-19 && (slope - rate(t)).abs() < 1e-18, "{t}");
+            let a = stretch.amplitude(u);
+            assert!((Complex64::new(a.re.into(), a.im.into()) - amplitude(t)).norm() < 1e-5, "{t}");
+        }
+        // A quartic's fourth difference over a quarter is 24 times its coefficient; the middle is a sixth of that off.
+        let expected = 24.0 * Complex64::new(parts[0][4], parts[1][4]).norm() * (0.25 * stretch_s).powi(4) / 6.0;
+        assert!((missed_lsb / expected - 1.0).abs() < 1e-3, "{missed_lsb} {expected}");
     }
 
     /// Differences find the bends of a cubic exactly.

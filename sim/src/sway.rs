@@ -14,13 +14,13 @@ use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
-use crate::keys::Stretches;
 use crate::random::{Purpose, generator};
 use crate::scene::Scene;
 use crate::scene::file::{FurnitureFile, SwayFile, SwayPlaceFile};
 use crate::shadow::{self, Column};
-use crate::slow_time::{Bend, Key, Stretch};
+use crate::slow_time::{Bend, Key};
 use crate::stage::Stage;
+use crate::tracks::{Track, Tracks};
 
 /// Sinusoids of a motion that is not a single one.
 const WAVES: usize = 6;
@@ -119,16 +119,9 @@ impl SwayingReflectors {
         SwayingReflectors { reflectors }
     }
 
-    /// Adds the echoes in `span_s` from a time on to the paths of each receiver. `columns` are the people at the ends of as many
+    /// Adds the echoes in `span_s` from a time on to the paths of a frame. `columns` are the people at the ends of as many
     /// equal parts of the span, whose shadows weaken the echoes.
-    pub fn add(
-        &self,
-        start_s: f64,
-        span_s: f64,
-        columns: &[Vec<Column>],
-        wavelength_m: f64,
-        receivers: &mut [Stretches],
-    ) {
+    pub fn add(&self, start_s: f64, span_s: f64, columns: &[Vec<Column>], wavelength_m: f64, tracks: &mut Tracks) {
         for reflector in &self.reflectors {
             let halvings = halvings(span_s, reflector.motion.fastest_hz());
             let parts = 1usize << halvings;
@@ -138,25 +131,32 @@ impl SwayingReflectors {
             for path in &reflector.paths {
                 let shades: Vec<f64> =
                     columns.iter().map(|people| shadow::along(&path.polyline, people, wavelength_m)).collect();
-                for (&(delay_s, each_m_s, amplitude), out) in path.receivers.iter().zip(receivers.iter_mut()) {
-                    let key = |(end, x): (usize, &[f64; 4])| {
-                        let shade = between(&shades, end as f64 / parts as f64);
-                        let key = Key {
-                            delay_s: delay_s + each_m_s * x[0],
-                            delay_rate: each_m_s * x[1],
-                            amplitude: amplitude * shade,
-                        };
-                        (key, Bend { delay: [each_m_s * x[2], each_m_s * x[3]], ..Bend::default() })
-                    };
-                    let keys: Vec<(Key, Bend)> = motion.iter().enumerate().map(key).collect();
-                    for (place, ends) in keys.windows(2).enumerate() {
-                        if let [a, b] = ends {
-                            out.push(halvings, place, Stretch::between(a, b, stretch_s));
-                        }
+                let keys: Vec<Vec<(Key, Bend)>> = motion
+                    .iter()
+                    .enumerate()
+                    .map(|(end, x)| path.keys(x, between(&shades, end as f64 / parts as f64)))
+                    .collect();
+                for (place, ends) in keys.windows(2).enumerate() {
+                    if let [a, b] = ends
+                        && let Some(track) = Track::between(a, b, stretch_s)
+                    {
+                        tracks.push(halvings, place, track);
                     }
                 }
             }
         }
+    }
+}
+
+impl SwayPath {
+    /// Key of every receiver where the reflector is displaced by `x` (m, and derivatives by time) and shaded.
+    fn keys(&self, x: &[f64; 4], shade: f64) -> Vec<(Key, Bend)> {
+        let key = |&(delay_s, each_m_s, amplitude): &(f64, f64, Complex64)| {
+            let key =
+                Key { delay_s: delay_s + each_m_s * x[0], delay_rate: each_m_s * x[1], amplitude: amplitude * shade };
+            (key, Bend { delay: [each_m_s * x[2], each_m_s * x[3]], ..Bend::default() })
+        };
+        self.receivers.iter().map(key).collect()
     }
 }
 
@@ -279,6 +279,7 @@ fn to_wall(from: DVec3, towards: DVec3, size_m: DVec3) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::slow_time::Stretch;
 
     #[test]
     fn a_motion_has_its_displacement_and_its_derivatives() {

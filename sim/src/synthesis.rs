@@ -14,9 +14,11 @@ use num_complex::Complex;
 use radome_dsp::KernelLevel;
 use realfft::{ComplexToReal, RealFftPlanner};
 
+mod held;
 mod spread;
 
-pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoPass, EchoWay, Grids};
+pub use held::{HeldEcho, HeldEchoes};
+pub use spread::{CHIRPS, ChirpGrids, EchoChirps, EchoPass, EchoWay, Grids, Places};
 
 /// One path during one chirp.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -70,6 +72,8 @@ pub struct Synthesiser {
     cells: usize,
     /// `[power][tap]`, in the fraction of a cell mapped to -1..1.
     taps: [[f32; LANES]; DEGREE],
+    /// Taps for echoes that are held in their places.
+    taps_by_place: Vec<[f32; LANES]>,
     /// Compensates the kernel's own transform, for samples in order.
     correction: Vec<f32>,
     /// Instructions that [`Synthesiser::spread`] uses; the processor has them.
@@ -145,7 +149,15 @@ impl Synthesiser {
             })
             .collect();
         let inverse = RealFftPlanner::<f32>::new().plan_fft_inverse(cells);
-        Synthesiser { samples, cells, taps, correction, level: KernelLevel::detect(), inverse }
+        Synthesiser {
+            samples,
+            cells,
+            taps_by_place: held::taps_by_place(&taps),
+            taps,
+            correction,
+            level: KernelLevel::detect(),
+            inverse,
+        }
     }
 
     /// An empty grid.

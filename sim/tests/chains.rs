@@ -63,7 +63,7 @@ impl Chain {
             pattern: Pattern::isotropic(),
         };
         Chain {
-            room: BoxRoom { size_m, walls, wavenumber_per_m: WAVENUMBER, transmission: false },
+            room: BoxRoom::new(size_m, walls, WAVENUMBER, false),
             tx: element(DVec3::new(0.3, 0.9, 1.4)),
             rx: element(DVec3::new(0.3, 0.9075, 1.4)),
             semi_axes_m,

@@ -81,8 +81,7 @@ mod hard_cases {
     #[test]
     fn lengths_from_what_was_met_are_exact() {
         for (size_m, bound_rad) in [(DVec3::new(5.0, 2.0, 2.5), 1e-11), (DVec3::new(9.5, 6.0, 3.0), 1e-11)] {
-            let room =
-                BoxRoom { size_m, walls: [Wall::Conductor; 6], wavenumber_per_m: WAVENUMBER, transmission: false };
+            let room = BoxRoom::new(size_m, [Wall::Conductor; 6], WAVENUMBER, false);
             let world = World::new(vec![Body::new(inside_of(size_m), Build::Static).expect("a good mesh")])
                 .expect("a small world");
             let mut rng = generator(9, Purpose::Build, [0, 0]);

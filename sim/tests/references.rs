@@ -38,12 +38,7 @@ fn slabs_agree_with_the_40_digit_characteristic_matrix() {
 }
 
 fn conducting_box() -> BoxRoom {
-    BoxRoom {
-        size_m: DVec3::new(12.0, 2.0, 2.7),
-        walls: [Wall::Conductor; 6],
-        wavenumber_per_m: WAVENUMBER,
-        transmission: false,
-    }
+    BoxRoom::new(DVec3::new(12.0, 2.0, 2.7), [Wall::Conductor; 6], WAVENUMBER, false)
 }
 
 fn isotropic(position: DVec3, polarisation: DVec3) -> Element {
@@ -95,12 +90,8 @@ fn conductors_turn_a_dipole_into_its_signed_mirror_image() {
 #[test]
 fn two_ray_ground_has_its_nulls_and_gains() {
     let Some(reference) = common::reference() else { return };
-    let room = BoxRoom {
-        size_m: DVec3::new(50.0, 50.0, 50.0),
-        walls: [Wall::Open, Wall::Open, Wall::Open, Wall::Open, Wall::Conductor, Wall::Open],
-        wavenumber_per_m: WAVENUMBER,
-        transmission: false,
-    };
+    let walls = [Wall::Open, Wall::Open, Wall::Open, Wall::Open, Wall::Conductor, Wall::Open];
+    let room = BoxRoom::new(DVec3::new(50.0, 50.0, 50.0), walls, WAVENUMBER, false);
     let radar = isotropic(DVec3::new(1.0, 20.0, 1.5), DVec3::Y);
     for row in reference["two_ray"]["rows"].as_array().expect("rows") {
         let target = DVec3::new(6.0, 20.0, row["ht"].as_f64().expect("height"));

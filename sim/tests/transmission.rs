@@ -40,7 +40,7 @@ fn db(ratio: Complex64) -> f64 {
 fn room(wall: Wall, transmission: bool) -> BoxRoom {
     let mut walls = [Wall::Open; 6];
     walls[1] = wall;
-    BoxRoom { size_m: DVec3::new(4.0, 8.0, 3.0), walls, wavenumber_per_m: WAVENUMBER, transmission }
+    BoxRoom::new(DVec3::new(4.0, 8.0, 3.0), walls, WAVENUMBER, transmission)
 }
 
 fn plasterboard() -> Complex64 {
@@ -143,7 +143,7 @@ mod hard_cases {
     #[test]
     fn nothing_is_switched_on_the_way_through_a_wall() {
         let wall = Wall::Slab { permittivity: plasterboard(), thickness_m: THICKNESS_M };
-        let room = BoxRoom { walls: [wall; 6], ..room(wall, true) };
+        let room = BoxRoom::new(DVec3::new(4.0, 8.0, 3.0), [wall; 6], WAVENUMBER, true);
         let element = Element {
             position: DVec3::new(1.0, 4.0, 1.2),
             polarisation: DVec3::new(0.0, 0.6, 0.8),

@@ -7,7 +7,7 @@ const TABLE: &str = include_str!("../../cli/src/command/former_names.txt");
 
 /// Options of each command when it had its former name, without those of all commands. Former options that are hidden now are
 /// tested one by one below.
-const OPTIONS: [(&str, &str); 22] = [
+const OPTIONS: [(&str, &str); 23] = [
     ("devices", "--json --probe --udev-rules --watch"),
     ("config", "--json --registers"),
     ("emulate", "--faults --from --json --latency-ms --link --loop --on --probe --protocol --seed --speed"),
@@ -27,6 +27,7 @@ const OPTIONS: [(&str, &str); 22] = [
         "dataset pair",
         "--corrections --frames --height-m --json --labels --map --name --output --people --seated --seed --subject --waypoints",
     ),
+    ("paths", "--json --margin-db --people --person --preview --seed --time"),
     ("train", "--checkpoint --epochs --hold-out --json --network --output --overwrite --seed --spec --weights"),
     ("adapt", "--curve --empty --force --json --output --overwrite --simulated"),
     ("background", "--json --model --output --overwrite --seconds --seed"),

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod pair;
+mod paths;
 mod preview;
 mod simulate;
 
@@ -16,7 +17,8 @@ pub struct Arguments {
 enum Action {
     /// Simulate a scene: raw frames, truth and labels
     Simulate(simulate::Arguments),
-    // `paths` comes here.
+    /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
+    Paths(paths::Arguments),
     /// Draw a scene without simulating it: what stands in it, the radar's beam, and the way of each person
     Preview(preview::Arguments),
     /// Fit a receiver to a recording; report the difference between simulation and recording before and after
@@ -32,6 +34,7 @@ enum Action {
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.action {
         Action::Simulate(arguments) => simulate::run(arguments),
+        Action::Paths(arguments) => paths::run(arguments),
         Action::Preview(arguments) => preview::run(arguments),
         Action::Calibrate(arguments) => calibrate::run(arguments),
         Action::Pair(arguments) => pair::run(arguments),

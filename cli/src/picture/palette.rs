@@ -13,6 +13,9 @@ pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
 /// A colour for each person in turn.
 pub(super) const PEOPLE: [Ink; 4] =
     [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
+/// Colours of paths that people change, and of others.
+pub(super) const MOVING: Ink = Ink::solid([200, 30, 90]);
+pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
 /// Colour of furniture that has no material.
 pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
 

@@ -15,7 +15,7 @@ use radome_sim::scene::file::{BodyFile, SurfaceFile};
 
 use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
 use super::legend::{draw_sign, legend, legend_rows};
-use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
+use super::palette::{BEAM, GREY, INK, LEFT, MOVING, PEOPLE, STATIC, UNSAID, material_ink, ring};
 
 /// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
 const BELOW: f64 = 62.0;
@@ -50,6 +50,18 @@ pub struct Preview<'a> {
     pub people: Option<usize>,
     /// Ways are drawn up to here, s.
     pub until_s: f64,
+    /// Ways of waves.
+    pub paths: &'a [DrawnPath],
+}
+
+/// The way of a wave.
+pub struct DrawnPath {
+    /// Its corners, m.
+    pub points: Vec<DVec3>,
+    /// Whether it changes: it is drawn in another colour.
+    pub is_moving: bool,
+    /// From 0, as faint as lines get, to 1.
+    pub strength: f64,
 }
 
 /// One of the views: which axes of the room are to the right and up, and where.
@@ -149,6 +161,9 @@ pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
         }
         for way in &ways {
             draw_way(&mut canvas, view, way);
+        }
+        for path in preview.paths {
+            draw_path(&mut canvas, view, path);
         }
         draw_radar(&mut canvas, view, scene, &mut labels);
         for way in &ways {
@@ -328,6 +343,13 @@ fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
         canvas.line(&[fan[0], *end], &edge);
     }
     canvas.fill(&[fan], BEAM.faint(0.20));
+}
+
+fn draw_path(canvas: &mut Canvas, view: &View, path: &DrawnPath) {
+    let ink = if path.is_moving { MOVING } else { STATIC };
+    let line = Line { ink: ink.faint(0.15 + 0.75 * path.strength), width: 1.2, is_dashed: false };
+    let places: Vec<Pixel> = path.points.iter().map(|p| view.at(*p)).collect();
+    canvas.line(&places, &line);
 }
 
 fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
@@ -570,7 +592,7 @@ mod tests {
                 continue;
             }
             let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
-            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0 };
+            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0, paths: &[] };
             draw(&preview, &file).expect("a picture");
             let image = image::open(&file).expect("a PNG").to_rgb8();
             let inked = image.pixels().filter(|p| p.0 != [255; 3]).count();

@@ -101,6 +101,11 @@ impl Cloth {
         10f64.powf(0.05 * (self.level_db + self.spread_db * normal))
     }
 
+    /// Factor on amplitude that one place in thirty thousand exceeds: four standard deviations above the mean.
+    pub fn most(&self) -> f64 {
+        10f64.powf(0.05 * (self.level_db + 4.0 * self.spread_db))
+    }
+
     /// Factor on amplitude at a point of the unit sphere of which a segment is the image.
     pub fn factor_on(&self, segment: usize, unit: DVec3) -> f64 {
         self.rest.get(segment).map_or(1.0, |rest| self.factor(rest.surface(unit)))

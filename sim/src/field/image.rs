@@ -8,65 +8,17 @@
 //! Where walls let waves through, a point beyond an upright wall has the antenna's own field times the slab's transmission, in
 //! place of the air that the slab displaces; images carry nothing there.
 
+use std::sync::Arc;
+
 use glam::{DMat3, DVec3};
 use num_complex::Complex64;
 
-use super::fresnel::{self, Reflection};
+use super::fresnel::Reflection;
 use super::pattern::Pattern;
+pub use super::wall::Wall;
+use super::wall::WallTable;
 use super::{Phasor3, incidence_frame};
 use crate::actor::track::smooth_step;
-
-/// What a wall is made of.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub enum Wall {
-    /// Lossy dielectric slab.
-    Slab {
-        /// Complex relative permittivity.
-        permittivity: Complex64,
-        /// Thickness, m.
-        thickness_m: f64,
-    },
-    /// Perfect conductor.
-    Conductor,
-    /// Nothing there.
-    Open,
-}
-
-impl Wall {
-    /// What it mirrors.
-    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
-        match *self {
-            Wall::Slab { permittivity, thickness_m } => {
-                fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection
-            }
-            Wall::Conductor => Reflection { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
-            Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
-        }
-    }
-
-    /// What the wall leaves of a field that goes straight through it, over what air would.
-    fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
-        match *self {
-            Wall::Slab { permittivity, thickness_m } => {
-                fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
-            }
-            Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
-            Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
-        }
-    }
-
-    /// Over how much of its outside a wall's effect grows to its whole, m: its thickness, and no less than a body takes some
-    /// chirps to pass.
-    fn depth_m(&self) -> f64 {
-        match *self {
-            Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
-            Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
-        }
-    }
-}
-
-/// Walls are at least so thick to those who pass through them, m: nothing is switched on or off between two chirps.
-const LEAST_DEPTH_M: f64 = 0.1;
 
 /// Index of an image in the lattice; `[0, 0, 0]` is the antenna itself.
 pub type ImageIndex = [i32; 3];
@@ -92,12 +44,14 @@ pub fn images(max_order: u32) -> Vec<ImageIndex> {
 pub struct BoxRoom {
     /// Inner size, m.
     pub size_m: DVec3,
-    /// Surfaces at low and high x, low and high y, floor, ceiling.
+    /// Surfaces at low and high x, low and high y, floor, ceiling. Fields come from what [`BoxRoom::new`] tabulated of them.
     pub walls: [Wall; 6],
     /// Wave number at which materials are evaluated, 1/m.
     pub wavenumber_per_m: f64,
     /// Whether points behind the upright walls are lit through them. If not, points outside are lit as if there were no wall.
     pub transmission: bool,
+    /// The walls' coefficients. Equal walls share them.
+    tables: [Arc<WallTable>; 6],
 }
 
 /// One antenna element in the room.
@@ -126,7 +80,105 @@ pub struct Illumination {
     pub field: Phasor3,
 }
 
+/// A coordinate of a cell of the lattice as a coordinate of the room.
+fn folded(x: f64, length: f64, cell: i32) -> f64 {
+    let beyond = x - f64::from(cell) * length;
+    if cell % 2 == 0 { beyond } else { length - beyond }
+}
+
+/// A mirror plane between an image and a point of the room.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Crossing {
+    /// Fraction of the way from the image.
+    fraction: f64,
+    axis: usize,
+    wall: usize,
+}
+
+/// The planes across one axis that are still ahead.
+#[derive(Debug, Clone, Copy)]
+struct PlanesAhead {
+    next: i32,
+    count: u32,
+    /// From one to the next, 1 or -1.
+    step: i32,
+    /// Fraction of the way to the next.
+    fraction: f64,
+    from_m: f64,
+    span_m: f64,
+    length_m: f64,
+}
+
+/// All mirror planes between an image and a point of the room, in the order in which the way crosses them. Those across one axis
+/// are crossed one after another, so that the next of all is the nearest of three.
+struct Crossings([PlanesAhead; 3]);
+
+impl Crossings {
+    fn new(index: ImageIndex, source: DVec3, point: DVec3, size_m: DVec3) -> Self {
+        Crossings(std::array::from_fn(|axis| {
+            let n = index[axis];
+            // From above down to plane 1, the high wall; from below up to plane 0, the low wall.
+            let (next, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
+            let (from_m, span_m, length_m) = (source[axis], point[axis] - source[axis], size_m[axis]);
+            let mut planes =
+                PlanesAhead { next, count: n.unsigned_abs(), step, fraction: 0.0, from_m, span_m, length_m };
+            planes.measure();
+            planes
+        }))
+    }
+}
+
+impl PlanesAhead {
+    fn measure(&mut self) {
+        if self.count > 0 {
+            self.fraction = (f64::from(self.next) * self.length_m - self.from_m) / self.span_m;
+        }
+    }
+}
+
+impl Iterator for Crossings {
+    type Item = Crossing;
+
+    fn next(&mut self) -> Option<Crossing> {
+        let ahead = self.0.iter_mut().enumerate().filter(|(_, planes)| planes.count > 0);
+        let (axis, planes) = ahead.min_by(|(_, a), (_, b)| a.fraction.total_cmp(&b.fraction))?;
+        let wall = 2 * axis + usize::from(planes.next % 2 != 0);
+        let crossing = Crossing { fraction: planes.fraction, axis, wall };
+        planes.next += planes.step;
+        planes.count -= 1;
+        planes.measure();
+        Some(crossing)
+    }
+}
+
+/// A field past a mirror plane of the unfolded room: `G_te te te^T - G_tm tm tm^T`. The field is transverse, so that its part
+/// that is not TE is TM.
+fn mirrored(field: Phasor3, direction: DVec3, axis: usize, reflection: Reflection) -> Phasor3 {
+    let across = direction.cross(DVec3::AXES[axis]);
+    let square = across.length_squared();
+    let as_tm = field.times(-reflection.tm);
+    // At normal incidence both are one.
+    if square < 1e-12 {
+        return as_tm;
+    }
+    let more = (reflection.te + reflection.tm) * (field.along(across) / square);
+    Phasor3 { re: as_tm.re + across * more.re, im: as_tm.im + across * more.im }
+}
+
 impl BoxRoom {
+    /// A room of a size, m, with its surfaces at low and high x, low and high y, floor, ceiling. Tabulates these at the wave
+    /// number.
+    pub fn new(size_m: DVec3, walls: [Wall; 6], wavenumber_per_m: f64, transmission: bool) -> Self {
+        let mut all: Vec<Arc<WallTable>> = Vec::with_capacity(walls.len());
+        for (i, wall) in walls.iter().enumerate() {
+            let equal = walls.iter().take(i).position(|other| other == wall);
+            let shared = equal.and_then(|equal| all.get(equal)).map(Arc::clone);
+            all.push(shared.unwrap_or_else(|| Arc::new(WallTable::new(*wall, wavenumber_per_m, transmission))));
+        }
+        let tables = std::array::from_fn(|wall| Arc::clone(&all[wall]));
+        BoxRoom { size_m, walls, wavenumber_per_m, transmission, tables }
+    }
+
     /// Position of an image.
     pub fn image_position(&self, index: ImageIndex, point: DVec3) -> DVec3 {
         let axis = |n: i32, length: f64, x: f64| {
@@ -145,21 +197,6 @@ impl BoxRoom {
         v * DVec3::new(sign(index[0]), sign(index[1]), sign(index[2]))
     }
 
-    /// The mirror planes between an image and a point of the room: (fraction of the way, axis, wall), in order.
-    fn crossings(&self, index: ImageIndex, source: DVec3, point: DVec3) -> Vec<(f64, usize, usize)> {
-        let mut all = Vec::with_capacity(order(index) as usize);
-        let (from, to, size) = (source.to_array(), point.to_array(), self.size_m.to_array());
-        for (axis, ((&n, length), (from, to))) in index.iter().zip(size).zip(from.into_iter().zip(to)).enumerate() {
-            let planes = if n > 0 { 1..=n } else { n + 1..=0 };
-            for plane in planes {
-                let fraction = (f64::from(plane) * length - from) / (to - from);
-                all.push((fraction, axis, 2 * axis + usize::from(plane % 2 != 0)));
-            }
-        }
-        all.sort_by(|a, b| a.0.total_cmp(&b.0));
-        all
-    }
-
     /// Field of an element's image at a point of the room.
     pub fn illuminate(&self, element: &Element, index: ImageIndex, point: DVec3) -> Illumination {
         let source = self.image_position(index, element.position);
@@ -169,14 +206,9 @@ impl BoxRoom {
         let departure = element.radar_from_world * Self::image_vector(index, direction);
         let polarisation = Self::image_vector(index, element.polarisation);
         let transverse = polarisation - direction * direction.dot(polarisation);
-        let mut field = Phasor3::real(transverse).scaled(element.pattern.field(departure));
-        if order(index) > 0 {
-            for (_, axis, wall) in self.crossings(index, source, point) {
-                let normal = DVec3::AXES[axis];
-                let reflection = self.walls[wall].reflection(self.wavenumber_per_m, direction.dot(normal).abs());
-                let (te, tm) = incidence_frame(direction, normal);
-                field = Phasor3::combine(reflection.te * field.along(te), te, -reflection.tm * field.along(tm), tm);
-            }
+        let mut field = Phasor3::real(transverse * element.pattern.field(departure));
+        for Crossing { axis, wall, .. } in Crossings::new(index, source, point, self.size_m) {
+            field = mirrored(field, direction, axis, self.tables[wall].reflection(direction[axis].abs()));
         }
         if self.transmission
             && let Some((axis, wall, weight)) = self.behind(element.position, point)
@@ -186,13 +218,48 @@ impl BoxRoom {
                 rest
             } else {
                 let normal = DVec3::AXES[axis];
-                let through = self.walls[wall].transmission(self.wavenumber_per_m, direction.dot(normal).abs());
+                let through = self.tables[wall].transmission(direction.dot(normal).abs());
                 let (te, tm) = incidence_frame(direction, normal);
                 let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
                 Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }
             };
         }
         Illumination { source, distance_m, direction, field }
+    }
+
+    /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
+    pub fn most_field(&self, element: &Element, index: ImageIndex, direction: DVec3, spread_rad: f64) -> f64 {
+        let departure = element.radar_from_world * Self::image_vector(index, direction);
+        let mut most = element.pattern.most_within(departure, spread_rad);
+        let is_across_one_axis = index.iter().filter(|&&n| n != 0).count() == 1;
+        for (axis, &n) in index.iter().enumerate().filter(|(_, n)| **n != 0) {
+            let [te, tm] = self.most_mirrored(axis, n, direction[axis].abs(), spread_rad);
+            let either = te.max(tm);
+            if !is_across_one_axis {
+                most *= either;
+                continue;
+            }
+            // What the antenna sends as TE, at least and at most; the rest is TM.
+            let across = direction.cross(DVec3::AXES[axis]);
+            let (part, sine) = (Self::image_vector(index, element.polarisation).dot(across).abs(), across.length());
+            let least_te = ((part - spread_rad) / (sine + spread_rad).max(1e-9)).max(0.0);
+            let most_te = if sine > spread_rad { ((part + spread_rad) / (sine - spread_rad)).min(1.0) } else { 1.0 };
+            let power = (te * most_te).powi(2) + tm * tm * (1.0 - least_te * least_te).max(0.0);
+            most *= power.sqrt().min(either);
+        }
+        most
+    }
+
+    /// Upper bounds of the reflections, TE and TM, at all planes across an axis together, where the cosine of incidence differs by no more
+    /// than so much from this one.
+    fn most_mirrored(&self, axis: usize, n: i32, cosine: f64, spread: f64) -> [f64; 2] {
+        let most = |wall: usize| self.tables[wall].most_reflection(cosine - spread, cosine + spread);
+        let (low, high) = (most(2 * axis), most(2 * axis + 1));
+        // Planes alternate; the first beyond the room is the wall on the image's side.
+        let count = n.abs();
+        let (more, fewer) = ((count + 1) / 2, count / 2);
+        let (at_low, at_high) = if n > 0 { (fewer, more) } else { (more, fewer) };
+        std::array::from_fn(|part| low[part].powi(at_low) * high[part].powi(at_high))
     }
 
     /// The upright wall through which the straight way from a point of the room to one outside leads: its axis, its number, and
@@ -212,20 +279,27 @@ impl BoxRoom {
         Some((axis, wall, smooth_step(2.0 * beyond / depth_m - 1.0)))
     }
 
-    /// The way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
+    /// Corners of the way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
+    pub fn corners(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> impl Iterator<Item = DVec3> {
+        let (source, size_m) = (self.image_position(index, antenna), self.size_m);
+        // The cell of the lattice in which the way is: each crossing leads it one nearer to the room.
+        let mut cell = index;
+        let bounces = Crossings::new(index, source, point, size_m).map(move |Crossing { fraction, axis, .. }| {
+            let at = source.lerp(point, fraction);
+            let corner = DVec3::new(
+                folded(at.x, size_m.x, cell[0]),
+                folded(at.y, size_m.y, cell[1]),
+                folded(at.z, size_m.z, cell[2]),
+            );
+            cell[axis] -= cell[axis].signum();
+            corner
+        });
+        std::iter::once(antenna).chain(bounces).chain(std::iter::once(point))
+    }
+
+    /// The same corners in a list.
     pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        let source = self.image_position(index, antenna);
-        let fold = |x: f64, length: f64| {
-            let cell = (x / length).rem_euclid(2.0);
-            length * if cell > 1.0 { 2.0 - cell } else { cell }
-        };
-        let mut points = vec![antenna];
-        for (fraction, ..) in self.crossings(index, source, point) {
-            let p = source.lerp(point, fraction);
-            points.push(DVec3::new(fold(p.x, self.size_m.x), fold(p.y, self.size_m.y), fold(p.z, self.size_m.z)));
-        }
-        points.push(point);
-        points
+        self.corners(index, antenna, point).collect()
     }
 
     /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with
@@ -236,5 +310,120 @@ impl BoxRoom {
         let gain = rx.pattern.field(towards_source);
         let aperture = 0.5 / (self.wavenumber_per_m * arrival.distance_m);
         (arrival.field.along(rx.polarisation) * (gain * aperture), arrival.distance_m)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const K: f64 = 1257.507;
+
+    fn room() -> BoxRoom {
+        let slab = |thickness_m| Wall::Slab { permittivity: Complex64::new(2.73, -0.119), thickness_m };
+        let walls = [slab(0.0125), slab(0.2), Wall::Conductor, slab(0.03), slab(0.0125), Wall::Open];
+        BoxRoom::new(DVec3::new(5.0, 4.0, 2.7), walls, K, false)
+    }
+
+    /// All planes at once, sorted by their fractions.
+    fn sorted_crossings(room: &BoxRoom, index: ImageIndex, source: DVec3, point: DVec3) -> Vec<Crossing> {
+        let mut all = Vec::new();
+        for (axis, &n) in index.iter().enumerate() {
+            let planes = if n > 0 { 1..=n } else { n + 1..=0 };
+            for plane in planes {
+                let along = f64::from(plane) * room.size_m[axis] - source[axis];
+                let fraction = along / (point[axis] - source[axis]);
+                all.push(Crossing { fraction, axis, wall: 2 * axis + usize::from(plane % 2 != 0) });
+            }
+        }
+        all.sort_by(|a, b| a.fraction.total_cmp(&b.fraction));
+        all
+    }
+
+    /// Up to six reflections: the same planes in the same order, and the field that frames of incidence and the slab itself
+    /// make of them one by one.
+    #[test]
+    fn images_are_lit_as_by_each_wall_in_turn() {
+        let room = room();
+        let element = Element {
+            position: DVec3::new(0.3, 1.1, 1.4),
+            polarisation: DVec3::new(0.0, 0.6, 0.8),
+            radar_from_world: DMat3::from_rotation_z(-0.3),
+            pattern: Pattern::new(1.0, 1.2, -15.0),
+        };
+        for index in images(6) {
+            for point in [DVec3::new(3.2, 0.4, 0.9), DVec3::new(0.3, 3.7, 2.5), DVec3::new(4.9, 1.1, 1.4)] {
+                let source = room.image_position(index, element.position);
+                let all = sorted_crossings(&room, index, source, point);
+                let ours: Vec<Crossing> = Crossings::new(index, source, point, room.size_m).collect();
+                assert_eq!(ours, all, "{index:?}");
+                let direction = (point - source).normalize();
+                let polarisation = BoxRoom::image_vector(index, element.polarisation);
+                let departure = element.radar_from_world * BoxRoom::image_vector(index, direction);
+                let transverse = polarisation - direction * direction.dot(polarisation);
+                let mut field = Phasor3::real(transverse * element.pattern.field(departure));
+                for Crossing { axis, wall, .. } in all {
+                    let normal = DVec3::AXES[axis];
+                    let Reflection { te, tm } = room.walls[wall].reflection(K, direction[axis].abs());
+                    let (across, within) = incidence_frame(direction, normal);
+                    field = Phasor3::combine(te * field.along(across), across, -tm * field.along(within), within);
+                }
+                let got = room.illuminate(&element, index, point).field;
+                let error = Phasor3 { re: got.re - field.re, im: got.im - field.im }.magnitude();
+                assert!(error < 1e-7, "{index:?} {point}: {error:e}");
+            }
+        }
+    }
+
+    /// No point of a ball is lit more strongly than the bound of the cone around it.
+    #[test]
+    fn bounds_of_a_cone_hold_in_it() {
+        let room = room();
+        let element = Element {
+            position: DVec3::new(0.3, 1.1, 1.4),
+            polarisation: DVec3::Z,
+            radar_from_world: DMat3::from_rotation_z(-0.3),
+            pattern: Pattern::new(0.6, 1.2, -15.0),
+        };
+        let mut close = 0;
+        for index in images(3) {
+            for middle in [DVec3::new(3.2, 0.6, 0.9), DVec3::new(0.9, 3.2, 1.4), DVec3::new(4.4, 1.1, 0.5)] {
+                let offset = middle - room.image_position(index, element.position);
+                for radius_m in [0.01, 0.1, 0.3] {
+                    let spread_rad = (radius_m / offset.length()).asin();
+                    let most = room.most_field(&element, index, offset.normalize(), spread_rad);
+                    for i in 0..60 {
+                        let (x, y) = (0.7 * f64::from(i), 1.9 * f64::from(i));
+                        let on_ball = DVec3::new(x.cos() * y.cos(), x.sin() * y.cos(), y.sin()) * radius_m;
+                        let field = room.illuminate(&element, index, middle + on_ball).field.magnitude();
+                        assert!(field <= most + 1e-9, "{index:?} {middle} {radius_m}: {field} {most}");
+                        close += usize::from(radius_m == 0.01 && field > 0.7 * most);
+                    }
+                }
+            }
+        }
+        assert!(close > 0);
+    }
+
+    /// Bounces lie on the walls that are crossed, within the room, and the folded way is as long as the unfolded one.
+    #[test]
+    fn corners_lie_on_the_walls_of_the_room() {
+        let room = room();
+        let (antenna, point) = (DVec3::new(0.3, 1.1, 1.4), DVec3::new(3.2, 0.4, 0.9));
+        for index in images(6) {
+            let corners = room.polyline(index, antenna, point);
+            assert_eq!(corners.len(), order(index) as usize + 2);
+            let source = room.image_position(index, antenna);
+            let length_m: f64 = corners.windows(2).map(|leg| leg[0].distance(leg[1])).sum();
+            assert!((length_m - source.distance(point)).abs() < 1e-9, "{index:?}");
+            for (corner, Crossing { axis, wall, .. }) in
+                corners[1..].iter().zip(Crossings::new(index, source, point, room.size_m))
+            {
+                let plane = if wall % 2 == 0 { 0.0 } else { room.size_m[axis] };
+                assert!((corner[axis] - plane).abs() < 1e-9, "{index:?}");
+                let within = corner.cmpge(DVec3::splat(-1e-9)).all() && corner.cmple(room.size_m + 1e-9).all();
+                assert!(within, "{index:?}: {corner}");
+            }
+        }
     }
 }

@@ -20,6 +20,7 @@ pub mod pattern;
 pub mod quadrature;
 pub mod terminal;
 pub mod triangle;
+pub mod wall;
 
 use glam::DVec3;
 use num_complex::Complex64;
@@ -57,6 +58,11 @@ impl Phasor3 {
     /// Times a real factor.
     pub fn scaled(self, factor: f64) -> Self {
         Phasor3 { re: self.re * factor, im: self.im * factor }
+    }
+
+    /// Times a complex factor.
+    pub fn times(self, factor: Complex64) -> Self {
+        Phasor3 { re: self.re * factor.re - self.im * factor.im, im: self.re * factor.im + self.im * factor.re }
     }
 
     /// Euclidean length over both parts.

@@ -28,12 +28,32 @@ impl Pattern {
 
     /// Field relative to boresight for a unit direction away from the antenna.
     pub fn field(&self, direction_radar: DVec3) -> f64 {
-        let horizontal = direction_radar.x.hypot(direction_radar.y);
-        let lobe = if direction_radar.x > 0.0 {
-            (direction_radar.x / horizontal).powf(self.azimuth_exponent) * horizontal.powf(self.elevation_exponent)
+        let DVec3 { x, y, .. } = direction_radar;
+        let lobe = if x > 0.0 {
+            // `(x / h)^azimuth h^elevation` with the horizontal part h, in one exponential.
+            let horizontal = 0.5 * (x * x + y * y).max(f64::MIN_POSITIVE).ln();
+            (self.azimuth_exponent * (x.ln() - horizontal) + self.elevation_exponent * horizontal).exp()
         } else {
             0.0
         };
+        (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
+    }
+
+    /// Upper bound of the field over all directions within an angle of a unit direction.
+    pub fn most_within(&self, direction_radar: DVec3, spread_rad: f64) -> f64 {
+        let DVec3 { x, y, z } = direction_radar;
+        let (sine, cosine) = spread_rad.sin_cos();
+        let horizontal = (x * x + y * y).sqrt();
+        // Directions of the cone lie within asin(sine / horizontal) of its azimuth; beyond that the pole is among them.
+        if cosine <= 0.0 || horizontal <= sine {
+            return 1.0;
+        }
+        let level = if z.abs() <= sine { 1.0 } else { (horizontal * cosine + z.abs() * sine).min(1.0) };
+        let turn = sine / horizontal;
+        let [ahead, aside] = [x, y.abs()].map(|part| part / horizontal);
+        let still = (1.0 - turn * turn).sqrt();
+        let ahead = if ahead >= still { 1.0 } else { ahead * still + aside * turn };
+        let lobe = ahead.max(0.0).powf(self.azimuth_exponent) * level.powf(self.elevation_exponent);
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 }
@@ -52,5 +72,28 @@ mod tests {
         assert!((pattern.field(DVec3::new(c, 0.0, s)).powi(2) - 0.5).abs() < 1e-12);
         assert!((pattern.field(DVec3::X) - 1.0).abs() < 1e-12);
         assert!(pattern.field(-DVec3::X) < 1e-9);
+    }
+
+    /// No direction of a cone is louder than its bound, and a cone of no width is its direction.
+    #[test]
+    fn bounds_of_a_cone_hold_in_it() {
+        let pattern = Pattern::new(0.5, 1.1, -20.0);
+        let at = |azimuth: f64, elevation: f64| {
+            DVec3::new(azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos(), elevation.sin())
+        };
+        for i in 0..400 {
+            let middle = at(0.016 * f64::from(i) - 3.1, 3.0 * f64::from(i % 37) / 37.0 - 1.5);
+            assert!((pattern.most_within(middle, 0.0) - pattern.field(middle)).abs() < 1e-9);
+            let (u, v) = middle.any_orthonormal_pair();
+            for spread in [0.01f64, 0.1, 0.4, 1.3] {
+                let most = pattern.most_within(middle, spread);
+                for k in 0..64 {
+                    let (sine, cosine) = (0.1 * f64::from(k)).sin_cos();
+                    let (aside, along) = (spread * f64::from(k % 8) / 7.0).sin_cos();
+                    let inside = middle * along + (u * cosine + v * sine) * aside;
+                    assert!(pattern.field(inside) <= most + 1e-9, "{middle} {spread}: {inside}");
+                }
+            }
+        }
     }
 }

@@ -6,6 +6,7 @@ use super::file::{
     ActorFile, BodyFile, RoomFile, SCENE_FORMAT, SceneFile, SurfaceFile, SwayFile, VibrationFile, WanderFile,
 };
 use super::material::Material;
+use super::room::OPEN;
 use super::{SceneError, line_of_key};
 use crate::actor::low::DEEPEST_SQUAT;
 
@@ -43,7 +44,7 @@ pub(super) fn fault<T>(
     Err(Fault { key, value: format!("{value:?}"), expected: expected.into() })
 }
 
-fn within(key: &'static str, value: f64, min: f64, max: f64, unit: &str) -> Result<(), Fault> {
+pub(super) fn within(key: &'static str, value: f64, min: f64, max: f64, unit: &str) -> Result<(), Fault> {
     if value >= min && value <= max {
         return Ok(());
     }
@@ -95,16 +96,27 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
         furniture.material.iter().try_for_each(|name| check_material(file, "material", name))?;
     }
     let room = &file.room;
+    if room.plan.is_some() && !room.mesh.is_empty() {
+        return fault("plan", "given", "either [room.plan] or [[room.mesh]]");
+    }
     for (key, surface) in surfaces(room) {
-        match (room.mesh.is_empty(), surface.material.is_empty()) {
-            (true, true) => {
-                return fault(key, "missing", "{ material = \"...\", thickness_m = ... }, or [[room.mesh]]");
+        let is_of_plan = room.plan.is_some() && !["floor", "ceiling"].contains(&key);
+        match (room.mesh.is_empty() && !is_of_plan, surface.material.as_str()) {
+            (true, "") => {
+                let expected =
+                    "{ material = \"...\", thickness_m = ... }, or [room.plan] or [[room.mesh]] for the walls";
+                return fault(key, "missing", expected);
             }
-            (false, false) => {
-                return fault(key, &surface.material, "none beside [[room.mesh]]: walls come from the meshes");
+            (true, material) => check_material(file, key, material)?,
+            (false, "") => {}
+            (false, _) if is_of_plan => {
+                return fault(key, &surface.material, "none beside [room.plan]: upright walls come from the plan");
             }
-            (true, false) => check_material(file, key, &surface.material)?,
-            (false, true) => {}
+            // Surfaces that the meshes lack.
+            (false, OPEN) => {}
+            (false, material) => {
+                return fault(key, material, "none beside [[room.mesh]]: walls come from the meshes, or are \"open\"");
+            }
         }
     }
     if !room.mesh.is_empty() && room.size_m != [0.0; 3] {
@@ -119,7 +131,7 @@ pub(super) fn check_materials(file: &SceneFile) -> Result<(), Fault> {
     Ok(())
 }
 
-fn check_material(file: &SceneFile, key: &'static str, name: &str) -> Result<(), Fault> {
+pub(super) fn check_material(file: &SceneFile, key: &'static str, name: &str) -> Result<(), Fault> {
     if Material::named(name).is_some() || file.materials.contains_key(name) {
         return Ok(());
     }

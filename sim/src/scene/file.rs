@@ -19,6 +19,10 @@ pub use people::{
     ActorFile, BodyFile, ClothingFile, DeskFile, ModesFile, PeopleFile, ShadowFile, StepFile, VisitsFile, WanderFile,
 };
 
+mod plan;
+
+pub use plan::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, PlanWallFile};
+
 /// Version of the schema that this crate reads.
 pub const SCENE_FORMAT: u32 = 1;
 
@@ -61,15 +65,19 @@ pub struct SceneFile {
     pub random: BTreeMap<String, RandomFile>,
 }
 
-/// The room: a box with a slab for each surface, written here (`size_m` and six surfaces) or taken from meshes (`[[room.mesh]]`).
+/// The room: a box with a slab for each surface (`size_m` and six surfaces), upright walls over a floor plan (`[room.plan]`, with
+/// `floor` and `ceiling`), or what meshes say (`[[room.mesh]]`).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoomFile {
-    /// Inner size along x, y, z, m.
+    /// Inner size along x, y, z, m. Not given beside `plan` or `mesh`: it is that of the box around them then.
     #[serde(default)]
     pub size_m: [f64; 3],
+    /// Instead of size and upright walls: a floor plan.
+    #[serde(default)]
+    pub plan: Option<PlanFile>,
     /// Instead of size and surfaces: the room's walls and what stands in it, as meshes. The low corner of the box that the walls
-    /// make becomes the origin of the scene.
+    /// make becomes the origin of the scene. A surface that the meshes do not have is `{ material = "open" }`.
     #[serde(default)]
     pub mesh: Vec<RoomMeshFile>,
     /// Reflections at walls that a path may have in all. Default 3, at most 4.

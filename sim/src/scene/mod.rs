@@ -2,10 +2,12 @@
 
 pub mod file;
 pub mod material;
+pub mod surfaces;
 
 mod actors;
 mod check;
 mod draw;
+mod plan;
 mod room;
 
 pub use draw::RandomFile;
@@ -26,6 +28,8 @@ use crate::field::pattern::Pattern;
 use crate::receiver::Receiver;
 use draw::Draw;
 use file::{BodyFile, SceneFile};
+use room::RoomMeshes;
+use surfaces::Surfaces;
 
 /// A scene that cannot be used.
 #[derive(Debug, Error)]
@@ -141,6 +145,7 @@ pub struct Scene {
     /// The file, where its `[random]` table has keys.
     text: Option<Arc<str>>,
     outlines: Arc<[Outline]>,
+    meshes: Arc<RoomMeshes>,
     walls: [Wall; 6],
     steps: Vec<Steps>,
 }
@@ -270,13 +275,31 @@ impl Scene {
         })?;
         let fault = |fault: check::Fault| fault.at(path, text);
         check::check_materials(&file).map_err(fault)?;
-        let outlines = room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?.into();
+        plan::fill(&mut file).map_err(fault)?;
+        let (mut outlines, meshes) = room::read_meshes(&mut file, path, text, waveform.centre_frequency_hz())?;
         room::fill_cross_sections(&mut file, waveform.centre_frequency_hz());
         check::check(&file).map_err(fault)?;
+        plan::check_places(&file).map_err(fault)?;
         let walls = room::walls(&file, &waveform).map_err(fault)?;
         let steps = actors::load(&file, path, text)?;
+        if let Some(plan) = &file.room.plan {
+            (_, outlines) = plan::faces(&file, plan, waveform.centre_frequency_hz());
+        }
         let path = path.to_owned();
-        Ok(Scene { file, path, waveform, receiver, given: None, body: None, text: None, outlines, walls, steps })
+        let (outlines, meshes) = (outlines.into(), Arc::new(meshes));
+        Ok(Scene {
+            file,
+            path,
+            waveform,
+            receiver,
+            given: None,
+            body: None,
+            text: None,
+            outlines,
+            meshes,
+            walls,
+            steps,
+        })
     }
 
     /// The waveform as the chip realises it.
@@ -299,7 +322,7 @@ impl Scene {
         &self.steps
     }
 
-    /// What the room's meshes look like; nothing where the room is a box.
+    /// What the room's meshes or the faces of its plan look like; nothing where the room is a box.
     pub fn outlines(&self) -> &[Outline] {
         &self.outlines
     }
@@ -358,12 +381,12 @@ impl Scene {
     /// The room with its walls.
     pub fn room(&self) -> BoxRoom {
         let room = &self.file.room;
-        BoxRoom {
-            size_m: DVec3::from_array(room.size_m),
-            walls: self.walls,
-            wavenumber_per_m: self.wavenumber_per_m(),
-            transmission: room.transmission,
-        }
+        BoxRoom::new(DVec3::from_array(room.size_m), self.walls, self.wavenumber_per_m(), room.transmission)
+    }
+
+    /// All surfaces in the room's coordinates: walls, floors, what stands in it. They are made anew at each call.
+    pub fn surfaces(&self) -> Surfaces {
+        surfaces::sources::surfaces(&self.file, &self.walls, &self.meshes, self.waveform.centre_frequency_hz())
     }
 
     /// The transmitter and the waveform's enabled receivers, vertical polarisation.

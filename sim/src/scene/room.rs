@@ -25,7 +25,9 @@ use crate::geometry::import::{ImportError, LengthUnit, UpAxis, import};
 use crate::geometry::{Mesh, edges, lint, planes, weld};
 
 /// Vertices so near are one, and triangles so near to one plane are of it, m: modelling programs keep floats.
-const WELD_M: f64 = 1e-4;
+pub(super) const WELD_M: f64 = 1e-4;
+/// The material of a surface that is none.
+pub(super) const OPEN: &str = "open";
 /// Planes so near are one wall, m.
 const SAME_WALL_M: f64 = 0.01;
 /// A wall looks along an axis within this, as the cosine of 2 degrees.
@@ -40,7 +42,7 @@ const POINTS_PER_M2: f64 = 4.0;
 /// Triangles of one mesh at most: what a scan of a flat has, and what can be welded and searched within seconds.
 const MOST_TRIANGLES: usize = 1_000_000;
 /// Names of the six walls and the axis and end that each is at.
-const WALLS: [(&str, usize, bool); 6] = [
+pub(super) const WALLS: [(&str, usize, bool); 6] = [
     ("x_low", 0, false),
     ("x_high", 0, true),
     ("y_low", 1, false),
@@ -77,7 +79,8 @@ pub(super) fn walls(file: &SceneFile, waveform: &Waveform) -> Result<[Wall; 6], 
     Ok(walls)
 }
 
-fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
+/// What a slab of a material of the table or of the scene's own does to waves; `None` for another name.
+pub(super) fn slab(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
     let thickness_m = surface.thickness_m;
     let Some(material) = Material::named(&surface.material) else {
         let permittivity = file.materials.get(&surface.material)?.permittivity(frequency_hz);
@@ -139,9 +142,22 @@ fn outline(piece: &Piece, corner: DVec3) -> Outline {
 }
 
 /// A part of a mesh file with its material.
-struct Piece {
-    surface: SurfaceFile,
-    mesh: Mesh,
+#[derive(Debug)]
+pub(super) struct Piece {
+    /// What the file calls it.
+    pub name: String,
+    pub surface: SurfaceFile,
+    pub mesh: Mesh,
+}
+
+/// Meshes of a room as they were read.
+#[derive(Debug, Default)]
+pub(super) struct RoomMeshes {
+    pub pieces: Vec<Piece>,
+    /// Origin of the scene in them, m.
+    pub corner: DVec3,
+    /// Pieces of furniture that the scene file has itself: those after them stand for the meshes' triangles.
+    pub own_furniture: usize,
 }
 
 /// Faces in one plane.
@@ -154,18 +170,21 @@ struct Face {
 }
 
 /// Where there are meshes: reads them, and puts the room's size, surfaces and furniture in their place. Returns what they look
-/// like.
+/// like, and them.
 pub(super) fn read_meshes(
     file: &mut SceneFile,
     path: &Path,
     text: &str,
     frequency_hz: f64,
-) -> Result<Vec<Outline>, SceneError> {
+) -> Result<(Vec<Outline>, RoomMeshes), SceneError> {
+    let own_furniture = file.furniture.len();
     let mut pieces = Vec::new();
     for mesh in &file.room.mesh {
         pieces.extend(read(mesh, path, text)?);
     }
-    let Some(first) = file.room.mesh.first() else { return Ok(Vec::new()) };
+    let Some(first) = file.room.mesh.first() else {
+        return Ok((Vec::new(), RoomMeshes { own_furniture, ..RoomMeshes::default() }));
+    };
     let of_room = |source: FileFault| SceneError::File {
         path: path.to_owned(),
         line: line_of_key(text, &first.file),
@@ -183,14 +202,22 @@ pub(super) fn read_meshes(
     let faces = faces(&pieces);
     let mut found: [f64; 6] = [0.0; 6];
     let mut made: [SurfaceFile; 6] = Default::default();
+    let is_open = surfaces(&file.room).map(|(_, surface)| surface.material == OPEN);
     for (i, &(name, axis, is_high)) in WALLS.iter().enumerate() {
+        if is_open[i] {
+            // Where there is no wall, the room ends where the meshes do.
+            found[i] = if is_high { high[axis] } else { low[axis] };
+            made[i].material = OPEN.to_owned();
+            continue;
+        }
         let face = wall(&faces[axis], axis, is_high, [low, high]).map_err(|largest_m2| {
             let across = (high - low)[(axis + 1) % 3] * (high - low)[(axis + 2) % 3];
             let problem = format!(
                 "{name} is missing: the largest plane there is {largest_m2:.2} m^2, expected at least {:.2} m^2 of {across:.2} m^2",
                 LEAST_WALL * across
             );
-            let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, or check up";
+            let hint = "rooms have six plane walls along the axes: add the one that is missing, turn the model, check up, or say \
+                        that there is none: ceiling = { material = \"open\" } in [room]";
             of_room(FileFault::new("walls", problem, hint))
         })?;
         found[i] = face.offset_m2 / face.area_m2;
@@ -204,7 +231,8 @@ pub(super) fn read_meshes(
     let furniture = furniture(file, &pieces, corner, end, frequency_hz);
     tracing::info!(size_m = ?file.room.size_m, %corner, furniture = furniture.len(), "a room from meshes; its low corner is the origin");
     file.furniture.extend(furniture);
-    Ok(pieces.iter().map(|piece| outline(piece, corner)).collect())
+    let outlines = pieces.iter().map(|piece| outline(piece, corner)).collect();
+    Ok((outlines, RoomMeshes { pieces, corner, own_furniture }))
 }
 
 fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, SceneError> {
@@ -274,7 +302,7 @@ fn read(mesh: &RoomMeshFile, path: &Path, text: &str) -> Result<Vec<Piece>, Scen
             );
         }
         let surface = SurfaceFile { material: material.clone(), thickness_m: mesh.thickness_m };
-        pieces.push(Piece { surface, mesh: welded.mesh });
+        pieces.push(Piece { name: part.name, surface, mesh: welded.mesh });
     }
     Ok(pieces)
 }

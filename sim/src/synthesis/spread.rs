@@ -4,32 +4,41 @@
 //! all of them: one row of eight chirps for each cell is added to where it lies, aligned, and every step from the path's
 //! polynomials to its taps is the same arithmetic in eight lanes. The bodies are plain Rust, compiled once more for each
 //! instruction set without fusing multiply and add: all levels give the bits of [`Synthesiser::add`].
+//!
+//! Receivers beside the first get the first one's phasors, each turned by its own delay; the kernel's taps are computed once for
+//! all whose tones lie close enough together.
+
+use std::ops::Range;
 
 use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::{DEGREE, Grid, LANES, SHIFT, Synthesiser, WIDTH, nearest_integer, phasor};
 use crate::chirp::Chirp;
-use crate::lanes::compiled_for_levels;
+use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 use crate::slow_time::Stretch;
+use crate::tracks::{Aside, Track};
 
 /// Chirps side by side.
 pub const CHIRPS: usize = 8;
+/// Receivers whose tones lie less than this apart share the kernel's taps, cells: that misplaces a tone's phase by at most 6 mrad
+/// at the ends of a chirp, 3.5 mrad rms (-49 dB).
+const SHARED_CELLS: f32 = 1.0 / 256.0;
 
-type Row = [f32; CHIRPS];
+pub(super) type Row = [f32; CHIRPS];
 
 /// One cell of the frequency grid in all chirps.
 #[derive(Debug, Clone, Copy, Default)]
 #[repr(C, align(64))]
-struct Cell {
-    re: Row,
-    im: Row,
+pub(super) struct Cell {
+    pub(super) re: Row,
+    pub(super) im: Row,
 }
 
 impl Cell {
     /// Adds phasors times weights.
     #[inline(always)]
-    fn add(&mut self, re: &Row, im: &Row, weights: &Row) {
+    pub(super) fn add(&mut self, re: &Row, im: &Row, weights: &Row) {
         for i in 0..CHIRPS {
             self.re[i] += re[i] * weights[i];
             self.im[i] += im[i] * weights[i];
@@ -40,7 +49,7 @@ impl Cell {
 /// Frequency grids of a block of chirps, as [`Grid`] is one chirp's.
 #[derive(Debug, Clone, Default)]
 pub struct Grids {
-    cells: Vec<Cell>,
+    pub(super) cells: Vec<Cell>,
 }
 
 impl Grids {
@@ -49,13 +58,15 @@ impl Grids {
         self.cells.fill(Cell::default());
     }
 
-    /// `a (1 - w) + b w`, with a weight for every chirp.
-    pub fn blend(&mut self, a: &Grid, b: &Grid, w: &Row) {
+    /// `a (1 - u) + b u` in the chirps at places `u`.
+    pub fn blend(&mut self, a: &Grid, b: &Grid, places: &Places) {
+        let u = places.at.map(|u| u as f32);
         for ((cell, a), b) in self.cells.iter_mut().zip(&a.cells).zip(&b.cells) {
             let step = b - a;
-            for ((re, im), w) in cell.re.iter_mut().zip(&mut cell.im).zip(w) {
-                *re = a.re + step.re * w;
-                *im = a.im + step.im * w;
+            for (i, u) in u.iter().enumerate() {
+                let is_within = places.within[i] != 0.0;
+                cell.re[i] = if is_within { a.re + step.re * u } else { cell.re[i] };
+                cell.im[i] = if is_within { a.im + step.im * u } else { cell.im[i] };
             }
         }
     }
@@ -68,13 +79,36 @@ impl Grids {
     }
 }
 
-/// What a level's instance of [`body`] needs beside paths and grids.
+/// Those chirps of a block that lie in one stretch between two keys, and where in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Places {
+    /// Place of each chirp in the stretch, 0..1; that of the first one for chirps outside.
+    pub(super) at: [f64; CHIRPS],
+    /// 1 for chirps in the stretch, 0 for others.
+    pub(super) within: Row,
+    lanes: Range<usize>,
+}
+
+impl Places {
+    /// Chirps `lanes` of a block, evenly spread, at `place(chirp)` of their stretch.
+    pub fn new(lanes: Range<usize>, place: impl Fn(usize) -> f64) -> Self {
+        let at = std::array::from_fn(|i| place(if lanes.contains(&i) { i } else { lanes.start }));
+        let within = std::array::from_fn(|i| if lanes.contains(&i) { 1.0 } else { 0.0 });
+        Places { at, within, lanes: lanes.start.min(CHIRPS)..lanes.end.min(CHIRPS) }
+    }
+
+    /// Numbers of the chirps in the block.
+    pub(super) fn lanes(&self) -> Range<usize> {
+        self.lanes.clone()
+    }
+}
+
+/// What a level's instance of [`paths_body`] or [`tracks_body`] needs beside paths and grids.
 struct Kernel<'a> {
     taps: &'a [[f32; LANES]; DEGREE],
     cells: f64,
     chirp: &'a Chirp,
-    /// Place of each chirp in its stretch, 0..1.
-    places: &'a [f64; CHIRPS],
+    places: &'a Places,
 }
 
 impl Synthesiser {
@@ -85,60 +119,127 @@ impl Synthesiser {
 
     /// Lays paths on the grids of chirps, which are at `places` (0..1) of the stretch between two keys.
     pub fn spread(&self, chirp: &Chirp, paths: &[Stretch], places: &[f64; CHIRPS], grids: &mut Grids) {
+        let places = Places { at: *places, within: [1.0; CHIRPS], lanes: 0..CHIRPS };
+        let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places: &places };
+        spread_paths(self.level, &kernel, paths, &mut grids.cells);
+    }
+
+    /// Lays paths to all receivers on the grids of each, in the chirps that lie in the paths' stretch.
+    pub fn spread_tracks(&self, chirp: &Chirp, tracks: &[Track], places: &Places, grids: &mut [Grids]) {
         let kernel = Kernel { taps: &self.taps, cells: self.cells as f64, chirp, places };
-        match self.level {
-            KernelLevel::Portable => body(&kernel, paths, &mut grids.cells),
-            // SAFETY: `level` is only ever one that the processor has.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => unsafe { body_avx2(&kernel, paths, &mut grids.cells) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => unsafe { body_avx512(&kernel, paths, &mut grids.cells) },
-            #[cfg(not(target_arch = "x86_64"))]
-            KernelLevel::Avx2 | KernelLevel::Avx512 => body(&kernel, paths, &mut grids.cells),
-        }
+        spread_tracks(self.level, &kernel, tracks, grids);
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2")]
-fn body_avx2(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
-    body(kernel, paths, cells);
+compiled_for_levels! {
+    fn spread_paths(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) = paths_body;
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
-fn body_avx512(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
-    body(kernel, paths, cells);
+compiled_for_levels! {
+    fn spread_tracks(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) = tracks_body;
 }
 
 #[inline(always)]
-fn body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
+fn paths_body(kernel: &Kernel, paths: &[Stretch], cells: &mut [Cell]) {
     for path in paths {
-        // Phasor, first cell under the kernel and place within it, for every chirp.
-        let (mut re, mut im, mut u) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
-        let mut first = [0u32; CHIRPS];
-        for i in 0..CHIRPS {
-            let (delay_s, rate) = path.delay(kernel.places[i]);
-            let cycles_per_sample = kernel.chirp.beat_hz(delay_s, rate) / kernel.chirp.sample_rate_hz;
-            let a = path.amplitude(kernel.places[i]) * phasor(kernel.chirp.phase_cycles(delay_s));
-            (re[i], im[i]) = (a.re, a.im);
-            let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
-            let position = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
-            let whole = nearest_integer(position);
-            let ceiling = if whole < position { whole + 1.0 } else { whole };
-            u[i] = (2.0 * (ceiling - position) - 1.0) as f32;
-            // The number's last bits, where a conversion would be one lane at a time.
-            first[i] = (ceiling + SHIFT).to_bits() as u32;
-        }
-        lay(kernel.taps, cells, &re, &im, &u, &first);
+        let tones = tones(kernel, path);
+        lay_weighted(&weights(kernel.taps, &tones.u), cells, &tones.re, &tones.im, &tones.first);
     }
 }
 
-/// Lays phasors down around the cells under them, in every chirp.
 #[inline(always)]
-fn lay(taps: &[[f32; LANES]; DEGREE], cells: &mut [Cell], re: &Row, im: &Row, u: &Row, first: &[u32; CHIRPS]) {
-    lay_weighted(&weights(taps, u), cells, re, im, first);
+fn tracks_body(kernel: &Kernel, tracks: &[Track], grids: &mut [Grids]) {
+    let Some((grids_of_first, grids_of_others)) = grids.split_first_mut() else { return };
+    for track in tracks {
+        let tones = tones(kernel, &track.first);
+        let weights = weights(kernel.taps, &tones.u);
+        lay_weighted(&weights, &mut grids_of_first.cells, &tones.re, &tones.im, &tones.first);
+        for (aside, grids) in track.others.iter().zip(grids_of_others.iter_mut()) {
+            lay_beside(kernel, &tones, &weights, aside, track.first.stretch_s(), &mut grids.cells);
+        }
+    }
+}
+
+/// Lays down what another receiver hears of a path whose tones at the first one are given.
+#[inline(always)]
+fn lay_beside(
+    kernel: &Kernel,
+    tones: &Tones,
+    weights_of_first: &[Row; WIDTH],
+    aside: &Aside,
+    stretch_s: f64,
+    cells: &mut [Cell],
+) {
+    let [a, b, c, d] = aside.delay_s;
+    let [begin, step] = aside.ratio;
+    let slope = kernel.chirp.slope_hz_per_s as f32;
+    let (per_s, cells_per_hz) = ((1.0 / stretch_s) as f32, (kernel.cells / kernel.chirp.sample_rate_hz) as f32);
+    // Rows of their own: sums in place would be computed one lane at a time.
+    let (mut re, mut im, mut moved) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let u = kernel.places.at[i] as f32;
+        let delay_s = a + u * (b + u * (c + u * d));
+        let rate = (b + u * (2.0 * c + u * (3.0 * d))) * per_s;
+        let (cosine, sine) = cos_sin_of_turns(delay_s * tones.carrier_hz[i]);
+        let (x, y) = (begin.re + u * step.re, begin.im + u * step.im);
+        let (x, y) = (x * cosine - y * sine, x * sine + y * cosine);
+        re[i] = tones.re[i] * x - tones.im[i] * y;
+        im[i] = tones.re[i] * y + tones.im[i] * x;
+        moved[i] = (slope * delay_s + tones.carrier_hz[i] * rate) * cells_per_hz;
+    }
+    let most = moved.iter().fold(0f32, |most, moved| most.max(moved.abs()));
+    if most < SHARED_CELLS {
+        lay_weighted(weights_of_first, cells, &re, &im, &tones.first);
+        return;
+    }
+    let (mut u, mut first) = ([0f32; CHIRPS], [0u32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let position = tones.position[i] + f64::from(moved[i]);
+        let position = if position < 0.0 { position + kernel.cells } else { position };
+        (u[i], first[i]) = under(position);
+    }
+    lay_weighted(&weights(kernel.taps, &u), cells, &re, &im, &first);
+}
+
+/// A path in every chirp of a block.
+struct Tones {
+    /// Phasor at the middle of the chirp; zero outside of the stretch.
+    re: Row,
+    im: Row,
+    /// Place on the grid, cells.
+    position: [f64; CHIRPS],
+    /// First cell under the kernel, and place within it, -1..1.
+    first: [u32; CHIRPS],
+    u: Row,
+    /// Change of the phase by delay, cycles per second of delay.
+    carrier_hz: Row,
+}
+
+#[inline(always)]
+fn tones(kernel: &Kernel, path: &Stretch) -> Tones {
+    let Chirp { start_hz, slope_hz_per_s, middle_s, .. } = *kernel.chirp;
+    let (mut re, mut im, mut u, mut carrier_hz) = ([0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS], [0f32; CHIRPS]);
+    let (mut position, mut first) = ([0f64; CHIRPS], [0u32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let (delay_s, rate) = path.delay(kernel.places.at[i]);
+        let cycles_per_sample = kernel.chirp.beat_hz(delay_s, rate) / kernel.chirp.sample_rate_hz;
+        let a = path.amplitude(kernel.places.at[i]) * phasor(kernel.chirp.phase_cycles(delay_s));
+        (re[i], im[i]) = (a.re * kernel.places.within[i], a.im * kernel.places.within[i]);
+        let nearest = cycles_per_sample - nearest_integer(cycles_per_sample);
+        position[i] = if nearest < 0.0 { nearest + 1.0 } else { nearest } * kernel.cells;
+        (u[i], first[i]) = under(position[i]);
+        carrier_hz[i] = (start_hz + slope_hz_per_s * (middle_s - delay_s)) as f32;
+    }
+    Tones { re, im, position, first, u, carrier_hz }
+}
+
+/// Place within a cell, -1..1, and the first cell under the kernel of a tone at a place of the grid, cells.
+#[inline(always)]
+fn under(position: f64) -> (f32, u32) {
+    let whole = nearest_integer(position);
+    let ceiling = if whole < position { whole + 1.0 } else { whole };
+    // The number's last bits, where a conversion would be one lane at a time.
+    ((2.0 * (ceiling - position) - 1.0) as f32, (ceiling + SHIFT).to_bits() as u32)
 }
 
 /// What each tap weighs in every chirp. Written out tap by tap: a loop would be compiled across taps, with gathers and
@@ -388,7 +489,7 @@ fn tap<const TAP: usize>(taps: &[[f32; LANES]; DEGREE], u: &Row) -> Row {
 
 /// Cells from the first one on.
 #[inline(always)]
-fn window<const N: usize>(cells: &mut [Cell], first: u32) -> Option<&mut [Cell; N]> {
+pub(super) fn window<const N: usize>(cells: &mut [Cell], first: u32) -> Option<&mut [Cell; N]> {
     cells.get_mut(first as usize..)?.first_chunk_mut()
 }
 
@@ -412,104 +513,4 @@ fn add_apart(cells: &mut [Cell], first: &[u32; CHIRPS], re: &Row, im: &Row, taps
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::random::{Purpose, generator};
-    use crate::slow_time::{Bend, Key};
-    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
-    use num_complex::Complex64;
-    use rand::Rng;
-
-    const SAMPLES: usize = 128;
-    const CHIRP: Chirp =
-        Chirp { start_hz: 60e9, slope_hz_per_s: 40e12, sample_rate_hz: 2e6, middle_s: SAMPLES as f64 / 4e6 };
-    const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
-
-    /// Paths that rest, that cross into the next cell, that cross many, and that lie around frequency zero.
-    fn paths() -> Vec<Stretch> {
-        let mut rng = generator(3, Purpose::Noise, [0, 0]);
-        let mut paths = Vec::new();
-        for i in 0..300 {
-            let mut number = |limit: f64| rng.random_range(-limit..limit);
-            let (delay_s, speed) = match i % 4 {
-                0 => (40e-9 + number(30e-9), 1e-11),
-                1 => (40e-9 + number(30e-9), 4e-10),
-                2 => (40e-9 + number(30e-9), 3e-9),
-                _ => (number(1e-10), 1e-10),
-            };
-            let mut key = || {
-                let delay_s = delay_s + number(speed);
-                let delay_rate = number(speed) / 4e-3;
-                let bend = Bend {
-                    delay: [number(speed) / 4e-3f64.powi(2), number(speed) / 4e-3f64.powi(3)],
-                    amplitude: [
-                        Complex64::new(number(1.0), number(1.0)) / 4e-3,
-                        Complex64::new(number(1.0), number(1.0)) / 4e-3f64.powi(2),
-                    ],
-                };
-                (Key { delay_s, delay_rate, amplitude: Complex64::new(number(1.0), number(1.0)) }, bend)
-            };
-            paths.push(Stretch::between(&key(), &key(), 4e-3));
-        }
-        paths
-    }
-
-    fn tones(paths: &[Stretch], place: f64) -> Vec<Tone> {
-        let tone = |path: &Stretch| {
-            let (delay_s, rate) = path.delay(place);
-            Tone {
-                phase_cycles: CHIRP.phase_cycles(delay_s),
-                cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
-                amplitude: path.amplitude(place),
-            }
-        };
-        paths.iter().map(tone).collect()
-    }
-
-    /// Every chirp's grid, as spread at a level of instructions.
-    fn spread_at(level: KernelLevel, paths: &[Stretch]) -> Vec<Grid> {
-        let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
-        let mut grids = synthesiser.grids();
-        synthesiser.spread(&CHIRP, paths, &PLACES, &mut grids);
-        let extract = |chirp| {
-            let mut grid = synthesiser.grid();
-            grids.extract(chirp, &mut grid);
-            grid
-        };
-        (0..CHIRPS).map(extract).collect()
-    }
-
-    #[test]
-    fn every_level_gives_the_bits_of_one_tone_after_another() {
-        let paths = paths();
-        let synthesiser = Synthesiser::new(SAMPLES);
-        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
-            for (chirp, (spread, place)) in spread_at(level, &paths).iter().zip(PLACES).enumerate() {
-                let mut grid = synthesiser.grid();
-                for tone in tones(&paths, place) {
-                    synthesiser.add(&tone, &mut grid);
-                }
-                // One tone's two spare taps may turn -0 to 0.
-                let bits = |grid: &Grid| -> Vec<[u32; 2]> {
-                    grid.cells.iter().map(|c| [(c.re + 0.0).to_bits(), (c.im + 0.0).to_bits()]).collect()
-                };
-                assert_eq!(bits(spread), bits(&grid), "{level}, chirp {chirp}");
-            }
-        }
-    }
-
-    #[test]
-    fn chirps_side_by_side_are_within_minus_90_dbc_of_the_sum() {
-        let paths = paths();
-        let synthesiser = Synthesiser::new(SAMPLES);
-        for (chirp, (grid, place)) in spread_at(synthesiser.level, &paths).iter().zip(PLACES).enumerate() {
-            let mut fast = vec![0f32; SAMPLES];
-            synthesiser.transform(grid, &mut fast, &mut SynthesisScratch::default());
-            let exact = exact_chirp(&tones(&paths, place), SAMPLES);
-            let error: f64 = exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
-            let power: f64 = exact.iter().map(|e| e * e).sum();
-            let error_db = 10.0 * (error / power).log10();
-            assert!(error_db < -90.0, "chirp {chirp}: {error_db} dBc");
-        }
-    }
-}
+mod tests;

@@ -52,7 +52,7 @@ pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: 
     files::check_parent(path)?;
     let scene = scene.drawn(seed)?;
     let until_s = frames as f64 * scene.waveform().frame_interval_s();
-    scene::draw(&Preview { scene: &scene, seed, people, until_s }, path)
+    scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)
 }
 
 /// Prints the name of a picture that was drawn.

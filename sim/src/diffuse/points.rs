@@ -1,40 +1,15 @@
-//! Diffuse echoes: what walls throw in all directions, by their roughness and by what hangs and stands on them, on its way to
-//! somebody or back.
-//!
-//! A wall gives a share of the power that falls on it back by Lambert's law (Degli-Esposti, Fuschini, Vitucci and Falciasecca,
-//! IEEE Transactions on Antennas and Propagation 55(1), 2007, section II: the square of their scattering coefficient S, for which
-//! they and others measured 0.2 to 0.4 and more), besides what it mirrors. Here it is made of points with random phases, which
-//! stay where they are; the ways antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that
-//! their delays and rates are those of the geometry. A segment scatters in all directions what falls on it, as a convex body does
-//! on average over its directions: `|Gamma|^2 S / 4` for the surface S (Cauchy). For the ways by a point both there and back as
-//! many pairs of points stand as there are points.
-//!
-//! Between antenna and point may lie more walls: what a room returns after many of them dies away exponentially with delay
-//! (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation Magazine 49(2), 2007).
-//! Of all ways by n walls, image antennas stand for those that are mirrored at each of few; the points stand for the others. A
-//! point is the end of a random walk from wall to wall by Lambert's law, which carries what the walls leave of it.
+//! Points of walls that throw in all directions, and the walks from wall to wall that end at them.
 
-use std::f64::consts::{FRAC_1_SQRT_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
 use glam::DVec3;
 use num_complex::Complex64;
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
 use rand::Rng;
 use rand::seq::SliceRandom;
 
-use crate::echo::{Snapshot, inside_room};
+use super::LEAST_LEG_M;
 use crate::field::image::{BoxRoom, Element, Wall};
-use crate::field::{fresnel, highlight::Ellipsoid};
-use crate::keys::Stretches;
 use crate::random::{Purpose, generator};
-use crate::scene::material::SKIN_PERMITTIVITY;
-use crate::slow_time::{Bend, Key, Stretch};
-use crate::stage::Stage;
-
-/// No leg counts as shorter than this, m.
-const LEAST_LEG_M: f64 = 0.3;
-/// Paths weaker than this over the threshold of a path alone are not heard even together.
-const HEARD: f64 = 0.1;
 
 /// How a room throws back in all directions.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -52,17 +27,17 @@ pub struct Diffuse {
 /// A point of a wall.
 #[derive(Debug, Clone, PartialEq)]
 pub struct WallPoint {
-    position: DVec3,
+    pub(super) position: DVec3,
     /// Into the room.
-    normal: DVec3,
+    pub(super) normal: DVec3,
     /// Transmitter to point, by whatever walls: length, m, and what of a unit field the point throws out, times m, but for the
     /// cosine on its way out.
-    there: (f64, f64),
+    pub(super) there: (f64, f64),
     /// The same for the way from the point to each receiver.
-    back: Vec<(f64, f64)>,
-    phase: Complex64,
+    pub(super) back: Vec<(f64, f64)>,
+    pub(super) phase: Complex64,
     /// Number of the point by which what came by this one goes back.
-    partner: usize,
+    pub(super) partner: usize,
 }
 
 /// A place on a wall of a room.
@@ -205,119 +180,6 @@ impl Walk {
     }
 }
 
-/// Surface of an ellipsoid, m^2 (Knud Thomsen's formula, good to 1 %).
-fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
-    const P: f64 = 1.6075;
-    let [a, b, c] = ellipsoid.semi_axes_m.to_array().map(|v| v.powf(P));
-    4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
-}
-
-/// Adds somebody's diffuse echoes to the paths of each receiver: `at_ends` is everybody at the ends of the stretches, `stretch_s`
-/// long each, that the frame is halved into so often.
-pub fn add(
-    stage: &Stage,
-    at_ends: &[Vec<Snapshot>],
-    me: usize,
-    (halvings, stretch_s): (u32, f64),
-    receivers: &mut [Stretches],
-) {
-    let own: Vec<&Snapshot> = at_ends.iter().filter_map(|people| people.get(me)).collect();
-    let least = HEARD * stage.threshold_lsb;
-    for (rx, (receiver, out)) in stage.rx.iter().zip(receivers).enumerate() {
-        for segment in 0..own.first().map_or(0, |snapshot| snapshot.body.len()) {
-            let lit: Vec<Scatterer> = own.iter().map(|now| Scatterer::new(stage, now, segment)).collect();
-            let mut add = |there: End, back: End, phase: Complex64| {
-                let keys: Vec<(Key, Bend)> = lit.iter().map(|lit| key(stage, rx, lit, [there, back], phase)).collect();
-                if keys.iter().all(|(key, _)| key.amplitude.norm() < least) {
-                    return;
-                }
-                for (place, ends) in keys.windows(2).enumerate() {
-                    out.push(halvings, place, Stretch::between(&ends[0], &ends[1], stretch_s));
-                }
-            };
-            for point in &stage.wall_points {
-                let there = End::Point(point, point.there);
-                let back = |point: &'_ WallPoint| point.back.get(rx).copied().unwrap_or_default();
-                add(there, End::Antenna(receiver), point.phase);
-                add(End::Antenna(&stage.tx), End::Point(point, back(point)), point.phase);
-                if let Some(partner) = stage.wall_points.get(point.partner) {
-                    // One pair of as many as there are points.
-                    let weight = (stage.wall_points.len() as f64).sqrt();
-                    add(there, End::Point(partner, back(partner)), weight * point.phase * partner.phase);
-                }
-            }
-        }
-    }
-}
-
-/// From where a segment is lit, or where its echo goes.
-#[derive(Clone, Copy)]
-enum End<'a> {
-    Antenna(&'a Element),
-    /// With its leg to an antenna.
-    Point(&'a WallPoint, (f64, f64)),
-}
-
-impl End<'_> {
-    fn position(&self) -> DVec3 {
-        match self {
-            End::Antenna(antenna) => antenna.position,
-            End::Point(point, _) => point.position,
-        }
-    }
-
-    /// Length behind it, m, and field that it sends in a direction, times m.
-    fn sends(&self, direction: DVec3) -> (f64, f64) {
-        match self {
-            End::Antenna(antenna) => (0.0, antenna.pattern.field(antenna.radar_from_world * direction)),
-            End::Point(point, (leg_m, thrown)) => (*leg_m, thrown * direction.dot(point.normal).max(0.0).sqrt()),
-        }
-    }
-}
-
-/// A segment at a time.
-struct Scatterer {
-    centre: DVec3,
-    velocity: DVec3,
-    acceleration: DVec3,
-    /// Field that it scatters in all directions of a unit field, times m.
-    scattered: f64,
-    /// 1 in the room, 0 outside.
-    inside: f64,
-}
-
-impl Scatterer {
-    fn new(stage: &Stage, now: &Snapshot, segment: usize) -> Self {
-        let (centre, velocity, acceleration) = now.centre(segment);
-        let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
-        let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
-        Scatterer { centre, velocity, acceleration, scattered, inside: inside_room(stage, centre) }
-    }
-}
-
-/// The path by way of a segment from one end to the other.
-fn key(stage: &Stage, rx: usize, lit: &Scatterer, ends: [End<'_>; 2], phase: Complex64) -> (Key, Bend) {
-    let Scatterer { centre, velocity, acceleration, scattered, inside } = *lit;
-    let (mut length_m, mut field, mut along) = (0.0, 1.0, DVec3::ZERO);
-    for end in ends {
-        let offset = centre - end.position();
-        let distance_m = offset.length();
-        let direction = offset / distance_m.max(1e-9);
-        let (behind_m, sent) = end.sends(direction);
-        length_m += behind_m + distance_m;
-        field *= sent / distance_m.max(LEAST_LEG_M);
-        along += direction;
-    }
-    let delay_s = length_m / SPEED_OF_LIGHT_M_PER_S;
-    let delay_rate = along.dot(velocity) / SPEED_OF_LIGHT_M_PER_S;
-    let aperture = stage.wavelength_m / (4.0 * PI);
-    // Of what is thrown in all directions an antenna takes one polarisation.
-    let strength = field * aperture * scattered * FRAC_1_SQRT_2 * inside;
-    let amplitude = stage.at_adc(rx, phase * strength, stage.chirp.beat_hz(delay_s, delay_rate));
-    let bend = Bend { delay: [along.dot(acceleration) / SPEED_OF_LIGHT_M_PER_S, 0.0], ..Bend::default() };
-    (Key { delay_s, delay_rate, amplitude }, bend)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -326,12 +188,8 @@ mod tests {
     /// What reaches a place by way of the points is on average what every piece of the walls throws there.
     #[test]
     fn points_throw_what_walls_do() {
-        let room = BoxRoom {
-            size_m: DVec3::new(5.0, 4.0, 2.6),
-            walls: [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor],
-            wavenumber_per_m: 1257.0,
-            transmission: false,
-        };
+        let walls = [Wall::Conductor, Wall::Conductor, Wall::Conductor, Wall::Open, Wall::Conductor, Wall::Conductor];
+        let room = BoxRoom::new(DVec3::new(5.0, 4.0, 2.6), walls, 1257.0, false);
         let antenna = Element {
             position: DVec3::new(1.0, 1.5, 1.2),
             polarisation: DVec3::Z,
@@ -378,7 +236,7 @@ mod tests {
     }
 
     fn walks(diffuse: Diffuse, walls: [Wall; 6]) -> (BoxRoom, Vec<Walk>) {
-        let room = BoxRoom { size_m: DVec3::new(6.0, 3.5, 2.5), walls, wavenumber_per_m: 1257.0, transmission: false };
+        let room = BoxRoom::new(DVec3::new(6.0, 3.5, 2.5), walls, 1257.0, false);
         let from = DVec3::new(0.3, 1.6, 1.5);
         // Lambert's walk falls equally often on equal parts of the walls, so it may begin at any.
         let mut rng = generator(7, Purpose::WallPoints, [0, 0]);
@@ -423,23 +281,5 @@ mod tests {
         assert!((open / 0.1 - 1.0).abs() < 0.01, "{open}");
         let one = mean(Diffuse { bounces: 1, mirrored: 2, ..diffuse }, [Wall::Conductor; 6]);
         assert!((one - 0.1).abs() < 1e-12, "{one}");
-    }
-
-    /// A sphere is its own average; of a needle nothing is left but its side.
-    #[test]
-    fn surfaces_are_those_of_known_shapes() {
-        let of = |axes: [f64; 3]| {
-            surface_m2(&Ellipsoid {
-                centre: DVec3::ZERO,
-                axes: glam::DMat3::IDENTITY,
-                semi_axes_m: DVec3::from_array(axes),
-            })
-        };
-        assert!((of([0.3; 3]) / (4.0 * PI * 0.09) - 1.0).abs() < 1e-12);
-        // Prolate 4 : 1, 2 pi a^2 (1 + c / (a e) asin e).
-        let (a, c) = (0.1f64, 0.4f64);
-        let e = (1.0 - a * a / (c * c)).sqrt();
-        let exact = 2.0 * PI * a * a * (1.0 + c / (a * e) * e.asin());
-        assert!((of([a, a, c]) / exact - 1.0).abs() < 0.012, "{}", of([a, a, c]) / exact);
     }
 }

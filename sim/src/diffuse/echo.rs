@@ -1,0 +1,331 @@
+//! Somebody's echoes by way of the walls' points.
+//!
+//! All echoes of a segment are made of few legs: between it and each antenna, and between it and each point. A leg has a length
+//! with two derivatives by time and a field; a way adds and multiplies those of its two legs. Receivers beside the first differ
+//! in the leg that ends at them.
+
+use std::f64::consts::{FRAC_1_SQRT_2, PI};
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+
+use super::{LEAST_LEG_M, WallPoint};
+use crate::actor::body::CHEST;
+use crate::echo::{Snapshot, inside_room};
+use crate::field::image::Element;
+use crate::field::{fresnel, highlight::Ellipsoid};
+use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::stage::Stage;
+use crate::synthesis::{HeldEcho, HeldEchoes};
+use crate::tracks::OTHERS;
+
+/// Paths weaker than this over the threshold of a path alone are not heard even together.
+const HEARD: f64 = 0.1;
+/// A segment takes at least so many points, if there are as many.
+const LEAST_POINTS: usize = 16;
+/// Fraction of the golden ratio: its multiples fall evenly between 0 and 1.
+const GOLDEN: f64 = 0.618_033_988_749_894_9;
+
+/// Number of the walls' points that each segment of a body takes at a tolerance: a quarter of them at 0.5 dB, all of them at
+/// 0.25 dB and below.
+pub fn points_a_segment(points: usize, tolerance_db: f64) -> usize {
+    let part = 0.25 * (0.5 / tolerance_db).powi(2);
+    ((points as f64 * part).ceil() as usize).clamp(LEAST_POINTS.min(points), points)
+}
+
+/// Numbers of the points that a segment takes: evenly spread over all, and others for each segment.
+fn points_of(segment: usize, taken: usize, points: usize) -> impl Iterator<Item = usize> {
+    let shift = (segment as f64 * GOLDEN).fract();
+    (0..taken).map(move |i| ((i as f64 + shift) * points as f64 / taken as f64) as usize).filter(move |&i| i < points)
+}
+
+/// Surface of an ellipsoid, m^2 (Knud Thomsen's formula, good to 1 %).
+fn surface_m2(ellipsoid: &Ellipsoid) -> f64 {
+    const P: f64 = 1.6075;
+    let [a, b, c] = ellipsoid.semi_axes_m.to_array().map(|v| v.powf(P));
+    4.0 * PI * ((a * b + a * c + b * c) / 3.0).powf(1.0 / P)
+}
+
+/// Adds somebody's diffuse echoes to those of each stretch of a frame: `own` is that person at the ends of the stretches. Each
+/// segment of the body takes so many of the points, whose echoes are the stronger for it: the mean power does not change.
+pub fn add(stage: &Stage, points_a_segment: usize, own: &[&Snapshot], stretches: &mut [HeldEchoes]) {
+    let points = &stage.wall_points;
+    let share = (points.len() as f64 / points_a_segment.max(1) as f64).sqrt();
+    let segments: Vec<Segment> =
+        (0..own.first().map_or(0, |now| now.body.len())).map(|s| Segment::new(stage, own, s, share)).collect();
+    let audible = audible(stage, own, &segments);
+    let (mut legs, mut legs_of_partner, mut keys) = (Vec::new(), Vec::new(), Vec::new());
+    // One pair of points of as many as there are points.
+    let weight = (points.len() as f64).sqrt();
+    for (number, segment) in segments.iter().enumerate() {
+        for index in points_of(number, points_a_segment, points.len()) {
+            let (Some(point), Some(audible)) = (points.get(index), audible.get(index)) else { continue };
+            if *audible == [false; 3] {
+                continue;
+            }
+            segment.legs(point, &mut legs);
+            let mut add = |way: Way, beside: &dyn Fn(usize, usize) -> Beside| {
+                segment.add(stage, &way, beside, &mut keys, stretches);
+            };
+            let phase = point.phase;
+            if let (true, Some(back)) = (audible[0], segment.rx.first()) {
+                let way = Way { legs: [&legs, back], behind_m: point.there.0, thrown: point.there.1, phase };
+                add(way, &|receiver, time| segment.beside(receiver, time));
+            }
+            if let (true, Some(first)) = (audible[1], point.back.first()) {
+                let way = Way { legs: [&segment.tx, &legs], behind_m: first.0, thrown: first.1, phase };
+                add(way, &|receiver, _| beside_by_point(point, receiver));
+            }
+            let partner = points.get(point.partner).filter(|_| audible[2]);
+            if let Some((partner, first)) = partner.and_then(|partner| Some((partner, partner.back.first()?))) {
+                segment.legs(partner, &mut legs_of_partner);
+                let (behind_m, thrown) = (point.there.0 + first.0, weight * point.there.1 * first.1);
+                let phase = phase * partner.phase;
+                add(Way { legs: [&legs, &legs_of_partner], behind_m, thrown, phase }, &|receiver, _| {
+                    beside_by_point(partner, receiver)
+                });
+            }
+        }
+    }
+}
+
+/// By point, whether its echoes may be heard at all by the ways point and antenna, antenna and point, point and partner: a bound
+/// from the distance of the whole body.
+fn audible(stage: &Stage, own: &[&Snapshot], segments: &[Segment]) -> Vec<[bool; 3]> {
+    let chest = |now: &Snapshot| now.body[CHEST].centre;
+    let reach = |now: &Snapshot| now.body.iter().map(|e| e.centre.distance(chest(now))).fold(0.0, f64::max);
+    let reach_m = own.iter().map(|now| reach(now)).fold(0.0, f64::max);
+    let near = |position: DVec3| {
+        let distance_m = own.iter().map(|now| chest(now).distance(position)).fold(f64::INFINITY, f64::min);
+        1.0 / (distance_m - reach_m).max(LEAST_LEG_M)
+    };
+    let strongest = segments.iter().flat_map(|segment| &segment.strength).copied().fold(0.0, f64::max);
+    let least = HEARD * stage.threshold_lsb / (stage.lsb.first().copied().unwrap_or(0.0) * strongest).max(1e-300);
+    let near_tx = near(stage.tx.position);
+    let near_rx = stage.rx.first().map_or(0.0, |rx| near(rx.position));
+    let points = &stage.wall_points;
+    let near_points: Vec<f64> = points.iter().map(|point| near(point.position)).collect();
+    let weight = (points.len() as f64).sqrt();
+    let back = |point: &WallPoint| point.back.first().map_or(0.0, |back| back.1);
+    let bound = |(point, near): (&WallPoint, &f64)| {
+        let partner = points.get(point.partner).map_or(0.0, back) * near_points.get(point.partner).unwrap_or(&0.0);
+        let there = point.there.1 * near;
+        [there * near_rx, back(point) * near * near_tx, weight * there * partner].map(|field| field >= least)
+    };
+    points.iter().zip(&near_points).map(bound).collect()
+}
+
+/// One side of a way: between an antenna or a point and the middle of a segment, at a time.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Leg {
+    /// Length, m, and its first and second derivative by time.
+    length: [f64; 3],
+    /// Field at the segment of a unit field at 1 m.
+    field: f64,
+}
+
+impl Leg {
+    /// From a position that sends a field, times m, in a direction.
+    fn new(lit: &Scatterer, from: DVec3, sends: impl Fn(DVec3) -> f64) -> Self {
+        let offset = lit.centre - from;
+        let distance_m = offset.length();
+        let direction = offset / distance_m.max(1e-9);
+        let least_m = distance_m.max(LEAST_LEG_M);
+        let rate = direction.dot(lit.velocity);
+        // What moves across a leg makes it longer ever faster.
+        let across = (lit.velocity.length_squared() - rate * rate) / least_m;
+        let length = [distance_m, rate, direction.dot(lit.acceleration) + across];
+        Leg { length, field: sends(direction) / least_m }
+    }
+
+    fn from_antenna(lit: &Scatterer, antenna: &Element) -> Self {
+        Leg::new(lit, antenna.position, |direction| antenna.pattern.field(antenna.radar_from_world * direction))
+    }
+
+    fn from_point(lit: &Scatterer, point: &WallPoint) -> Self {
+        Leg::new(lit, point.position, |direction| direction.dot(point.normal).max(0.0).sqrt())
+    }
+}
+
+/// A segment at a time.
+struct Scatterer {
+    centre: DVec3,
+    velocity: DVec3,
+    acceleration: DVec3,
+}
+
+/// A segment at the ends of a frame's stretches.
+struct Segment {
+    lit: Vec<Scatterer>,
+    /// Amplitude of its echo at an antenna for unit fields on both legs, by time.
+    strength: Vec<f64>,
+    /// Leg from the transmitter, by time.
+    tx: Vec<Leg>,
+    /// Leg to each receiver: `[receiver][time]`.
+    rx: Vec<Vec<Leg>>,
+    /// Gain of each receiver over the first's.
+    gains: Vec<f64>,
+}
+
+/// How a way to another receiver differs from that to the first.
+struct Beside {
+    length_m: f64,
+    ratio: f64,
+}
+
+/// Difference between what a point sends to a receiver and to the first one.
+fn beside_by_point(point: &WallPoint, receiver: usize) -> Beside {
+    match (point.back.first(), point.back.get(receiver)) {
+        (Some(first), Some(own)) if first.1 > 0.0 => Beside { length_m: own.0 - first.0, ratio: own.1 / first.1 },
+        _ => Beside { length_m: 0.0, ratio: 0.0 },
+    }
+}
+
+/// A way from antenna to antenna by a segment.
+struct Way<'a> {
+    /// Its legs at the segment, each by time.
+    legs: [&'a [Leg]; 2],
+    /// Length between points and antennas, m.
+    behind_m: f64,
+    /// Product of what its points throw out of unit fields, times m.
+    thrown: f64,
+    phase: Complex64,
+}
+
+impl Segment {
+    /// A segment of somebody whose echoes are this much stronger each, since fewer stand for all.
+    fn new(stage: &Stage, own: &[&Snapshot], segment: usize, share: f64) -> Self {
+        let skin = fresnel::half_space(SKIN_PERMITTIVITY, 1.0).te.norm_sqr();
+        let aperture = stage.wavelength_m / (4.0 * PI);
+        let lit = |now: &&Snapshot| {
+            let (centre, velocity, acceleration) = now.centre(segment);
+            Scatterer { centre, velocity, acceleration }
+        };
+        let strength = |now: &&Snapshot| {
+            let scattered = now.body.get(segment).map_or(0.0, |e| (skin * surface_m2(e) / (16.0 * PI)).sqrt());
+            // Of what is thrown in all directions an antenna takes one polarisation.
+            share * scattered * aperture * FRAC_1_SQRT_2 * inside_room(stage, now.centre(segment).0)
+        };
+        let lit: Vec<Scatterer> = own.iter().map(lit).collect();
+        let legs = |antenna: &Element| lit.iter().map(|lit| Leg::from_antenna(lit, antenna)).collect();
+        let first_lsb = stage.lsb.first().copied().unwrap_or(1.0);
+        Segment {
+            strength: own.iter().map(strength).collect(),
+            tx: legs(&stage.tx),
+            rx: stage.rx.iter().map(legs).collect(),
+            gains: stage.lsb.iter().map(|lsb| lsb / first_lsb).collect(),
+            lit,
+        }
+    }
+
+    /// Legs from a point, by time.
+    fn legs(&self, point: &WallPoint, legs: &mut Vec<Leg>) {
+        legs.clear();
+        legs.extend(self.lit.iter().map(|lit| Leg::from_point(lit, point)));
+    }
+
+    /// Difference between the legs to a receiver and to the first one at a time.
+    fn beside(&self, receiver: usize, time: usize) -> Beside {
+        let leg = |receiver: usize| self.rx.get(receiver).and_then(|legs| legs.get(time));
+        match (leg(0), leg(receiver)) {
+            (Some(first), Some(own)) if first.field > 0.0 => {
+                Beside { length_m: own.length[0] - first.length[0], ratio: own.field / first.field }
+            }
+            _ => Beside { length_m: 0.0, ratio: 0.0 },
+        }
+    }
+
+    /// Adds what comes back by a way, if it can be heard at any of the times; `beside` is the difference of a receiver at a time.
+    fn add(
+        &self,
+        stage: &Stage,
+        way: &Way,
+        beside: &dyn Fn(usize, usize) -> Beside,
+        keys: &mut Vec<([f64; 3], Complex64)>,
+        stretches: &mut [HeldEchoes],
+    ) {
+        let least = HEARD * stage.threshold_lsb;
+        let lsb = stage.lsb.first().copied().unwrap_or(0.0);
+        let legs = || way.legs[0].iter().zip(way.legs[1]);
+        let strength = |(strength, (a, b)): (&f64, (&Leg, &Leg))| strength * a.field * b.field * way.thrown;
+        // The filters let through no more than what there is.
+        if self.strength.iter().zip(legs()).map(strength).all(|field| lsb * field < least) {
+            return;
+        }
+        keys.clear();
+        keys.extend(self.strength.iter().zip(legs()).map(|(by_segment, (a, b))| {
+            let length = [0, 1, 2].map(|order| a.length[order] + b.length[order]);
+            let delay = [length[0] + way.behind_m, length[1], length[2]].map(|l| l / SPEED_OF_LIGHT_M_PER_S);
+            let field = way.phase * strength((by_segment, (a, b)));
+            (delay, stage.at_adc(0, field, stage.chirp.beat_hz(delay[0], delay[1])))
+        }));
+        if keys.iter().all(|(_, amplitude)| amplitude.norm() < least) {
+            return;
+        }
+        for (time, (ends, stretch)) in keys.windows(2).zip(stretches).enumerate() {
+            let mut others = [([0.0; 2], 0.0); OTHERS];
+            for ((other, gain), receiver) in others.iter_mut().zip(self.gains.iter().skip(1)).zip(1..) {
+                let [begin, end] = [time, time + 1].map(|time| beside(receiver, time));
+                let delays_s = [begin.length_m, end.length_m].map(|length_m| length_m / SPEED_OF_LIGHT_M_PER_S);
+                *other = (delays_s, gain * begin.ratio);
+            }
+            let [(begin, from), (end, to)] = [ends[0], ends[1]];
+            stretch.push(&HeldEcho { delay: [begin, end], amplitude: [from, to], others });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Subsets cover all points evenly, and all of them at a tight tolerance.
+    #[test]
+    fn segments_take_points_evenly() {
+        assert_eq!([0.1, 0.25, 0.5, 1.0, 5.0].map(|db| points_a_segment(256, db)), [256, 256, 64, 16, 16]);
+        assert_eq!([0.5, 0.25].map(|db| points_a_segment(8, db)), [8, 8]);
+        assert!(points_of(5, 100, 100).eq(0..100));
+        let mut taken = [0; 256];
+        for segment in 0..13 {
+            let points: Vec<usize> = points_of(segment, 64, 256).collect();
+            assert!(points.len() == 64 && points.windows(2).all(|two| two[1] - two[0] == 4), "{points:?}");
+            points.iter().for_each(|&point| taken[point] += 1);
+        }
+        assert!(taken.iter().all(|&times| (2..=4).contains(&times)), "{taken:?}");
+    }
+
+    /// A leg's derivatives are those of its length.
+    #[test]
+    fn legs_bend_as_their_lengths_do() {
+        let (velocity, acceleration) = (DVec3::new(1.0, -2.0, 0.5), DVec3::new(-4.0, 3.0, 9.0));
+        let at = |time_s: f64| {
+            let centre = DVec3::new(1.0, 0.4, 1.0) + velocity * time_s + 0.5 * acceleration * time_s * time_s;
+            Leg::new(&Scatterer { centre, velocity, acceleration }, DVec3::new(3.0, 1.0, 0.0), |_| 1.0).length
+        };
+        let h = 1e-4;
+        let [before, now, after] = [-h, 0.0, h].map(|time_s| at(time_s)[0]);
+        let [length, rate, bend] = at(0.0);
+        assert_eq!(length, now);
+        assert!((rate - (after - before) / (2.0 * h)).abs() < 1e-6, "{rate}");
+        assert!((bend - (after - 2.0 * now + before) / (h * h)).abs() < 1e-5, "{bend}");
+    }
+
+    /// A sphere is its own average; of a needle nothing is left but its side.
+    #[test]
+    fn surfaces_are_those_of_known_shapes() {
+        let of = |axes: [f64; 3]| {
+            surface_m2(&Ellipsoid {
+                centre: DVec3::ZERO,
+                axes: glam::DMat3::IDENTITY,
+                semi_axes_m: DVec3::from_array(axes),
+            })
+        };
+        assert!((of([0.3; 3]) / (4.0 * PI * 0.09) - 1.0).abs() < 1e-12);
+        // Prolate 4 : 1, 2 pi a^2 (1 + c / (a e) asin e).
+        let (a, c) = (0.1f64, 0.4f64);
+        let e = (1.0 - a * a / (c * c)).sqrt();
+        let exact = 2.0 * PI * a * a * (1.0 + c / (a * e) * e.asin());
+        assert!((of([a, a, c]) / exact - 1.0).abs() < 0.012, "{}", of([a, a, c]) / exact);
+    }
+}

@@ -1,0 +1,29 @@
+//! Diffuse echoes: what walls throw in all directions, by their roughness and by what hangs and stands on them, on its way to
+//! somebody or back.
+//!
+//! A wall gives a share of the power that falls on it back by Lambert's law (Degli-Esposti, Fuschini, Vitucci and Falciasecca,
+//! IEEE Transactions on Antennas and Propagation 55(1), 2007, section II: the square of their scattering coefficient S, for which
+//! they and others measured 0.2 to 0.4 and more), besides what it mirrors. Here it is made of points with random phases, which
+//! stay where they are; the ways antenna, point, segment of a body, antenna, and their reverse, are paths as any others, so that
+//! their delays and rates are those of the geometry. A segment scatters in all directions what falls on it, as a convex body does
+//! on average over its directions: `|Gamma|^2 S / 4` for the surface S (Cauchy). For the ways by a point both there and back as
+//! many pairs of points stand as there are points.
+//!
+//! Between antenna and point may lie more walls: what a room returns after many of them dies away exponentially with delay
+//! (room electromagnetics: Andersen, Nielsen, Pedersen, Bauch and Herdin, IEEE Antennas and Propagation Magazine 49(2), 2007).
+//! Of all ways by n walls, image antennas stand for those that are mirrored at each of few; the points stand for the others. A
+//! point is the end of a random walk from wall to wall by Lambert's law, which carries what the walls leave of it.
+//!
+//! `points.rs` makes the points of a room, `echo.rs` somebody's echoes by way of them. There are thousands: each is weak, and
+//! together they are a field of random phases, of which the mean power at each delay and rate is what counts. At a tolerance
+//! that allows it, each segment of a body takes a part of the points ([`points_a_segment`]), and every echo keeps its place on
+//! the frequency grid for some chirps ([`crate::synthesis::HeldEchoes`]).
+
+mod echo;
+mod points;
+
+pub use echo::{add, points_a_segment};
+pub use points::{Diffuse, WallPoint, wall_points};
+
+/// No leg counts as shorter than this, m.
+const LEAST_LEG_M: f64 = 0.3;

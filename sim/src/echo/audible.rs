@@ -1,0 +1,223 @@
+//! Which echoes of somebody may be heard, before any of them is traced.
+//!
+//! Highlights of ellipsoids: for each pair of images and each segment a bound of the amplitude is the product of the bounds of both
+//! images' fields over all of the segment ([`BoxRoom::most_field`]), of the highlight's strength ([`Ellipsoid::bound`]), of skin and
+//! clothes, and of the filters. What it leaves out is nowhere as loud as a path that is followed through a frame.
+//!
+//! [`BoxRoom::most_field`]: crate::field::image::BoxRoom::most_field
+
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+use glam::DVec3;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+
+use super::{EchoReport, LEAST_DISTANCE_M, Snapshot, echoes};
+use crate::actor::body::{CHEST, SEGMENTS};
+use crate::actor::clothing::Cloth;
+use crate::actor::motion::Motion;
+use crate::field::fresnel::half_space;
+use crate::field::highlight::Ellipsoid;
+use crate::field::image::{ImageIndex, order};
+use crate::scene::material::SKIN_PERMITTIVITY;
+use crate::stage::Stage;
+
+/// A bound on the square root of a body's cross-section over 4 pi, m: half the radius of a trunk's flattest side.
+const BODY_BOUND_M: f64 = 0.25;
+/// Segments weaker than this part of the threshold of a path alone are not traced: as weak as those that key times ask for.
+pub const HEARD: f64 = 0.5;
+/// No part of a body moves faster along a path, m/s: by so much Doppler shifts change what filters leave.
+const MOST_SPEED_M_PER_S: f64 = 10.0;
+
+/// A pair of images of the antennas, and the segments of somebody whose highlights it may make heard.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct AudiblePair {
+    /// Images of the transmitter and of the receivers.
+    pub pair: (ImageIndex, ImageIndex),
+    /// Bit mask of segments.
+    pub segments: u16,
+}
+
+impl AudiblePair {
+    /// Whether a segment may be heard.
+    pub fn has(&self, segment: usize) -> bool {
+        (self.segments >> segment) & 1 == 1
+    }
+}
+
+impl From<(ImageIndex, ImageIndex)> for AudiblePair {
+    /// The pair with all segments.
+    fn from(pair: (ImageIndex, ImageIndex)) -> Self {
+        AudiblePair { pair, segments: (1 << SEGMENTS) - 1 }
+    }
+}
+
+/// Image pairs with the segments of somebody whose highlights they may make heard at some of these instants. The direct pair is the
+/// first, whatever it makes heard.
+pub fn audible_paths(stage: &Stage, motion: &Motion, instants_s: &[f64]) -> Vec<AudiblePair> {
+    let images = Images::new(stage);
+    let bodies: Vec<[Ellipsoid; SEGMENTS]> = instants_s.iter().map(|&time_s| motion.body(time_s)).collect();
+    let mut all: Vec<AudiblePair> = stage.body_pairs.iter().map(|&pair| AudiblePair { pair, segments: 0 }).collect();
+    for segment in 0..SEGMENTS {
+        let at: Vec<Ellipsoid> = bodies.iter().filter_map(|body| body.get(segment)).copied().collect();
+        let Some(bound) = SegmentBound::new(stage, motion, &images, segment, at) else { continue };
+        for (pair, &numbers) in all.iter_mut().zip(&images.pairs) {
+            if bound.is_heard(stage, numbers) {
+                pair.segments |= 1 << segment;
+            }
+        }
+    }
+    all.retain(|AudiblePair { pair: (p, q), segments }| *segments != 0 || order(*p) + order(*q) == 0);
+    all
+}
+
+/// All images that pairs are made of.
+struct Images {
+    indices: Vec<ImageIndex>,
+    /// Numbers of both images of each pair of the scene.
+    pairs: Vec<[usize; 2]>,
+    /// Distance of the farthest receiver from the transmitter, m, which stands for all antennas.
+    apart_m: f64,
+}
+
+impl Images {
+    fn new(stage: &Stage) -> Self {
+        let mut indices: Vec<ImageIndex> = stage.body_pairs.iter().flat_map(|&(p, q)| [p, q]).collect();
+        indices.sort_unstable();
+        indices.dedup();
+        // Every image of a pair is among them.
+        let number = |index: &ImageIndex| indices.binary_search(index).unwrap_or_default();
+        let pairs = stage.body_pairs.iter().map(|(p, q)| [number(p), number(q)]).collect();
+        let apart_m = stage.rx.iter().map(|rx| rx.position.distance(stage.tx.position)).fold(0.0, f64::max);
+        Images { indices, pairs, apart_m }
+    }
+}
+
+/// How strongly an image may light a segment.
+struct Lit {
+    source: DVec3,
+    /// From the segment's middle, m.
+    distance_m: f64,
+    /// Field over distance, at most, 1/m.
+    most_per_m: f64,
+}
+
+/// Bounds of a segment's echoes at some instants.
+struct SegmentBound {
+    /// The segment at each of them.
+    at: Vec<Ellipsoid>,
+    /// Largest strength of any of its sides, m.
+    flattest_m: f64,
+    /// By image.
+    lit: Vec<Lit>,
+    /// Factor of an amplitude, LSB m.
+    lsb_m: f64,
+    /// Distance of any point of the segment at any instant from its middle at the middle one, m.
+    reach_m: f64,
+    apart_m: f64,
+}
+
+impl SegmentBound {
+    /// `None` for no instant.
+    fn new(stage: &Stage, motion: &Motion, images: &Images, segment: usize, at: Vec<Ellipsoid>) -> Option<Self> {
+        let middle = at.get(at.len() / 2)?.centre;
+        let largest = |of: &dyn Fn(&Ellipsoid) -> f64| at.iter().map(of).fold(0.0, f64::max);
+        let flattest_m = largest(&|e| 0.5 * e.semi_axes_m.element_product() / e.semi_axes_m.min_element().powi(2));
+        let reach_m = images.apart_m + largest(&|e| e.semi_axes_m.max_element() + e.centre.distance(middle));
+        let lit = images.indices.iter().map(|&index| Lit::new(stage, index, middle, reach_m)).collect();
+        let person = &motion.person;
+        let cloth =
+            person.cloth.get(segment).copied().unwrap_or(1.0) * person.clothing.cloth().map_or(1.0, Cloth::most);
+        let aperture = stage.wavelength_m / (4.0 * PI);
+        let lsb_m = stage.lsb.first().copied().unwrap_or_default() * aperture * cloth;
+        Some(SegmentBound { at, flattest_m, lit, lsb_m, reach_m, apart_m: images.apart_m })
+    }
+
+    fn is_heard(&self, stage: &Stage, [there, back]: [usize; 2]) -> bool {
+        let (Some(there), Some(back)) = (self.lit.get(there), self.lit.get(back)) else { return false };
+        let length_m = there.distance_m + back.distance_m;
+        let passed = passed(stage, length_m - 2.0 * self.reach_m, length_m + 2.0 * self.reach_m);
+        let per_m = self.lsb_m * there.most_per_m * back.most_per_m * passed;
+        let threshold_lsb = HEARD * stage.threshold_lsb;
+        // Enough for most: no side of the segment is flat enough.
+        if per_m * self.flattest_m <= threshold_lsb {
+            return false;
+        }
+        self.at.iter().any(|ellipsoid| {
+            let Some(bound) = ellipsoid.bound(there.source, back.source, self.apart_m) else { return false };
+            let amplitude = per_m * bound.strength_m;
+            // Skin reflects most where it is met at the flattest angle, and there the field across the plane of incidence.
+            let skin = || half_space(SKIN_PERMITTIVITY, bound.least_cosine.clamp(0.0, 1.0)).te.norm();
+            amplitude > threshold_lsb && amplitude * skin() > threshold_lsb
+        })
+    }
+}
+
+impl Lit {
+    fn new(stage: &Stage, index: ImageIndex, middle: DVec3, reach_m: f64) -> Self {
+        let source = stage.room.image_position(index, stage.tx.position);
+        let offset = middle - source;
+        let distance_m = offset.length();
+        let nearest_m = (distance_m - reach_m).max(LEAST_DISTANCE_M);
+        let field = if distance_m > reach_m {
+            let spread_rad = (reach_m / distance_m).asin();
+            stage.room.most_field(&stage.tx, index, offset / distance_m, spread_rad)
+        } else {
+            1.0
+        };
+        Lit { source, distance_m, most_per_m: field / nearest_m }
+    }
+}
+
+/// Largest response of the filters to a path of a length in this range, m.
+fn passed(stage: &Stage, low_m: f64, high_m: f64) -> f64 {
+    let hz_per_m = stage.chirp.slope_hz_per_s.abs() / SPEED_OF_LIGHT_M_PER_S;
+    let doppler_hz = 2.0 * MOST_SPEED_M_PER_S / stage.wavelength_m;
+    let (low_hz, high_hz) = ((hz_per_m * low_m - doppler_hz).max(0.0), hz_per_m * high_m + doppler_hz);
+    (stage.filters.high_pass_power(high_hz) * stage.filters.anti_alias_power(low_hz)).sqrt()
+}
+
+/// Image pairs through which somebody may be heard, by a bound at the trunk.
+pub fn audible_pairs(stage: &Stage, motion: &Arc<Motion>, time_s: f64) -> Vec<(ImageIndex, ImageIndex)> {
+    let body = motion.body(time_s);
+    let centre = body[CHEST].centre;
+    let aperture = stage.wavelength_m / (4.0 * PI);
+    let lsb = stage.lsb.first().copied().unwrap_or(0.0) * aperture * BODY_BOUND_M;
+    let reach = |index: ImageIndex| {
+        let i = stage.room.illuminate(&stage.tx, index, centre);
+        (i.field.magnitude() / i.distance_m.max(0.2), i.distance_m)
+    };
+    let audible = |&(p, q): &(ImageIndex, ImageIndex)| {
+        if order(p) + order(q) == 0 {
+            return true;
+        }
+        let ((a, r), (b, s)) = (reach(p), reach(q));
+        let beat_hz = stage.chirp.beat_hz((r + s) / SPEED_OF_LIGHT_M_PER_S, 0.0);
+        lsb * a * b * stage.filters.response(beat_hz).norm() > stage.threshold_lsb
+    };
+    stage.body_pairs.iter().filter(|pair| audible(pair)).copied().collect()
+}
+
+/// The image pairs of these whose echoes, taken as those of ellipsoids, are together strong enough to be seen, the strongest
+/// first, each with that strength, LSB.
+pub fn loud_pairs(
+    stage: &Stage,
+    motion: &Motion,
+    people: &[Snapshot],
+    me: usize,
+    pairs: &[(ImageIndex, ImageIndex)],
+) -> Vec<((ImageIndex, ImageIndex), f64)> {
+    let (mut keys, mut report) = (Vec::new(), EchoReport::default());
+    let mut loud: Vec<_> = pairs
+        .iter()
+        .map(|&pair| {
+            keys.clear();
+            echoes(stage, motion, people, me, &[pair], &mut keys, &mut report);
+            let power: f64 = keys.iter().step_by(stage.rx.len().max(1)).map(|k| k.amplitude.norm_sqr()).sum();
+            (pair, power.sqrt())
+        })
+        .filter(|(_, strength)| *strength > stage.threshold_lsb)
+        .collect();
+    loud.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+    loud
+}

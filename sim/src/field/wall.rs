@@ -1,0 +1,345 @@
+//! Walls: their coefficients in closed form, and the same tabulated over the cosine of incidence.
+//!
+//! [`fresnel::slab`] takes complex roots and exponentials, and an image path needs it at every wall. [`WallTable`] cuts the range
+//! of the cosine into cells and each cell into as many equal pieces as it needs: a piece is a polynomial of degree five through
+//! Chebyshev's points, within 1e-8 of the slab at all places that are checked. Thin walls take one piece a cell, walls of many
+//! waves some more. Cells that would take too many (foils at grazing incidence, thick walls without loss) have none and ask the
+//! slab.
+
+use std::f64::consts::PI;
+
+use num_complex::Complex64;
+
+use super::fresnel::{self, Reflection};
+
+/// What a wall is made of.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Wall {
+    /// Lossy dielectric slab.
+    Slab {
+        /// Complex relative permittivity.
+        permittivity: Complex64,
+        /// Thickness, m.
+        thickness_m: f64,
+    },
+    /// Perfect conductor.
+    Conductor,
+    /// Nothing there.
+    Open,
+}
+
+/// Walls are at least so thick to those who pass through them, m: nothing is switched on or off between two chirps.
+const LEAST_DEPTH_M: f64 = 0.1;
+
+impl Wall {
+    /// Reflection at the cosine of the angle of incidence, in closed form.
+    pub fn reflection(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+        match *self {
+            Wall::Slab { permittivity, thickness_m } => {
+                fresnel::slab(permittivity, thickness_m, wavenumber_per_m, cosine).reflection
+            }
+            Wall::Conductor => Reflection { te: Complex64::from(-1.0), tm: Complex64::from(1.0) },
+            Wall::Open => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
+        }
+    }
+
+    /// Field that the wall leaves of one that goes straight through it, over what air would.
+    pub fn transmission(&self, wavenumber_per_m: f64, cosine: f64) -> Reflection {
+        match *self {
+            Wall::Slab { permittivity, thickness_m } => {
+                fresnel::straight_through(permittivity, thickness_m, wavenumber_per_m, cosine)
+            }
+            Wall::Conductor => Reflection { te: Complex64::ZERO, tm: Complex64::ZERO },
+            Wall::Open => Reflection { te: Complex64::ONE, tm: Complex64::ONE },
+        }
+    }
+
+    /// Distance outside of the wall's inner face over which its effect grows to its whole, m: its thickness, and no less than a
+    /// body takes some chirps to pass.
+    pub(super) fn depth_m(&self) -> f64 {
+        match *self {
+            Wall::Slab { thickness_m, .. } => thickness_m.max(LEAST_DEPTH_M),
+            Wall::Conductor | Wall::Open => LEAST_DEPTH_M,
+        }
+    }
+}
+
+/// Cells over the cosine's range from 0 to 1.
+const CELLS: usize = 64;
+/// Pieces that a cell may have.
+const MOST_PIECES: usize = 64;
+/// Polynomials have so many coefficients.
+const NODES: usize = 6;
+/// Largest absolute error of a piece at the places at which it is checked.
+const TOLERANCE: f64 = 1e-8;
+/// Places of a piece, from -1 to 1, at which it is checked: where the error of an interpolation by six points is largest.
+const CHECKS: [f64; 7] = [-1.0, -0.866, -0.5, 0.0, 0.5, 0.866, 1.0];
+
+/// Factor by which a magnitude may be larger between those places, or than 1 by rounding.
+const BETWEEN: f64 = 1.01;
+
+/// Real and imaginary parts of a coefficient in both polarisations: `[te.re, te.im, tm.re, tm.im]`.
+type Parts = [f64; 4];
+
+fn parts(r: Reflection) -> Parts {
+    [r.te.re, r.te.im, r.tm.re, r.tm.im]
+}
+
+/// Polynomial over -1..1 by powers.
+type Piece = [Parts; NODES];
+
+/// One cell of a curve.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Cell {
+    first: usize,
+    /// 0 where the curve is not tabulated.
+    count: usize,
+    /// Largest magnitudes, TE and TM.
+    most: [f64; 2],
+}
+
+/// Coefficients of both polarisations over the cosine of incidence.
+#[derive(Debug, Clone, PartialEq)]
+struct Curve {
+    cells: Vec<Cell>,
+    pieces: Vec<Piece>,
+}
+
+impl Curve {
+    fn new(of: impl Fn(f64) -> Parts) -> Self {
+        let mut curve = Curve { cells: Vec::with_capacity(CELLS), pieces: Vec::with_capacity(CELLS) };
+        for cell in 0..CELLS {
+            let first = curve.pieces.len();
+            let mut count = 1;
+            let found = loop {
+                let found = fit(&of, cell, count);
+                if found.is_some() || count == MOST_PIECES {
+                    break found.unwrap_or_default();
+                }
+                count *= 2;
+            };
+            let most = if found.is_empty() { [BETWEEN; 2] } else { largest(&found) };
+            curve.cells.push(Cell { first, count: found.len(), most });
+            curve.pieces.extend(found);
+        }
+        curve
+    }
+
+    /// The coefficients at a cosine; `None` where they are not tabulated.
+    #[inline]
+    fn at(&self, cosine: f64) -> Option<Reflection> {
+        let at = cosine * CELLS as f64;
+        // Numbers that are none, or out of range, end in the first or the last cell.
+        let cell = (at as usize).min(CELLS - 1);
+        let &Cell { first, count, .. } = self.cells.get(cell)?;
+        let along = (at - cell as f64) * count as f64;
+        let piece = (along as usize).min(count.checked_sub(1)?);
+        let [te_re, te_im, tm_re, tm_im] = value(self.pieces.get(first + piece)?, 2.0 * (along - piece as f64) - 1.0);
+        Some(Reflection { te: Complex64::new(te_re, te_im), tm: Complex64::new(tm_re, tm_im) })
+    }
+}
+
+/// Pieces of a cell, if that many are enough.
+fn fit(of: &impl Fn(f64) -> Parts, cell: usize, count: usize) -> Option<Vec<Piece>> {
+    let half = 0.5 / (CELLS * count) as f64;
+    let mut pieces = Vec::with_capacity(count);
+    for i in 0..count {
+        let middle = cell as f64 / CELLS as f64 + (2 * i + 1) as f64 * half;
+        let piece = interpolated(|x| of(middle + half * x));
+        let errs = |&x: &f64| {
+            let (got, exact) = (value(&piece, x), of(middle + half * x));
+            got.iter().zip(exact).any(|(got, exact)| (got - exact).abs() > TOLERANCE / 2.0)
+        };
+        if CHECKS.iter().any(errs) {
+            return None;
+        }
+        pieces.push(piece);
+    }
+    Some(pieces)
+}
+
+/// The polynomial through Chebyshev's points of -1..1.
+fn interpolated(of: impl Fn(f64) -> Parts) -> Piece {
+    /// Coefficients of Chebyshev's polynomials, in columns, by powers.
+    const POWERS: [[f64; NODES]; NODES] = [
+        [1.0, 0.0, -1.0, 0.0, 1.0, 0.0],
+        [0.0, 1.0, 0.0, -3.0, 0.0, 5.0],
+        [0.0, 0.0, 2.0, 0.0, -8.0, 0.0],
+        [0.0, 0.0, 0.0, 4.0, 0.0, -20.0],
+        [0.0, 0.0, 0.0, 0.0, 8.0, 0.0],
+        [0.0, 0.0, 0.0, 0.0, 0.0, 16.0],
+    ];
+    let angles: [f64; NODES] = std::array::from_fn(|i| PI * (i as f64 + 0.5) / NODES as f64);
+    let values = angles.map(|angle| of(angle.cos()));
+    let mut by_degree = [[0.0; 4]; NODES];
+    for (degree, sums) in by_degree.iter_mut().enumerate() {
+        let scale = if degree == 0 { 1.0 } else { 2.0 };
+        for (angle, value) in angles.iter().zip(&values) {
+            let weight = scale / NODES as f64 * (degree as f64 * angle).cos();
+            sums.iter_mut().zip(value).for_each(|(sum, value)| *sum += weight * value);
+        }
+    }
+    POWERS.map(|row| {
+        let mut power = [0.0; 4];
+        for (weight, degree) in row.iter().zip(&by_degree) {
+            power.iter_mut().zip(degree).for_each(|(power, degree)| *power += weight * degree);
+        }
+        power
+    })
+}
+
+#[inline]
+fn value(piece: &Piece, x: f64) -> Parts {
+    let mut sum = piece[NODES - 1];
+    for power in piece.iter().rev().skip(1) {
+        for (sum, power) in sum.iter_mut().zip(power) {
+            *sum = *sum * x + power;
+        }
+    }
+    sum
+}
+
+/// Largest magnitudes of both polarisations over pieces, with what may lie between the places that are looked at.
+fn largest(pieces: &[Piece]) -> [f64; 2] {
+    let mut most = [0.0f64; 2];
+    for [te_re, te_im, tm_re, tm_im] in pieces.iter().flat_map(|piece| CHECKS.map(|x| value(piece, x))) {
+        most = [most[0].max(te_re.hypot(te_im)), most[1].max(tm_re.hypot(tm_im))];
+    }
+    most.map(|most| BETWEEN * most)
+}
+
+/// Coefficients of a wall at one wave number, over the cosine of the angle of incidence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WallTable {
+    wall: Wall,
+    wavenumber_per_m: f64,
+    reflection: Option<Curve>,
+    transmission: Option<Curve>,
+}
+
+impl WallTable {
+    /// Tabulates a wall's reflection and, where waves shall go through, its transmission.
+    pub fn new(wall: Wall, wavenumber_per_m: f64, transmission: bool) -> Self {
+        let is_slab = matches!(wall, Wall::Slab { .. });
+        let reflection = is_slab.then(|| Curve::new(|cosine| parts(wall.reflection(wavenumber_per_m, cosine))));
+        let transmission =
+            (is_slab && transmission).then(|| Curve::new(|cosine| parts(wall.transmission(wavenumber_per_m, cosine))));
+        WallTable { wall, wavenumber_per_m, reflection, transmission }
+    }
+
+    /// Reflection at the cosine of the angle of incidence.
+    #[inline]
+    pub fn reflection(&self, cosine: f64) -> Reflection {
+        let tabulated = self.reflection.as_ref().and_then(|curve| curve.at(cosine));
+        tabulated.unwrap_or_else(|| self.wall.reflection(self.wavenumber_per_m, cosine))
+    }
+
+    /// Field that the wall leaves of one that goes straight through it, over what air would.
+    #[inline]
+    pub fn transmission(&self, cosine: f64) -> Reflection {
+        let tabulated = self.transmission.as_ref().and_then(|curve| curve.at(cosine));
+        tabulated.unwrap_or_else(|| self.wall.transmission(self.wavenumber_per_m, cosine))
+    }
+
+    /// Upper bounds of the magnitudes of the reflection, TE and TM, over cosines from `low` to `high`.
+    pub fn most_reflection(&self, low: f64, high: f64) -> [f64; 2] {
+        let Some(curve) = &self.reflection else {
+            return if self.wall == Wall::Open { [0.0; 2] } else { [1.0; 2] };
+        };
+        let cell = |cosine: f64| ((cosine.max(0.0) * CELLS as f64) as usize).min(CELLS - 1);
+        let cells = curve.cells.get(cell(low)..=cell(high)).unwrap_or_default();
+        cells.iter().fold([0.0; 2], |[te, tm], cell| [te.max(cell.most[0]), tm.max(cell.most[1])])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::material::Material;
+
+    const K: f64 = 1_257.507_013_171_009;
+
+    fn slabs() -> impl Iterator<Item = Wall> {
+        let own = [Complex64::new(2.0, 0.0), Complex64::new(1.1, -1e-3), Complex64::new(9.0, -1e-4)];
+        let known = Material::NAMES.iter().filter_map(|name| Material::named(name)?.permittivity(60e9));
+        let all: Vec<Complex64> = known.chain(own).collect();
+        all.into_iter().flat_map(|permittivity| {
+            let thicknesses = [0.001, 0.003, 0.006, 0.0125, 0.02, 0.04, 0.1, 0.2, 0.3];
+            thicknesses.map(|thickness_m| Wall::Slab { permittivity, thickness_m })
+        })
+    }
+
+    fn difference(a: Reflection, b: Reflection) -> f64 {
+        (a.te - b.te).norm().max((a.tm - b.tm).norm())
+    }
+
+    /// All materials, 1 mm to 0.3 m, between all nodes and at both ends: far below the 1e-4 that levels need.
+    #[test]
+    fn tables_are_the_slab() {
+        for wall in slabs() {
+            let table = WallTable::new(wall, K, true);
+            let mut worst = 0f64;
+            for i in 0..=3001 {
+                let cosine = f64::from(i) / 3001.0;
+                worst = worst.max(difference(table.reflection(cosine), wall.reflection(K, cosine)));
+                worst = worst.max(difference(table.transmission(cosine), wall.transmission(K, cosine)));
+            }
+            assert!(worst < 5e-8, "{wall:?}: {worst:e}");
+        }
+    }
+
+    /// No reflection exceeds the bound of any range that it lies in, and the bound of a point is close.
+    #[test]
+    fn bounds_of_a_range_hold_in_it() {
+        for wall in slabs() {
+            let table = WallTable::new(wall, K, false);
+            for i in 0..=500 {
+                let cosine = f64::from(i) / 500.0;
+                let Reflection { te, tm } = wall.reflection(K, cosine);
+                for spread in [0.0, 0.003, 0.1, 2.0] {
+                    let most = table.most_reflection(cosine - spread, cosine + spread);
+                    assert!(te.norm() <= most[0] && tm.norm() <= most[1], "{wall:?} {cosine} {spread}");
+                }
+            }
+        }
+        let thin = Wall::Slab { permittivity: Complex64::new(2.73, -0.119), thickness_m: 0.001 };
+        let most = WallTable::new(thin, K, false).most_reflection(0.5, 0.5);
+        assert!(most[0] < 1.1 * thin.reflection(K, 0.5).te.norm());
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        /// What cannot be tabulated is asked of the slab itself; no cosine, however wrong, is met with a panic.
+        #[test]
+        fn foils_thick_glass_and_odd_cosines_are_those_of_the_slab() {
+            let lossless = Complex64::new(2.25, 0.0);
+            for thickness_m in [0.0, 1e-12, 1e-6, 3.0, 10.0] {
+                let wall = Wall::Slab { permittivity: lossless, thickness_m };
+                let table = WallTable::new(wall, K, true);
+                for cosine in [0.0, 1e-9, 1e-6, 1e-3, 0.1, 0.777, 1.0 - 1e-9, 1.0] {
+                    assert!(
+                        difference(table.reflection(cosine), wall.reflection(K, cosine)) < 1e-7,
+                        "{wall:?} {cosine}"
+                    );
+                    let through = difference(table.transmission(cosine), wall.transmission(K, cosine));
+                    assert!(through < 1e-7, "{wall:?} {cosine}");
+                }
+                for cosine in [1.0 + 1e-12, -1e-12, f64::NAN, f64::INFINITY, -3.0] {
+                    table.reflection(cosine);
+                    table.most_reflection(cosine, cosine + 0.1);
+                }
+            }
+        }
+
+        #[test]
+        fn conductors_and_openings_need_no_table() {
+            for wall in [Wall::Conductor, Wall::Open] {
+                let table = WallTable::new(wall, K, true);
+                assert_eq!(table.reflection(0.3), wall.reflection(K, 0.3));
+                assert_eq!(table.transmission(0.3), wall.transmission(K, 0.3));
+                assert_eq!(table.most_reflection(0.0, 1.0), [wall.reflection(K, 1.0).te.norm(); 2]);
+            }
+        }
+    }
+}

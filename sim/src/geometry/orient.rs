@@ -1,0 +1,73 @@
+//! Triangles of a surface that go around the same way.
+
+use super::Mesh;
+
+/// Turns triangles so that neighbours across an edge of exactly two go around the same way, as the lowest of those that hang
+/// together does. On surfaces with one side only (a Moebius strip) some edge stays as it was.
+pub fn oriented(mesh: &Mesh) -> Mesh {
+    // (lower, higher vertex, triangle, goes upwards)
+    let mut sides: Vec<(u32, u32, usize, bool)> = Vec::with_capacity(3 * mesh.triangles.len());
+    for (triangle, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            sides.push((from.min(to), from.max(to), triangle, from < to));
+        }
+    }
+    sides.sort_unstable();
+    let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); mesh.triangles.len()];
+    for run in sides.chunk_by(|p, q| (p.0, p.1) == (q.0, q.1)) {
+        let [(.., t, up), (.., u, other_up)] = *run else { continue };
+        // Two that run the same way along their edge face different ways.
+        next[t].push((u, up == other_up));
+        next[u].push((t, up == other_up));
+    }
+    let mut turned: Vec<Option<bool>> = vec![None; mesh.triangles.len()];
+    for first in 0..mesh.triangles.len() {
+        if turned[first].is_some() {
+            continue;
+        }
+        turned[first] = Some(false);
+        let mut reached = vec![(first, false)];
+        while let Some((triangle, is_turned)) = reached.pop() {
+            for &(other, differs) in &next[triangle] {
+                if turned[other].is_none() {
+                    turned[other] = Some(is_turned ^ differs);
+                    reached.push((other, is_turned ^ differs));
+                }
+            }
+        }
+    }
+    let triangles = mesh.triangles.iter().zip(&turned).map(|(&[a, b, c], turned)| match turned {
+        Some(true) => [a, c, b],
+        _ => [a, b, c],
+    });
+    Mesh { vertices: mesh.vertices.clone(), triangles: triangles.collect() }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geometry::lint;
+
+    #[test]
+    fn a_cube_with_turned_triangles_is_closed_again() {
+        let vertices = (0..8).map(|i| DVec3::new(f64::from(i & 1), f64::from(i >> 1 & 1), f64::from(i >> 2))).collect();
+        let quads = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]];
+        let triangles: Vec<[u32; 3]> = quads.into_iter().flat_map(|[a, b, c, d]| [[a, b, c], [a, c, d]]).collect();
+        let good = Mesh { vertices, triangles };
+        for pattern in [0b0000_0000_0010u32, 0b1010_0110_0100, 0b0111_1111_1110] {
+            let mut bad = good.clone();
+            for (t, triangle) in bad.triangles.iter_mut().enumerate() {
+                if pattern >> t & 1 == 1 {
+                    triangle.swap(0, 1);
+                }
+            }
+            assert!(lint(&bad).tangled_edges > 0);
+            let mended = lint(&oriented(&bad));
+            assert!(mended.is_solid(), "{mended:?}");
+        }
+        assert_eq!(oriented(&good), good);
+        assert_eq!(oriented(&Mesh::default()), Mesh::default());
+    }
+}

@@ -1,0 +1,368 @@
+//! Every path between the antennas of a scene at one time, one by one: how a simulation is checked against geometry.
+//!
+//! Listed are the paths of which frames are made: reflections of walls, points of furniture, and the highlights of people's
+//! ellipsoids by pairs of images. People who are skins are listed by the ellipsoids that they are drawn over. Not listed are the
+//! leakage from antenna to antenna, small reflectors that sway, and ways by diffuse walls.
+
+use std::f64::consts::{PI, TAU};
+use std::sync::Arc;
+
+use glam::DVec3;
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use serde::Serialize;
+
+use crate::actor::body::{SEGMENT_NAMES, SEGMENTS};
+use crate::actor::clothing::FOLD_PLACES;
+use crate::actor::motion::Motion;
+use crate::actor::program::Program;
+use crate::echo::{EchoReport, Snapshot, audible_pairs, echoes};
+use crate::field::image::{ImageIndex, images};
+use crate::scene::file::ShadowFile;
+use crate::scene::{Scene, SceneError};
+use crate::shadow::{self, Column};
+use crate::slow_time::Key;
+use crate::stage::Stage;
+
+/// Names of a box room's walls in the order in which [`crate::field::image::BoxRoom`] numbers them.
+const WALL_NAMES: [&str; 6] = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
+/// Points nearer to a surface than this lie on it, m.
+const ON_SURFACE_M: f64 = 1e-6;
+
+/// Which paths are listed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PathListOptions {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// How many people there are at most; the scene's own number if `None`.
+    pub people: Option<usize>,
+    /// Only the paths by way of the person of this slot, if any.
+    pub person: Option<usize>,
+    /// When, s from the first frame's first chirp.
+    pub time_s: f64,
+    /// Paths this far below the mean noise of a cell of the map are left out, dB. Frames of 0.5 dB leave out those 10 dB below it.
+    pub margin_db: f64,
+}
+
+impl Default for PathListOptions {
+    fn default() -> Self {
+        PathListOptions { seed: 1, people: None, person: None, time_s: 0.0, margin_db: 10.0 }
+    }
+}
+
+/// What a path goes by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PathKind {
+    /// Reflections of walls alone.
+    Walls,
+    /// A point of furniture, or of what lies on a desk.
+    Furniture,
+    /// Somebody's body.
+    Person,
+}
+
+/// One path from the transmitter to one receiver.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ListedPath {
+    /// Number of the receiving antenna, from 1.
+    pub rx: u8,
+    /// What it goes by.
+    pub kind: PathKind,
+    /// What it meets, in order: walls by their names, furniture by its own, a person as `person 0 chest`.
+    pub surfaces: Vec<String>,
+    /// Slot of the person whom it meets.
+    pub person: Option<usize>,
+    /// Length, m.
+    pub length_m: f64,
+    /// Delay, s.
+    pub delay_s: f64,
+    /// Doppler shift at `frequency_hz` of the list, Hz: positive where the path becomes shorter.
+    pub doppler_hz: f64,
+    /// Received over transmitted power, dB, with antennas whose pattern is 1 on boresight; before link budget and filters.
+    pub gain_db: f64,
+    /// Phase of the received field (`e^{+jwt}`) at `frequency_hz` relative to the transmitted one, rad, from -pi to pi.
+    pub phase_rad: f64,
+    /// Corners of the path from the transmitter to the receiver, m; empty where it has no single way.
+    pub points_m: Vec<[f64; 3]>,
+}
+
+/// Paths of a scene at a time.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct PathList {
+    /// Name of the scene.
+    pub scene: String,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// When, s.
+    pub time_s: f64,
+    /// Frequency at which phases and Doppler shifts are stated, Hz: the middle of the chirp.
+    pub frequency_hz: f64,
+    /// Slots of the people who are there.
+    pub people: Vec<usize>,
+    /// The paths: by receiver, then kind, then delay.
+    pub paths: Vec<ListedPath>,
+}
+
+/// What lists are made from.
+struct Lister<'a> {
+    scene: &'a Scene,
+    stage: Stage,
+    antennas: Vec<u8>,
+    frequency_hz: f64,
+    columns: Vec<Column>,
+}
+
+impl PathList {
+    /// Lists the paths of a scene.
+    ///
+    /// # Errors
+    /// If the seed makes no scene of the file's random values.
+    pub fn new(scene: &Scene, options: &PathListOptions) -> Result<Self, SceneError> {
+        let scene = scene.drawn(options.seed)?;
+        let stage = Stage::new(&scene, options.seed, options.margin_db);
+        let program = Program::new(&scene, options.seed, options.people);
+        let present: Vec<(usize, Arc<Motion>)> = program.between(options.time_s, options.time_s);
+        let snapshots: Vec<Snapshot> = present.iter().map(|(_, m)| Snapshot::new(m, options.time_s)).collect();
+        let frequency_hz = stage.chirp.start_hz + stage.chirp.slope_hz_per_s * stage.chirp.middle_s;
+        let lister = Lister {
+            scene: &scene,
+            antennas: scene.waveform().request.rx_antennas.antennas(),
+            frequency_hz,
+            columns: snapshots.iter().map(|person| person.column).collect(),
+            stage,
+        };
+        let mut paths = Vec::new();
+        if options.person.is_none() {
+            lister.add_walls(&mut paths);
+            lister.add_furniture(&mut paths);
+        }
+        for (me, (slot, motion)) in present.iter().enumerate() {
+            if options.person.is_none_or(|person| person == *slot) {
+                lister.add_person(&snapshots, me, (*slot, motion), options.time_s, &mut paths);
+            }
+        }
+        paths.sort_by(|a, b| {
+            let by_delay = a.delay_s.total_cmp(&b.delay_s);
+            a.rx.cmp(&b.rx).then(a.kind.cmp(&b.kind)).then(by_delay).then_with(|| a.surfaces.cmp(&b.surfaces))
+        });
+        let people = present.iter().map(|(slot, _)| *slot).collect();
+        let (name, time_s) = (scene.name().to_owned(), options.time_s);
+        Ok(PathList { scene: name, seed: options.seed, time_s, frequency_hz, people, paths })
+    }
+}
+
+impl Lister<'_> {
+    /// A path from its field, but for the propagation phase, and its delay.
+    fn listed(&self, rx: usize, field: Complex64, delay_s: f64, delay_rate: f64) -> ListedPath {
+        let phase = field.arg() - TAU * (self.frequency_hz * delay_s).fract();
+        ListedPath {
+            rx: self.antennas.get(rx).copied().unwrap_or(0),
+            kind: PathKind::Walls,
+            surfaces: Vec::new(),
+            person: None,
+            length_m: delay_s * SPEED_OF_LIGHT_M_PER_S,
+            delay_s,
+            doppler_hz: -self.frequency_hz * delay_rate,
+            gain_db: 20.0 * field.norm().max(1e-30).log10(),
+            phase_rad: (phase + PI).rem_euclid(TAU) - PI,
+            points_m: Vec::new(),
+        }
+    }
+
+    /// Field of a path from its amplitude at the ADC; `None` where the filters let nothing pass.
+    fn field(&self, rx: usize, at_adc: Complex64, beat_hz: f64) -> Option<Complex64> {
+        let factor = self.stage.filters.response(beat_hz) * self.stage.lsb.get(rx).copied()?;
+        Some((at_adc / factor).conj()).filter(|field| field.is_finite())
+    }
+
+    /// Field that people leave on a static path.
+    fn shade(&self, polyline: &[DVec3]) -> Complex64 {
+        let wavelength_m = self.stage.wavelength_m;
+        match self.scene.file().people.shadow {
+            ShadowFile::Edge => shadow::along(polyline, &self.columns, wavelength_m).into(),
+            ShadowFile::Strip => shadow::along_strips(polyline, &self.columns, wavelength_m),
+        }
+    }
+
+    /// Images by whose walls a static path is strong enough, as the first receiver has it.
+    fn wall_images(&self) -> Vec<ImageIndex> {
+        let Some(first) = self.stage.rx.first() else { return Vec::new() };
+        let is_heard = |index: &ImageIndex| {
+            let (amplitude, length_m) = self.stage.room.direct(&self.stage.tx, *index, first);
+            let beat_hz = self.stage.chirp.beat_hz(length_m / SPEED_OF_LIGHT_M_PER_S, 0.0);
+            self.stage.at_adc(0, amplitude, beat_hz).norm() > self.stage.threshold_lsb
+        };
+        images(self.scene.file().room.max_reflections).into_iter().skip(1).filter(is_heard).collect()
+    }
+
+    fn add_walls(&self, out: &mut Vec<ListedPath>) {
+        for index in self.wall_images() {
+            for (i, rx) in self.stage.rx.iter().enumerate() {
+                let (amplitude, length_m) = self.stage.room.direct(&self.stage.tx, index, rx);
+                let polyline = self.stage.room.polyline(index, self.stage.tx.position, rx.position);
+                let field = amplitude * self.shade(&polyline);
+                out.push(ListedPath {
+                    surfaces: self.names(&polyline, None),
+                    points_m: polyline.iter().map(DVec3::to_array).collect(),
+                    ..self.listed(i, field, length_m / SPEED_OF_LIGHT_M_PER_S, 0.0)
+                });
+            }
+        }
+    }
+
+    /// Static paths that are none of walls: they follow those.
+    fn add_furniture(&self, out: &mut Vec<ListedPath>) {
+        for path in self.stage.static_paths.iter().skip(self.wall_images().len()) {
+            let shade = self.shade(&path.polyline);
+            for (i, &(_, cycles_per_sample, amplitude)) in path.tones.iter().enumerate() {
+                let beat_hz = cycles_per_sample * self.stage.chirp.sample_rate_hz;
+                let Some(field) = self.field(i, amplitude, beat_hz) else { continue };
+                out.push(ListedPath {
+                    kind: PathKind::Furniture,
+                    surfaces: self.names(&path.polyline, Some("object")),
+                    points_m: path.polyline.iter().map(DVec3::to_array).collect(),
+                    ..self.listed(i, field * shade, beat_hz / self.stage.chirp.slope_hz_per_s, 0.0)
+                });
+            }
+        }
+    }
+
+    /// Names of what a path meets between its ends. Where it goes by furniture a corner may lie on a wall, too; one that is on
+    /// neither has a name of its own.
+    fn names(&self, polyline: &[DVec3], object: Option<&str>) -> Vec<String> {
+        let inner = polyline.get(1..polyline.len().saturating_sub(1)).unwrap_or_default();
+        let furniture = |p: DVec3| {
+            object?;
+            let holds = |f: &&crate::scene::file::FurnitureFile| {
+                let low = DVec3::from_array(f.position_m);
+                let high = low + DVec3::from_array(f.size_m);
+                p.cmpge(low - ON_SURFACE_M).all() && p.cmple(high + ON_SURFACE_M).all()
+            };
+            self.scene.file().furniture.iter().find(holds).map(|f| f.name.clone())
+        };
+        let name = |p: &DVec3| {
+            let wall = || self.wall(*p).map(str::to_owned);
+            furniture(*p).or_else(wall).unwrap_or_else(|| object.unwrap_or("wall").to_owned())
+        };
+        inner.iter().map(name).collect()
+    }
+
+    /// The wall on which a point lies: the nearest.
+    fn wall(&self, p: DVec3) -> Option<&'static str> {
+        let size = self.stage.room.size_m;
+        let away = [p.x, size.x - p.x, p.y, size.y - p.y, p.z, size.z - p.z].map(f64::abs);
+        let all = away.into_iter().zip(WALL_NAMES);
+        let (nearest_m, name) = all.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        (nearest_m < ON_SURFACE_M).then_some(name)
+    }
+
+    /// Paths by way of somebody.
+    fn add_person(
+        &self,
+        people: &[Snapshot],
+        me: usize,
+        (slot, motion): (usize, &Arc<Motion>),
+        time_s: f64,
+        out: &mut Vec<ListedPath>,
+    ) {
+        let receivers = self.stage.rx.len();
+        if receivers == 0 {
+            return;
+        }
+        let pairs = audible_pairs(&self.stage, motion, time_s);
+        let mut keys: Vec<Key> = Vec::new();
+        echoes(&self.stage, motion, people, me, &pairs, &mut keys, &mut EchoReport::default());
+        let places = if motion.person.clothing.folds().is_some() { 1 + FOLD_PLACES } else { 1 };
+        for (path, keys) in keys.chunks(receivers).enumerate() {
+            let (segment, place) = (path / places % SEGMENTS, path % places);
+            let pair = pairs.get(path / (SEGMENTS * places)).copied();
+            let polyline = pair.and_then(|pair| self.polyline(people.get(me)?, segment, pair));
+            let polyline = polyline.filter(|_| place == 0).unwrap_or_default();
+            let body = match pair {
+                Some(_) if place == 0 => format!("person {slot} {}", SEGMENT_NAMES[segment]),
+                Some(_) => format!("person {slot} {} fold {place}", SEGMENT_NAMES[segment]),
+                None => format!("person {slot} at desk"),
+            };
+            for (i, key) in keys.iter().enumerate() {
+                let beat_hz = self.stage.chirp.beat_hz(key.delay_s, key.delay_rate);
+                let Some(field) = self.field(i, key.amplitude, beat_hz) else { continue };
+                if key.amplitude.norm() <= self.stage.threshold_lsb {
+                    continue;
+                }
+                out.push(ListedPath {
+                    kind: PathKind::Person,
+                    surfaces: self.names_by_body(&polyline, pair, &body),
+                    person: Some(slot),
+                    points_m: polyline.iter().map(DVec3::to_array).collect(),
+                    ..self.listed(i, field, key.delay_s, key.delay_rate)
+                });
+            }
+        }
+    }
+
+    /// The way by the highlight of a segment.
+    fn polyline(&self, own: &Snapshot, segment: usize, (p, q): (ImageIndex, ImageIndex)) -> Option<Vec<DVec3>> {
+        let source = self.stage.room.image_position(p, self.stage.tx.position);
+        let sink = self.stage.room.image_position(q, self.stage.rx.first()?.position);
+        let highlight = own.body.get(segment)?.highlight(source, sink, None)?;
+        Some(self.stage.point_polyline(highlight.point, p, q))
+    }
+
+    /// Walls before the body, the body, walls behind it.
+    fn names_by_body(&self, polyline: &[DVec3], pair: Option<(ImageIndex, ImageIndex)>, body: &str) -> Vec<String> {
+        let Some((there, _)) = pair.filter(|_| !polyline.is_empty()) else { return vec![body.to_owned()] };
+        let mut names = self.names(polyline, None);
+        if let Some(name) = names.get_mut(crate::field::image::order(there) as usize) {
+            *name = body.to_owned();
+        }
+        names
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::*;
+
+    fn corridor() -> Scene {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        Scene::load(&path).expect("a scene")
+    }
+
+    /// Delays, Doppler shifts and phases of walkers follow from where they are a little later.
+    #[test]
+    fn doppler_is_the_rate_of_the_phase() {
+        let scene = corridor();
+        let at = |time_s: f64| {
+            let options = PathListOptions { seed: 5, people: Some(1), time_s, margin_db: 20.0, ..Default::default() };
+            PathList::new(&scene, &options).expect("a list")
+        };
+        let step_s = 1e-5;
+        let some = |list: &PathList| list.paths.iter().any(|path| path.kind == PathKind::Person);
+        let start_s = (0..60).map(|i| 0.5 * f64::from(i)).find(|&t| some(&at(t))).expect("somebody comes");
+        let (before, after) = (at(start_s + 1.0 - step_s), at(start_s + 1.0 + step_s));
+        let mut checked = 0;
+        for path in at(start_s + 1.0).paths.iter().filter(|path| path.kind == PathKind::Person) {
+            let same = |list: &PathList| {
+                let is_same = |p: &&ListedPath| p.rx == path.rx && p.surfaces == path.surfaces;
+                list.paths.iter().find(is_same).map(|p| p.delay_s)
+            };
+            let (Some(a), Some(b)) = (same(&before), same(&after)) else { continue };
+            let doppler_hz = -after.frequency_hz * (b - a) / (2.0 * step_s);
+            assert!((doppler_hz - path.doppler_hz).abs() < 2.0, "{path:?}: {doppler_hz}");
+            checked += 1;
+        }
+        assert!(checked > 3, "{checked} paths");
+    }
+
+    #[test]
+    fn furniture_and_walls_have_their_names() {
+        let options = PathListOptions { people: Some(0), margin_db: 40.0, ..Default::default() };
+        let list = PathList::new(&corridor(), &options).expect("a list");
+        let has = |name: &str| list.paths.iter().any(|path| path.surfaces.iter().any(|s| s == name));
+        assert!(has("radiator") && has("x_high") && has("floor") && !has("wall"), "{list:#?}");
+        assert!(list.paths.iter().all(|path| path.doppler_hz == 0.0 && path.phase_rad.abs() <= PI + 1e-9));
+    }
+}

@@ -1,0 +1,408 @@
+//! Which facets paths from an antenna meet, found by rays; and the images of the antenna that they make.
+//!
+//! Rays go out in the directions of a subdivided icosahedron. Where the corners of one of its triangles report different facets,
+//! the triangle is divided into four, again and again: rays gather where facets end and small ones hide. All of it depends on
+//! geometry alone, never on threads.
+
+use std::collections::{BTreeSet, HashMap};
+use std::sync::Arc;
+
+use glam::{DMat3, DVec3};
+use rayon::prelude::*;
+
+use super::environment::{Environment, FacetId};
+
+/// Most reflections of a path.
+pub const MAX_ORDER: usize = 6;
+/// Halvings of the icosahedron's edges at the start: 2,562 rays, 4 degrees apart.
+const FIRST_HALVINGS: u32 = 4;
+/// Images nearer to each other than this are one, m.
+const MERGE_M: f64 = 1e-9;
+/// Mirror matrices that differ less than this in all elements are one.
+const MERGE_MIRROR: f64 = 1e-10;
+/// Cosine up to which planes are at right angles.
+const RIGHT_ANGLE: f64 = 1e-12;
+
+/// How rays are launched.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LaunchOptions {
+    /// Reflections that a path may have, at most [`MAX_ORDER`].
+    pub max_order: usize,
+    /// Times that triangles of directions are divided: four take rays 4 degrees apart to 0.26.
+    pub refinements: u32,
+    /// Rays after which no more triangles are divided.
+    pub max_rays: usize,
+}
+
+impl Default for LaunchOptions {
+    fn default() -> Self {
+        LaunchOptions { max_order: 3, refinements: 4, max_rays: 100_000 }
+    }
+}
+
+/// What a search took and found.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct DiscoveryReport {
+    /// Rays launched.
+    pub rays: usize,
+    /// Times that triangles of directions were divided.
+    pub refinements: u32,
+    /// Sequences of facets, the empty one included.
+    pub sequences: usize,
+    /// Images that they make, the antenna itself included.
+    pub images: usize,
+    /// Whether some triangles were left undivided for the limit on rays.
+    pub reached_limit: bool,
+}
+
+/// Facets that one ray meets, in order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Chain {
+    facets: [FacetId; MAX_ORDER],
+    length: usize,
+}
+
+/// An image of an antenna and the sequences of facets that make it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Image {
+    /// Number of reflections.
+    pub order: usize,
+    /// Where the antenna from which rays were launched has its image, m.
+    pub position: DVec3,
+    /// Image of a vector of the antenna: product of the facets' reflections.
+    pub mirror: DMat3,
+    /// Image of the origin, m: a point at `x` has its image at `mirror * x + shift`.
+    pub shift: DVec3,
+    /// The sequences, facets in the order in which waves meet them.
+    pub sequences: Vec<Vec<FacetId>>,
+}
+
+impl Image {
+    /// Image of a point, m.
+    pub fn of(&self, point: DVec3) -> DVec3 {
+        self.mirror * point + self.shift
+    }
+}
+
+/// Paths that leave an antenna, by its images.
+#[derive(Debug, Clone)]
+pub struct ImagePaths {
+    pub(super) environment: Arc<Environment>,
+    pub(super) images: Vec<Image>,
+    /// The facet on which the antenna is mounted, if any.
+    pub(super) mount: Option<FacetId>,
+    report: DiscoveryReport,
+}
+
+impl ImagePaths {
+    /// Finds the paths that leave a point.
+    pub fn discover(environment: Arc<Environment>, origin: DVec3, options: &LaunchOptions) -> Self {
+        let mut launch = Launch::new(&environment, origin, environment.below(origin), options);
+        launch.refine(options);
+        let (rays, refinements, reached_limit) = (launch.directions.len(), launch.refinements, launch.reached_limit);
+        let sequences = completed(&environment, origin, launch.sequences());
+        let found = Self::with_sequences(environment, origin, sequences);
+        ImagePaths { report: DiscoveryReport { rays, refinements, reached_limit, ..found.report }, ..found }
+    }
+
+    /// The images of a point that given sequences make; the point itself is the first.
+    pub fn with_sequences(
+        environment: Arc<Environment>,
+        origin: DVec3,
+        sequences: impl IntoIterator<Item = Vec<FacetId>>,
+    ) -> Self {
+        let mut all: BTreeSet<(usize, Vec<FacetId>)> = sequences.into_iter().map(|s| (s.len(), s)).collect();
+        all.insert((0, Vec::new()));
+        let count = all.len();
+        let images = merged(&environment, origin, all.into_iter().map(|(_, sequence)| sequence));
+        let report = DiscoveryReport { sequences: count, images: images.len(), ..DiscoveryReport::default() };
+        let mount = environment.below(origin);
+        ImagePaths { environment, images, mount, report }
+    }
+
+    /// The images, the antenna itself first, then by order.
+    pub fn images(&self) -> &[Image] {
+        &self.images
+    }
+
+    /// The facets.
+    pub fn environment(&self) -> &Environment {
+        &self.environment
+    }
+
+    /// What the search took and found.
+    pub fn report(&self) -> DiscoveryReport {
+        self.report
+    }
+}
+
+/// Whether waves from a point may meet facets in this order, as far as planes tell: each facet faces the image before it, and
+/// neighbours have some part before each other.
+pub(super) fn is_possible(environment: &Environment, origin: DVec3, sequence: &[FacetId]) -> bool {
+    let mut image = origin;
+    let mut last = None;
+    for &facet in sequence {
+        let Some(flat) = environment.flat(facet) else { return false };
+        if !flat.reflects() || flat.height(image) < MERGE_M {
+            return false;
+        }
+        if let Some(before) = last.and_then(|facet| environment.flat(facet))
+            && !(sees(before, flat) && sees(flat, before))
+        {
+            return false;
+        }
+        image = flat.mirrored(image);
+        last = Some(facet);
+    }
+    true
+}
+
+/// Whether some corner of a facet lies before another's plane.
+fn sees(of: &super::environment::Flat, other: &super::environment::Flat) -> bool {
+    other.facet.corners.iter().any(|&corner| of.height(corner) > MERGE_M)
+}
+
+/// Sequences and what follows from them: reflections at planes at right angles may change places without another image, and
+/// what a sequence begins with is one itself.
+fn completed(environment: &Environment, origin: DVec3, found: BTreeSet<Vec<FacetId>>) -> BTreeSet<Vec<FacetId>> {
+    let mut open: Vec<Vec<FacetId>> = found.iter().cloned().collect();
+    let mut all = found;
+    while let Some(sequence) = open.pop() {
+        for i in 1..sequence.len() {
+            let normal = |at: usize| sequence.get(at).and_then(|&facet| environment.normal(facet));
+            let (Some(a), Some(b)) = (normal(i - 1), normal(i)) else { continue };
+            if a.dot(b).abs() > RIGHT_ANGLE {
+                continue;
+            }
+            let mut swapped = sequence.clone();
+            swapped.swap(i - 1, i);
+            for length in [i, swapped.len()] {
+                let part = swapped.get(..length).unwrap_or_default().to_vec();
+                if !all.contains(&part) && is_possible(environment, origin, &part) {
+                    all.insert(part.clone());
+                    open.push(part);
+                }
+            }
+        }
+    }
+    all
+}
+
+/// Images of sequences, which come by length: those that coincide are one.
+fn merged(environment: &Environment, origin: DVec3, sequences: impl Iterator<Item = Vec<FacetId>>) -> Vec<Image> {
+    let mut all: Vec<Image> = sequences
+        .map(|sequence| {
+            let (mut position, mut zero, mut mirror) = (origin, DVec3::ZERO, DMat3::IDENTITY);
+            for flat in sequence.iter().filter_map(|&facet| environment.flat(facet)) {
+                (position, zero, mirror) = (flat.mirrored(position), flat.mirrored(zero), flat.mirror() * mirror);
+            }
+            Image { order: sequence.len(), position, mirror, shift: zero, sequences: vec![sequence] }
+        })
+        .collect();
+    // Stable: of equal places the earlier sequence stays the first.
+    let mut order: Vec<usize> = (0..all.len()).collect();
+    let place = |all: &[Image], i: usize| all.get(i).map_or(0.0, |image| image.position.x);
+    order.sort_by(|&i, &j| place(&all, i).total_cmp(&place(&all, j)).then(i.cmp(&j)));
+    let mut recent: Vec<usize> = Vec::new();
+    let mut goes_to: Vec<usize> = (0..all.len()).collect();
+    for i in order {
+        let x = place(&all, i);
+        recent.retain(|&j| x - place(&all, j) <= MERGE_M);
+        match recent.iter().find(|&&j| all.get(i).zip(all.get(j)).is_some_and(|(a, b)| is_same(a, b))) {
+            Some(&j) => {
+                if let Some(slot) = goes_to.get_mut(i) {
+                    *slot = j;
+                }
+            }
+            None => recent.push(i),
+        }
+    }
+    for i in 0..all.len() {
+        let to = goes_to.get(i).copied().unwrap_or(i);
+        if to != i {
+            let moved = all.get_mut(i).map(|image| std::mem::take(&mut image.sequences)).unwrap_or_default();
+            if let Some(image) = all.get_mut(to) {
+                image.sequences.extend(moved);
+            }
+        }
+    }
+    all.retain(|image| !image.sequences.is_empty());
+    for image in &mut all {
+        image.sequences.sort();
+    }
+    all.sort_by(|a, b| a.order.cmp(&b.order).then_with(|| a.sequences.cmp(&b.sequences)));
+    all
+}
+
+fn is_same(a: &Image, b: &Image) -> bool {
+    let apart = |p: DVec3, q: DVec3| (p - q).abs().max_element();
+    let columns = |m: &DMat3| [m.x_axis, m.y_axis, m.z_axis];
+    a.order == b.order
+        && apart(a.position, b.position) <= MERGE_M
+        && columns(&a.mirror).into_iter().zip(columns(&b.mirror)).all(|(p, q)| apart(p, q) <= MERGE_MIRROR)
+}
+
+/// Rays in all directions.
+struct Launch<'a> {
+    environment: &'a Environment,
+    origin: DVec3,
+    mount: Option<FacetId>,
+    max_order: usize,
+    directions: Vec<DVec3>,
+    chains: Vec<Chain>,
+    /// Triangles of directions that may be divided.
+    triangles: Vec<[usize; 3]>,
+    refinements: u32,
+    reached_limit: bool,
+}
+
+impl<'a> Launch<'a> {
+    fn new(environment: &'a Environment, origin: DVec3, mount: Option<FacetId>, options: &LaunchOptions) -> Self {
+        let (directions, triangles) = icosahedron();
+        let mut launch = Launch {
+            environment,
+            origin,
+            mount,
+            max_order: options.max_order.min(MAX_ORDER),
+            directions,
+            chains: Vec::new(),
+            triangles,
+            refinements: 0,
+            reached_limit: false,
+        };
+        for _ in 0..FIRST_HALVINGS {
+            let all = std::mem::take(&mut launch.triangles);
+            launch.divide(&all);
+        }
+        launch.trace_new();
+        launch
+    }
+
+    /// Divides triangles whose corners differ.
+    fn refine(&mut self, options: &LaunchOptions) {
+        for _ in 0..options.refinements {
+            let chains = &self.chains;
+            let differ = |t: &[usize; 3]| {
+                let [a, b, c] = t.map(|i| chains.get(i));
+                a != b || b != c
+            };
+            let marked: Vec<[usize; 3]> = self.triangles.iter().filter(|t| differ(t)).copied().collect();
+            if marked.is_empty() {
+                break;
+            }
+            // Each triangle has three new corners at most, which most of them share with a neighbour.
+            if self.directions.len() + 3 * marked.len() / 2 > options.max_rays {
+                self.reached_limit = true;
+                break;
+            }
+            self.divide(&marked);
+            self.trace_new();
+            self.refinements += 1;
+        }
+    }
+
+    /// Takes the quarters of triangles for the triangles, with directions for their new corners.
+    fn divide(&mut self, triangles: &[[usize; 3]]) {
+        let mut middles: HashMap<(usize, usize), usize> = HashMap::with_capacity(2 * triangles.len());
+        let mut quarters = Vec::with_capacity(4 * triangles.len());
+        for &[a, b, c] in triangles {
+            let mut middle = |i: usize, j: usize| {
+                let directions = &mut self.directions;
+                *middles.entry((i.min(j), i.max(j))).or_insert_with(|| {
+                    let at = |k: usize| directions.get(k).copied().unwrap_or(DVec3::X);
+                    let direction = (at(i) + at(j)).normalize_or(DVec3::X);
+                    directions.push(direction);
+                    directions.len() - 1
+                })
+            };
+            let (ab, bc, ca) = (middle(a, b), middle(b, c), middle(c, a));
+            quarters.extend([[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]);
+        }
+        self.triangles = quarters;
+    }
+
+    /// Traces the directions that have not been traced.
+    fn trace_new(&mut self) {
+        let first = self.chains.len();
+        let new: Vec<Chain> =
+            self.directions.get(first..).unwrap_or_default().par_iter().map(|&d| self.trace(d)).collect();
+        self.chains.extend(new);
+    }
+
+    fn trace(&self, direction: DVec3) -> Chain {
+        let mut chain = Chain { facets: [FacetId::MAX; MAX_ORDER], length: 0 };
+        let (mut from, mut towards, mut on) = (self.origin, direction, self.mount);
+        if let Some(flat) = on.and_then(|facet| self.environment.flat(facet))
+            && flat.normal.dot(direction) <= 0.0
+        {
+            return chain;
+        }
+        while chain.length < self.max_order {
+            let Some((facet, point)) = self.environment.first_hit(from, towards, on) else { break };
+            let Some(flat) = self.environment.flat(facet) else { break };
+            if let Some(slot) = chain.facets.get_mut(chain.length) {
+                *slot = facet;
+            }
+            chain.length += 1;
+            towards -= flat.normal * (2.0 * flat.normal.dot(towards));
+            (from, on) = (point, Some(facet));
+        }
+        chain
+    }
+
+    /// What rays met, and what that begins with.
+    fn sequences(&self) -> BTreeSet<Vec<FacetId>> {
+        let mut chains = self.chains.clone();
+        chains.sort_unstable();
+        chains.dedup();
+        let begins = |chain: &Chain| {
+            let facets = chain.facets;
+            (0..=chain.length).map(move |length| facets.iter().take(length).copied().collect::<Vec<_>>())
+        };
+        chains.iter().flat_map(begins).collect()
+    }
+}
+
+/// Corners and triangles of an icosahedron, turned so that it has no plane in common with rooms.
+fn icosahedron() -> (Vec<DVec3>, Vec<[usize; 3]>) {
+    let golden = 0.5 * (1.0 + 5f64.sqrt());
+    let turn = DMat3::from_rotation_z(0.377) * DMat3::from_rotation_x(0.611) * DMat3::from_rotation_y(0.213);
+    let corners = [
+        [-1.0, golden, 0.0],
+        [1.0, golden, 0.0],
+        [-1.0, -golden, 0.0],
+        [1.0, -golden, 0.0],
+        [0.0, -1.0, golden],
+        [0.0, 1.0, golden],
+        [0.0, -1.0, -golden],
+        [0.0, 1.0, -golden],
+        [golden, 0.0, -1.0],
+        [golden, 0.0, 1.0],
+        [-golden, 0.0, -1.0],
+        [-golden, 0.0, 1.0],
+    ];
+    let directions = corners.iter().map(|c| (turn * DVec3::from_array(*c)).normalize()).collect();
+    let triangles = vec![
+        [0, 11, 5],
+        [0, 5, 1],
+        [0, 1, 7],
+        [0, 7, 10],
+        [0, 10, 11],
+        [1, 5, 9],
+        [5, 11, 4],
+        [11, 10, 2],
+        [10, 7, 6],
+        [7, 1, 8],
+        [3, 9, 4],
+        [3, 4, 2],
+        [3, 2, 6],
+        [3, 6, 8],
+        [3, 8, 9],
+        [4, 9, 5],
+        [2, 4, 11],
+        [6, 2, 10],
+        [8, 6, 7],
+        [9, 8, 1],
+    ];
+    (directions, triangles)
+}

@@ -1,0 +1,234 @@
+//! Edges at which waves bend: free edges of sheets and outward corners. Inner corners and seams within a plane are none: there
+//! the next facet takes over what the last one loses.
+
+use glam::DVec3;
+
+use super::environment::{FacetId, Flat};
+
+/// Ends of edges nearer to each other than this are one, m.
+pub(super) const SAME_M: f64 = 1e-6;
+/// Sine of the angle up to which two facets lie in one plane.
+const FLAT: f64 = 1e-6;
+
+/// An edge that diffracts.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SoftEdge {
+    /// Ends, m.
+    pub ends: [DVec3; 2],
+    /// Whether it goes on beyond each end, as an edge between floor and ceiling does in their mirror images. Where another
+    /// soft edge begins it ends.
+    pub goes_on: [bool; 2],
+    facets: Vec<FacetId>,
+    planes: Vec<u32>,
+    /// From the edge into each of its facets, unit vectors.
+    inwards: Vec<DVec3>,
+    normals: Vec<DVec3>,
+    middle: DVec3,
+    reach_m: f64,
+}
+
+impl SoftEdge {
+    /// The facets that it bounds.
+    pub fn facets(&self) -> &[FacetId] {
+        &self.facets
+    }
+
+    /// Whether it bounds a facet in a plane.
+    pub(super) fn bounds_plane(&self, plane: u32) -> bool {
+        self.planes.contains(&plane)
+    }
+
+    /// Unit vector from the edge into one of its facets.
+    pub(super) fn inwards(&self, facet: FacetId) -> DVec3 {
+        let number = self.facets.iter().position(|f| *f == facet).unwrap_or(0);
+        self.inwards.get(number).copied().unwrap_or(DVec3::ZERO)
+    }
+
+    /// Unit vector from the edge into that of its facets which looks the widest along a direction.
+    pub(super) fn widest(&self, direction: DVec3) -> DVec3 {
+        let across = direction.cross(self.ends[1] - self.ends[0]);
+        let width = |inwards: &DVec3| inwards.dot(across).abs();
+        let widest = self.inwards.iter().max_by(|a, b| width(a).total_cmp(&width(b)));
+        widest.copied().unwrap_or(DVec3::ZERO)
+    }
+
+    /// Whether it lies on the outline of what it bounds, seen along a direction: a free edge always does, a corner does where
+    /// one of its facets is seen from the front and the other from behind.
+    pub(super) fn is_outline(&self, direction: DVec3) -> bool {
+        match self.normals.as_slice() {
+            [a, b] if a.dot(*b) > FLAT - 1.0 => direction.dot(*a) * direction.dot(*b) <= 0.0,
+            _ => true,
+        }
+    }
+
+    /// Whether a point lies beyond an end at which the edge goes on in mirror images.
+    pub(super) fn is_beyond(&self, point: DVec3) -> bool {
+        let [a, b] = self.ends;
+        let part = (point - a).dot(b - a) / a.distance_squared(b);
+        self.goes_on[0] && part < 0.0 || self.goes_on[1] && part > 1.0
+    }
+
+    /// Whether any of it is within a distance, m, of a straight way.
+    pub(super) fn is_near(&self, from: DVec3, direction: DVec3, length_m: f64, distance_m: f64) -> bool {
+        let along = (self.middle - from).dot(direction).clamp(0.0, length_m);
+        let apart = self.middle.distance_squared(from + direction * along);
+        let reach = self.reach_m + distance_m;
+        apart <= reach * reach
+    }
+}
+
+/// A side of a facet.
+struct Side {
+    facet: FacetId,
+    ends: [DVec3; 2],
+    inwards: DVec3,
+    given: Option<bool>,
+}
+
+/// All sides of facets that reflect.
+fn sides(flats: &[Flat]) -> Vec<Side> {
+    let mut all = Vec::new();
+    for (number, flat) in flats.iter().enumerate().filter(|(_, flat)| flat.reflects()) {
+        let mut add = |corners: &[DVec3], inward_sign: f64, given: &[bool]| {
+            for (i, (&a, &b)) in corners.iter().zip(corners.iter().cycle().skip(1)).enumerate() {
+                let inwards = flat.normal.cross((b - a).normalize_or_zero()) * inward_sign;
+                all.push(Side { facet: number as FacetId, ends: [a, b], inwards, given: given.get(i).copied() });
+            }
+        };
+        add(&flat.facet.corners, 1.0, &flat.facet.soft_edges);
+        for (i, hole) in flat.facet.holes.iter().enumerate() {
+            add(hole, if flat.is_positive(i) { -1.0 } else { 1.0 }, &[]);
+        }
+    }
+    all
+}
+
+/// Sides that lie on each other.
+fn coincident(sides: &[Side]) -> Vec<Vec<usize>> {
+    let middle = |i: usize| sides.get(i).map_or(0.0, |side| 0.5 * (side.ends[0].x + side.ends[1].x));
+    let mut order: Vec<usize> = (0..sides.len()).collect();
+    order.sort_by(|&i, &j| middle(i).total_cmp(&middle(j)).then(i.cmp(&j)));
+    let is_same = |i: usize, j: usize| match (sides.get(i), sides.get(j)) {
+        (Some(a), Some(b)) => {
+            let meet = |p: DVec3, q: DVec3| p.distance_squared(q) < SAME_M * SAME_M;
+            meet(a.ends[0], b.ends[0]) && meet(a.ends[1], b.ends[1])
+                || meet(a.ends[0], b.ends[1]) && meet(a.ends[1], b.ends[0])
+        }
+        _ => false,
+    };
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    let mut recent: Vec<(f64, usize)> = Vec::new();
+    for i in order {
+        let x = middle(i);
+        recent.retain(|(other, _)| x - other <= SAME_M);
+        let found = recent
+            .iter()
+            .map(|(_, group)| *group)
+            .find(|&group| groups.get(group).and_then(|g| g.first()).is_some_and(|&j| is_same(i, j)));
+        match found.and_then(|group| groups.get_mut(group)) {
+            Some(group) => group.push(i),
+            None => {
+                recent.push((x, groups.len()));
+                groups.push(vec![i]);
+            }
+        }
+    }
+    groups
+}
+
+/// How two facets meet at an edge.
+#[derive(PartialEq)]
+enum Meeting {
+    /// They end there back to back.
+    Sheet,
+    /// An outward corner.
+    Outward,
+    /// An inner corner, or a seam.
+    Inner,
+}
+
+fn meeting(flats: &[Flat], a: &Side, b: &Side) -> Meeting {
+    let (Some(of_a), Some(of_b)) = (flats.get(a.facet as usize), flats.get(b.facet as usize)) else {
+        return Meeting::Inner;
+    };
+    let (rise_b, rise_a) = (b.inwards.dot(of_a.normal), a.inwards.dot(of_b.normal));
+    if rise_a < -FLAT && rise_b < -FLAT {
+        Meeting::Outward
+    } else if rise_a.abs() <= FLAT
+        && rise_b.abs() <= FLAT
+        && of_a.normal.dot(of_b.normal) < 0.0
+        && a.inwards.dot(b.inwards) > 0.0
+    {
+        Meeting::Sheet
+    } else {
+        Meeting::Inner
+    }
+}
+
+/// Whether an edge stands on a facet of another plane, as that of a partition does on the floor.
+fn stands_on_another(flats: &[Flat], sides: &[&Side]) -> bool {
+    let Some(first) = sides.first() else { return false };
+    let middle = 0.5 * (first.ends[0] + first.ends[1]);
+    let own: Vec<u32> = sides.iter().filter_map(|s| flats.get(s.facet as usize)).map(|flat| flat.plane).collect();
+    flats.iter().any(|flat| {
+        let on_plane = |p: DVec3| flat.height(p).abs() < SAME_M;
+        flat.reflects()
+            && !own.contains(&flat.plane)
+            && on_plane(first.ends[0])
+            && on_plane(first.ends[1])
+            && flat.contains(middle)
+    })
+}
+
+/// Whether an edge of these sides diffracts.
+fn is_soft(flats: &[Flat], sides: &[&Side]) -> bool {
+    if sides.iter().any(|side| side.given.is_some()) {
+        return sides.iter().any(|side| side.given == Some(true));
+    }
+    let mut has_outward = false;
+    for (i, a) in sides.iter().enumerate() {
+        for b in sides.iter().skip(i + 1) {
+            match meeting(flats, a, b) {
+                Meeting::Inner => return false,
+                Meeting::Outward => has_outward = true,
+                Meeting::Sheet => {}
+            }
+        }
+    }
+    has_outward || !stands_on_another(flats, sides)
+}
+
+/// The edges that diffract.
+pub(super) fn soft_edges(flats: &[Flat]) -> Vec<SoftEdge> {
+    let sides = sides(flats);
+    let mut groups = coincident(&sides);
+    groups.iter_mut().for_each(|group| group.sort_unstable());
+    groups.sort();
+    let mut edges: Vec<SoftEdge> = Vec::new();
+    for group in groups {
+        let members: Vec<&Side> = group.iter().filter_map(|&i| sides.get(i)).collect();
+        let Some(first) = members.first().filter(|_| is_soft(flats, &members)) else { continue };
+        let of = |side: &&Side| flats.get(side.facet as usize);
+        edges.push(SoftEdge {
+            ends: first.ends,
+            goes_on: [true; 2],
+            facets: members.iter().map(|side| side.facet).collect(),
+            planes: members.iter().filter_map(of).map(|flat| flat.plane).collect(),
+            inwards: members.iter().map(|side| side.inwards).collect(),
+            normals: members.iter().filter_map(of).map(|flat| flat.normal).collect(),
+            middle: 0.5 * (first.ends[0] + first.ends[1]),
+            reach_m: 0.5 * first.ends[0].distance(first.ends[1]),
+        });
+    }
+    for i in 0..edges.len() {
+        let Some(ends) = edges.get(i).map(|edge| edge.ends) else { continue };
+        let goes_on = ends.map(|end| {
+            let meets = |other: &SoftEdge| other.ends.iter().any(|e| e.distance_squared(end) < SAME_M * SAME_M);
+            !edges.iter().enumerate().any(|(j, other)| j != i && meets(other))
+        });
+        if let Some(edge) = edges.get_mut(i) {
+            edge.goes_on = goes_on;
+        }
+    }
+    edges
+}

@@ -1,0 +1,35 @@
+//! The slow, obvious way to find paths: every sequence of facets up to an order. What rays miss is measured against it.
+
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::discovery::{ImagePaths, MAX_ORDER, is_possible};
+use super::environment::{Environment, FacetId};
+
+/// Every sequence of at most so many facets, the empty one included, each of whose facets faces the image before it.
+pub fn all_sequences(environment: &Environment, origin: DVec3, max_order: usize) -> Vec<Vec<FacetId>> {
+    let mut all = vec![Vec::new()];
+    let mut first = 0;
+    for _ in 0..max_order.min(MAX_ORDER) {
+        let end = all.len();
+        for number in first..end {
+            let Some(begin) = all.get(number).cloned() else { continue };
+            for facet in 0..environment.len() as FacetId {
+                let mut sequence = begin.clone();
+                sequence.push(facet);
+                if is_possible(environment, origin, &sequence) {
+                    all.push(sequence);
+                }
+            }
+        }
+        first = end;
+    }
+    all
+}
+
+/// The images of all of them.
+pub fn all_images(environment: Arc<Environment>, origin: DVec3, max_order: usize) -> ImagePaths {
+    let sequences = all_sequences(&environment, origin, max_order);
+    ImagePaths::with_sequences(environment, origin, sequences)
+}

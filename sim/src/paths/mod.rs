@@ -1,0 +1,23 @@
+//! Paths between antennas and points by way of plane polygons: rays find which surfaces a path meets, images compute it.
+//!
+//! An [`Environment`] holds the polygons. [`ImagePaths::discover`] launches rays from an antenna and keeps every sequence of
+//! facets that a ray meets; sequences with the same image of the antenna share an [`Image`]. [`ImagePaths::illuminate`] unfolds
+//! a sequence in f64, checks that its points of reflection lie on the facets and that its legs are free, and multiplies the
+//! reflection coefficients. Free and outward edges diffract to first order ([`edge_field`]): a path fades where its point of
+//! reflection leaves a facet or a corner comes in its way.
+
+pub mod discovery;
+pub mod edge_field;
+mod edges;
+pub mod environment;
+pub mod exhaustive;
+mod illuminate;
+#[cfg(test)]
+mod rooms;
+#[cfg(test)]
+mod tests;
+mod triangulate;
+
+pub use discovery::{DiscoveryReport, Image, ImagePaths, LaunchOptions, MAX_ORDER};
+pub use edges::SoftEdge;
+pub use environment::{Environment, EnvironmentError, Facet, FacetId};

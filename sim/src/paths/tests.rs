@@ -1,0 +1,243 @@
+//! Paths against what is known of them: a box as a lattice, corridors by hand, every sequence in turn.
+
+use std::sync::Arc;
+
+use glam::{DMat3, DVec2, DVec3};
+use num_complex::Complex64;
+use rand::{Rng, SeedableRng};
+use rand_xoshiro::Xoshiro256PlusPlus;
+
+use super::exhaustive::{all_images, all_sequences};
+use super::rooms::{extruded, holds, l_shape, sheet, slab, star};
+use super::{Environment, Facet, ImagePaths, LaunchOptions};
+use crate::field::image::{BoxRoom, Element, Wall, images};
+use crate::field::pattern::Pattern;
+use crate::shadow::half_plane;
+
+/// Of 60 GHz, 1/m.
+const K: f64 = 1_257.507_013_171_009;
+
+fn isotropic(position: DVec3) -> Element {
+    Element { position, polarisation: DVec3::Z, radar_from_world: DMat3::IDENTITY, pattern: Pattern::isotropic() }
+}
+
+fn environment(facets: Vec<Facet>) -> Arc<Environment> {
+    Arc::new(Environment::new(facets, K).expect("facets"))
+}
+
+/// The image in the direction of which a path of such a length arrives.
+fn seen(paths: &ImagePaths, antenna: DVec3, point: DVec3, length_m: f64) -> f64 {
+    let arrives = |i: usize| paths.illuminate(&isotropic(antenna), i, point);
+    let fits = |i: &usize| (arrives(*i).distance_m - length_m).abs() < 1e-9;
+    (0..paths.images().len()).filter(fits).map(|i| arrives(i).field.magnitude()).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_box_of_facets_has_the_lattice_of_images_and_its_fields() {
+    let walls = [slab(0), slab(1), slab(2), Wall::Conductor, slab(1), slab(0)];
+    let room = BoxRoom::new(DVec3::new(5.1, 3.7, 2.6), walls, K, false);
+    let mut rng = Xoshiro256PlusPlus::seed_from_u64(11);
+    let antenna = Element {
+        position: DVec3::new(0.4, 1.9, 1.7),
+        polarisation: DVec3::new(0.1, 0.3, 0.9).normalize(),
+        radar_from_world: DMat3::from_rotation_z(0.3) * DMat3::from_rotation_y(0.2),
+        pattern: Pattern::new(1.0, 1.4, -20.0),
+    };
+    let paths = ImagePaths::discover(environment(Facet::of_box(&room)), antenna.position, &LaunchOptions::default());
+    let lattice = images(3);
+    assert_eq!(paths.images().len(), lattice.len(), "{:?}", paths.report());
+    // Another element beside the one from which rays were launched has images of its own.
+    let beside = Element { position: antenna.position + DVec3::new(0.0, 0.0031, -0.002), ..antenna };
+    for index in lattice {
+        let place = room.image_position(index, antenna.position);
+        let found = paths.images().iter().position(|image| image.position.distance(place) < 1e-9);
+        let found = found.unwrap_or_else(|| panic!("no image {index:?}"));
+        for _ in 0..20 {
+            let part = DVec3::from_array(std::array::from_fn(|_| rng.random_range(0.02..0.98)));
+            let point = part * room.size_m;
+            for element in [&antenna, &beside] {
+                let (ours, known) = (paths.illuminate(element, found, point), room.illuminate(element, index, point));
+                assert!(ours.source.distance(known.source) < 1e-9 && (ours.distance_m - known.distance_m).abs() < 1e-9);
+                let missed = (ours.field.re - known.field.re).length() + (ours.field.im - known.field.im).length();
+                assert!(missed < 1e-9 * known.field.magnitude().max(1e-3), "{index:?} {point}: {missed:e}");
+                let receiver = Element { position: point, ..antenna };
+                let (a, b) = (paths.direct(element, found, &receiver), room.direct(element, index, &receiver));
+                assert!((a.0 - b.0).norm() < 1e-9 * b.0.norm() + 1e-15 && (a.1 - b.1).abs() < 1e-9);
+            }
+            let (ours, known) =
+                (paths.polyline(found, antenna.position, point), room.polyline(index, antenna.position, point));
+            assert_eq!(ours.len(), known.len());
+            assert!(ours.iter().zip(&known).all(|(p, q)| p.distance(*q) < 1e-8), "{ours:?} {known:?}");
+        }
+    }
+}
+
+/// A corridor that turns left: 8 m by 2 m along x, then 2 m by 8 m along y; the inner corner at (6, 2).
+fn l_corridor() -> Vec<Facet> {
+    let outline = [[0.0, 0.0], [8.0, 0.0], [8.0, 8.0], [6.0, 8.0], [6.0, 2.0], [0.0, 2.0]].map(DVec2::from_array);
+    extruded(&outline, 3.0)
+}
+
+#[test]
+fn round_a_corner_one_is_seen_by_mirrors_alone() {
+    let antenna = DVec3::new(1.0, 0.3, 1.5);
+    let paths = ImagePaths::discover(environment(l_corridor()), antenna, &LaunchOptions::default());
+    assert_eq!(paths.environment().soft_edges().len(), 1);
+    let point = DVec3::new(7.0, 2.7, 1.5);
+    // The straight way passes 28 cm behind the corner.
+    let straight = paths.illuminate(&isotropic(antenna), 0, point);
+    assert!(straight.field.magnitude() < 10f64.powf(-30.0 / 20.0));
+    // By the wall x = 8, which shows the antenna at x = 15; by that and the wall y = 0.
+    for (length_m, reflections) in [(8f64.hypot(2.4), 1), (8f64.hypot(3.0), 2)] {
+        let field = seen(&paths, antenna, point, length_m);
+        assert!(field > 10f64.powf(-15.0 * f64::from(reflections) / 20.0), "{length_m} m: {field}");
+    }
+    // Three metres into the other arm neither arrives.
+    let far = DVec3::new(7.0, 5.0, 1.5);
+    assert_eq!(seen(&paths, antenna, far, 8f64.hypot(4.7)), 0.0);
+}
+
+#[test]
+fn the_field_beside_a_corner_is_that_of_a_half_plane() {
+    let antenna = DVec3::new(1.0, 0.3, 1.5);
+    let paths = ImagePaths::discover(environment(l_corridor()), antenna, &LaunchOptions::default());
+    let wavelength_m = std::f64::consts::TAU / K;
+    let mut last: Option<f64> = None;
+    for step in -40..=40 {
+        // Of the way to (7, 2.34) the corner lies just on it.
+        let point = DVec3::new(7.0, 2.34 - 0.002 * f64::from(step), 1.5);
+        let along = DVec2::new(6.0, point.y - 0.3);
+        let corner = DVec2::new(5.0, 1.7);
+        let clearance_m = along.perp_dot(corner) / along.length();
+        let d1 = along.dot(corner) / along.length();
+        let d2 = along.length() - d1;
+        let nu = clearance_m * (2.0 * (d1 + d2) / (wavelength_m * d1 * d2)).sqrt();
+        let field = paths.illuminate(&isotropic(antenna), 0, point).field;
+        let got = Complex64::new(field.re.z, field.im.z);
+        if nu.abs() < 2.7 {
+            assert!((got - half_plane(nu)).norm() < 0.01, "{nu}: {got} {}", half_plane(nu));
+        }
+        assert!(last.is_none_or(|last| (got.norm() - last).abs() < 0.12), "a jump at {nu}");
+        last = Some(got.norm());
+    }
+}
+
+/// A mirror that ends fades as its own edge says: half the field where the point of reflection lies on the edge.
+#[test]
+fn a_mirror_fades_at_its_edge_and_not_at_a_seam() {
+    let mirror = |x0: f64, x1: f64| {
+        let corners = [[x0, -3.0], [x1, -3.0], [x1, 3.0], [x0, 3.0]].map(|[x, y]| DVec3::new(x, y, 0.0));
+        Facet::new(corners.to_vec(), Wall::Conductor)
+    };
+    let antenna = DVec3::new(-1.0, 0.0, 2.0);
+    let field = |facets: Vec<Facet>, x: f64| {
+        let count = facets.len();
+        let sequences = (0..count as u32).map(|facet| vec![facet]);
+        let paths = ImagePaths::with_sequences(environment(facets), antenna, sequences);
+        assert_eq!(paths.images().len(), 2);
+        paths.illuminate(&isotropic(antenna), 1, DVec3::new(x, 0.0, 2.0)).field.magnitude()
+    };
+    // The point of reflection lies half way.
+    let whole = |x: f64| field(vec![mirror(-4.0, 6.0)], x);
+    for (x, part) in [(1.0, 0.5), (0.2, 1.0), (2.4, 0.0)] {
+        let got = field(vec![mirror(-4.0, 0.0)], x) / whole(x);
+        assert!((got - part).abs() < 0.06, "{x}: {got}");
+    }
+    for x in [0.8, 0.9, 0.999, 1.0, 1.001, 1.2] {
+        let split = field(vec![mirror(-4.0, 0.0), mirror(0.0, 6.0)], x);
+        assert!((split / whole(x) - 1.0).abs() < 1e-9, "{x}: {split} {}", whole(x));
+    }
+    // A slot of 4 m in a mirror.
+    assert!(field(vec![mirror(-4.0, -2.0), mirror(2.0, 6.0)], 1.0) < 0.06 * whole(1.0));
+}
+
+/// A thin metal partition shadows what is behind it, and an edge in the way gives no step.
+#[test]
+fn a_partition_shadows_and_mirrors() {
+    let outline = [[-4.0, -2.0], [4.0, -2.0], [4.0, 2.0], [-4.0, 2.0]].map(DVec2::from_array);
+    let mut facets = extruded(&outline, 2.5);
+    facets.extend(sheet(DVec2::new(0.0, 2.0), DVec2::new(0.0, 0.0), 2.5, Wall::Conductor));
+    let antenna = DVec3::new(-2.0, 0.6, 1.2);
+    let paths = ImagePaths::discover(environment(facets), antenna, &LaunchOptions::default());
+    assert_eq!(paths.environment().soft_edges().len(), 1);
+    let at = |point: DVec3| paths.illuminate(&isotropic(antenna), 0, point).field.magnitude();
+    assert_eq!(at(DVec3::new(2.0, 1.2, 1.2)), 0.0);
+    assert!((at(DVec3::new(2.0, -1.6, 1.2)) - 1.0).abs() < 0.1);
+    assert!((at(DVec3::new(2.0, -0.6, 1.2)) - 0.5).abs() < 0.01);
+    // The mirror image at x = 2 is seen before the partition.
+    let mirrored = seen(&paths, antenna, DVec3::new(-1.0, 1.0, 1.2), 3f64.hypot(0.4));
+    assert!((mirrored - 1.0).abs() < 1e-6, "{mirrored}");
+}
+
+#[test]
+fn the_same_is_found_on_any_number_of_threads() {
+    let facets = environment(l_corridor());
+    let antenna = DVec3::new(1.0, 0.3, 1.5);
+    let found = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| ImagePaths::discover(Arc::clone(&facets), antenna, &LaunchOptions::default()))
+    };
+    let (one, three) = (found(1), found(3));
+    assert_eq!(one.report(), three.report());
+    assert_eq!(one.images(), three.images());
+}
+
+/// Power at a point by all images.
+fn power(paths: &ImagePaths, antenna: &Element, point: DVec3) -> f64 {
+    let of = |i: usize| {
+        let arrival = paths.illuminate(antenna, i, point);
+        (arrival.field.magnitude() / arrival.distance_m).powi(2)
+    };
+    (0..paths.images().len()).map(of).sum()
+}
+
+/// 200 rooms: stars, L shapes, and both with a partition. What rays miss of every sequence of up to three facets.
+#[test]
+fn rays_miss_less_than_40_db_of_the_power() {
+    let options = LaunchOptions { max_order: 3, refinements: 3, max_rays: 40_000 };
+    let (mut all, mut missed, mut worst) = (0.0, 0.0, 0.0f64);
+    for seed in 0..200 {
+        let mut rng = Xoshiro256PlusPlus::seed_from_u64(seed);
+        let outline = if seed % 3 == 0 { l_shape(&mut rng) } else { star(&mut rng) };
+        let height_m = rng.random_range(2.3..3.2);
+        let mut facets = extruded(&outline, height_m);
+        if seed % 2 == 0 {
+            // From near the middle half way to a corner, so that it crosses no wall.
+            let from = DVec2::new(0.35, -0.25);
+            facets.extend(sheet(from, from.lerp(outline[0], 0.5), height_m, slab(2)));
+        }
+        let facets = environment(facets);
+        let antenna = isotropic(DVec3::new(rng.random_range(-0.2..0.2), rng.random_range(-0.2..0.2), 1.3));
+        let paths = ImagePaths::discover(Arc::clone(&facets), antenna.position, &options);
+        let found: Vec<&Vec<u32>> = paths.images().iter().flat_map(|image| &image.sequences).collect();
+        let left = all_sequences(&facets, antenna.position, 3).into_iter().filter(|s| !found.contains(&s));
+        let unseen = ImagePaths::with_sequences(Arc::clone(&facets), antenna.position, left);
+        let (mut of_room, mut of_unseen) = (0.0, 0.0);
+        for _ in 0..10 {
+            let place = DVec2::new(rng.random_range(-5.0..5.0), rng.random_range(-5.0..5.0));
+            if !holds(&outline, place) || place.length() < 0.5 {
+                continue;
+            }
+            let point = place.extend(rng.random_range(0.3..2.0));
+            // The first image is the antenna itself, which is among those found.
+            let straight = paths.illuminate(&antenna, 0, point);
+            of_unseen += power(&unseen, &antenna, point) - (straight.field.magnitude() / straight.distance_m).powi(2);
+            of_room += power(&paths, &antenna, point);
+        }
+        all += of_room + of_unseen;
+        missed += of_unseen;
+        worst = worst.max(of_unseen / (of_room + of_unseen).max(1e-12));
+    }
+    assert!(missed < 1e-4 * all, "missed {:.1} dB, in the worst room {:.1} dB", db(missed / all), db(worst));
+}
+
+fn db(ratio: f64) -> f64 {
+    10.0 * ratio.max(1e-30).log10()
+}
+
+#[test]
+fn every_sequence_of_a_box_makes_the_lattice() {
+    let room = BoxRoom::new(DVec3::new(4.0, 3.0, 2.5), [slab(0); 6], K, false);
+    let paths = all_images(environment(Facet::of_box(&room)), DVec3::new(1.1, 1.2, 1.3), 3);
+    assert_eq!(paths.images().len(), images(3).len());
+}

@@ -1,0 +1,110 @@
+//! Frequency grids of all chirps of a frame, block by block: what stands still, paths, diffuse echoes, and skins.
+
+use std::ops::Range;
+
+use num_complex::Complex;
+
+use super::Renderer;
+use super::clutter::{NO_STATIC, StaticGrids};
+use super::paths::Traced;
+use crate::receiver::chirp_turn::ChirpTurn;
+use crate::synthesis::{CHIRPS, Grid, Grids, Places, SynthesisScratch};
+
+impl Renderer {
+    /// The frequency grid of every chirp of every receiver: static grids, paths, diffuse echoes and skins, with the errors that all
+    /// echoes of the chirp share, if there are any. Chirps of a receiver come in their order.
+    pub(super) fn each_chirp(
+        &self,
+        traced: &Traced,
+        static_grids: &StaticGrids,
+        turns: &[ChirpTurn],
+        mut visit: impl FnMut(usize, usize, &Grid),
+    ) {
+        let shape = self.waveform().shape();
+        let mut grids = vec![self.synthesiser.grids(); shape.rx];
+        let mut grid = self.synthesiser.grid();
+        for begin in (0..shape.chirps).step_by(CHIRPS) {
+            let end = (begin + CHIRPS).min(shape.chirps);
+            self.lay_static(begin..end, traced.halvings, static_grids, &mut grids);
+            for halvings in (0..=traced.tracks.most_halvings()).filter(|&h| !traced.tracks.is_empty_at(h)) {
+                for (stretch, places) in self.stretches_of(begin..end, halvings) {
+                    let tracks = traced.tracks.at(halvings, stretch);
+                    self.synthesiser.spread_tracks(&self.stage.chirp, tracks, &places, &mut grids);
+                }
+            }
+            if let Some(halvings) = traced.diffuse.len().checked_ilog2() {
+                for (stretch, places) in self.stretches_of(begin..end, halvings) {
+                    if let Some(echoes) = traced.diffuse.get(stretch) {
+                        self.synthesiser.spread_held(&self.stage.chirp, echoes, &places, &mut grids);
+                    }
+                }
+            }
+            for (rx, grids) in grids.iter().enumerate() {
+                for (lane, chirp) in (begin..end).enumerate() {
+                    grids.extract(lane, &mut grid);
+                    if let Some(skins) = &traced.skins {
+                        skins.add_to(rx, chirp, &mut grid);
+                    }
+                    if static_grids.by_chirp
+                        && let Some(own) = static_grids.grids.get(rx).and_then(|grids| grids.get(chirp))
+                    {
+                        grid.add(own);
+                    }
+                    if let Some(turn) = turns.get(chirp) {
+                        let factor = Complex::new(turn.factor.re as f32, turn.factor.im as f32);
+                        self.synthesiser.turn(factor, turn.late_s * self.stage.chirp.sample_rate_hz, &mut grid);
+                    }
+                    visit(rx, chirp, &grid);
+                }
+            }
+        }
+    }
+
+    /// Replaces what is on the grids of a block of chirps by static paths between the ends of stretches.
+    fn lay_static(&self, block: Range<usize>, halvings: u32, static_grids: &StaticGrids, grids: &mut [Grids]) {
+        for (rx, grids) in grids.iter_mut().enumerate() {
+            grids.clear();
+            let at_ends = static_grids.grids.get(rx).filter(|_| !static_grids.by_chirp);
+            let Some(at_ends) = at_ends else { continue };
+            for (stretch, places) in self.stretches_of(block.clone(), halvings) {
+                if let Some([a, b]) = at_ends.get(stretch..stretch + 2) {
+                    grids.blend(a, b, &places);
+                }
+            }
+        }
+    }
+
+    /// The stretches of a frame that is halved this often in which chirps of a block lie, each with the places of those chirps.
+    fn stretches_of(&self, block: Range<usize>, halvings: u32) -> Vec<(usize, Places)> {
+        let (active_s, stretches) = (self.active_s(), 1usize << halvings);
+        let at = |chirp: usize| self.middle_s(chirp) / active_s * stretches as f64;
+        let stretch_of = |chirp: usize| (at(chirp) as usize).min(stretches - 1);
+        let mut of_block = Vec::new();
+        let mut begin = block.start;
+        while begin < block.end {
+            let stretch = stretch_of(begin);
+            let end = (begin..block.end).find(|&chirp| stretch_of(chirp) != stretch).unwrap_or(block.end);
+            let lanes = begin - block.start..end - block.start;
+            of_block.push((stretch, Places::new(lanes, |lane| at(block.start + lane) - stretch as f64)));
+            begin = end;
+        }
+        of_block
+    }
+
+    /// What comes back from people alone, without anything static and without a receiver's noise, LSB: `[rx][chirp][sample]`.
+    pub(crate) fn echo_samples(&self, index: u64, halvings: Option<u32>) -> Vec<f32> {
+        let shape = self.waveform().shape();
+        let start_s = self.start_s(index);
+        let motions = self.motions(start_s);
+        let traced = self.traced(&self.instants(&motions, start_s, halvings), halvings);
+        let mut scratch = SynthesisScratch::default();
+        let mut all = vec![0f32; shape.codes()];
+        self.each_chirp(&traced, &NO_STATIC, &[], |rx, chirp, grid| {
+            let first = (rx * shape.chirps + chirp) * shape.samples;
+            if let Some(samples) = all.get_mut(first..first + shape.samples) {
+                self.synthesiser.transform(grid, samples, &mut scratch);
+            }
+        });
+        all
+    }
+}

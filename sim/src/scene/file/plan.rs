@@ -1,0 +1,135 @@
+//! Keys of `[room.plan]`: a floor plan with openings and doors, drawn up to a height.
+
+use serde::Deserialize;
+
+use super::SurfaceFile;
+
+/// A room of upright walls over a polygon. Wall `i` leads from corner `i` to the next one.
+///
+/// ```toml
+/// [room.plan]
+/// corners_m = [[0.0, 0.0], [8.0, 0.0], [8.0, 2.0], [2.0, 2.0], [2.0, 6.0], [0.0, 6.0]]
+/// height_m = 2.5
+/// walls = { material = "plasterboard", thickness_m = 0.1 }
+///
+/// [[room.plan.opening]]
+/// wall = 0
+/// from_m = 3.0
+/// to_m = 3.9
+/// head_m = 2.0
+/// door = { hinge = "from", open_deg = 40.0, material = "wood" }
+/// ```
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanFile {
+    /// Corners of the floor, `[x, y]`, m, in order and either way round: 3 to 200. The least x and the least y are 0.
+    pub corners_m: Vec<[f64; 2]>,
+    /// Height of the ceiling over the floor, m: 0.5 to 100.
+    pub height_m: f64,
+    /// What all walls are made of, but for those of `wall`.
+    pub walls: SurfaceFile,
+    /// Walls that are made of something else.
+    #[serde(default)]
+    pub wall: Vec<PlanWallFile>,
+    /// Openings in the walls.
+    #[serde(default)]
+    pub opening: Vec<OpeningFile>,
+    /// Walls within the room.
+    #[serde(default)]
+    pub partition: Vec<PartitionFile>,
+}
+
+/// A wall that is made of something else than the others.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanWallFile {
+    /// Which wall.
+    pub index: usize,
+    /// Material: one of the table's or of the scene's own; "open" for no wall.
+    pub material: String,
+    /// Thickness, m. Default 0.1.
+    #[serde(default = "super::tenth")]
+    pub thickness_m: f64,
+}
+
+/// A wall within the room: an upright sheet on a straight line.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PartitionFile {
+    /// Where it begins, m.
+    pub from_m: [f64; 2],
+    /// Where it ends, m.
+    pub to_m: [f64; 2],
+    /// Height over the floor, m. Default that of the room.
+    #[serde(default)]
+    pub height_m: Option<f64>,
+    /// Material: one of the table's or of the scene's own.
+    pub material: String,
+    /// Thickness, m. Default 0.1. It counts for what passes through; in the plan the partition is a line.
+    #[serde(default = "super::tenth")]
+    pub thickness_m: f64,
+    /// Openings in it, without `wall`.
+    #[serde(default)]
+    pub opening: Vec<OpeningFile>,
+}
+
+/// A rectangular opening in a wall or a partition: free, with a pane, or with a door.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OpeningFile {
+    /// Which wall it is in. Needed in `[[room.plan.opening]]`; none in a partition's own.
+    #[serde(default)]
+    pub wall: Option<usize>,
+    /// Where it begins along the wall, from the corner or place where that begins, m.
+    pub from_m: f64,
+    /// Where it ends, m.
+    pub to_m: f64,
+    /// Height of its lower edge over the floor, m. Default 0.
+    #[serde(default)]
+    pub sill_m: f64,
+    /// Height of its upper edge over the floor, m.
+    pub head_m: f64,
+    /// Material of a pane that fills it. None if absent.
+    #[serde(default)]
+    pub material: Option<String>,
+    /// Thickness of the pane, m. Default 0.006.
+    #[serde(default = "pane_thickness")]
+    pub thickness_m: f64,
+    /// A door in it. None if absent.
+    #[serde(default)]
+    pub door: Option<DoorLeafFile>,
+}
+
+/// A door leaf as wide and as high as its opening.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DoorLeafFile {
+    /// End of the opening at which it hangs: "from" or "to".
+    pub hinge: HingeFile,
+    /// How far it is open, degrees: 0 for shut; positive into the room (of a partition: to the left of the way along it),
+    /// negative the other way. -170 to 170.
+    #[serde(default)]
+    pub open_deg: f64,
+    /// Material: one of the table's or of the scene's own.
+    pub material: String,
+    /// Thickness, m. Default 0.04.
+    #[serde(default = "leaf_thickness")]
+    pub thickness_m: f64,
+}
+
+/// Ends of an opening.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HingeFile {
+    /// Where the opening begins.
+    From,
+    /// Where the opening ends.
+    To,
+}
+
+fn pane_thickness() -> f64 {
+    0.006
+}
+fn leaf_thickness() -> f64 {
+    0.04
+}

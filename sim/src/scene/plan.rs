@@ -1,0 +1,401 @@
+//! Rooms from floor plans: what a plan may say, and its walls, panes and doors as faces.
+
+use glam::{DVec2, DVec3};
+
+use super::Outline;
+use super::check::{Fault, check_material, fault, within};
+use super::file::{DoorLeafFile, HingeFile, OpeningFile, PartitionFile, PlanFile, SceneFile, SurfaceFile};
+use super::surfaces::Draft;
+use super::surfaces::sources::{ROOM, solid};
+use crate::geometry::{Mesh, PlanarPolygon, planes};
+
+/// Places so near are one, m.
+const SAME_M: f64 = 1e-6;
+/// Walls and openings are no shorter, m.
+const LEAST_LENGTH_M: f64 = 0.05;
+/// The radar keeps so far from walls, m.
+const RADAR_OFF_M: f64 = 0.01;
+/// Corners, openings and partitions of a plan at most.
+const MOST: f64 = 200.0;
+
+/// Where there is a plan: checks it, and puts the size of the box around it and its walls in their place.
+pub(super) fn fill(file: &mut SceneFile) -> Result<(), Fault> {
+    let Some(plan) = &file.room.plan else { return Ok(()) };
+    if file.room.size_m != [0.0; 3] {
+        return fault("size_m", file.room.size_m, "none beside [room.plan]: the size is that of the box around it");
+    }
+    check_outline(plan)?;
+    check_walls(file, plan)?;
+    for partition in &plan.partition {
+        check_partition(file, plan, partition)?;
+    }
+    let high = corners(plan).into_iter().fold(DVec2::ZERO, DVec2::max);
+    let (size_m, walls) = ([high.x, high.y, plan.height_m], plan.walls.clone());
+    let room = &mut file.room;
+    room.size_m = size_m;
+    for wall in [&mut room.x_low, &mut room.x_high, &mut room.y_low, &mut room.y_high] {
+        *wall = walls.clone();
+    }
+    Ok(())
+}
+
+/// Where there is a plan: whether radar, furniture, seats, beds and doors have their places in it.
+pub(super) fn check_places(file: &SceneFile) -> Result<(), Fault> {
+    let Some(plan) = &file.room.plan else { return Ok(()) };
+    let Some(floor) = floor(plan) else { return Ok(()) };
+    let off_walls_m = |[x, y]: [f64; 2]| floor.clearance(DVec3::new(x, y, 0.0)).distance_m;
+    let is_within = |place: [f64; 2]| off_walls_m(place) >= -SAME_M;
+    let [x, y, _] = file.radar.position_m;
+    let of_partition = |p: &PartitionFile| distance_m(DVec2::new(x, y), ends(p));
+    let off_m = plan.partition.iter().map(of_partition).fold(off_walls_m([x, y]), f64::min);
+    if off_m < RADAR_OFF_M {
+        let expected = "a place within [room.plan], 1 cm or more from its walls and partitions";
+        return fault("position_m", file.radar.position_m, expected);
+    }
+    for f in &file.furniture {
+        let ([x, y, _], [dx, dy, _]) = (f.position_m, f.size_m);
+        if ![[x, y], [x + dx, y], [x, y + dy], [x + dx, y + dy]].into_iter().all(is_within) {
+            return fault("furniture", (&f.name, f.position_m, f.size_m), "a box within the walls of [room.plan]");
+        }
+    }
+    for (key, place) in
+        file.seat.iter().map(|s| ("seat", s.position_m)).chain(file.bed.iter().map(|b| ("bed", b.position_m)))
+    {
+        if !is_within(place) {
+            return fault(key, place, "a place within the walls of [room.plan]");
+        }
+    }
+    for door in &file.door {
+        if off_walls_m(door.position_m).abs() > SAME_M {
+            return fault("door", door.position_m, "a place on a wall of [room.plan]");
+        }
+    }
+    Ok(())
+}
+
+fn corners(plan: &PlanFile) -> Vec<DVec2> {
+    plan.corners_m.iter().map(|&corner| DVec2::from_array(corner)).collect()
+}
+
+/// Ends of all walls.
+fn walls(plan: &PlanFile) -> Vec<[DVec2; 2]> {
+    let corners = corners(plan);
+    corners.iter().zip(corners.iter().cycle().skip(1)).map(|(&a, &b)| [a, b]).collect()
+}
+
+fn ends(partition: &PartitionFile) -> [DVec2; 2] {
+    [DVec2::from_array(partition.from_m), DVec2::from_array(partition.to_m)]
+}
+
+/// The floor, which faces up.
+fn floor(plan: &PlanFile) -> Option<PlanarPolygon> {
+    let corners: Vec<DVec3> = corners(plan).into_iter().map(|corner| corner.extend(0.0)).collect();
+    let floor = PlanarPolygon::from_corners(&corners, &[])?;
+    Some(if floor.normal.z > 0.0 { floor } else { floor.flipped() })
+}
+
+fn distance_m(point: DVec2, [a, b]: [DVec2; 2]) -> f64 {
+    let along = b - a;
+    let part = ((point - a).dot(along) / along.length_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+    point.distance(a + along * part)
+}
+
+/// Whether two lines cross each other between their ends.
+fn cross([a, b]: [DVec2; 2], [c, d]: [DVec2; 2]) -> bool {
+    let side = |p: DVec2, q: DVec2, r: DVec2| (q - p).normalize_or_zero().perp_dot(r - p);
+    let parts = |p: f64, q: f64| p.min(q) < -SAME_M && p.max(q) > SAME_M;
+    parts(side(a, b, c), side(a, b, d)) && parts(side(c, d, a), side(c, d, b))
+}
+
+fn check_outline(plan: &PlanFile) -> Result<(), Fault> {
+    within("corners_m", plan.corners_m.len() as f64, 3.0, MOST, "corners")?;
+    for at in plan.corners_m.iter().flatten() {
+        within("corners_m", *at, 0.0, 100.0, "m")?;
+    }
+    let low = corners(plan).into_iter().fold(DVec2::INFINITY, DVec2::min);
+    if low.abs().max_element() > 1e-9 {
+        return fault("corners_m", low.to_array(), "0 as the least x and as the least y");
+    }
+    within("height_m", plan.height_m, 0.5, 100.0, "m")?;
+    let walls = walls(plan);
+    for (i, &wall) in walls.iter().enumerate() {
+        if wall[0].distance(wall[1]) < LEAST_LENGTH_M {
+            return fault("corners_m", wall.map(|end| end.to_array()), "corners 5 cm or more from the next");
+        }
+        for (j, &other) in walls.iter().enumerate().skip(i + 1) {
+            let follows = j == i + 1;
+            let precedes = i == 0 && j + 1 == walls.len();
+            let is_hit = match (follows, precedes) {
+                // They share a corner: does one fold back onto the other?
+                (true, _) => distance_m(other[1], wall) < SAME_M || distance_m(wall[0], other) < SAME_M,
+                (_, true) => distance_m(other[0], wall) < SAME_M || distance_m(wall[1], other) < SAME_M,
+                _ => {
+                    cross(wall, other)
+                        || other.iter().any(|&end| distance_m(end, wall) < SAME_M)
+                        || wall.iter().any(|&end| distance_m(end, other) < SAME_M)
+                }
+            };
+            if is_hit {
+                let expected = format!("a line around the room that does not meet itself, as walls {i} and {j} do");
+                return fault("corners_m", [wall, other].map(|ends| ends.map(|end| end.to_array())), expected);
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_walls(file: &SceneFile, plan: &PlanFile) -> Result<(), Fault> {
+    let count = plan.corners_m.len();
+    check_material(file, "walls", &plan.walls.material)?;
+    within("thickness_m", plan.walls.thickness_m, 0.0, 10.0, "m")?;
+    for (number, wall) in plan.wall.iter().enumerate() {
+        let is_again = plan.wall.iter().take(number).any(|other| other.index == wall.index);
+        if wall.index >= count || is_again {
+            return fault("index", wall.index, format!("an index below the number of walls, {count}, once"));
+        }
+        check_material(file, "material", &wall.material)?;
+        within("thickness_m", wall.thickness_m, 0.0, 10.0, "m")?;
+    }
+    within("opening", plan.opening.len() as f64, 0.0, MOST, "tables")?;
+    within("partition", plan.partition.len() as f64, 0.0, MOST, "tables")?;
+    if let Some(opening) = plan.opening.iter().find(|opening| opening.wall.is_none_or(|wall| wall >= count)) {
+        return fault("opening", opening.wall, format!("wall = an index below the number of walls, {count}"));
+    }
+    for (index, [from, to]) in walls(plan).into_iter().enumerate() {
+        let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
+        check_openings(file, &openings, from.distance(to), plan.height_m)?;
+    }
+    Ok(())
+}
+
+fn check_partition(file: &SceneFile, plan: &PlanFile, partition: &PartitionFile) -> Result<(), Fault> {
+    let line = ends(partition);
+    let place = (partition.from_m, partition.to_m);
+    for at in partition.from_m.iter().chain(&partition.to_m) {
+        within("partition", *at, 0.0, 100.0, "m")?;
+    }
+    let length_m = line[0].distance(line[1]);
+    if length_m < LEAST_LENGTH_M {
+        return fault("partition", place, "from_m and to_m 5 cm or more from each other");
+    }
+    let floor = floor(plan);
+    let is_within = |place: DVec2| {
+        let clearance = floor.as_ref().map(|floor| floor.clearance(place.extend(0.0)));
+        clearance.is_some_and(|clearance| clearance.distance_m >= -SAME_M)
+    };
+    let leads_within = [line[0], line[0].lerp(line[1], 0.5), line[1]].into_iter().all(is_within);
+    if !leads_within || walls(plan).into_iter().any(|wall| cross(wall, line)) {
+        return fault("partition", place, "a line within the walls of [room.plan]");
+    }
+    let height_m = partition.height_m.unwrap_or(plan.height_m);
+    within("height_m", height_m, LEAST_LENGTH_M, plan.height_m, "m (the room's)")?;
+    check_material(file, "material", &partition.material)?;
+    within("thickness_m", partition.thickness_m, 0.0, 10.0, "m")?;
+    within("opening", partition.opening.len() as f64, 0.0, MOST, "tables")?;
+    if let Some(opening) = partition.opening.iter().find(|opening| opening.wall.is_some()) {
+        return fault("opening", opening.wall, "no wall in a partition's own opening");
+    }
+    check_openings(file, &partition.opening.iter().collect::<Vec<_>>(), length_m, height_m)
+}
+
+/// Openings of one wall of a length and height.
+fn check_openings(file: &SceneFile, all: &[&OpeningFile], length_m: f64, height_m: f64) -> Result<(), Fault> {
+    for (number, opening) in all.iter().enumerate() {
+        let [from, to, sill, head] = rectangle(opening);
+        let spans =
+            |low: f64, high: f64, most: f64| low >= 0.0 && high - low >= LEAST_LENGTH_M && high <= most + SAME_M;
+        if !spans(from, to, length_m) {
+            return fault(
+                "opening",
+                [from, to],
+                format!("from_m and to_m, 5 cm apart or more, within 0 to {length_m} m"),
+            );
+        }
+        if !spans(sill, head, height_m) {
+            return fault(
+                "opening",
+                [sill, head],
+                format!("sill_m and head_m, 5 cm apart or more, within 0 to {height_m} m"),
+            );
+        }
+        let meets = |other: &&&OpeningFile| {
+            let [other_from, other_to, other_sill, other_head] = rectangle(other);
+            from < other_to - SAME_M
+                && other_from < to - SAME_M
+                && sill < other_head - SAME_M
+                && other_sill < head - SAME_M
+        };
+        if let Some(other) = all.iter().take(number).find(meets) {
+            let expected = format!("an opening beside the one from {} to {} m", other.from_m, other.to_m);
+            return fault("opening", [from, to], expected);
+        }
+        if opening.material.is_some() && opening.door.is_some() {
+            return fault("opening", "a pane and a door", "material or door");
+        }
+        within("thickness_m", opening.thickness_m, 0.0, 10.0, "m")?;
+        opening.material.iter().try_for_each(|material| check_material(file, "material", material))?;
+        if let Some(door) = &opening.door {
+            within("open_deg", door.open_deg, -170.0, 170.0, "degrees")?;
+            within("thickness_m", door.thickness_m, 0.0, 10.0, "m")?;
+            check_material(file, "material", &door.material)?;
+        }
+    }
+    Ok(())
+}
+
+/// Begin and end along the wall and over the floor, m.
+fn rectangle(opening: &OpeningFile) -> [f64; 4] {
+    [opening.from_m, opening.to_m, opening.sill_m, opening.head_m]
+}
+
+/// An upright rectangle on a line.
+struct Upright {
+    ends: [DVec3; 2],
+    height_m: f64,
+}
+
+impl Upright {
+    fn new([from, to]: [DVec2; 2], height_m: f64) -> Self {
+        Upright { ends: [from.extend(0.0), to.extend(0.0)], height_m }
+    }
+
+    fn length_m(&self) -> f64 {
+        self.ends[0].distance(self.ends[1])
+    }
+
+    fn at(&self, along_m: f64, up_m: f64) -> DVec3 {
+        self.ends[0].lerp(self.ends[1], along_m / self.length_m()).with_z(up_m)
+    }
+
+    /// A part of it, which faces to the left of the way along it.
+    fn part(&self, [from, to, sill, head]: [f64; 4]) -> Option<PlanarPolygon> {
+        let corners = [self.at(from, sill), self.at(from, head), self.at(to, head), self.at(to, sill)];
+        PlanarPolygon::from_corners(&corners, &[])
+    }
+
+    /// What openings leave of it, which faces to the left.
+    fn pierced(&self, openings: &[&OpeningFile]) -> Vec<PlanarPolygon> {
+        let lines = |most: f64, of: &dyn Fn(&[f64; 4]) -> [f64; 2]| {
+            let cuts = openings.iter().flat_map(|opening| of(&rectangle(opening)));
+            let mut lines: Vec<f64> = [0.0, most].into_iter().chain(cuts.map(|cut| cut.clamp(0.0, most))).collect();
+            lines.sort_by(f64::total_cmp);
+            lines.dedup_by(|later, earlier| *later - *earlier <= SAME_M);
+            lines
+        };
+        let across = lines(self.length_m(), &|r| [r[0], r[1]]);
+        let up = lines(self.height_m, &|r| [r[2], r[3]]);
+        let vertices = up.iter().flat_map(|&up_m| across.iter().map(move |&along_m| self.at(along_m, up_m))).collect();
+        let mut mesh = Mesh { vertices, triangles: Vec::new() };
+        for (row, height) in up.windows(2).enumerate() {
+            for (column, width) in across.windows(2).enumerate() {
+                let (along_m, up_m) = (0.5 * (width[0] + width[1]), 0.5 * (height[0] + height[1]));
+                let is_open = openings.iter().any(|opening| {
+                    let [from, to, sill, head] = rectangle(opening);
+                    (from..to).contains(&along_m) && (sill..head).contains(&up_m)
+                });
+                if !is_open {
+                    let a = (row * across.len() + column) as u32;
+                    let (b, d) = (a + 1, a + across.len() as u32);
+                    mesh.triangles.extend([[a, d, d + 1], [a, d + 1, b]]);
+                }
+            }
+        }
+        planes(&mesh, SAME_M).planes.iter().flat_map(|plane| PlanarPolygon::of_plane(&mesh, plane)).collect()
+    }
+
+    /// A door leaf in an opening, and whether it is shut.
+    fn leaf(&self, opening: &OpeningFile, door: &DoorLeafFile, left: f64) -> (Option<PlanarPolygon>, bool) {
+        let [from, to, sill, head] = rectangle(opening);
+        let (hinge, end) = match door.hinge {
+            HingeFile::From => (from, to),
+            HingeFile::To => (to, from),
+        };
+        let (hinge, shut) = (self.at(hinge, sill), self.at(end, sill));
+        // To the left of the way along the wall, whichever end it hangs at.
+        let turn = if door.hinge == HingeFile::From { left } else { -left };
+        let (sine, cosine) = (turn * door.open_deg.to_radians()).sin_cos();
+        let way = shut - hinge;
+        let end = hinge + DVec3::new(cosine * way.x - sine * way.y, sine * way.x + cosine * way.y, 0.0);
+        let corners = [hinge, hinge.with_z(head), end.with_z(head), end];
+        (PlanarPolygon::from_corners(&corners, &[]), door.open_deg.abs() < 1e-6)
+    }
+}
+
+/// Collects faces with their groups, and what they look like.
+struct Builder<'a> {
+    file: &'a SceneFile,
+    frequency_hz: f64,
+    drafts: Vec<Draft>,
+    outlines: Vec<Outline>,
+    groups: usize,
+}
+
+impl Builder<'_> {
+    fn group(&mut self) -> usize {
+        self.groups += 1;
+        self.groups
+    }
+
+    /// Adds faces, unless their material is none.
+    fn add(&mut self, polygons: impl IntoIterator<Item = PlanarPolygon>, of: (&str, f64), name: &str, group: usize) {
+        let surface = SurfaceFile { material: of.0.to_owned(), thickness_m: of.1 };
+        let Some(wall) = solid(self.file, &surface, self.frequency_hz) else { return };
+        for polygon in polygons {
+            self.outlines.push(Outline { material: surface.material.clone(), edges: polygon.edges().collect() });
+            self.drafts.push(Draft { polygon, wall, name: name.to_owned(), group });
+        }
+    }
+
+    /// Adds a wall or partition with its panes and doors. It faces to the left of the way along it, or to the right.
+    fn upright(&mut self, upright: &Upright, openings: &[&OpeningFile], of: (&str, f64), place: (&str, usize, bool)) {
+        let (name, group, is_left) = place;
+        let facing = |polygon: PlanarPolygon| if is_left { polygon } else { polygon.flipped() };
+        self.add(upright.pierced(openings).into_iter().map(facing), of, name, group);
+        for opening in openings {
+            if let Some(material) = &opening.material {
+                let pane = upright.part(rectangle(opening)).map(facing);
+                self.add(pane, (material, opening.thickness_m), &format!("pane in {name}"), group);
+            }
+            if let Some(door) = &opening.door {
+                let (leaf, is_shut) = upright.leaf(opening, door, if is_left { 1.0 } else { -1.0 });
+                // A leaf that is open closes no volume with the wall.
+                let group = if is_shut { group } else { self.group() };
+                self.add(leaf, (&door.material, door.thickness_m), &format!("door in {name}"), group);
+            }
+        }
+    }
+}
+
+/// Walls, floor, ceiling, partitions, panes and doors of a plan; and what they look like.
+pub(super) fn faces(file: &SceneFile, plan: &PlanFile, frequency_hz: f64) -> (Vec<Draft>, Vec<Outline>) {
+    let mut builder = Builder { file, frequency_hz, drafts: Vec::new(), outlines: Vec::new(), groups: ROOM };
+    let twice_area_m2: f64 = walls(plan).iter().map(|[a, b]| a.perp_dot(*b)).sum();
+    for (index, ends) in walls(plan).into_iter().enumerate() {
+        let of = match plan.wall.iter().find(|wall| wall.index == index) {
+            Some(wall) => (wall.material.as_str(), wall.thickness_m),
+            None => (plan.walls.material.as_str(), plan.walls.thickness_m),
+        };
+        let openings: Vec<&OpeningFile> = plan.opening.iter().filter(|opening| opening.wall == Some(index)).collect();
+        let name = format!("wall {index}");
+        let upright = Upright::new(ends, plan.height_m);
+        builder.upright(&upright, &openings, of, (&name, ROOM, twice_area_m2 > 0.0));
+    }
+    let (floor, room) = (floor(plan), &file.room);
+    let of = (room.ceiling.material.as_str(), room.ceiling.thickness_m);
+    builder.add(floor.as_ref().map(|floor| raised(floor, plan.height_m).flipped()), of, "ceiling", ROOM);
+    builder.add(floor, (&room.floor.material, room.floor.thickness_m), "floor", ROOM);
+    for (number, partition) in plan.partition.iter().enumerate() {
+        let upright = Upright::new(ends(partition), partition.height_m.unwrap_or(plan.height_m));
+        let openings: Vec<&OpeningFile> = partition.opening.iter().collect();
+        let group = builder.group();
+        let of = (partition.material.as_str(), partition.thickness_m);
+        builder.upright(&upright, &openings, of, (&format!("partition {number}"), group, true));
+    }
+    (builder.drafts, builder.outlines)
+}
+
+/// The floor at another height.
+fn raised(floor: &PlanarPolygon, height_m: f64) -> PlanarPolygon {
+    let outline = floor.outline.iter().map(|corner| corner.with_z(height_m)).collect();
+    PlanarPolygon { outline, offset_m: height_m, ..floor.clone() }
+}

@@ -1,0 +1,298 @@
+//! A scene's surfaces: one description of rooms from boxes, floor plans and files.
+//!
+//! Walls, floors and the sides of furniture are [`Face`]s: plane polygons of a slab of a material. What is curved or small stays
+//! a mesh of triangles ([`SmallPart`]), which hides what is behind it. Faces that close a volume have air on one side, and their
+//! normals point to it: into the room where the volume holds the radar. All others have air on both sides, and their normals
+//! point to the side of the radar.
+
+mod sides;
+pub(super) mod sources;
+mod touch;
+
+use std::f64::consts::{PI, TAU};
+
+use glam::DVec3;
+
+use crate::field::image::Wall;
+use crate::geometry::{Mesh, PlanarPolygon};
+use touch::{Index, TOUCH_M, Touch, touches};
+
+/// Planes of a mesh that are smaller than this stay triangles, m^2: the first Fresnel zone in the middle of a path of 2 m at 60 GHz
+/// is 0.008 m^2.
+pub const LEAST_FACE_M2: f64 = 0.01;
+/// Faces that meet at less than this beside a straight angle continue each other, rad.
+const STRAIGHT_RAD: f64 = 0.01;
+
+/// On which sides of a face there is air.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sides {
+    /// Where its normal points to: nothing mirrors on the other side.
+    One,
+    /// On either side.
+    Two,
+}
+
+/// A plane surface.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Face {
+    /// Its place, m.
+    pub polygon: PlanarPolygon,
+    /// What it is made of.
+    pub wall: Wall,
+    /// Name of the wall, the piece of furniture or the part of the file, for messages.
+    pub name: String,
+    /// Where there is air.
+    pub sides: Sides,
+}
+
+/// What meets a face where it ends.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum EdgeKind {
+    /// Other faces, with at most 180 degrees of air between: it does not diffract.
+    Inner,
+    /// Another face in the same plane, on either side that has air.
+    Flat,
+    /// Another face, with more than 180 degrees of air between: a wedge, which both faces list.
+    Wedge {
+        /// Angle of the air, rad: pi to two pi.
+        air_rad: f64,
+        /// The other face; `None` where it is of a [`SmallPart`].
+        other: Option<usize>,
+    },
+    /// Nothing: the rim of a sheet.
+    Free,
+}
+
+/// A part of an edge of a face along which the same others meet it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaceEdge {
+    /// The face.
+    pub face: usize,
+    /// Index of the edge, as in [`PlanarPolygon::edges`].
+    pub edge: usize,
+    /// Ends of the part, m, as the edge runs.
+    pub ends: [DVec3; 2],
+    /// Unit vector from the edge into the face.
+    pub inwards: DVec3,
+    /// Unit normal of the face: of a wedge, on the side of its air.
+    pub air: DVec3,
+    /// What else is there.
+    pub kind: EdgeKind,
+}
+
+impl FaceEdge {
+    /// Whether it diffracts.
+    pub fn diffracts(&self) -> bool {
+        matches!(self.kind, EdgeKind::Free | EdgeKind::Wedge { .. })
+    }
+
+    /// Angle of a point about the edge, from the face through the air of a wedge, rad: 0 to two pi.
+    pub fn angle_rad(&self, point: DVec3) -> f64 {
+        let from_edge = point - self.ends[0];
+        self.air.dot(from_edge).atan2(self.inwards.dot(from_edge)).rem_euclid(TAU)
+    }
+
+    /// Whether it diffracts what comes from a point: of a wedge, whether the point lies in its air. A corner of two sheets is a
+    /// wedge for who is outside, and none for who is inside.
+    pub fn diffracts_from(&self, point: DVec3) -> bool {
+        match self.kind {
+            EdgeKind::Free => true,
+            EdgeKind::Wedge { air_rad, .. } => self.angle_rad(point) < air_rad,
+            EdgeKind::Inner | EdgeKind::Flat => false,
+        }
+    }
+}
+
+/// Triangles of one material that are no faces: curved, or too small.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SmallPart {
+    /// The triangles, m.
+    pub mesh: Mesh,
+    /// What they are made of.
+    pub wall: Wall,
+    /// Name of the part of the file.
+    pub name: String,
+}
+
+/// A face that lay within another one of the same plane, and was left out.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Coincident {
+    /// Name of the face that is kept.
+    pub kept: String,
+    /// Name of the face that is left out.
+    pub left_out: String,
+    /// Its area, m^2.
+    pub area_m2: f64,
+}
+
+/// What a triangle of [`Surfaces::triangles`] is of.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Owner {
+    /// A face, by its index.
+    Face(u32),
+    /// A small part, by its index.
+    Small(u32),
+}
+
+/// All surfaces of a scene, in the room's coordinates.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Surfaces {
+    /// Plane surfaces.
+    pub faces: Vec<Face>,
+    /// Their edges, by face.
+    pub edges: Vec<FaceEdge>,
+    /// Triangles that are no faces.
+    pub small: Vec<SmallPart>,
+    /// Faces that were left out because another one covers them.
+    pub coincident: Vec<Coincident>,
+}
+
+/// A face before it is known where there is air.
+#[derive(Debug, Clone)]
+pub(super) struct Draft {
+    pub polygon: PlanarPolygon,
+    pub wall: Wall,
+    pub name: String,
+    /// Faces of one group may close a volume together.
+    pub group: usize,
+}
+
+impl Surfaces {
+    /// Finds out where faces have air and what meets at their edges, and leaves out those that others cover.
+    pub(super) fn assemble(mut drafts: Vec<Draft>, small: Vec<SmallPart>, radar: DVec3) -> Self {
+        let polygons: Vec<PlanarPolygon> = drafts.iter().map(|draft| draft.polygon.clone()).collect();
+        let triangles = small.iter().flat_map(|part| {
+            let corners = (0..part.mesh.triangles.len()).filter_map(move |t| part.mesh.corners(t));
+            corners.filter_map(|corners| PlanarPolygon::from_corners(&corners, &[]))
+        });
+        let triangles: Vec<PlanarPolygon> = triangles.collect();
+        let index = Index::new(&polygons, &triangles);
+        let touches = touches(&polygons, &index);
+        let covered_by: Vec<Option<usize>> = (0..polygons.len()).map(|face| cover(&polygons, &index, face)).collect();
+        let sides = sides::resolve(&mut drafts, &touches, &covered_by, radar);
+
+        let mut made = Surfaces { small, ..Surfaces::default() };
+        let mut number: Vec<Option<usize>> = Vec::with_capacity(drafts.len());
+        for (draft, by) in drafts.iter().zip(&covered_by) {
+            number.push(by.is_none().then_some(made.faces.len()));
+            match by.and_then(|by| drafts.get(by)) {
+                Some(cover) => made.coincident.push(Coincident {
+                    kept: cover.name.clone(),
+                    left_out: draft.name.clone(),
+                    area_m2: draft.polygon.area_m2(),
+                }),
+                None => made.faces.push(Face {
+                    polygon: draft.polygon.clone(),
+                    wall: draft.wall,
+                    name: draft.name.clone(),
+                    sides: sides[number.len() - 1],
+                }),
+            }
+        }
+        made.edges = touches.iter().filter_map(|touch| made.edge(touch, &number)).collect();
+        made
+    }
+
+    /// What a touch of the drafts is to the faces; `number` says which became which.
+    fn edge(&self, touch: &Touch, number: &[Option<usize>]) -> Option<FaceEdge> {
+        let index = number.get(touch.face).copied().flatten()?;
+        let face = self.faces.get(index)?;
+        let edge = face.polygon.clearance(touch.ends[0].lerp(touch.ends[1], 0.5)).edge;
+        let [from, to] = face.polygon.edges().nth(edge)?;
+        let [first, last] = touch.ends;
+        let ends = if (last - first).dot(to - from) >= 0.0 { [first, last] } else { [last, first] };
+        let normal = face.polygon.normal;
+        // Angles of the sheets about the edge, from the face towards its normal. Those that are left out lie within others.
+        let mut sheets: Vec<(f64, Option<usize>)> = Vec::new();
+        for sheet in &touch.sheets {
+            let other = match sheet.face {
+                Some(draft) => match number.get(draft).copied().flatten() {
+                    Some(other) => Some(other),
+                    None => continue,
+                },
+                None => None,
+            };
+            let angle = sheet.towards.dot(normal).atan2(sheet.towards.dot(touch.inwards)).rem_euclid(TAU);
+            if angle > STRAIGHT_RAD && angle < TAU - STRAIGHT_RAD {
+                sheets.push((angle, other));
+            }
+        }
+        sheets.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let (kind, is_front) = kind(&sheets, face.sides);
+        let air = if is_front { normal } else { -normal };
+        Some(FaceEdge { face: index, edge, ends, inwards: touch.inwards, air, kind })
+    }
+
+    /// Edges that diffract, each once: of a wedge, the one that its lower face lists.
+    pub fn diffracting(&self) -> impl Iterator<Item = &FaceEdge> {
+        self.edges.iter().filter(|edge| match edge.kind {
+            EdgeKind::Wedge { other: Some(other), .. } => edge.face < other,
+            _ => edge.diffracts(),
+        })
+    }
+
+    /// Number of triangles that are no faces.
+    pub fn small_triangles(&self) -> usize {
+        self.small.iter().map(|part| part.mesh.triangles.len()).sum()
+    }
+
+    /// All surfaces as triangles, m, and what each of them is of: what visibility is tested against.
+    pub fn triangles(&self) -> (Mesh, Vec<Owner>) {
+        let mut mesh = Mesh::default();
+        let mut owners = Vec::new();
+        let mut add = |corners: [DVec3; 3], owner: Owner| {
+            let first = mesh.vertices.len() as u32;
+            mesh.vertices.extend(corners);
+            mesh.triangles.push([first, first + 1, first + 2]);
+            owners.push(owner);
+        };
+        for (face, owner) in self.faces.iter().zip(0..) {
+            face.polygon.triangulate().into_iter().for_each(|corners| add(corners, Owner::Face(owner)));
+        }
+        for (part, owner) in self.small.iter().zip(0..) {
+            let corners = (0..part.mesh.triangles.len()).filter_map(|t| part.mesh.corners(t));
+            corners.for_each(|corners| add(corners, Owner::Small(owner)));
+        }
+        (mesh, owners)
+    }
+}
+
+/// What meets an edge at which other sheets begin at these angles, ascending; and whether that is where the face's normal points to.
+fn kind(sheets: &[(f64, Option<usize>)], sides: Sides) -> (EdgeKind, bool) {
+    let (Some(&(first, front)), Some(&(last, back))) = (sheets.first(), sheets.last()) else {
+        return (EdgeKind::Free, true);
+    };
+    let both = [(first, front, true), (TAU - last, back, false)];
+    let with_air = match sides {
+        Sides::One => &both[..1],
+        Sides::Two => &both[..],
+    };
+    match with_air.iter().find(|air| air.0 > PI + STRAIGHT_RAD) {
+        Some(&(air_rad, other, is_front)) => (EdgeKind::Wedge { air_rad, other }, is_front),
+        None if with_air.iter().all(|air| air.0 >= PI - STRAIGHT_RAD) => (EdgeKind::Flat, true),
+        None => (EdgeKind::Inner, true),
+    }
+}
+
+/// The face that covers another one: of two that cover each other the first.
+fn cover(polygons: &[PlanarPolygon], index: &Index, face: usize) -> Option<usize> {
+    let polygon = polygons.get(face)?;
+    let [low, high] = polygon.bounds();
+    index
+        .near(low, high)
+        .filter_map(|near| Some((near.face?, near.polygon)))
+        .filter(|&(other, larger)| {
+            other != face && covers(larger, polygon) && (other < face || !covers(polygon, larger))
+        })
+        .map(|(other, _)| other)
+        .min()
+}
+
+/// Whether one polygon lies in another one of the same plane, on whichever side that has its normal.
+fn covers(larger: &PlanarPolygon, smaller: &PlanarPolygon) -> bool {
+    let within = |point: DVec3| larger.clearance(point).distance_m >= -TOUCH_M;
+    smaller.loops().flatten().all(|corner| larger.height_m(*corner).abs() <= TOUCH_M)
+        && smaller.edges().all(|[a, b]| within(a) && within(a.lerp(b, 0.5)))
+        && larger.loops().flatten().all(|corner| smaller.clearance(*corner).distance_m <= TOUCH_M)
+        && larger.contains(smaller.inner_point())
+}

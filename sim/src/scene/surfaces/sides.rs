@@ -1,0 +1,114 @@
+//! Which side of a face there is air on.
+
+use glam::DVec3;
+
+use super::touch::Touch;
+use super::{Draft, Sides};
+
+/// Direction of the rays that tell in from out: along no edge of what people build.
+const PROBE: DVec3 = DVec3::new(0.537_71, 0.318_83, 0.780_49);
+
+/// Faces that close a volume.
+struct Shell {
+    /// The faces, and whether each must be turned to face the way of the first.
+    faces: Vec<(usize, bool)>,
+    /// Volume, m^3; negative when the first faces inwards.
+    volume_m3: f64,
+}
+
+/// Turns faces that close a volume towards the air: inwards where the volume holds the radar, outwards otherwise. All others have
+/// air on both sides, and are turned towards the radar. Of faces that others of their group cover (`covered_by`), no volume is made.
+pub(super) fn resolve(
+    drafts: &mut [Draft],
+    touches: &[Touch],
+    covered_by: &[Option<usize>],
+    radar: DVec3,
+) -> Vec<Sides> {
+    let mut sides = vec![Sides::Two; drafts.len()];
+    let is_twice = |face: usize| {
+        let by = covered_by.get(face).copied().flatten();
+        by.is_some_and(|by| drafts[by].group == drafts[face].group)
+    };
+    let is_twice: Vec<bool> = (0..drafts.len()).map(is_twice).collect();
+    let shells = shells(drafts, touches, &is_twice);
+    // Of nested ones, as the outer faces of a building's walls around the inner ones, every other has air within.
+    let mut around: Vec<usize> = (0..shells.len()).filter(|&s| holds(drafts, &shells[s], radar)).collect();
+    around.sort_by(|&s, &t| shells[s].volume_m3.abs().total_cmp(&shells[t].volume_m3.abs()));
+    for (number, shell) in shells.iter().enumerate() {
+        let has_air = around.iter().position(|&s| s == number).is_some_and(|depth| depth % 2 == 0);
+        let is_inwards = shell.volume_m3 < 0.0;
+        for &(face, is_turned) in &shell.faces {
+            sides[face] = Sides::One;
+            if is_turned ^ is_inwards ^ has_air {
+                drafts[face].polygon = drafts[face].polygon.clone().flipped();
+            }
+        }
+    }
+    for (draft, _) in drafts.iter_mut().zip(&sides).filter(|(_, sides)| **sides == Sides::Two) {
+        if draft.polygon.height_m(radar) < 0.0 {
+            draft.polygon = draft.polygon.clone().flipped();
+        }
+    }
+    sides
+}
+
+/// Faces of a group that hang together by edges of exactly two, and leave none open.
+fn shells(drafts: &[Draft], touches: &[Touch], is_twice: &[bool]) -> Vec<Shell> {
+    let mut next: Vec<Vec<(usize, bool)>> = vec![Vec::new(); drafts.len()];
+    let mut is_open = is_twice.to_vec();
+    for touch in touches {
+        let mut others = touch
+            .sheets
+            .iter()
+            .filter_map(|sheet| Some((sheet.face?, sheet.ends_opposed?)))
+            .filter(|&(other, _)| drafts[other].group == drafts[touch.face].group && !is_twice[other]);
+        match (others.next(), others.next()) {
+            (Some(other), None) => next[touch.face].push(other),
+            _ => is_open[touch.face] = true,
+        }
+    }
+    let mut turned: Vec<Option<bool>> = vec![None; drafts.len()];
+    let mut shells = Vec::new();
+    for first in 0..drafts.len() {
+        if turned[first].is_some() {
+            continue;
+        }
+        turned[first] = Some(false);
+        let mut faces = vec![(first, false)];
+        let (mut reached, mut is_closed) = (0, true);
+        while let Some(&(face, is_turned)) = faces.get(reached) {
+            reached += 1;
+            is_closed &= !is_open[face];
+            for &(other, is_opposed) in &next[face] {
+                let turn = is_turned ^ !is_opposed;
+                match turned[other] {
+                    Some(was) => is_closed &= was == turn,
+                    None => {
+                        turned[other] = Some(turn);
+                        faces.push((other, turn));
+                    }
+                }
+            }
+        }
+        if is_closed {
+            let volume = |&(face, is_turned): &(usize, bool)| {
+                let polygon = &drafts[face].polygon;
+                let cone = polygon.area_m2() * polygon.offset_m / 3.0;
+                if is_turned { -cone } else { cone }
+            };
+            let volume_m3 = faces.iter().map(volume).sum();
+            shells.push(Shell { faces, volume_m3 });
+        }
+    }
+    shells
+}
+
+/// Whether a point lies in the volume of a shell.
+fn holds(drafts: &[Draft], shell: &Shell, point: DVec3) -> bool {
+    let is_crossed = |&&(face, _): &&(usize, bool)| {
+        let polygon = &drafts[face].polygon;
+        let way_m = -polygon.height_m(point) / polygon.normal.dot(PROBE);
+        way_m > 0.0 && way_m.is_finite() && polygon.contains(point + PROBE * way_m)
+    };
+    shell.faces.iter().filter(is_crossed).count() % 2 == 1
+}

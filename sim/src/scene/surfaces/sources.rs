@@ -1,0 +1,130 @@
+//! Where a scene's surfaces come from: its box, its floor plan or its files, and its furniture.
+
+use glam::DVec3;
+
+use super::{Draft, LEAST_FACE_M2, SmallPart, Surfaces};
+use crate::field::image::Wall;
+use crate::geometry::{Mesh, PlanarPolygon, oriented, planes};
+use crate::scene::file::{SceneFile, SurfaceFile};
+use crate::scene::plan;
+use crate::scene::room::{Piece, RoomMeshes, WALLS, WELD_M, slab};
+
+/// The group of faces that close the room.
+pub(in crate::scene) const ROOM: usize = 0;
+/// Furniture thinner than this is a sheet, m.
+const SHEET_M: f64 = 1e-6;
+
+/// The surfaces of a scene.
+pub(in crate::scene) fn surfaces(
+    file: &SceneFile,
+    walls: &[Wall; 6],
+    meshes: &RoomMeshes,
+    frequency_hz: f64,
+) -> Surfaces {
+    let mut drafts = Vec::new();
+    let mut small = Vec::new();
+    if let Some(plan) = &file.room.plan {
+        (drafts, _) = plan::faces(file, plan, frequency_hz);
+    } else if meshes.pieces.is_empty() {
+        drafts = room_box(DVec3::from_array(file.room.size_m), walls);
+    } else {
+        for piece in &meshes.pieces {
+            if let Some(wall) = solid(file, &piece.surface, frequency_hz) {
+                add_piece(piece, meshes.corner, wall, &mut drafts, &mut small);
+            }
+        }
+    }
+    let first = drafts.iter().map(|draft| draft.group + 1).max().unwrap_or(1);
+    drafts.extend(furniture(file, meshes.own_furniture, first, frequency_hz));
+    Surfaces::assemble(drafts, small, DVec3::from_array(file.radar.position_m))
+}
+
+/// What a surface does to waves; `None` where there is none.
+pub(in crate::scene) fn solid(file: &SceneFile, surface: &SurfaceFile, frequency_hz: f64) -> Option<Wall> {
+    slab(file, surface, frequency_hz).filter(|wall| *wall != Wall::Open)
+}
+
+/// The box `0..size` seen from within.
+fn room_box(size_m: DVec3, walls: &[Wall; 6]) -> Vec<Draft> {
+    let named = WALLS.iter().zip(walls).filter(|(_, wall)| **wall != Wall::Open);
+    named
+        .filter_map(|(&(name, axis, is_high), &wall)| {
+            let polygon = box_side([DVec3::ZERO, size_m], axis, is_high)?.flipped();
+            Some(Draft { polygon, wall, name: name.to_owned(), group: ROOM })
+        })
+        .collect()
+}
+
+/// A side of a box, which faces outwards; `None` where it has no area.
+fn box_side([low, high]: [DVec3; 2], axis: usize, is_high: bool) -> Option<PlanarPolygon> {
+    let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
+    let corner = |at_i: f64, at_j: f64| {
+        let mut corner = if is_high { high } else { low };
+        (corner[i], corner[j]) = (at_i, at_j);
+        corner
+    };
+    let corners = [corner(low[i], low[j]), corner(high[i], low[j]), corner(high[i], high[j]), corner(low[i], high[j])];
+    let polygon = PlanarPolygon::from_corners(&corners, &[])?;
+    Some(if is_high { polygon } else { polygon.flipped() })
+}
+
+/// Sides of the furniture that the scene file has itself and gives a material: a group for each piece.
+fn furniture(file: &SceneFile, count: usize, first_group: usize, frequency_hz: f64) -> Vec<Draft> {
+    let mut drafts = Vec::new();
+    for (furniture, group) in file.furniture.iter().take(count).zip(first_group..) {
+        let Some(material) = furniture.material.clone() else { continue };
+        let surface = SurfaceFile { material, thickness_m: furniture.thickness_m };
+        let Some(wall) = solid(file, &surface, frequency_hz) else { continue };
+        let low = DVec3::from_array(furniture.position_m);
+        let size_m = DVec3::from_array(furniture.size_m);
+        for (name, axis, is_high) in WALLS {
+            // What has no depth has one side for both ends of it.
+            if size_m[axis] <= SHEET_M && is_high {
+                continue;
+            }
+            let name = match name {
+                "floor" => "bottom",
+                "ceiling" => "top",
+                upright => upright,
+            };
+            if let Some(polygon) = box_side([low, low + size_m], axis, is_high) {
+                drafts.push(Draft { polygon, wall, name: format!("{} {name}", furniture.name), group });
+            }
+        }
+    }
+    drafts
+}
+
+/// The planes of a part of a file as faces; the rest of it as triangles.
+fn add_piece(piece: &Piece, corner: DVec3, wall: Wall, drafts: &mut Vec<Draft>, small: &mut Vec<SmallPart>) {
+    let mut mesh = oriented(&piece.mesh);
+    mesh.vertices.iter_mut().for_each(|vertex| *vertex -= corner);
+    let mut rest = Vec::new();
+    for plane in planes(&mesh, WELD_M).planes {
+        let polygons = if plane.area_m2 >= LEAST_FACE_M2 { PlanarPolygon::of_plane(&mesh, &plane) } else { Vec::new() };
+        if polygons.is_empty() {
+            rest.extend(plane.triangles.iter().filter_map(|&t| mesh.triangles.get(t as usize).copied()));
+        }
+        let name = &piece.name;
+        drafts.extend(polygons.into_iter().map(|polygon| Draft { polygon, wall, name: name.clone(), group: ROOM }));
+    }
+    if !rest.is_empty() {
+        small.push(SmallPart { mesh: compact(&mesh, &rest), wall, name: piece.name.clone() });
+    }
+}
+
+/// Some triangles of a mesh, with the vertices that they need.
+fn compact(mesh: &Mesh, triangles: &[[u32; 3]]) -> Mesh {
+    let mut number: Vec<Option<u32>> = vec![None; mesh.vertices.len()];
+    let mut made = Mesh::default();
+    for triangle in triangles {
+        let corners = triangle.map(|v| {
+            *number[v as usize].get_or_insert_with(|| {
+                made.vertices.push(mesh.vertices[v as usize]);
+                made.vertices.len() as u32 - 1
+            })
+        });
+        made.triangles.push(corners);
+    }
+    made
+}

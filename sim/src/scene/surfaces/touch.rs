@@ -1,0 +1,132 @@
+//! Edges of faces, and what else meets them there.
+
+use glam::DVec3;
+
+use crate::geometry::PlanarPolygon;
+
+/// Faces this near to each other touch, m: what vertices of meshes are welded by.
+pub(super) const TOUCH_M: f64 = 1e-4;
+/// Polygons no wider than this along x are looked up by their place, m.
+const NARROW_M: f64 = 1.0;
+
+/// A part of a face's edge along which the same others meet it.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Touch {
+    /// The face.
+    pub face: usize,
+    /// Ends of the part, m.
+    pub ends: [DVec3; 2],
+    /// Unit vector from the edge into the face.
+    pub inwards: DVec3,
+    /// What else is there.
+    pub sheets: Vec<Sheet>,
+}
+
+/// A half-plane that begins at an edge.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sheet {
+    /// The face that it is of; `None` for a small triangle.
+    pub face: Option<usize>,
+    /// Unit vector from the edge into it.
+    pub towards: DVec3,
+    /// Where its polygon ends here, too: whether its own edge runs the other way. `None` where it goes on beyond the edge.
+    pub ends_opposed: Option<bool>,
+}
+
+/// A polygon and the box around it.
+pub(super) struct Placed<'a> {
+    pub polygon: &'a PlanarPolygon,
+    /// The face that it is; `None` for a small triangle.
+    pub face: Option<usize>,
+    low: DVec3,
+    high: DVec3,
+}
+
+/// Polygons by place.
+pub(super) struct Index<'a> {
+    wide: Vec<Placed<'a>>,
+    /// By their low x.
+    narrow: Vec<Placed<'a>>,
+}
+
+impl<'a> Index<'a> {
+    pub fn new(faces: &'a [PlanarPolygon], small: &'a [PlanarPolygon]) -> Self {
+        let of_faces = faces.iter().enumerate().map(|(face, polygon)| (Some(face), polygon));
+        let all = of_faces.chain(small.iter().map(|polygon| (None, polygon))).map(|(face, polygon)| {
+            let [low, high] = polygon.bounds();
+            Placed { polygon, face, low, high }
+        });
+        let (mut narrow, wide): (Vec<_>, Vec<_>) = all.partition(|p| p.high.x - p.low.x <= NARROW_M);
+        narrow.sort_by(|p, q| p.low.x.total_cmp(&q.low.x));
+        Index { wide, narrow }
+    }
+
+    /// Polygons whose boxes touch a box.
+    pub fn near(&self, low: DVec3, high: DVec3) -> impl Iterator<Item = &Placed<'a>> {
+        let (low, high) = (low - TOUCH_M, high + TOUCH_M);
+        let first = self.narrow.partition_point(|p| p.low.x < low.x - NARROW_M);
+        let narrow = self.narrow.iter().skip(first).take_while(move |p| p.low.x <= high.x);
+        self.wide.iter().chain(narrow).filter(move |p| p.low.cmple(high).all() && p.high.cmpge(low).all())
+    }
+}
+
+/// All edges of all faces, cut where what meets them changes.
+pub(super) fn touches(faces: &[PlanarPolygon], index: &Index) -> Vec<Touch> {
+    let mut all = Vec::new();
+    for (face, polygon) in faces.iter().enumerate() {
+        for [a, b] in polygon.edges() {
+            let (length_m, along) = (a.distance(b), (b - a).normalize_or_zero());
+            let near: Vec<&Placed> = index
+                .near(a.min(b), a.max(b))
+                .filter(|p| p.face != Some(face))
+                .filter(|p| [a, b].iter().all(|&end| p.polygon.height_m(end).abs() <= TOUCH_M))
+                .collect();
+            let mut cuts = vec![0.0, length_m];
+            near.iter().for_each(|p| add_cuts(p.polygon, a, along, length_m, &mut cuts));
+            cuts.sort_by(f64::total_cmp);
+            cuts.dedup_by(|later, earlier| *later - *earlier <= TOUCH_M);
+            for part in cuts.windows(2) {
+                let ends = [a + along * part[0], a + along * part[1]];
+                let middle = ends[0].lerp(ends[1], 0.5);
+                let sheets = near.iter().flat_map(|p| sheets(p, middle, along)).collect();
+                all.push(Touch { face, ends, inwards: polygon.normal.cross(along), sheets });
+            }
+        }
+    }
+    all
+}
+
+/// Where along an edge a polygon of a plane through it begins, ends or has a corner, m.
+fn add_cuts(polygon: &PlanarPolygon, from: DVec3, along: DVec3, length_m: f64, cuts: &mut Vec<f64>) {
+    let across = polygon.normal.cross(along);
+    let place = |p: DVec3| ((p - from).dot(along), (p - from).dot(across));
+    for [p, q] in polygon.edges() {
+        let ((at, off), (next_at, next_off)) = (place(p), place(q));
+        let cut = if off.abs() <= TOUCH_M {
+            at
+        } else if next_off.abs() > TOUCH_M && (off > 0.0) != (next_off > 0.0) {
+            at + (next_at - at) * off / (off - next_off)
+        } else {
+            continue;
+        };
+        if cut > TOUCH_M && cut < length_m - TOUCH_M {
+            cuts.push(cut);
+        }
+    }
+}
+
+/// What a polygon of a plane through an edge has at a point of it.
+fn sheets(of: &Placed, point: DVec3, along: DVec3) -> Vec<Sheet> {
+    let (polygon, face) = (of.polygon, of.face);
+    let clearance = polygon.clearance(point);
+    if clearance.distance_m > TOUCH_M {
+        let across = polygon.normal.cross(along).normalize_or_zero();
+        return [across, -across].map(|towards| Sheet { face, towards, ends_opposed: None }).to_vec();
+    }
+    let own = polygon.edges().nth(clearance.edge).map_or(DVec3::ZERO, |[a, b]| (b - a).normalize_or_zero());
+    let parallel = own.dot(along);
+    if clearance.distance_m < -TOUCH_M || parallel.abs() < 0.9 {
+        return Vec::new();
+    }
+    vec![Sheet { face, towards: polygon.inwards(clearance.edge), ends_opposed: Some(parallel < 0.0) }]
+}

@@ -1,0 +1,464 @@
+//! Many weak echoes of random phases: exact in phase, held in place.
+//!
+//! For a run of chirps (a block at most) an echo keeps its amplitude and its place on the frequency grid, both those of the run's
+//! middle, while its phase at the middle of the band goes on quadratically from there in every chirp. A run is cut where the echo
+//! moves by more than 1/8 of a cell of the grid, 1/16 of a range cell. Between there and the run's middle a tone of `d` cells
+//! aside is wrong by `0.9 d` of its own amplitude (rms over the chirp): -30 dB at the worst speed, -48 dB by the places between
+//! cells for which taps are kept, and far less where an echo moves slowly. Receivers beside the first differ by a complex factor,
+//! held for the run. Where echoes are a field of random phases this is lost in it: the power at each delay and rate is what it is.
+//!
+//! Anchors of eight echoes are computed side by side in f64, then each echo's eight chirps in f32. The bodies are plain Rust,
+//! compiled for each level of instructions.
+
+use num_complex::Complex64;
+
+use super::spread::{CHIRPS, Cell, Grids, Places, Row, window};
+use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer};
+use crate::chirp::Chirp;
+use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
+use crate::slow_time::quintic;
+use crate::tracks::OTHERS;
+
+/// Echoes side by side.
+const ECHOES: usize = 8;
+/// Receivers at most.
+const RECEIVERS: usize = 1 + OTHERS;
+/// Places between two cells for which the kernel's taps are kept.
+const PLACES: u32 = 64;
+/// An echo moves by no more than this while its place is held, cells.
+const HELD_CELLS: f32 = 1.0 / 8.0;
+
+/// An echo within one stretch.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct HeldEcho {
+    /// Delay, s, and its first and second derivative by time, s/s and 1/s, at both ends.
+    pub delay: [[f64; 3]; 2],
+    /// Amplitude at the first receiver at both ends, LSB, as it multiplies `exp(+j 2 pi ...)`.
+    pub amplitude: [Complex64; 2],
+    /// For each further receiver: delay beyond the first one's at both ends, s, and amplitude over the first one's.
+    pub others: [([f64; 2], f64); OTHERS],
+}
+
+/// Differences of a receiver from the first one, for echoes side by side.
+#[derive(Debug, Clone, Copy, Default)]
+struct Beside {
+    /// Delay at the beginning, s, and its change over the stretch.
+    delay_s: [[f32; ECHOES]; 2],
+    ratio: [f32; ECHOES],
+}
+
+/// Echoes side by side, as polynomials of `u` in 0..1.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pack {
+    delay_s: [[f64; ECHOES]; 6],
+    /// Amplitude at the beginning, and its change over the stretch.
+    re: [[f32; ECHOES]; 2],
+    im: [[f32; ECHOES]; 2],
+    others: [Beside; OTHERS],
+}
+
+/// Echoes within one stretch.
+#[derive(Debug, Clone)]
+pub struct HeldEchoes {
+    packs: Vec<Pack>,
+    count: usize,
+    stretch_s: f64,
+}
+
+impl HeldEchoes {
+    /// No echoes, within a stretch of this duration.
+    pub fn new(stretch_s: f64) -> Self {
+        HeldEchoes { packs: Vec::new(), count: 0, stretch_s }
+    }
+
+    /// Number of echoes.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Adds an echo: a quintic in delay between both ends, a line in amplitude.
+    pub fn push(&mut self, echo: &HeldEcho) {
+        let e = self.count % ECHOES;
+        if e == 0 {
+            self.packs.push(Pack::default());
+        }
+        let Some(pack) = self.packs.last_mut() else { return };
+        self.count += 1;
+        let scaled = echo.delay.map(|[y, v, w]| [y, v * self.stretch_s, w * self.stretch_s * self.stretch_s]);
+        for (row, c) in pack.delay_s.iter_mut().zip(quintic(scaled[0], scaled[1])) {
+            row[e] = c;
+        }
+        let [begin, end] = echo.amplitude;
+        pack.set_amplitude(e, begin, end);
+        for (beside, (delay_s, ratio)) in pack.others.iter_mut().zip(echo.others) {
+            beside.delay_s[0][e] = delay_s[0] as f32;
+            beside.delay_s[1][e] = (delay_s[1] - delay_s[0]) as f32;
+            beside.ratio[e] = ratio as f32;
+        }
+    }
+
+    /// The same echoes with their amplitudes times `j` and their delays at the first receiver, LSB s: what phase noise
+    /// multiplies.
+    pub fn by_delay(&self) -> Self {
+        let mut echoes = self.clone();
+        for pack in &mut echoes.packs {
+            for e in 0..ECHOES {
+                let begin_s = pack.delay_s[0][e];
+                let end_s: f64 = pack.delay_s.iter().map(|row| row[e]).sum();
+                let at = |end: f32| {
+                    let [re, im] = [pack.re, pack.im].map(|[begin, step]| f64::from(begin[e] + end * step[e]));
+                    Complex64::new(re, im)
+                };
+                let (begin, end) = (at(0.0) * Complex64::new(0.0, begin_s), at(1.0) * Complex64::new(0.0, end_s));
+                pack.set_amplitude(e, begin, end);
+            }
+        }
+        echoes
+    }
+}
+
+impl Pack {
+    fn set_amplitude(&mut self, e: usize, begin: Complex64, end: Complex64) {
+        let step = end - begin;
+        (self.re[0][e], self.re[1][e]) = (begin.re as f32, step.re as f32);
+        (self.im[0][e], self.im[1][e]) = (begin.im as f32, step.im as f32);
+    }
+}
+
+/// Taps of the kernel at the places between cells that are kept: `[place][tap]`.
+pub(super) fn taps_by_place(taps: &[[f32; LANES]; DEGREE]) -> Vec<[f32; LANES]> {
+    let at = |place: u32| {
+        let u = 2.0 * place as f32 / PLACES as f32 - 1.0;
+        taps.iter().rev().fold([0f32; LANES], |w, row| std::array::from_fn(|tap| w[tap] * u + row[tap]))
+    };
+    (0..PLACES).map(at).collect()
+}
+
+/// What a level's instance of [`held_body`] needs beside echoes and grids.
+struct Kernel<'a> {
+    taps: &'a [[f32; LANES]],
+    cells: f64,
+    chirp: &'a Chirp,
+    /// Place of the run's middle in the stretch, 0..1, and step from chirp to chirp.
+    middle: f64,
+    step: f64,
+    /// Number of each chirp, from the run's middle.
+    numbers: Row,
+    /// 1 for chirps in the run, 0 for others.
+    within: &'a Row,
+    /// Chirps in the run.
+    chirps: f32,
+}
+
+impl Synthesiser {
+    /// Lays echoes on the grids of each receiver, in the chirps that lie in the echoes' stretch, held in their places.
+    pub fn spread_held(&self, chirp: &Chirp, echoes: &HeldEchoes, places: &Places, grids: &mut [Grids]) {
+        let lanes = places.lanes();
+        let Some(last) = lanes.end.checked_sub(1).filter(|last| *last >= lanes.start) else { return };
+        let (begin, end) = (places.at[lanes.start], places.at[last]);
+        let middle_lane = 0.5 * (lanes.start + last) as f32;
+        let kernel = Kernel {
+            taps: &self.taps_by_place,
+            cells: self.cells as f64,
+            chirp,
+            middle: 0.5 * (begin + end),
+            step: (end - begin) / (last - lanes.start).max(1) as f64,
+            numbers: std::array::from_fn(|i| i as f32 - middle_lane),
+            within: &places.within,
+            chirps: lanes.len() as f32,
+        };
+        spread_held(self.level, &kernel, echoes, grids);
+    }
+}
+
+compiled_for_levels! {
+    fn spread_held(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) = held_body;
+}
+
+#[inline(always)]
+fn held_body(kernel: &Kernel, echoes: &HeldEchoes, grids: &mut [Grids]) {
+    let mut left = echoes.count;
+    for pack in &echoes.packs {
+        let anchors = anchors(kernel, pack, 1.0 / echoes.stretch_s);
+        for e in 0..left.min(ECHOES) {
+            lay_echo(kernel, &anchors, e, grids);
+        }
+        left = left.saturating_sub(ECHOES);
+    }
+}
+
+/// Echoes side by side at the middle of a run.
+struct Anchors {
+    /// Phase by powers of the chirp's number, turns.
+    turns: [[f32; ECHOES]; 3],
+    /// Place on the grid, cells, and its change from chirp to chirp.
+    position: [f32; ECHOES],
+    moved: [f32; ECHOES],
+    /// Amplitude at each receiver: `[receiver][echo]`.
+    re: [[f32; ECHOES]; RECEIVERS],
+    im: [[f32; ECHOES]; RECEIVERS],
+}
+
+#[inline(always)]
+fn anchors(kernel: &Kernel, pack: &Pack, per_s: f64) -> Anchors {
+    let Chirp { start_hz, slope_hz_per_s, middle_s, sample_rate_hz } = *kernel.chirp;
+    let (u, cells_per_hz) = (kernel.middle, kernel.cells / sample_rate_hz);
+    // Delay, its derivative by u, and half of its second one.
+    let (mut value, mut slope, mut curve) = (pack.delay_s[5], [0f64; ECHOES], [0f64; ECHOES]);
+    for power in (0..5).rev() {
+        for e in 0..ECHOES {
+            curve[e] = curve[e] * u + slope[e];
+            slope[e] = slope[e] * u + value[e];
+            value[e] = value[e] * u + pack.delay_s[power][e];
+        }
+    }
+    let (mut turn, mut rate, mut bend) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
+    let (mut position, mut moved, mut carrier_hz) = ([0f32; ECHOES], [0f32; ECHOES], [0f32; ECHOES]);
+    for e in 0..ECHOES {
+        let cycles = kernel.chirp.phase_cycles(value[e]);
+        let carrier = start_hz + slope_hz_per_s * (middle_s - value[e]);
+        turn[e] = (cycles - nearest_integer(cycles)) as f32;
+        rate[e] = (carrier * slope[e] * kernel.step) as f32;
+        bend[e] = (carrier * curve[e] * kernel.step * kernel.step) as f32;
+        let turns_a_sample = kernel.chirp.beat_hz(value[e], slope[e] * per_s) / sample_rate_hz;
+        let nearest = turns_a_sample - nearest_integer(turns_a_sample);
+        let folded = if nearest < 0.0 { nearest + 1.0 } else { nearest };
+        position[e] = (folded * kernel.cells) as f32;
+        moved[e] = (slope_hz_per_s * slope[e] * kernel.step * cells_per_hz) as f32;
+        carrier_hz[e] = carrier as f32;
+    }
+    let place = u as f32;
+    let (mut re, mut im) = ([[0f32; ECHOES]; RECEIVERS], [[0f32; ECHOES]; RECEIVERS]);
+    for e in 0..ECHOES {
+        re[0][e] = pack.re[0][e] + place * pack.re[1][e];
+        im[0][e] = pack.im[0][e] + place * pack.im[1][e];
+    }
+    for (receiver, beside) in pack.others.iter().enumerate() {
+        let (mut own_re, mut own_im) = ([0f32; ECHOES], [0f32; ECHOES]);
+        for e in 0..ECHOES {
+            let delay_s = beside.delay_s[0][e] + place * beside.delay_s[1][e];
+            let (cosine, sine) = cos_sin_of_turns(delay_s * carrier_hz[e]);
+            let (x, y) = (beside.ratio[e] * cosine, beside.ratio[e] * sine);
+            own_re[e] = re[0][e] * x - im[0][e] * y;
+            own_im[e] = re[0][e] * y + im[0][e] * x;
+        }
+        (re[1 + receiver], im[1 + receiver]) = (own_re, own_im);
+    }
+    Anchors { turns: [turn, rate, bend], position, moved, re, im }
+}
+
+/// Lays one echo down in the chirps of a run.
+#[inline(always)]
+fn lay_echo(kernel: &Kernel, anchors: &Anchors, e: usize, grids: &mut [Grids]) {
+    let [turn, rate, bend] = [anchors.turns[0][e], anchors.turns[1][e], anchors.turns[2][e]];
+    let (mut cosine, mut sine) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+    for i in 0..CHIRPS {
+        let number = kernel.numbers[i];
+        let (c, s) = cos_sin_of_turns(turn + number * (rate + number * bend));
+        (cosine[i], sine[i]) = (c * kernel.within[i], s * kernel.within[i]);
+    }
+    let (position, moved) = (anchors.position[e], anchors.moved[e].abs());
+    let width = if moved * kernel.chirps <= HELD_CELLS {
+        CHIRPS
+    } else if moved * 4.0 <= HELD_CELLS {
+        4
+    } else if moved * 2.0 <= HELD_CELLS {
+        2
+    } else {
+        1
+    };
+    for (receiver, grids) in grids.iter_mut().enumerate().take(RECEIVERS) {
+        let (x, y) = (anchors.re[receiver][e], anchors.im[receiver][e]);
+        let (mut re, mut im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+        for i in 0..CHIRPS {
+            re[i] = x * cosine[i] - y * sine[i];
+            im[i] = x * sine[i] + y * cosine[i];
+        }
+        if width == CHIRPS {
+            lay(kernel, position, &re, &im, &mut grids.cells);
+        } else {
+            lay_in_runs(kernel, [position, anchors.moved[e]], width, [&re, &im], &mut grids.cells);
+        }
+    }
+}
+
+/// Lays phasors down in runs of so many chirps, each in its place: `position` and its change from chirp to chirp.
+#[inline(always)]
+fn lay_in_runs(kernel: &Kernel, [position, moved]: [f32; 2], width: usize, [re, im]: [&Row; 2], cells: &mut [Cell]) {
+    let circle = kernel.cells as f32;
+    for begin in (0..CHIRPS).step_by(width) {
+        let position = position + moved * (kernel.numbers[begin] + 0.5 * (width - 1) as f32);
+        let position = if position < 0.0 { position + circle } else { position };
+        let position = if position > circle { position - circle } else { position };
+        let (mut own_re, mut own_im) = ([0f32; CHIRPS], [0f32; CHIRPS]);
+        for i in 0..CHIRPS {
+            let is_in_run = i >= begin && i < begin + width;
+            own_re[i] = if is_in_run { re[i] } else { 0.0 };
+            own_im[i] = if is_in_run { im[i] } else { 0.0 };
+        }
+        lay(kernel, position, &own_re, &own_im, cells);
+    }
+}
+
+/// Lays phasors down around one place of the grid, cells.
+#[inline(always)]
+fn lay(kernel: &Kernel, position: f32, re: &Row, im: &Row, cells: &mut [Cell]) {
+    let place = (position * PLACES as f32 + 0.5) as u32;
+    let first = place.div_ceil(PLACES);
+    let Some(taps) = kernel.taps.get((first * PLACES - place) as usize) else { return };
+    let Some([c0, c1, c2, c3, c4, c5]) = window::<WIDTH>(cells, first) else { return };
+    // Written out, as all loops over taps are.
+    c0.add(re, im, &[taps[0]; CHIRPS]);
+    c1.add(re, im, &[taps[1]; CHIRPS]);
+    c2.add(re, im, &[taps[2]; CHIRPS]);
+    c3.add(re, im, &[taps[3]; CHIRPS]);
+    c4.add(re, im, &[taps[4]; CHIRPS]);
+    c5.add(re, im, &[taps[5]; CHIRPS]);
+}
+
+#[cfg(test)]
+mod tests {
+    use num_complex::Complex;
+    use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
+    use rand::Rng;
+
+    use super::*;
+    use crate::random::{Purpose, generator};
+    use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+
+    const SAMPLES: usize = 256;
+    /// Of a stretch.
+    const COUNT: usize = 64;
+    const STRETCH_S: f64 = 0.032;
+    const CHIRP: Chirp = Chirp { start_hz: 59.6e9, slope_hz_per_s: 3.45e12, sample_rate_hz: 1e6, middle_s: 128e-6 };
+
+    /// Echoes at 2 to 20 m whose paths grow by up to 8 m/s and bend by up to 30 m/s^2.
+    fn echoes(count: usize) -> Vec<HeldEcho> {
+        let mut rng = generator(6, Purpose::WallPoints, [0, 0]);
+        let mut echoes = Vec::new();
+        for _ in 0..count {
+            let mut number = |limit: f64| rng.random_range(-limit..limit);
+            let c = SPEED_OF_LIGHT_M_PER_S;
+            let begin = [(22.0 + number(18.0)) / c, number(8.0) / c, number(30.0) / c];
+            let end = [
+                begin[0] + STRETCH_S * (begin[1] + 0.5 * STRETCH_S * begin[2]),
+                begin[1] + STRETCH_S * begin[2],
+                begin[2] + number(5.0) / c,
+            ];
+            let amplitude = Complex64::new(number(1.0), number(1.0));
+            let other = ([number(1.6e-11); 2], 0.9 + number(0.1));
+            let others = [other, ([other.0[0], other.0[0] + number(1e-13)], 1.1)];
+            echoes.push(HeldEcho {
+                delay: [begin, end],
+                amplitude: [amplitude, amplitude * (1.0 + number(0.05))],
+                others,
+            });
+        }
+        echoes
+    }
+
+    fn place(chirp: usize) -> f64 {
+        (chirp as f64 + 0.3) / COUNT as f64
+    }
+
+    /// The echo as a tone of its own at a receiver in a chirp.
+    fn tone(echo: &HeldEcho, receiver: usize, chirp: usize) -> Tone {
+        let u = place(chirp);
+        let scaled = echo.delay.map(|[y, v, w]| [y, v * STRETCH_S, w * STRETCH_S * STRETCH_S]);
+        let c = quintic(scaled[0], scaled[1]);
+        let delay_s: f64 = c.iter().rev().fold(0.0, |sum, c| sum * u + c);
+        let rate = (1..6).rev().fold(0.0, |sum, p| sum * u + p as f64 * c[p]) / STRETCH_S;
+        let [begin, end] = echo.amplitude;
+        let (beside_s, ratio) = match receiver {
+            0 => (0.0, 1.0),
+            _ => {
+                let (delay_s, ratio) = echo.others[receiver - 1];
+                (delay_s[0] + u * (delay_s[1] - delay_s[0]), ratio)
+            }
+        };
+        let a = (begin + (end - begin) * u) * ratio;
+        Tone {
+            phase_cycles: CHIRP.phase_cycles(delay_s + beside_s),
+            cycles_per_sample: CHIRP.beat_hz(delay_s + beside_s, rate) / CHIRP.sample_rate_hz,
+            amplitude: Complex::new(a.re as f32, a.im as f32),
+        }
+    }
+
+    fn held(echoes: &[HeldEcho]) -> HeldEchoes {
+        let mut held = HeldEchoes::new(STRETCH_S);
+        echoes.iter().for_each(|echo| held.push(echo));
+        held
+    }
+
+    /// Every receiver's grids of a block, which is cut at some chirp.
+    fn spread_at(level: KernelLevel, held: &HeldEchoes, block: usize, cut: usize) -> Vec<Grids> {
+        let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+        let mut grids = vec![synthesiser.grids(); RECEIVERS];
+        for lanes in [0..cut, cut..CHIRPS] {
+            let places = Places::new(lanes, |lane| place(CHIRPS * block + lane));
+            synthesiser.spread_held(&CHIRP, held, &places, &mut grids);
+        }
+        grids
+    }
+
+    /// Against a tone of its own for every echo in every chirp: the error is below -26 dB, the power is kept.
+    #[test]
+    fn held_echoes_are_within_minus_26_db_of_the_sum() {
+        let echoes = echoes(60);
+        let held = held(&echoes);
+        assert!(held.len() == 60 && !held.is_empty());
+        let synthesiser = Synthesiser::new(SAMPLES);
+        for receiver in 0..RECEIVERS {
+            let (mut error, mut power, mut found) = (0.0, 0.0, 0.0);
+            for block in 0..COUNT / CHIRPS {
+                // Some blocks are cut, as at the end of a stretch.
+                let grids = spread_at(synthesiser.level, &held, block, if block % 3 == 1 { 3 } else { CHIRPS });
+                for lane in 0..CHIRPS {
+                    let chirp = CHIRPS * block + lane;
+                    let tones: Vec<Tone> = echoes.iter().map(|echo| tone(echo, receiver, chirp)).collect();
+                    let exact = exact_chirp(&tones, SAMPLES);
+                    let (mut grid, mut fast) = (synthesiser.grid(), vec![0f32; SAMPLES]);
+                    grids[receiver].extract(lane, &mut grid);
+                    synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
+                    error += exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum::<f64>();
+                    power += exact.iter().map(|e| e * e).sum::<f64>();
+                    found += fast.iter().map(|f| f64::from(*f).powi(2)).sum::<f64>();
+                }
+            }
+            let (error_db, power_db) = (10.0 * (error / power).log10(), 10.0 * (found / power).log10());
+            assert!(error_db < -26.0, "receiver {receiver}: {error_db} dB");
+            assert!(power_db.abs() < 0.02, "receiver {receiver}: {power_db} dB");
+        }
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bits() {
+        let held = held(&echoes(21));
+        let bits = |grids: &[Grids]| -> Vec<[[u32; CHIRPS]; 2]> {
+            let cells = grids.iter().flat_map(|grids| &grids.cells);
+            cells.map(|cell| [cell.re.map(f32::to_bits), cell.im.map(f32::to_bits)]).collect()
+        };
+        let portable = bits(&spread_at(KernelLevel::Portable, &held, 2, 5));
+        for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+            assert!(bits(&spread_at(level, &held, 2, 5)) == portable, "{level}");
+        }
+    }
+
+    /// By delays: the same paths, times `j` and their delays.
+    #[test]
+    fn echoes_by_delay_are_their_own_times_their_delays() {
+        let echo = echoes(1)[0];
+        let held = held(&[echo]).by_delay();
+        for (end, (u, [delay_s, ..])) in [0f32, 1.0].into_iter().zip(echo.delay).enumerate() {
+            let expected = echo.amplitude[end] * Complex64::new(0.0, delay_s);
+            let [re, im] = [held.packs[0].re, held.packs[0].im].map(|[begin, step]| begin[0] + u * step[0]);
+            let found = Complex64::new(re.into(), im.into());
+            assert!((found - expected).norm() < 1e-5 * expected.norm(), "{found} {expected}");
+        }
+    }
+}

@@ -1,0 +1,185 @@
+//! Chirps side by side against one tone after another.
+
+use super::*;
+use crate::random::{Purpose, generator};
+use crate::slow_time::{Bend, Key};
+use crate::synthesis::{SynthesisScratch, Tone, exact_chirp};
+use num_complex::Complex64;
+use rand::Rng;
+
+const SAMPLES: usize = 128;
+const CHIRP: Chirp =
+    Chirp { start_hz: 60e9, slope_hz_per_s: 40e12, sample_rate_hz: 2e6, middle_s: SAMPLES as f64 / 4e6 };
+const PLACES: [f64; CHIRPS] = [0.0, 0.07, 0.19, 0.31, 0.5, 0.62, 0.83, 1.01];
+
+/// Paths that rest, that cross into the next cell, that cross many, and that lie around frequency zero.
+fn paths() -> Vec<Stretch> {
+    let mut rng = generator(3, Purpose::Noise, [0, 0]);
+    let mut paths = Vec::new();
+    for i in 0..300 {
+        let mut number = |limit: f64| rng.random_range(-limit..limit);
+        let (delay_s, speed) = match i % 4 {
+            0 => (40e-9 + number(30e-9), 1e-11),
+            1 => (40e-9 + number(30e-9), 4e-10),
+            2 => (40e-9 + number(30e-9), 3e-9),
+            _ => (number(1e-10), 1e-10),
+        };
+        let mut key = || {
+            let delay_s = delay_s + number(speed);
+            let delay_rate = number(speed) / 4e-3;
+            let bend = Bend {
+                delay: [number(speed) / 4e-3f64.powi(2), number(speed) / 4e-3f64.powi(3)],
+                amplitude: [
+                    Complex64::new(number(1.0), number(1.0)) / 4e-3,
+                    Complex64::new(number(1.0), number(1.0)) / 4e-3f64.powi(2),
+                ],
+            };
+            (Key { delay_s, delay_rate, amplitude: Complex64::new(number(1.0), number(1.0)) }, bend)
+        };
+        paths.push(Stretch::between(&key(), &key(), 4e-3));
+    }
+    paths
+}
+
+fn tones(paths: &[Stretch], place: f64) -> Vec<Tone> {
+    let tone = |path: &Stretch| {
+        let (delay_s, rate) = path.delay(place);
+        Tone {
+            phase_cycles: CHIRP.phase_cycles(delay_s),
+            cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
+            amplitude: path.amplitude(place),
+        }
+    };
+    paths.iter().map(tone).collect()
+}
+
+/// Every chirp's grid, as spread at a level of instructions.
+fn spread_at(level: KernelLevel, paths: &[Stretch]) -> Vec<Grid> {
+    let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+    let mut grids = synthesiser.grids();
+    synthesiser.spread(&CHIRP, paths, &PLACES, &mut grids);
+    let extract = |chirp| {
+        let mut grid = synthesiser.grid();
+        grids.extract(chirp, &mut grid);
+        grid
+    };
+    (0..CHIRPS).map(extract).collect()
+}
+
+#[test]
+fn every_level_gives_the_bits_of_one_tone_after_another() {
+    let paths = paths();
+    let synthesiser = Synthesiser::new(SAMPLES);
+    for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+        for (chirp, (spread, place)) in spread_at(level, &paths).iter().zip(PLACES).enumerate() {
+            let mut grid = synthesiser.grid();
+            for tone in tones(&paths, place) {
+                synthesiser.add(&tone, &mut grid);
+            }
+            // One tone's two spare taps may turn -0 to 0.
+            let bits = |grid: &Grid| -> Vec<[u32; 2]> {
+                grid.cells.iter().map(|c| [(c.re + 0.0).to_bits(), (c.im + 0.0).to_bits()]).collect()
+            };
+            assert_eq!(bits(spread), bits(&grid), "{level}, chirp {chirp}");
+        }
+    }
+}
+
+#[test]
+fn chirps_side_by_side_are_within_minus_90_dbc_of_the_sum() {
+    let paths = paths();
+    let synthesiser = Synthesiser::new(SAMPLES);
+    for (chirp, (grid, place)) in spread_at(synthesiser.level, &paths).iter().zip(PLACES).enumerate() {
+        let mut fast = vec![0f32; SAMPLES];
+        synthesiser.transform(grid, &mut fast, &mut SynthesisScratch::default());
+        let exact = exact_chirp(&tones(&paths, place), SAMPLES);
+        let error: f64 = exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
+        let power: f64 = exact.iter().map(|e| e * e).sum();
+        let error_db = 10.0 * (error / power).log10();
+        assert!(error_db < -90.0, "chirp {chirp}: {error_db} dBc");
+    }
+}
+
+/// Antennas up to 5 mm apart.
+fn tracks() -> Vec<Track> {
+    let mut rng = generator(4, Purpose::Noise, [0, 0]);
+    let mut tracks = Vec::new();
+    for first in paths() {
+        let mut aside = || {
+            let mut number = |limit: f32| rng.random_range(-limit..limit);
+            Aside {
+                delay_s: [number(1.6e-11), number(1e-12), number(2e-13), number(1e-13)],
+                ratio: [Complex::new(0.9, number(0.1)), Complex::new(number(0.01), number(0.01))],
+            }
+        };
+        tracks.push(Track { first, others: [aside(), aside()] });
+    }
+    tracks
+}
+
+/// Every receiver's grids: `[receiver]`.
+fn spread_tracks_at(level: KernelLevel, tracks: &[Track], receivers: usize, cuts: &[usize]) -> Vec<Grids> {
+    let synthesiser = Synthesiser { level, ..Synthesiser::new(SAMPLES) };
+    let mut grids = vec![synthesiser.grids(); receivers];
+    for ends in cuts.windows(2) {
+        let places = Places::new(ends[0]..ends[1], |chirp| PLACES[chirp]);
+        synthesiser.spread_tracks(&CHIRP, tracks, &places, &mut grids);
+    }
+    grids
+}
+
+fn bits(grids: &Grids) -> Vec<[[u32; CHIRPS]; 2]> {
+    grids.cells.iter().map(|c| [c.re.map(|x| (x + 0.0).to_bits()), c.im.map(|x| (x + 0.0).to_bits())]).collect()
+}
+
+/// The first receiver's grids are those of its paths alone, whoever listens beside it and wherever the block is cut, and
+/// every level has the same bits.
+#[test]
+fn receivers_do_not_depend_on_those_behind_them() {
+    let tracks = tracks();
+    let paths: Vec<Stretch> = tracks.iter().map(|track| track.first).collect();
+    let synthesiser = Synthesiser::new(SAMPLES);
+    let mut alone = synthesiser.grids();
+    synthesiser.spread(&CHIRP, &paths, &PLACES, &mut alone);
+    for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
+        let all = spread_tracks_at(level, &tracks, 3, &[0, CHIRPS]);
+        let fewer = spread_tracks_at(level, &tracks, 2, &[0, CHIRPS]);
+        let cut = spread_tracks_at(level, &tracks, 1, &[0, 3, 4, CHIRPS]);
+        let portable = spread_tracks_at(KernelLevel::Portable, &tracks, 3, &[0, CHIRPS]);
+        assert!(bits(&all[0]) == bits(&alone) && bits(&cut[0]) == bits(&alone), "{level}");
+        assert!(all.iter().zip(&fewer).all(|(all, fewer)| bits(all) == bits(fewer)), "{level}");
+        assert!(all.iter().zip(&portable).all(|(all, portable)| bits(all) == bits(portable)), "{level}");
+    }
+}
+
+#[test]
+fn receivers_hear_their_own_delays_within_minus_50_dbc() {
+    let tracks = tracks();
+    let synthesiser = Synthesiser::new(SAMPLES);
+    let grids = spread_tracks_at(synthesiser.level, &tracks, 3, &[0, CHIRPS]);
+    for (chirp, place) in PLACES.into_iter().enumerate() {
+        for (receiver, grids) in grids.iter().enumerate().skip(1) {
+            let tone = |track: &Track| {
+                let ((delay_s, rate), aside) = (track.first.delay(place), &track.others[receiver - 1]);
+                let [_, b, c, d] = aside.delay_s.map(f64::from);
+                let delay_s = delay_s + f64::from(aside.delay(place as f32));
+                let rate = rate + (b + place * (2.0 * c + place * 3.0 * d)) / track.first.stretch_s();
+                Tone {
+                    phase_cycles: CHIRP.phase_cycles(delay_s),
+                    cycles_per_sample: CHIRP.beat_hz(delay_s, rate) / CHIRP.sample_rate_hz,
+                    amplitude: track.first.amplitude(place) * aside.ratio(place as f32),
+                }
+            };
+            let tones: Vec<Tone> = tracks.iter().map(tone).collect();
+            let mut grid = synthesiser.grid();
+            grids.extract(chirp, &mut grid);
+            let mut fast = vec![0f32; SAMPLES];
+            synthesiser.transform(&grid, &mut fast, &mut SynthesisScratch::default());
+            let exact = exact_chirp(&tones, SAMPLES);
+            let error: f64 = exact.iter().zip(&fast).map(|(e, f)| (e - f64::from(*f)).powi(2)).sum();
+            let power: f64 = exact.iter().map(|e| e * e).sum();
+            let error_db = 10.0 * (error / power).log10();
+            assert!(error_db < -50.0, "receiver {receiver}, chirp {chirp}: {error_db} dBc");
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! Paths to all receivers at once: one stretch for the first receiver, and how the others differ from it.
+//!
+//! Receivers stand some millimetres apart. A path's delay differs between them by some picoseconds, its amplitude by their gains
+//! and by filters. Both differences change slowly, so that low polynomials hold them, and what is costly about a path (its
+//! polynomials in f64, its place on the frequency grid) is computed for the first receiver alone.
+
+use num_complex::{Complex, Complex64};
+
+use crate::slow_time::{Bend, FiveKeys, Key, Stretch, cubic_of_four};
+
+/// Most receivers beside the first.
+pub const OTHERS: usize = 2;
+/// Relative power of an amplitude below which its ratio to another is not taken.
+const LEAST_POWER: f64 = 1e-6;
+
+/// Difference between a path to another receiver and the path to the first one, within a stretch.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Aside {
+    /// Delay beyond the first receiver's, s, by powers of `u` in 0..1.
+    pub(crate) delay_s: [f32; 4],
+    /// Amplitude over the first receiver's at the beginning, and the change of that over the stretch.
+    pub(crate) ratio: [Complex<f32>; 2],
+}
+
+impl Aside {
+    /// Between keys of the first receiver and of another one at both ends of a stretch: a cubic in delay, a line in the ratio of
+    /// amplitudes.
+    pub fn between(first: [&Key; 2], other: [&Key; 2], stretch_s: f64) -> Self {
+        let difference = |end: usize| {
+            let rate = other[end].delay_rate - first[end].delay_rate;
+            (other[end].delay_s - first[end].delay_s, rate * stretch_s)
+        };
+        let ((begin_s, begin_rate), (end_s, end_rate)) = (difference(0), difference(1));
+        let step_s = end_s - begin_s;
+        let square = 3.0 * step_s - 2.0 * begin_rate - end_rate;
+        let cube = begin_rate + end_rate - 2.0 * step_s;
+        let delay_s = [begin_s, begin_rate, square, cube].map(|c| c as f32);
+        Aside { delay_s, ratio: ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude)) }
+    }
+
+    /// Through keys of the first receiver and of another one at the ends, quarters and middle of a stretch.
+    pub fn through(first: &FiveKeys, other: &FiveKeys) -> Self {
+        let difference = |i: usize| other[i].delay_s - first[i].delay_s;
+        let (delay_s, _) = cubic_of_four([0, 1, 3, 4].map(difference));
+        let ratio = ratio(first.map(|key| key.amplitude), other.map(|key| key.amplitude));
+        Aside { delay_s: delay_s.map(|c| c as f32), ratio }
+    }
+
+    /// Delay beyond the first receiver's, s.
+    #[inline(always)]
+    pub fn delay(&self, u: f32) -> f32 {
+        let [a, b, c, d] = self.delay_s;
+        a + u * (b + u * (c + u * d))
+    }
+
+    /// Amplitude over the first receiver's.
+    #[inline(always)]
+    pub fn ratio(&self, u: f32) -> Complex<f32> {
+        let [begin, step] = self.ratio;
+        begin + step * u
+    }
+}
+
+/// Ratio of amplitudes at the beginning, and its change until the end. Where one of these is too weak to tell, it is the ratio
+/// at the loudest time.
+fn ratio<const N: usize>(first: [Complex64; N], other: [Complex64; N]) -> [Complex<f32>; 2] {
+    let loudest = (0..N).max_by(|&a, &b| first[a].norm_sqr().total_cmp(&first[b].norm_sqr())).unwrap_or(0);
+    let most = first[loudest].norm_sqr();
+    let at = |time: usize| {
+        let time = if first[time].norm_sqr() > LEAST_POWER * most { time } else { loudest };
+        if most > 0.0 { other[time] / first[time] } else { Complex64::ONE }
+    };
+    let (begin, end) = (at(0), at(N - 1));
+    [begin, end - begin].map(|c| Complex::new(c.re as f32, c.im as f32))
+}
+
+/// A path to all receivers within one stretch between keys.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Track {
+    /// Path to the first receiver.
+    pub first: Stretch,
+    /// Differences of the others, in their order.
+    pub others: [Aside; OTHERS],
+}
+
+impl Track {
+    /// Between the keys of every receiver at both ends of a stretch, `stretch_s` apart; `None` without a receiver.
+    pub fn between(begin: &[(Key, Bend)], end: &[(Key, Bend)], stretch_s: f64) -> Option<Self> {
+        let (first_begin, first_end) = (begin.first()?, end.first()?);
+        let mut others = [Aside::default(); OTHERS];
+        for (aside, (a, b)) in others.iter_mut().zip(begin.iter().zip(end).skip(1)) {
+            *aside = Aside::between([&first_begin.0, &first_end.0], [&a.0, &b.0], stretch_s);
+        }
+        Some(Track { first: Stretch::between(first_begin, first_end, stretch_s), others })
+    }
+
+    /// Through the keys of every receiver at the ends, quarters and middle of a stretch, and what is missed of the first
+    /// receiver's ([`Stretch::through`]); `None` without a receiver.
+    pub fn through(receivers: &[FiveKeys], stretch_s: f64, frequency_hz: f64) -> Option<(Self, f64)> {
+        let keys_of_first = receivers.first()?;
+        let (first, missed_lsb) = Stretch::through(keys_of_first, stretch_s, frequency_hz);
+        let mut others = [Aside::default(); OTHERS];
+        for (aside, keys) in others.iter_mut().zip(receivers.iter().skip(1)) {
+            *aside = Aside::through(keys_of_first, keys);
+        }
+        Some((Track { first, others }, missed_lsb))
+    }
+
+    /// The same path by its delays ([`Stretch::by_delay`]).
+    pub fn by_delay(&self) -> Self {
+        let delays_s = [0.0, 1.0].map(|u| self.first.delay(u).0);
+        let others = self.others.map(|aside| {
+            // The delay of another receiver is longer by this factor.
+            let longer = |end: usize| 1.0 + aside.delay(end as f32) / (delays_s[end] as f32).max(f32::MIN_POSITIVE);
+            let (begin, end) = (aside.ratio(0.0) * longer(0), aside.ratio(1.0) * longer(1));
+            Aside { ratio: [begin, end - begin], ..aside }
+        });
+        Track { first: self.first.by_delay(), others }
+    }
+}
+
+/// Paths of a frame: those that are followed in halves, quarters and so on of it each by themselves.
+#[derive(Debug, Clone, Default)]
+pub struct Tracks {
+    /// `[halvings][place]`.
+    levels: Vec<Vec<Vec<Track>>>,
+}
+
+impl Tracks {
+    /// Adds a path in the stretch at a place of a frame that is halved this often.
+    pub fn push(&mut self, halvings: u32, place: usize, track: Track) {
+        while self.levels.len() <= halvings as usize {
+            self.levels.push(vec![Vec::new(); 1 << self.levels.len()]);
+        }
+        if let Some(here) = self.levels.get_mut(halvings as usize).and_then(|level| level.get_mut(place)) {
+            here.push(track);
+        }
+    }
+
+    /// The same paths by their delays ([`Stretch::by_delay`]).
+    pub fn by_delay(&self) -> Self {
+        let of = |tracks: &Vec<Track>| tracks.iter().map(Track::by_delay).collect();
+        Tracks { levels: self.levels.iter().map(|level| level.iter().map(of).collect()).collect() }
+    }
+
+    /// Number of halvings of the shortest stretches.
+    pub fn most_halvings(&self) -> u32 {
+        self.levels.len().saturating_sub(1) as u32
+    }
+
+    /// Whether no path is in stretches of this many halvings.
+    pub fn is_empty_at(&self, halvings: u32) -> bool {
+        self.levels.get(halvings as usize).is_none_or(|level| level.iter().all(Vec::is_empty))
+    }
+
+    /// Paths in the stretch at a place of a frame that is halved this often.
+    pub fn at(&self, halvings: u32, place: usize) -> &[Track] {
+        self.levels.get(halvings as usize).and_then(|level| level.get(place)).map(Vec::as_slice).unwrap_or_default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn key(delay_s: f64, delay_rate: f64, amplitude: Complex64) -> Key {
+        Key { delay_s, delay_rate, amplitude }
+    }
+
+    /// A cubic difference in delay is held, and the ratio at both ends.
+    #[test]
+    fn an_aside_is_the_difference_of_two_receivers() {
+        let cubic = |t: f64| 1e-12 * (3.0 - 2.0 * t + 4.0 * t * t - t * t * t);
+        let rate = |t: f64| 1e-12 * (-2.0 + 8.0 * t - 3.0 * t * t);
+        let (first, ratio) = (|t: f64| key(1e-8 + 1e-9 * t, 1e-9, Complex64::new(1.0, t)), Complex64::new(0.8, 0.1));
+        let other = |t: f64| {
+            let first = first(t);
+            key(first.delay_s + cubic(t), first.delay_rate + rate(t), first.amplitude * (ratio * (1.0 + 0.1 * t)))
+        };
+        let stretch_s = 0.5;
+        let aside = Aside::between([&first(0.0), &first(stretch_s)], [&other(0.0), &other(stretch_s)], stretch_s);
+        for u in [0.0, 0.3, 1.0] {
+            let found = f64::from(aside.delay(u as f32));
+            assert!((found - cubic(stretch_s * u)).abs() < 1e-17, "{u}: {found}");
+            let factor = ratio * (1.0 + 0.1 * stretch_s * u);
+            let found = aside.ratio(u as f32);
+            assert!((Complex64::new(found.re.into(), found.im.into()) - factor).norm() < 1e-5, "{u}: {found}");
+        }
+    }
+
+    /// Where a path ends to be, the ratio is that of where it is.
+    #[test]
+    fn ratios_come_from_the_end_that_has_an_amplitude() {
+        let (none, some) = (Complex64::ZERO, Complex64::new(2.0, 0.0));
+        let half = Complex::new(0.5f32, 0.0);
+        assert_eq!(ratio([none, some], [none, some * 0.5]), [half, Complex::default()]);
+        assert_eq!(ratio([some, none], [some * 0.5, none]), [half, Complex::default()]);
+        assert_eq!(ratio([none, none], [none, none]), [Complex::new(1.0, 0.0), Complex::default()]);
+    }
+}

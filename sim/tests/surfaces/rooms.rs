@@ -1,0 +1,174 @@
+//! Scenes whose room is a box, a floor plan or a file, made in code.
+
+use std::fmt::Write as _;
+use std::path::Path;
+
+use base64::Engine;
+use radome_sim::scene::surfaces::{EdgeKind, Face, Surfaces};
+use radome_sim::{Scene, SceneError};
+
+use crate::common;
+
+/// Corners of a face of a mesh.
+pub type Quad = [[f64; 3]; 4];
+
+/// Inner size of the room of most tests, m: numbers that an f32 holds, in metres and in millimetres.
+pub const SIZE_M: [f64; 3] = [5.25, 4.5, 2.75];
+
+/// A scene of nobody with what stands in `[room]`, and tables beside it. The radar is at (0.5, 1, 1.2).
+pub fn parse(room: &str, tables: &str, folder: &Path) -> Result<Scene, SceneError> {
+    let hall = common::hall(&format!("[people.desk]\nmax_people = 0\n{tables}"));
+    let (before, rest) = hall.split_once("size_m").expect("written");
+    let (_, after) = rest.split_once("[radar]").expect("written");
+    let text = format!("{before}\n{room}\n[radar]{after}").replace("[1.0, 10.0, 1.2]", "[0.5, 1.0, 1.2]");
+    Scene::parse(&text, &folder.join("scene.toml"))
+}
+
+pub fn surfaces(room: &str, tables: &str) -> Surfaces {
+    parse(room, tables, Path::new("")).expect("a good scene").surfaces()
+}
+
+/// Keys of a box of plasterboard with another ceiling.
+pub fn box_keys(ceiling: &str) -> String {
+    let mut keys = format!("size_m = {SIZE_M:?}\nceiling = {{ material = {ceiling:?}, thickness_m = 0.0125 }}\n");
+    for side in ["x_low", "x_high", "y_low", "y_high", "floor"] {
+        writeln!(keys, "{side} = {{ material = \"plasterboard\", thickness_m = 0.0125 }}").expect("text");
+    }
+    keys
+}
+
+/// The faces of a box, which face outwards: low and high x, low and high y, low and high z.
+pub fn faces(low: [f64; 3], high: [f64; 3]) -> [Quad; 6] {
+    let at = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { low[a] } else { high[a] });
+    [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]].map(|q| q.map(at))
+}
+
+/// Two triangles each.
+pub fn triangles(quads: &[Quad]) -> Vec<[[f64; 3]; 3]> {
+    quads.iter().flat_map(|&[a, b, c, d]| [[a, b, c], [a, c, d]]).collect()
+}
+
+/// A text STL of triangles, in so many units a metre.
+pub fn stl(triangles: &[[[f64; 3]; 3]], per_metre: f64) -> String {
+    let mut text = String::from("solid part\n");
+    for triangle in triangles {
+        text += "facet normal 0 0 0\nouter loop\n";
+        for [x, y, z] in triangle.map(|v| v.map(|c| c * per_metre)) {
+            writeln!(text, "vertex {x} {y} {z}").expect("text");
+        }
+        text += "endloop\nendfacet\n";
+    }
+    text + "endsolid part\n"
+}
+
+/// An OBJ of quadrilaterals, each with the name of its material.
+pub fn obj(quads: &[(Quad, &str)]) -> String {
+    let mut text = String::new();
+    for (number, (quad, material)) in quads.iter().enumerate() {
+        writeln!(text, "o side{number}\nusemtl {material}").expect("text");
+        quad.iter().for_each(|[x, y, z]| writeln!(text, "v {x} {y} {z}").expect("text"));
+        let first = 4 * number + 1;
+        writeln!(text, "f {} {} {} {}", first, first + 1, first + 2, first + 3).expect("text");
+    }
+    text
+}
+
+/// A glTF document of quadrilaterals, y up, with its numbers within.
+pub fn gltf(quads: &[Quad]) -> String {
+    // (x, y, z) with z up is (x, z, -y) there.
+    let places: Vec<[f32; 3]> = quads.iter().flatten().map(|&[x, y, z]| [x as f32, z as f32, -y as f32]).collect();
+    let indices: Vec<u16> = (0..quads.len() as u16).flat_map(|q| [0, 1, 2, 0, 2, 3].map(|i| 4 * q + i)).collect();
+    let end =
+        |pick: fn(f32, f32) -> f32| [0, 1, 2].map(|axis| places.iter().map(|p| p[axis]).reduce(pick).expect("some"));
+    let mut bytes: Vec<u8> = places.iter().flatten().flat_map(|c| c.to_le_bytes()).collect();
+    let split = bytes.len();
+    bytes.extend(indices.iter().flat_map(|i| i.to_le_bytes()));
+    let data = base64::engine::general_purpose::STANDARD.encode(&bytes);
+    serde_json::json!({
+        "asset": { "version": "2.0" }, "scene": 0, "scenes": [{ "nodes": [0] }],
+        "nodes": [{ "name": "room", "mesh": 0 }],
+        "meshes": [{ "primitives": [{ "attributes": { "POSITION": 0 }, "indices": 1 }] }],
+        "accessors": [
+            { "bufferView": 0, "componentType": 5126, "count": places.len(), "type": "VEC3",
+              "min": end(f32::min), "max": end(f32::max) },
+            { "bufferView": 1, "componentType": 5123, "count": indices.len(), "type": "SCALAR" },
+        ],
+        "bufferViews": [
+            { "buffer": 0, "byteOffset": 0, "byteLength": split },
+            { "buffer": 0, "byteOffset": split, "byteLength": bytes.len() - split },
+        ],
+        "buffers": [{ "byteLength": bytes.len(), "uri": format!("data:application/octet-stream;base64,{data}") }],
+    })
+    .to_string()
+}
+
+/// The surfaces of a room from files of plasterboard, in a folder of their own; `keys` come before their tables.
+pub fn from_files(keys: &str, files: &[(&str, &str, String)]) -> Surfaces {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut room = keys.to_owned();
+    for (name, unit, content) in files {
+        std::fs::write(folder.path().join(name), content).expect("written");
+        writeln!(
+            room,
+            "[[room.mesh]]\nfile = {name:?}\nmaterial = \"plasterboard\"\nthickness_m = 0.0125\n{unit}\n\
+             materials = {{ plaster = \"plasterboard\", pane = \"glass\", steel = \"metal\" }}"
+        )
+        .expect("text");
+    }
+    parse(&room, "", folder.path()).expect("a good scene").surfaces()
+}
+
+/// Whether two faces have the same corners within a nanometre, the same material and the same air.
+fn is_same(a: &Face, b: &Face) -> bool {
+    const NEAR_M: f64 = 1e-9;
+    let (p, q) = (&a.polygon, &b.polygon);
+    let corners = |face: &Face| face.polygon.loops().flatten().copied().collect::<Vec<_>>();
+    let (from, to) = (corners(a), corners(b));
+    from.len() == to.len()
+        && p.holes.len() == q.holes.len()
+        && p.normal.distance(q.normal) < NEAR_M
+        && (p.offset_m - q.offset_m).abs() < NEAR_M
+        && from.iter().all(|c| to.iter().any(|d| c.distance(*d) < NEAR_M))
+        && (a.wall, a.sides) == (b.wall, b.sides)
+}
+
+/// Holds two descriptions together: the same faces in whatever order, and as many edges of each kind.
+pub fn assert_same(found: &Surfaces, expected: &Surfaces, what: &str) {
+    assert_eq!(found.faces.len(), expected.faces.len(), "{what}: {:?}", found.faces);
+    for face in &expected.faces {
+        assert_eq!(found.faces.iter().filter(|other| is_same(face, other)).count(), 1, "{what}: {face:?} in {found:?}");
+    }
+    for kind in [is_inner, is_flat, is_wedge, is_free] {
+        assert_eq!(count(found, kind), count(expected, kind), "{what}");
+    }
+    assert_eq!(found.small_triangles(), expected.small_triangles(), "{what}");
+}
+
+pub fn is_inner(kind: &EdgeKind) -> bool {
+    *kind == EdgeKind::Inner
+}
+
+pub fn is_flat(kind: &EdgeKind) -> bool {
+    *kind == EdgeKind::Flat
+}
+
+pub fn is_wedge(kind: &EdgeKind) -> bool {
+    matches!(kind, EdgeKind::Wedge { .. })
+}
+
+pub fn is_free(kind: &EdgeKind) -> bool {
+    *kind == EdgeKind::Free
+}
+
+/// Edges of a kind.
+pub fn count(surfaces: &Surfaces, kind: fn(&EdgeKind) -> bool) -> usize {
+    surfaces.edges.iter().filter(|edge| kind(&edge.kind)).count()
+}
+
+/// The only face of a name.
+pub fn face<'a>(surfaces: &'a Surfaces, name: &str) -> (usize, &'a Face) {
+    let mut named = surfaces.faces.iter().enumerate().filter(|(_, face)| face.name == name);
+    let found = named.next().unwrap_or_else(|| panic!("no {name} in {surfaces:?}"));
+    assert!(named.next().is_none(), "{name} twice");
+    found
+}

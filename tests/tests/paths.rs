@@ -1,0 +1,119 @@
+//! `radome scene paths`: the list against mirrors worked out by hand.
+
+use radome_tests::{failure, fixture, json_lines, radome};
+use serde_json::Value;
+
+/// Speed of light, m/s.
+const C: f64 = 299_792_458.0;
+
+/// A room of metal with the radar off its middle, and somebody who stands before it.
+fn scene(folder: &std::path::Path) -> std::path::PathBuf {
+    let wall = r#"{ material = "metal" }"#;
+    let sides =
+        ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"].map(|side| format!("{side} = {wall}\n")).concat();
+    let text = std::fs::read_to_string(fixture("scenes/room.toml")).expect("readable");
+    let waveform =
+        text.split("[waveform]").nth(1).and_then(|rest| rest.split("[[furniture]]").next()).expect("a waveform");
+    let scene = format!(
+        "format = 1\nname = \"metal\"\n\n[room]\nsize_m = [7.0, 5.0, 2.6]\nmax_reflections = 1\n{sides}\n\
+         [radar]\nposition_m = [1.5, 2.0, 1.1]\nazimuth_deg = 0.0\ntilt_down_deg = 0.0\n\n[waveform]{waveform}\n\
+         [[people.actor]]\nstep = [{{ walk_to_m = [3.0, 2.0] }}, {{ stand_s = 600.0 }}]\n"
+    );
+    let path = folder.join("metal.toml");
+    std::fs::write(&path, scene).expect("writable");
+    path
+}
+
+fn list(scene: &std::path::Path, arguments: &[&str]) -> Value {
+    let mut command = radome();
+    command.arg("paths").arg(scene).args(["--margin-db", "60", "--json"]).args(arguments);
+    json_lines(&mut command).remove(0)
+}
+
+fn number(value: &Value) -> f64 {
+    value.as_f64().expect("a number")
+}
+
+fn corners(path: &Value) -> Vec<[f64; 3]> {
+    let corner = |p: &Value| std::array::from_fn(|i| number(&p[i]));
+    path["points_m"].as_array().expect("corners").iter().map(corner).collect()
+}
+
+fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
+    (0..3).map(|i| (a[i] - b[i]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// Each wall once: the antenna in its mirror, as far behind as it stands before.
+#[test]
+fn first_reflections_are_as_long_as_mirrors_say() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let list = list(&scene(folder.path()), &["--people", "0"]);
+    let (size, frequency_hz) = ([7.0, 5.0, 2.6], number(&list["frequency_hz"]));
+    let walls = ["x_low", "x_high", "y_low", "y_high", "floor", "ceiling"];
+    let mut seen = 0;
+    for path in list["paths"].as_array().expect("paths") {
+        let points = corners(path);
+        assert_eq!((points.len(), path["surfaces"].as_array().map(Vec::len)), (3, Some(1)), "{path}");
+        let (antenna, receiver) = (points[0], points[2]);
+        let wall = walls.iter().position(|name| path["surfaces"][0] == *name).expect("a wall");
+        let plane = if wall % 2 == 0 { 0.0 } else { size[wall / 2] };
+        let mut mirrored = antenna;
+        mirrored[wall / 2] = 2.0 * plane - antenna[wall / 2];
+        let length_m = distance(mirrored, receiver);
+        assert!((number(&path["length_m"]) - length_m).abs() < 1e-9, "{path}: {length_m}");
+        assert!((number(&path["delay_s"]) - length_m / C).abs() < 1e-17, "{path}");
+        assert!((points[1][wall / 2] - plane).abs() < 1e-9, "{path}");
+        assert_eq!(number(&path["doppler_hz"]), 0.0);
+        // Metal loses nothing, and antennas look one way: no more than free space gives.
+        let free_db = 20.0 * (C / frequency_hz / (4.0 * std::f64::consts::PI * length_m)).log10();
+        assert!(number(&path["gain_db"]) <= free_db + 1e-6, "{path}: {free_db}");
+        seen += 1;
+    }
+    // Three receivers see each of four walls at least; the upright field falls endlong on floor and ceiling right below.
+    assert!(seen >= 12, "{seen} paths");
+}
+
+/// Walls before and behind a body: the corners of each path are as far apart as it is long.
+#[test]
+fn paths_by_somebody_are_as_long_as_their_corners_are_apart() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let scene = scene(folder.path());
+    let list = list(&scene, &["--time", "0.5", "--person", "0"]);
+    let paths = list["paths"].as_array().expect("paths");
+    assert!(paths.len() > 10, "{} paths", paths.len());
+    for path in paths {
+        assert_eq!(path["person"], 0);
+        let apart: f64 = corners(path).windows(2).map(|w| distance(w[0], w[1])).sum();
+        // Corners are those of the first receiver and end at the transmitter: receivers lie within 2 cm of it.
+        assert!((number(&path["length_m"]) - apart).abs() < 0.03, "{path}: {apart}");
+    }
+    let direct = paths.iter().filter(|path| path["surfaces"] == serde_json::json!(["person 0 chest"]));
+    let lengths: Vec<f64> = direct.map(|path| number(&path["length_m"])).collect();
+    // 1.5 m ahead, less half a chest.
+    assert!(!lengths.is_empty() && lengths.iter().all(|l| (2.5..3.1).contains(l)), "{lengths:?}");
+}
+
+#[test]
+fn the_list_is_drawn_and_told_in_words() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = folder.path().join("paths.png");
+    let mut command = radome();
+    command.arg("paths").arg(fixture("scenes/corridor.toml")).args(["--time", "3", "--preview"]).arg(&picture);
+    let output = command.output().expect("runs");
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && said.contains("length/m") && said.contains("x_high"), "{said}");
+    assert!(std::fs::metadata(&picture).expect("a picture").len() > 1000);
+}
+
+mod hard_cases {
+    use super::*;
+
+    #[test]
+    fn somebody_who_is_not_there_and_a_time_that_is_none_are_said() {
+        let scene = fixture("scenes/corridor.toml");
+        let said = failure(radome().arg("paths").arg(&scene).args(["--person", "7"]));
+        assert!(said.contains("person 7") && said.contains("hint"), "{said}");
+        let said = failure(radome().arg("paths").arg(&scene).args(["--time", "inf"]));
+        assert!(said.contains("--time"), "{said}");
+    }
+}
