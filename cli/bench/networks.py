@@ -5,7 +5,7 @@
 
 Prints a JSON object a line: model, peer, batch, threads, milliseconds (of each repeat, behind one that does not count), a line a
 network. With --turns each network is prepared, says so by an empty line, and is then run again for each line of standard input:
-so programs take turns. DIR holds what `radome export` wrote, NETWORK.onnx. Needs torch, torchvision and, for --onnx, onnxruntime
+so programs take turns. DIR holds what `radome model export` wrote, NETWORK.onnx. Needs torch, torchvision and, for --onnx, onnxruntime
 and numpy; `radome bench` calls it where they are.
 """
 

@@ -1,4 +1,4 @@
-//! Where the program's own scenes and models lie, and files that appear whole or not at all.
+//! Paths of the program's own scenes and models, and files that appear whole or not at all.
 
 use std::fs::File;
 use std::io::{BufWriter, Write};
@@ -8,6 +8,9 @@ use anyhow::{Context, bail};
 use radome_driver::recording::{Existing, Partial};
 
 /// Path of a file under `fixtures/`: from the working directory, beside the executable, or in the source tree.
+///
+/// # Errors
+/// The file is in none of these places.
 pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
     let beside_executable = std::env::current_exe().ok().and_then(|exe| Some(exe.parent()?.join("fixtures")));
     let roots = [
@@ -25,6 +28,9 @@ pub fn fixture(name: &str) -> anyhow::Result<PathBuf> {
 }
 
 /// Writes a file that is whole or absent, in place of one that exists.
+///
+/// # Errors
+/// The file cannot be written, or `write` fails.
 pub fn write_atomically(
     path: &Path,
     write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>,
@@ -33,6 +39,9 @@ pub fn write_atomically(
 }
 
 /// Writes a file that is whole or absent: under a temporary name, brought to the disk, and renamed when `write` is done.
+///
+/// # Errors
+/// The file exists and is not to be replaced, cannot be written, or `write` fails.
 pub fn write_output(
     path: &Path,
     existing: Existing,
@@ -44,6 +53,9 @@ pub fn write_output(
 }
 
 /// Writes an output that has been started.
+///
+/// # Errors
+/// The file cannot be written, or `write` fails.
 pub fn fill(partial: &Partial, write: impl FnOnce(&mut BufWriter<File>) -> anyhow::Result<()>) -> anyhow::Result<()> {
     let mut writer = BufWriter::new(partial.open()?);
     write(&mut writer)?;
@@ -65,6 +77,9 @@ fn array_header(rows: u64, row_shape: &[u64]) -> Vec<u8> {
 }
 
 /// Writes an `.npy` of f32 whose first axis is as long as `write`, which writes the values, says in the end.
+///
+/// # Errors
+/// The file cannot be written, or `write` fails.
 pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
     file: &mut W,
     row_shape: &[u64],
@@ -78,6 +93,9 @@ pub fn write_growing_array<W: std::io::Write + std::io::Seek>(
 }
 
 /// Fails early if the folder of an output file is missing.
+///
+/// # Errors
+/// The folder does not exist.
 pub fn check_parent(path: &Path) -> anyhow::Result<()> {
     let parent = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     if !parent.is_dir() {

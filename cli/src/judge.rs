@@ -1,4 +1,4 @@
-//! What judges frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
+//! Classifiers of frames wherever a model is taken: a trained network, or the classical detector as `--model cfar`.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -14,8 +14,6 @@ use radome_models::bounded_file::read;
 use radome_models::occupancy_filter::Smoothing;
 use radome_models::{Classifier, MODEL_LIMIT_BYTES};
 use sha2::{Digest, Sha256};
-
-use crate::live::classify::Delays;
 
 /// The name that takes the place of a model file.
 pub const CFAR: &str = "cfar";
@@ -50,6 +48,21 @@ fn is_built_in(name: &Path) -> bool {
     name == Path::new(BUILT_IN) && !name.exists()
 }
 
+/// Delays of the number of people against flicker.
+#[derive(Debug, Clone, Copy)]
+pub struct Delays {
+    /// Time of agreement before a greater number counts, s.
+    pub on_s: f64,
+    /// Time of agreement before a smaller number counts, s.
+    pub off_s: f64,
+}
+
+impl Default for Delays {
+    fn default() -> Self {
+        Delays { on_s: 0.5, off_s: 3.0 }
+    }
+}
+
 /// A model, before it is known which frames it will see.
 pub enum Model {
     /// A trained network, native or ONNX.
@@ -68,8 +81,8 @@ enum Kind {
     Cfar(Box<PeopleCounter>),
 }
 
-/// What a judge says of a frame.
-pub enum Verdict {
+/// Prediction for one frame.
+pub enum Prediction {
     /// Its window over frames is not full yet: so many of so many.
     WarmingUp { have: usize, need: usize },
     /// Probabilities of empty, one and two by this frame.
@@ -114,6 +127,9 @@ fn say_fault(faulty: FaultyReceiver) {
 
 impl Model {
     /// `cfar`, the built-in model by its name, or a model file.
+    ///
+    /// # Errors
+    /// The file cannot be read or is no model.
     pub fn open(name: &Path) -> anyhow::Result<Self> {
         if name == Path::new(CFAR) && !name.exists() {
             return Ok(Model::Cfar);
@@ -132,7 +148,10 @@ impl Model {
         }
     }
 
-    /// Who judges, as recordings name it.
+    /// Name and hash of the model, as recordings store them.
+    ///
+    /// # Errors
+    /// The file cannot be read.
     pub fn named(&self, path: &Path, delays: Delays) -> anyhow::Result<NamedJudge> {
         let model = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let model_hash = match self {
@@ -151,7 +170,7 @@ impl Model {
         Ok(NamedJudge { version: RESULTS_VERSION, model, model_hash, on_delay_s, off_delay_s })
     }
 
-    /// How answers to frames are put together.
+    /// Settings of the filter over predictions.
     pub fn smoothing(&self) -> Smoothing {
         match self {
             Model::Network(classifier) => classifier.card().smoothing,
@@ -289,7 +308,7 @@ impl Judge {
     ///
     /// # Errors
     /// The frame is of another shape than the waveform says, or the model fails.
-    pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
+    pub fn frame(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
         let receivers = frame.shape.rx;
         let mut dead = 0;
         for rx in 0..receivers {
@@ -299,24 +318,24 @@ impl Judge {
             }
         }
         // A map is made of any frame: what shows maps has the newest.
-        let verdict = self.judge(frame)?;
+        let prediction = self.judge(frame)?;
         if dead < receivers {
-            return Ok(verdict);
+            return Ok(prediction);
         }
         // The frames behind it are not held against it.
         self.reset();
-        Ok(Verdict::NoSignal)
+        Ok(Prediction::NoSignal)
     }
 
-    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Verdict> {
+    fn judge(&mut self, frame: &Frame) -> anyhow::Result<Prediction> {
         match &mut self.0 {
             Kind::Network { classifier, processor, map } => match processor.process(frame, map)? {
-                MapStatus::WarmingUp { have, need } => Ok(Verdict::WarmingUp { have, need }),
-                MapStatus::Ready => Ok(Verdict::Probabilities(classifier.classify(map)?)),
+                MapStatus::WarmingUp { have, need } => Ok(Prediction::WarmingUp { have, need }),
+                MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
             },
             Kind::Cfar(counter) => {
                 let seen = counter.look(frame)?;
-                Ok(Verdict::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
+                Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
             }
         }
     }
@@ -377,13 +396,13 @@ mod tests {
         for name in [CFAR, BUILT_IN] {
             let mut judge = Model::open(Path::new(name)).expect("a model").judge(&of).expect("its waveform");
             let mut frame = Frame::zeroed(of.shape());
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::NoSignal), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::NoSignal), "{name}");
             frame.sequence = 1;
             frame.codes.iter_mut().enumerate().for_each(|(index, code)| *code = 2000 + (index % 97) as u16);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::Probabilities(_)), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
             frame.sequence = 2;
             frame.codes[..length].fill(2048);
-            assert!(matches!(judge.frame(&frame).expect("judged"), Verdict::Probabilities(_)), "{name}");
+            assert!(matches!(judge.frame(&frame).expect("judged"), Prediction::Probabilities(_)), "{name}");
         }
     }
 

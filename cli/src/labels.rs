@@ -8,7 +8,7 @@ use radome_driver::LabelSpan;
 use radome_driver::recording::mcap::LabelEditor;
 use radome_driver::recording::span_check::{ROUNDING_S, check_spans};
 use radome_driver::recording::{Existing, Partial, Recording, label_text};
-use radome_dsp::{Frame, FrameSource, SourceEvent, Truth, Waveform};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent, Truth, Waveform};
 
 use crate::files;
 
@@ -30,6 +30,9 @@ fn format(path: &Path) -> anyhow::Result<Format> {
 }
 
 /// Reads a file of labels: `.txt` is an Audacity label track, `.label` a DEEPCRAFT file.
+///
+/// # Errors
+/// The name has an unknown ending, or the file cannot be read or understood.
 pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let format = format(path)?;
     let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -41,6 +44,9 @@ pub fn read(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
 }
 
 /// Writes such a file, whole or not at all.
+///
+/// # Errors
+/// The name has an unknown ending, the file exists and is not to be replaced, or it cannot be written.
 pub fn write(path: &Path, existing: Existing, spans: &[LabelSpan]) -> anyhow::Result<()> {
     let text = text(path, spans)?;
     files::write_output(path, existing, |file| file.write_all(text.as_bytes()).context("cannot write the labels"))
@@ -56,6 +62,9 @@ fn text(path: &Path, spans: &[LabelSpan]) -> anyhow::Result<String> {
 
 /// Replaces the labels in the file beside a recording that cannot hold any by what `change` makes of those that are there. Meanwhile
 /// nobody else writes to it.
+///
+/// # Errors
+/// The labels cannot be read or written, or `change` fails.
 pub fn rewrite_beside(
     recording: &Path,
     file: &Path,
@@ -67,7 +76,7 @@ pub fn rewrite_beside(
     Ok(partial.finish()?)
 }
 
-/// Where the labels of a recording lie that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
+/// Path of the labels of a recording that cannot hold any: `radome.label` in a folder, `NAME.label` beside a file.
 pub fn name_beside(recording: &Path) -> PathBuf {
     if recording.is_dir() { recording.join("radome.label") } else { recording.with_extension("label") }
 }
@@ -87,6 +96,9 @@ pub fn file_beside(recording: &Path) -> Option<PathBuf> {
 }
 
 /// All labels of a recording.
+///
+/// # Errors
+/// The recording or the file beside it cannot be read.
 pub fn of(recording: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     match Recording::open(recording)? {
         Recording::Mcap(reader) => Ok(reader.labels()?),
@@ -108,8 +120,25 @@ pub fn by_span(spans: &[LabelSpan], frame: &Frame, waveform: &Waveform) -> Optio
     Some(Truth { occupancy, transition: at(last_s).is_some_and(|last| last != occupancy) })
 }
 
+/// Spans of one class each, from the classes of single frames: a frame lasts until the next one, and the last for a frame
+/// interval.
+pub fn spans_of(frames: &[(f64, Occupancy)], interval_s: f64) -> Vec<LabelSpan> {
+    let mut spans: Vec<LabelSpan> = Vec::new();
+    for (index, (time_s, class)) in frames.iter().enumerate() {
+        let end_s = frames.get(index + 1).map_or(time_s + interval_s, |(next_s, _)| *next_s);
+        match spans.last_mut().filter(|span| span.label == class.name()) {
+            Some(span) => span.end_s = end_s,
+            None => spans.push(LabelSpan::new(*time_s, end_s, class.name())),
+        }
+    }
+    spans
+}
+
 /// Adds labels to a recording, or to the file beside it; returns which. Labels that are reversed, out of the recording's
 /// range, or that overlap each other or those that are there, are refused, and nothing is written.
+///
+/// # Errors
+/// The recording cannot be read or written, or the labels are refused.
 pub fn add(recording: &Path, spans: &[LabelSpan]) -> anyhow::Result<PathBuf> {
     let mut source = Recording::open(recording)?;
     let named = || format!("{}: labels refused", recording.display());

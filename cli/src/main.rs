@@ -4,21 +4,23 @@
 #![allow(clippy::print_stdout, clippy::print_stderr)]
 
 mod command;
+mod dataset;
 mod exit;
 mod files;
 mod judge;
 mod labels;
 mod live;
+mod map_preset;
 mod output;
 mod output_file;
 mod panics;
-mod plot;
+mod picture;
 mod shard;
 mod source;
 
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use tracing_subscriber::prelude::*;
 
 /// A training step takes and gives back hundreds of large blocks; the system would clear each anew.
@@ -37,13 +39,14 @@ struct Arguments {
 
 fn main() -> ExitCode {
     panics::remember_places();
-    let arguments = Arguments::parse();
+    let given = std::env::args_os().collect();
+    let arguments = Arguments::parse_from(command::former_names::with_present_names(given));
     let wire = match &arguments.command {
         command::Command::Doctor(doctor) => doctor.wire_log(),
         _ => None,
     };
     start_log(arguments.verbose, wire);
-    let outcome = panics::caught(|| command::run(arguments.command));
+    let outcome = panics::caught(|| command::run(arguments.command, Arguments::command));
     exit::report(&outcome.unwrap_or_else(|panicked| Err(panicked.into())))
 }
 

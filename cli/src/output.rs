@@ -8,17 +8,26 @@ use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
 /// Writes one JSON object on a line of its own, at once.
+///
+/// # Errors
+/// [`StdoutClosed`], or standard output cannot be written.
 pub fn json_line(value: &impl Serialize) -> anyhow::Result<()> {
     let line = serde_json::to_string(value).context("cannot write the answer as JSON")?;
     text_line(&line)
 }
 
 /// Writes a line of text, at once.
+///
+/// # Errors
+/// [`StdoutClosed`], or standard output cannot be written.
 pub fn text_line(line: &str) -> anyhow::Result<()> {
     text(&format!("{line}\n"))
 }
 
 /// Writes text, at once. All that goes to stdout goes through here.
+///
+/// # Errors
+/// [`StdoutClosed`], or standard output cannot be written.
 pub fn text(text: &str) -> anyhow::Result<()> {
     let mut stdout = std::io::stdout().lock();
     match stdout.write_all(text.as_bytes()).and_then(|()| stdout.flush()) {
@@ -38,6 +47,9 @@ pub fn is_closed_stdout(error: &anyhow::Error) -> bool {
 }
 
 /// Takes a closed stdout for success: for what is said when the work is done.
+///
+/// # Errors
+/// The given error, unless it is [`StdoutClosed`].
 pub fn unless_closed(said: anyhow::Result<()>) -> anyhow::Result<()> {
     said.or_else(|error| if is_closed_stdout(&error) { Ok(()) } else { Err(error) })
 }
@@ -73,6 +85,9 @@ pub fn progress(length: u64, what: &'static str) -> ProgressBar {
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 
 /// Makes Ctrl-C and SIGTERM ask for an orderly end; a second one ends at once.
+///
+/// # Errors
+/// The system refuses the handler.
 pub fn catch_interrupts() -> anyhow::Result<()> {
     // A command may be made of others that ask for the same.
     static CAUGHT: AtomicBool = AtomicBool::new(false);
@@ -91,3 +106,8 @@ pub fn catch_interrupts() -> anyhow::Result<()> {
 pub fn interrupted() -> bool {
     INTERRUPTED.load(Ordering::SeqCst)
 }
+
+/// Error of work that ended because [`interrupted`] is true.
+#[derive(Debug, thiserror::Error)]
+#[error("interrupted")]
+pub struct Interrupted;

@@ -27,6 +27,9 @@ impl Overwrite {
 
     /// Fails early where the output could not be written in the end: its folder is missing, or a file has its name. What is no file,
     /// such as a device, may be written to.
+    ///
+    /// # Errors
+    /// The folder is missing, or the file exists and is not to be replaced.
     pub fn check(self, path: &Path) -> anyhow::Result<()> {
         files::check_parent(path)?;
         if !self.overwrite && path.is_file() {

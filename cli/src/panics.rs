@@ -43,6 +43,9 @@ pub fn remember_places() {
 
 /// Does some work; a panic becomes an error. What the work had in its hands is not used any more after that, or is fit for use
 /// in any state.
+///
+/// # Errors
+/// A panic of the work, with its place.
 pub fn caught<T>(work: impl FnOnce() -> T) -> Result<T, Panicked> {
     catch_unwind(AssertUnwindSafe(work)).map_err(|payload| Panicked::new(payload.as_ref()))
 }

@@ -1,4 +1,4 @@
-//! Which part of a job is this process's: `--shard I/N`.
+//! Part of a job that is this process's: `--shard I/N`.
 
 use std::str::FromStr;
 
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 /// Part `index` of `count`, from 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Shard {
-    /// Which.
+    /// Index of the part.
     pub index: usize,
-    /// Of how many.
+    /// Number of parts.
     pub count: usize,
 }
 

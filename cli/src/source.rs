@@ -15,7 +15,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
-use radome_driver::recording::{Extent, Recording};
+use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
     Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace,
     Player, RealTime, Reconnect, Transport, candidates,
@@ -26,7 +26,54 @@ use radome_sim::{Scene, SimulateOptions, Simulator};
 
 use crate::panics::Guarded;
 
-/// What to do with a source beyond its name.
+/// Seed of a simulation where none is named.
+pub const DEFAULT_SEED: u64 = 1;
+
+/// Source of frames and its options, as every command that reads frames takes them.
+#[derive(Debug, Clone, clap::Args)]
+pub struct SourceArgs {
+    /// Recording, SCENE.toml, serial:PORT, usb:, deepcraft:PORT, auto, or emulated:SOURCE
+    #[arg(value_name = "SOURCE", value_hint = clap::ValueHint::AnyPath)]
+    pub source: String,
+    /// Waveform to program a board with: `paper`, a .toml file, a model file, or a recording
+    #[arg(long)]
+    pub waveform: Option<String>,
+    /// Stop after so many frames
+    #[arg(long)]
+    pub frames: Option<u64>,
+    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
+    #[arg(long)]
+    pub speed: Option<f64>,
+    /// Seed of a simulation; 1 if absent, 100001 for `live`
+    #[arg(long)]
+    pub seed: Option<u64>,
+    /// People that a simulation is forced to have
+    #[arg(long)]
+    pub people: Option<usize>,
+    /// Seconds for which a board that is lost is looked for
+    #[arg(long, hide = true, value_parser = seconds)]
+    pub give_up_after_s: Option<Duration>,
+}
+
+impl SourceArgs {
+    /// Options with which the source is opened.
+    ///
+    /// # Errors
+    /// Those of [`waveform`].
+    pub fn options(&self) -> anyhow::Result<SourceOptions> {
+        Ok(SourceOptions {
+            waveform: self.waveform.as_deref().map(waveform).transpose()?,
+            seed: self.seed.unwrap_or(DEFAULT_SEED),
+            people: self.people,
+            frames: self.frames,
+            speed: self.speed,
+            as_playback: false,
+            give_up_after: self.give_up_after_s,
+        })
+    }
+}
+
+/// Options of a source.
 #[derive(Debug, Clone, Default)]
 pub struct SourceOptions {
     /// Waveform to program a board with, if not the one that it has; recordings and scenes bring their own.
@@ -37,10 +84,10 @@ pub struct SourceOptions {
     pub people: Option<usize>,
     /// Frames that a simulation ends after.
     pub frames: Option<u64>,
-    /// Times real time; 0 is as fast as it goes, and so is `None` but for a tape. Boards have their own pace.
+    /// Times real time; 0 is as fast as it goes, and so is `None` except for a [`Playback`]. Boards have their own pace.
     pub speed: Option<f64>,
-    /// Whether a recording is to be a [`Tape`], by default at the pace at which it was taken.
-    pub as_tape: bool,
+    /// Whether a recording is to be a [`Playback`], by default at the pace at which it was taken.
+    pub as_playback: bool,
     /// Time for which a lost board is looked for; the default if `None`.
     pub give_up_after: Option<Duration>,
 }
@@ -54,12 +101,12 @@ impl SourceOptions {
 
 /// A recording that somebody plays, pauses and seeks.
 #[derive(Clone)]
-pub struct Tape {
+pub struct Playback {
     /// Its keys.
     pub transport: Transport,
     /// Its first and last frame.
     pub extent: Extent,
-    /// Where it lies.
+    /// Path of the recording.
     pub path: PathBuf,
 }
 
@@ -73,19 +120,22 @@ pub struct Source {
     pub description: String,
     /// The board behind it, if there is one.
     pub board: Option<BoardIdentity>,
-    /// What its chip was programmed with.
+    /// Registers of its chip.
     pub registers: RegisterList,
     /// The recording, where it is one that can be sought.
-    pub tape: Option<Tape>,
+    pub playback: Option<Playback>,
 }
 
 impl Source {
     fn without_board(frames: Box<dyn FrameSource>, description: String) -> Self {
-        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), tape: None }
+        Source { frames, is_live: false, description, board: None, registers: RegisterList::new(), playback: None }
     }
 }
 
 /// Opens a SOURCE. A panic below it is an error of its frames.
+///
+/// # Errors
+/// There is no such source, it cannot be read, or a board cannot be programmed.
 pub fn open(spec: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let mut source = open_unstamped(spec, options)?;
     if source.is_live {
@@ -134,8 +184,8 @@ fn open_unstamped(spec: &str, options: &SourceOptions) -> anyhow::Result<Source>
         return board(&the_one_board()?, options);
     }
     let path = Path::new(spec);
-    if options.as_tape && !is_scene(path) {
-        return tape(path, options.speed.unwrap_or(1.0));
+    if options.as_playback && !is_scene(path) {
+        return playback(path, options.speed.unwrap_or(1.0));
     }
     let mut source = if is_scene(path) {
         let simulator = simulator(&Scene::load(path)?, options)?;
@@ -163,6 +213,9 @@ fn simulator(scene: &Scene, options: &SourceOptions) -> anyhow::Result<Simulator
 
 /// Feed of an emulated board and a one-line description. A scene is simulated in whatever waveform a client
 /// programs; a recording can be begun again.
+///
+/// # Errors
+/// Those of [`open`].
 pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String)> {
     let Source { frames, description, .. } = open(spec, options)?;
     let (path, options) = (PathBuf::from(spec), options.clone());
@@ -192,13 +245,13 @@ fn simulation_in(
 }
 
 /// A recording to play; its board is the one that it was taken with.
-fn tape(path: &Path, speed: f64) -> anyhow::Result<Source> {
+fn playback(path: &Path, speed: f64) -> anyhow::Result<Source> {
     let recording = Recording::open(path)?;
     let header = recording.header();
     let Some(player) = Player::new(recording, speed)? else { bail!("{}: no frame", path.display()) };
-    let tape = Tape { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
+    let playback = Playback { transport: player.transport(), extent: player.extent(), path: path.to_owned() };
     let source = Source::without_board(Box::new(player), format!("recording {}", path.display()));
-    Ok(Source { board: header.board, registers: header.registers, tape: Some(tape), ..source })
+    Ok(Source { board: header.board, registers: header.registers, playback: Some(playback), ..source })
 }
 
 fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
@@ -227,7 +280,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
                 description,
                 board: Some(identity),
                 registers,
-                tape: None,
+                playback: None,
             })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
@@ -249,7 +302,14 @@ fn deepcraft_board(board: DeepcraftBoard, options: &SourceOptions) -> anyhow::Re
     let description = format!("{} on {}", identity.name, board.path().display());
     let stream = board.start(&waveform)?.with_reconnect(options.reconnect());
     let registers = stream.registers().clone();
-    Ok(Source { frames: Box::new(stream), is_live: true, description, board: Some(identity), registers, tape: None })
+    Ok(Source {
+        frames: Box::new(stream),
+        is_live: true,
+        description,
+        board: Some(identity),
+        registers,
+        playback: None,
+    })
 }
 
 /// The only board that discovery finds.
@@ -258,11 +318,11 @@ fn the_one_board() -> anyhow::Result<Address> {
     match (boards.pop(), boards.is_empty()) {
         (Some(board), true) => Ok(board),
         (Some(_), false) => {
-            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome devices lists them")
+            bail!("more than one board is attached\n\nhint: name one with serial:PORT; radome board list lists them")
         }
         (None, _) => {
             bail!(
-                "no board is attached\n\nhint: radome devices says what was found; emulated:SCENE.toml needs no board"
+                "no board is attached\n\nhint: radome board list says what was found; emulated:SCENE.toml needs no board"
             )
         }
     }
@@ -270,7 +330,7 @@ fn the_one_board() -> anyhow::Result<Address> {
 
 /// The same frames through an emulated board and the wire protocol.
 fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
-    let source = open_unstamped(inner, &SourceOptions { speed: None, as_tape: false, ..options.clone() })?;
+    let source = open_unstamped(inner, &SourceOptions { speed: None, as_playback: false, ..options.clone() })?;
     let speed = options.speed.filter(|speed| *speed > 0.0);
     let pace = speed.map_or(Pace::AsFastAsRead, Pace::RealTime);
     let emulated =
@@ -280,16 +340,22 @@ fn emulated(inner: &str, options: &SourceOptions) -> anyhow::Result<Source> {
     let description = format!("{} emulated on {path}, fed by a {}", identity.name, source.description);
     let registers = emulated.stream().registers().clone();
     let is_live = speed.is_some();
-    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, tape: None })
+    Ok(Source { frames: Box::new(emulated), is_live, description, board: Some(identity), registers, playback: None })
 }
 
 /// Seconds, as an argument.
+///
+/// # Errors
+/// The text is no number of seconds.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
     Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
-/// A waveform by name (`paper`) or from a TOML file of a [`radome_dsp::WaveformRequest`].
+/// Waveform by name (`paper`), or that of a TOML file of a [`radome_dsp::WaveformRequest`], of a model file, or of a recording.
+///
+/// # Errors
+/// The file cannot be read or holds no waveform, or the chip cannot produce the waveform.
 pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if spec == "paper" {
         return Ok(Waveform::realise(radome_dsp::WaveformRequest::paper())?);
@@ -298,8 +364,18 @@ pub fn waveform(spec: &str) -> anyhow::Result<Waveform> {
     if path.extension().is_some_and(|e| e == "safetensors" || e == "onnx") {
         return Ok(radome_models::ModelCard::load(path)?.waveform);
     }
+    if path.is_dir() || path.is_file() {
+        match Recording::open(path) {
+            Ok(recording) => return Ok(recording.waveform().clone()),
+            Err(RecordingError::Unknown { .. }) => {}
+            Err(error) => return Err(error.into()),
+        }
+    }
     let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| {
-        format!("cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, or a model file")
+        format!(
+            "cannot read waveform {spec}\n\nhint: it is \"paper\", a .toml file with the fields of a waveform, a model file or a \
+             recording"
+        )
     })?;
     let request = toml::from_str(&text).with_context(|| format!("{spec} is no waveform"))?;
     Ok(Waveform::realise(request)?)

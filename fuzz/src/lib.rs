@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// The program's own file: the program is no library.
 #[allow(dead_code)]
-#[path = "../../cli/src/command/dataset/spec.rs"]
+#[path = "../../cli/src/dataset/spec.rs"]
 mod dataset_spec;
 mod learning;
 mod recordings;

@@ -94,7 +94,7 @@ fn with_sway(from: &Path, to: &Path, phase: f64) {
     writer.finish().expect("finishes");
 }
 
-/// `radome adapt` of the model with recordings such as `0-1=empty`.
+/// `radome model adapt` of the model with recordings such as `0-1=empty`.
 fn adapt(recordings: &[&str]) -> Command {
     let mut command = radome();
     command.arg("adapt").arg(made().join("model.safetensors")).arg("--json");

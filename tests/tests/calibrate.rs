@@ -42,7 +42,7 @@ fn a_receiver_fitted_to_half_a_recording_meets_the_other_half() {
     assert!(distance("after") < distance("before"), "{answer}");
     // The file says how it was made, and not where.
     let text = std::fs::read_to_string(&file).expect("readable");
-    assert!(text.contains("radome calibrate breathing-person-20260106 --part 0.5 -o receiver.toml"), "{text}");
+    assert!(text.contains("radome scene calibrate breathing-person-20260106 --part 0.5 -o receiver.toml"), "{text}");
     assert!(!text.contains("/breathing-person"), "{text}");
     // A scene takes the file that was written.
     let scene = std::fs::read_to_string(fixture("scenes/desk.toml")).expect("readable");

@@ -1,4 +1,4 @@
-//! `radome circuit` for other circuits than the paper's.
+//! `radome bench circuit` for other circuits than the paper's.
 
 use radome_tests::{failure, json_lines, radome};
 

@@ -218,7 +218,7 @@ mod hard_cases {
         bytes[middle] ^= 0x10;
         std::fs::write(at("x.mcap"), bytes).expect("writes");
         let said = refused("x.mcap", "session");
-        assert!(said.contains("at byte") && said.contains("radome repair"), "{said}");
+        assert!(said.contains("at byte") && said.contains("radome recording repair"), "{said}");
         let said = failure(radome().arg("repair").arg(at("full/thesis.tex")).arg("-o").arg(at("y.mcap")));
         assert!(said.contains("not an MCAP file"), "{said}");
         let mut left = left_over(folder.path());

@@ -129,7 +129,7 @@ fn the_page_offers_to_adapt_the_model_once_there_are_labels() {
     let text = text.as_str().unwrap_or_else(|| panic!("{told}"));
     assert!(text.contains("2 s empty, 0 s one, 0 s two") && text.contains("Without people"), "{text}");
     let command = command.as_str().unwrap_or_else(|| panic!("{told}")).to_owned();
-    assert!(command.starts_with("radome adapt room-hqnn '"), "{command}");
+    assert!(command.starts_with("radome model adapt room-hqnn '"), "{command}");
     assert!(served.stop(), "an orderly end");
 
     // As somebody would who copies it into a shell.

@@ -1,4 +1,4 @@
-//! `radome evaluate` on recordings whose labels change, on recordings that a model refuses, and on a ladder of simulated ones.
+//! `radome model evaluate` on recordings whose labels change, on recordings that a model refuses, and on a ladder of simulated ones.
 
 use std::path::{Path, PathBuf};
 

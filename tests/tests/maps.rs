@@ -1,4 +1,4 @@
-//! `radome rdm` on the real recording against the formula in f64, written out here on its own.
+//! `radome recording maps` on the real recording against the formula in f64, written out here on its own.
 
 use std::f64::consts::TAU;
 

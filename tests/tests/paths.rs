@@ -1,4 +1,4 @@
-//! `radome paths`: the list against mirrors worked out by hand.
+//! `radome scene paths`: the list against mirrors worked out by hand.
 
 use radome_tests::{failure, fixture, json_lines, radome};
 use serde_json::Value;

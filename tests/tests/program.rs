@@ -2,7 +2,8 @@
 
 use std::process::Stdio;
 
-use radome_tests::{failure, json_lines, radome, shared};
+use radome_tests::{failure, fixture, json_lines, radome, shared};
+use serde_json::json;
 
 #[test]
 fn models_lists_the_hqnn_with_its_parameters() {
@@ -95,4 +96,61 @@ fn errors_say_what_and_what_to_do() {
 #[test]
 fn devices_answers_on_a_machine_without_usb() {
     json_lines(radome().args(["devices", "--json"]));
+}
+
+#[test]
+fn a_recording_says_its_waveform_its_length_and_its_labels() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let recording = folder.path().join("run.mcap");
+    let simulated = ["--people", "0", "--frames", "20", "--json", "-o"];
+    json_lines(radome().args(["scene", "simulate"]).arg(fixture("scenes/hall.toml")).args(simulated).arg(&recording));
+    let info = json_lines(radome().args(["recording", "info", "--json"]).arg(&recording)).remove(0);
+    assert_eq!(
+        (&info["format"], &info["frames"], &info["labelled_s"]),
+        (&"mcap".into(), &20.into(), &json!({})),
+        "{info}"
+    );
+    let of_recording = json_lines(radome().args(["board", "config", "--json"]).arg(&recording)).remove(0);
+    assert_eq!(of_recording["waveform"], info["waveform"]);
+
+    let label = ["recording", "label", "--json"];
+    let added = json_lines(radome().args(label).args(["--span", "0:1=empty"]).arg(&recording)).remove(0);
+    let shown = json_lines(radome().args(label).arg(&recording)).remove(0);
+    for key in ["start_s", "end_s", "label"] {
+        assert!(shown[0][key] == added[0][key] && !shown[0][key].is_null(), "{shown}, {added}");
+    }
+    assert_eq!(shown.as_array().map(Vec::len), Some(1), "{shown}");
+    let track = folder.path().join("track.txt");
+    json_lines(radome().args(label).arg(&recording).arg("-o").arg(&track));
+    assert!(std::fs::read_to_string(&track).is_ok_and(|text| text.contains("empty")));
+    let info = json_lines(radome().args(["recording", "info", "--json"]).arg(&recording)).remove(0);
+    assert_eq!(info["labelled_s"], json!({ "empty": 1.0 }), "{info}");
+}
+
+#[test]
+fn a_preview_is_drawn_and_replaces_no_file() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let picture = folder.path().join("scene.png");
+    let draw = || {
+        let mut command = radome();
+        command.args(["scene", "preview", "--frames", "20", "--json", "-o"]).arg(&picture);
+        command.arg(fixture("scenes/corridor.toml"));
+        command
+    };
+    let drawn = json_lines(&mut draw()).remove(0);
+    assert_eq!(drawn["preview"], picture.display().to_string(), "{drawn}");
+    assert!(std::fs::read(&picture).is_ok_and(|bytes| bytes.starts_with(b"\x89PNG")));
+    assert!(failure(&mut draw()).contains("exists already"));
+    let by_former_option = folder.path().join("former.png");
+    let former = ["simulate", "fixtures/scenes/corridor.toml", "--frames", "20", "--json", "--preview"];
+    json_lines(radome().args(former).arg(&by_former_option));
+    assert_eq!(std::fs::read(by_former_option).expect("a picture"), std::fs::read(picture).expect("a picture"));
+}
+
+#[test]
+fn a_reset_without_a_probe_says_where_probes_are_listed() {
+    for arguments in [["board", "reset", "nothing"], ["devices", "--reset", "nothing"]] {
+        let said = failure(radome().args(arguments));
+        assert!(said.contains("nothing is no debug probe") && said.contains("lists the probes"), "{said}");
+    }
 }

@@ -1,9 +1,11 @@
 mod circuit;
+mod circuit_time;
 mod kept_dense;
 mod networks;
 mod peer;
 mod people;
 mod point;
+mod rcs;
 mod rdm;
 mod scene;
 mod solver;
@@ -20,6 +22,8 @@ pub struct Arguments {
     table: table::Arguments,
 }
 
+// There is one in a program: its size does not matter.
+#[allow(clippy::large_enum_variant)]
 #[derive(clap::Subcommand)]
 enum Stage {
     /// Range-Doppler maps: 3 receivers x 128 chirps x 256 samples on one thread, beside libraries and scipy
@@ -34,9 +38,16 @@ enum Stage {
     Train(networks::Arguments),
     /// Networks at work on one map of 128 x 128, beside onnxruntime and PyTorch
     Infer(networks::Arguments),
+    /// One target through the solver: radar cross-section, analytic value, error, time
+    Rcs(rcs::Arguments),
+    /// The quantum circuit at one point: expectations and gradients
+    Circuit(circuit::Arguments),
 }
 
 /// Speed against error: one stage, or all of them in one table.
+///
+/// # Errors
+/// A stage cannot be set up or measured, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     match &arguments.stage {
         None => table::run(&arguments.table),
@@ -46,5 +57,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         Some(Stage::Scene(arguments)) => scene::run(arguments),
         Some(Stage::Train(arguments)) => networks::train(arguments),
         Some(Stage::Infer(arguments)) => networks::infer(arguments),
+        Some(Stage::Rcs(arguments)) => rcs::run(arguments),
+        Some(Stage::Circuit(arguments)) => circuit::run(arguments),
     }
 }

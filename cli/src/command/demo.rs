@@ -10,7 +10,7 @@ pub struct Arguments {
     #[arg(long, default_value_t = 300)]
     frames: u64,
     /// Seed of the people's ways; the shipped model was trained on seeds below 100000
-    #[arg(long, default_value_t = 100_001)]
+    #[arg(long, default_value_t = super::live::UNSEEN_SEED)]
     seed: u64,
     /// Times real time; 0 is as fast as it goes
     #[arg(long, default_value_t = 1.0)]
@@ -29,6 +29,9 @@ pub struct Arguments {
 }
 
 /// The main job with nothing attached.
+///
+/// # Errors
+/// The scene or the model is not found, or the run fails.
 pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
     let scene = arguments.scene.map_or_else(|| files::fixture("scenes/corridor.toml"), Ok)?;
     let model = arguments.model.map_or_else(|| files::fixture("models/paper-hqnn.safetensors"), Ok)?;
@@ -46,7 +49,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<Ended> {
         output: None,
         overwrite: Default::default(),
         background: None,
-        home: &Default::default(),
+        integrations: &Default::default(),
         allow_loss: false,
         give_up_after: None,
     })

@@ -1,6 +1,7 @@
-//! What could keep the program from doing its work on this machine, found before it does.
+//! Checks of everything that could keep the program from working on this machine.
 
 mod bundle;
+mod check;
 mod checks;
 mod redact;
 mod wire;
@@ -8,11 +9,11 @@ mod wire;
 use std::path::{Path, PathBuf};
 
 use anyhow::bail;
-use serde::Serialize;
 use serde_json::json;
 
+use self::check::{Check, Outcome};
 use self::redact::{Kind, Redactor};
-use crate::live::home::broker::{self, BrokerArguments, Secret};
+use crate::live::integrations::broker::{self, BrokerArguments, Secret};
 use crate::output;
 pub use wire::WireLog;
 
@@ -37,13 +38,13 @@ pub struct Arguments {
     /// One object a check
     #[arg(long)]
     json: bool,
-    /// What is said on the wire meanwhile.
+    /// Trace of the board's protocol meanwhile.
     #[arg(skip)]
     wire: WireLog,
 }
 
 impl Arguments {
-    /// Where what is said on the wire is to go, if anybody will read it.
+    /// Destination of the trace of the protocol, if a bundle is to be written.
     pub fn wire_log(&self) -> Option<&WireLog> {
         self.bundle.as_ref().map(|_| &self.wire)
     }
@@ -80,52 +81,10 @@ impl Arguments {
     }
 }
 
-/// How a check went.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-enum Verdict {
-    Ok,
-    /// Something will be missing or slow.
-    Warn,
-    /// It will not work.
-    Fail,
-}
-
-/// What was looked at and what was found.
-#[derive(Debug, Clone, Serialize)]
-struct Check {
-    check: &'static str,
-    verdict: Verdict,
-    found: String,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    hint: Option<String>,
-}
-
-impl Check {
-    fn ok(check: &'static str, found: impl Into<String>) -> Self {
-        Check { check, verdict: Verdict::Ok, found: found.into(), hint: None }
-    }
-
-    fn warn(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
-        Check { check, verdict: Verdict::Warn, found: found.into(), hint: Some(hint.into()) }
-    }
-
-    fn fail(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
-        Check { check, verdict: Verdict::Fail, found: found.into(), hint: Some(hint.into()) }
-    }
-
-    /// What an error says, and what it says to do.
-    fn error(check: &'static str, error: &anyhow::Error) -> Self {
-        let text = output::chain(error);
-        let (found, hint) = match text.split_once("\n\nhint: ") {
-            Some((found, hint)) => (found.to_owned(), Some(hint.to_owned())),
-            None => (text, None),
-        };
-        Check { check, verdict: Verdict::Fail, found, hint }
-    }
-}
-
 /// Looks at everything; fails if something does.
+///
+/// # Errors
+/// A check fails, or the bundle cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(path) = &arguments.bundle {
         bundle::check_absent(path)?;
@@ -173,8 +132,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         }
         eprintln!("{}: look at it before you send it anywhere", path.display());
     }
-    let count = |verdict: Verdict| report.checks.iter().filter(|check| check.verdict == verdict).count();
-    let (warnings, failures) = (count(Verdict::Warn), count(Verdict::Fail));
+    let count = |outcome: Outcome| report.checks.iter().filter(|check| check.outcome == outcome).count();
+    let (warnings, failures) = (count(Outcome::Warn), count(Outcome::Fail));
     let checked = report.checks.len();
     if arguments.json {
         let summary = json!({ "summary": { "checks": checked, "warnings": warnings, "failures": failures } });
@@ -199,10 +158,10 @@ impl Report {
         if self.as_json {
             output::json_line(&check)?;
         } else {
-            let mark = match check.verdict {
-                Verdict::Ok => "ok  ",
-                Verdict::Warn => "WARN",
-                Verdict::Fail => "FAIL",
+            let mark = match check.outcome {
+                Outcome::Ok => "ok  ",
+                Outcome::Warn => "WARN",
+                Outcome::Fail => "FAIL",
             };
             let hint = check.hint.as_ref().map(|hint| format!("\n{:18}hint: {hint}", "")).unwrap_or_default();
             output::text_line(&format!("{mark}  {:11} {}{hint}", check.check, check.found))?;

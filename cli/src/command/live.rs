@@ -7,10 +7,10 @@ use radome_driver::{RecorderOptions, RecordingHeader};
 use radome_dsp::Waveform;
 
 use crate::exit::Ended;
-use crate::judge::{BUILT_IN, Model};
+use crate::judge::{BUILT_IN, Delays, Model};
 use crate::live::background::Background;
-use crate::live::classify::{Delays, FrameClassifier, run as run_classifier};
-use crate::live::home::{self, Home};
+use crate::live::classify::{FrameClassifier, run as run_classifier};
+use crate::live::integrations::{self, Integrations};
 use crate::live::pipeline::{Pipeline, Policy};
 use crate::live::recorder::RecorderSink;
 use crate::live::screen::Screen;
@@ -18,7 +18,10 @@ use crate::live::sink::Sink;
 use crate::live::view;
 use crate::output;
 use crate::output_file::{self, Overwrite};
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs, SourceOptions};
+
+/// Seed of a simulation that no training of the shipped models has seen.
+pub const UNSEEN_SEED: u64 = 100_001;
 
 /// `radome live`
 #[derive(clap::Args)]
@@ -28,15 +31,12 @@ use crate::source::{self, SourceOptions};
                         marked unfinished; answers go on without it, and the status is 1 at the end."
 )]
 pub struct Arguments {
-    /// Recording, SCENE.toml, serial:PORT, auto, or emulated:SOURCE
-    source: String,
+    #[command(flatten)]
+    source: SourceArgs,
     /// Model file, which names the waveform that a board is programmed with; room-hqnn, which is built in and takes nearly any
     /// waveform; or cfar, the classical detector, for any waveform
     #[arg(long, default_value = BUILT_IN)]
     model: PathBuf,
-    /// Waveform to program a board with, for a model that names none (cfar): `paper`, a .toml file, or a model file
-    #[arg(long)]
-    waveform: Option<String>,
     /// Record frames and answers to this MCAP file. In a folder it is a file with the time (UTC) as its name; {time} in a name stands
     /// for the time
     #[arg(short, long, value_name = "FILE.mcap")]
@@ -44,26 +44,11 @@ pub struct Arguments {
     /// End with exit status 0 although frames are missing in the recording of -o, instead of with 3
     #[arg(long)]
     allow_loss: bool,
-    /// Seconds for which a board that is lost is looked for
-    #[arg(long, hide = true, value_parser = source::seconds)]
-    give_up_after_s: Option<Duration>,
     #[command(flatten)]
     overwrite: Overwrite,
-    /// What the empty room shows, as `radome background` has captured it: fans and curtains count as nobody
+    /// Measurement of the empty room by `radome model background`: fans and curtains then count as nobody
     #[arg(long, value_name = "FILE.json")]
     background: Option<PathBuf>,
-    /// Stop after so many frames
-    #[arg(long)]
-    frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes. Recordings with --view: 1
-    #[arg(long)]
-    speed: Option<f64>,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 100_001)]
-    seed: u64,
-    /// People that a simulation is forced to have
-    #[arg(long)]
-    people: Option<usize>,
     /// Seconds of agreement before `occupied` is said
     #[arg(long, default_value_t = Delays::default().on_s)]
     on_delay_s: f64,
@@ -76,33 +61,36 @@ pub struct Arguments {
     #[command(flatten)]
     view: view::Arguments,
     #[command(flatten)]
-    home: home::Arguments,
+    integrations: integrations::Arguments,
 }
 
 /// Online classification of any source.
+///
+/// # Errors
+/// The model, the source or the output cannot be opened, or the run fails.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let output = arguments.output.as_deref().map(output_file::dated);
     watch(&Watch {
-        source: &arguments.source,
+        source: &arguments.source.source,
         model: &arguments.model,
-        waveform: arguments.waveform.as_deref(),
-        seed: arguments.seed,
-        people: arguments.people,
-        frames: arguments.frames,
-        speed: arguments.speed,
+        waveform: arguments.source.waveform.as_deref(),
+        seed: arguments.source.seed.unwrap_or(UNSEEN_SEED),
+        people: arguments.source.people,
+        frames: arguments.source.frames,
+        speed: arguments.source.speed,
         json: arguments.json,
         delays: Delays { on_s: arguments.on_delay_s, off_s: arguments.off_delay_s },
         view: &arguments.view,
         output: output.as_deref(),
         overwrite: arguments.overwrite,
         background: arguments.background.as_deref(),
-        home: &arguments.home,
+        integrations: &arguments.integrations,
         allow_loss: arguments.allow_loss,
-        give_up_after: arguments.give_up_after_s,
+        give_up_after: arguments.source.give_up_after_s,
     })
 }
 
-/// What `live` and `demo` have in common.
+/// Inputs and options of `live` and `demo`.
 pub struct Watch<'a> {
     /// SOURCE.
     pub source: &'a str,
@@ -130,8 +118,8 @@ pub struct Watch<'a> {
     pub overwrite: Overwrite,
     /// Capture of the empty room.
     pub background: Option<&'a Path>,
-    /// Who else is told.
-    pub home: &'a home::Arguments,
+    /// Options of the integrations.
+    pub integrations: &'a integrations::Arguments,
     /// Whether gaps in the recording count as success.
     pub allow_loss: bool,
     /// Time for which a lost board is looked for; the default if `None`.
@@ -140,6 +128,9 @@ pub struct Watch<'a> {
 
 /// Watches a source until it ends, is stopped, or has given enough frames. Frames that are missing are in the summary; only in a
 /// recording do they count as lost.
+///
+/// # Errors
+/// The model, the source or the output cannot be opened, or the run fails.
 pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     let started = Instant::now();
     output::catch_interrupts()?;
@@ -158,7 +149,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         people: watch.people,
         frames: watch.frames,
         speed: watch.speed,
-        as_tape: watch.view.is_wanted(),
+        as_playback: watch.view.is_wanted(),
         give_up_after: watch.give_up_after,
     };
     let source = source::open(watch.source, &options)?;
@@ -166,8 +157,8 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     eprintln!("judged by {}", watch.model.display());
     let waveform = source.frames.waveform().clone();
     let mut judge = FrameClassifier::new(model, &waveform, watch.delays, started)?.with_background(background);
-    if let Some(tape) = &source.tape {
-        tape.transport.set_preroll_s(judge.memory_s());
+    if let Some(playback) = &source.playback {
+        playback.transport.set_preroll_s(judge.memory_s());
     }
     // Before anything is written: a page that cannot be served leaves files as they are.
     let page = view::Page::open(watch.view, &source, watch.model, watch.output)?;
@@ -177,7 +168,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
         registers: source.registers.clone(),
         judge: Some(named),
     };
-    let mut home = Home::open(watch.home, watch.view.access(), &header, started)?;
+    let mut integrations = Integrations::open(watch.integrations, watch.view.access(), &header, started)?;
     let screen = Screen::new(watch.json)?;
 
     let mut pipeline = Pipeline::new();
@@ -193,7 +184,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     };
     let reader = pipeline.start(source.frames, watch.frames);
     let patience = Duration::from_secs_f64((2.0 * header.waveform.frame_interval_s()).clamp(0.1, 1.0));
-    let mut sinks: Vec<Box<dyn Sink>> = home.take_sinks();
+    let mut sinks: Vec<Box<dyn Sink>> = integrations.take_sinks();
     let has_gaps = recorder.as_ref().map(RecorderSink::has_gaps);
     if let Some(recorder) = recorder {
         sinks.push(Box::new(recorder));
@@ -204,7 +195,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     sinks.push(Box::new(screen));
     let outcome = run_classifier(&inlet, &mut judge, patience, &mut sinks);
     reader.stop();
-    drop(home);
+    drop(integrations);
     outcome?;
     let is_lost = has_gaps.is_some_and(|has_gaps| has_gaps.load(Ordering::Relaxed)) && !watch.allow_loss;
     if is_lost {
@@ -213,7 +204,7 @@ pub fn watch(watch: &Watch) -> anyhow::Result<Ended> {
     Ok(Ended::with_loss(is_lost))
 }
 
-/// What a board is to be programmed with: what is named, if the model can judge it, or what the model was made for.
+/// Waveform to program a board with: the named one if the model can judge it, else the model's own.
 fn waveform(watch: &Watch, model: &Model) -> anyhow::Result<Option<Waveform>> {
     let Some(named) = watch.waveform else { return Ok(model.waveform().cloned()) };
     let waveform = source::waveform(named)?;

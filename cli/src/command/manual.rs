@@ -1,7 +1,6 @@
 use std::path::PathBuf;
 
 use anyhow::Context;
-use clap::CommandFactory;
 use clap_complete::Shell;
 
 use crate::output;
@@ -9,7 +8,7 @@ use crate::output;
 /// `radome completions`
 #[derive(clap::Args)]
 pub struct CompletionArguments {
-    /// Which shell
+    /// Name of the shell
     shell: Shell,
 }
 
@@ -22,17 +21,23 @@ pub struct ManArguments {
 }
 
 /// A script that completes commands and options.
-pub fn completions(arguments: &CompletionArguments) -> anyhow::Result<()> {
+///
+/// # Errors
+/// Standard output cannot be written.
+pub fn completions(arguments: &CompletionArguments, mut program: clap::Command) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(arguments.shell, &mut crate::Arguments::command(), "radome", &mut script);
+    clap_complete::generate(arguments.shell, &mut program, "radome", &mut script);
     output::text_line(String::from_utf8_lossy(&script).trim_end())
 }
 
 /// Manual pages: what `--help` says, for `man`.
-pub fn man(arguments: &ManArguments) -> anyhow::Result<()> {
+///
+/// # Errors
+/// The folder cannot be made, or a page cannot be written.
+pub fn man(arguments: &ManArguments, program: clap::Command) -> anyhow::Result<()> {
     let folder = &arguments.output;
     std::fs::create_dir_all(folder).with_context(|| format!("cannot make {}", folder.display()))?;
-    clap_mangen::generate_to(crate::Arguments::command(), folder)
+    clap_mangen::generate_to(program, folder)
         .with_context(|| format!("cannot write manual pages to {}", folder.display()))?;
     eprintln!("manual pages in {}; read one with man -l {}", folder.display(), folder.join("radome.1").display());
     Ok(())

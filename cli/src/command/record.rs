@@ -11,7 +11,7 @@ use crate::exit::Ended;
 use crate::live::pipeline::{Failure, Inlet, Item, Pipeline, Policy};
 use crate::output;
 use crate::output_file::{self, Overwrite};
-use crate::source::{self, SourceOptions};
+use crate::source::{self, SourceArgs};
 
 /// `radome record`
 #[derive(clap::Args)]
@@ -20,8 +20,8 @@ use crate::source::{self, SourceOptions};
                         or the program failed. Whatever ended it, the file holds what was captured."
 )]
 pub struct Arguments {
-    /// serial:PORT, auto, emulated:SOURCE, or anything else that frames come from
-    source: String,
+    #[command(flatten)]
+    source: SourceArgs,
     /// MCAP file to write. In a folder it is a file with the time (UTC) as its name; {time} in a name stands for the time
     #[arg(short, long)]
     output: PathBuf,
@@ -30,47 +30,26 @@ pub struct Arguments {
     /// Leave it to the operating system when frames are on the disk
     #[arg(long, hide = true)]
     no_sync: bool,
-    /// Waveform to program a board with: `paper`, a .toml file, or a model file
-    #[arg(long)]
-    waveform: Option<String>,
-    /// Stop after so many frames
-    #[arg(long)]
-    frames: Option<u64>,
-    /// Times real time for recordings and simulations; 0, the default, is as fast as it goes
-    #[arg(long, default_value_t = 0.0)]
-    speed: f64,
-    /// Seed of a simulation
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// Fail, with exit status 1, if more frames than this were lost
     #[arg(long)]
     max_dropped: Option<u64>,
     /// End with exit status 0 although frames were lost, instead of with 3
     #[arg(long)]
     allow_loss: bool,
-    /// Seconds for which a board that is lost is looked for
-    #[arg(long, hide = true, value_parser = source::seconds)]
-    give_up_after_s: Option<Duration>,
     /// One object at the end
     #[arg(long)]
     json: bool,
 }
 
 /// Captures every frame, or stops and says why it cannot.
+///
+/// # Errors
+/// The source or the output cannot be opened, the recording fails, or more frames are lost than allowed.
 pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     output::catch_interrupts()?;
     let path = output_file::dated(&arguments.output);
     arguments.overwrite.check(&path)?;
-    let options = SourceOptions {
-        waveform: arguments.waveform.as_deref().map(source::waveform).transpose()?,
-        seed: arguments.seed,
-        frames: arguments.frames,
-        speed: (arguments.speed > 0.0).then_some(arguments.speed),
-        people: None,
-        as_tape: false,
-        give_up_after: arguments.give_up_after_s,
-    };
-    let source = source::open(&arguments.source, &options)?;
+    let source = source::open(&arguments.source.source, &arguments.source.options()?)?;
     eprintln!("{}", source.description);
     let header = RecordingHeader {
         waveform: source.frames.waveform().clone(),
@@ -81,11 +60,11 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
     let sync = (!arguments.no_sync).then(SyncOptions::default);
     let recorder_options = RecorderOptions { existing: arguments.overwrite.existing(), sync };
     let recorder = Recorder::with_options(&path, &header, &recorder_options)?;
-    let bar = output::progress(arguments.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
+    let bar = output::progress(arguments.source.frames.or(source.frames.frame_count()).unwrap_or(0), "recording");
     let mut pipeline = Pipeline::new();
     let policy = if source.is_live { Policy::Lossless(Duration::from_secs(5)) } else { Policy::Wait };
     let inlet = pipeline.consumer("recorder", 64, policy);
-    let reader = pipeline.start(source.frames, arguments.frames);
+    let reader = pipeline.start(source.frames, arguments.source.frames);
     let (tally, end) = capture(&inlet, recorder, &bar);
     reader.stop();
     bar.finish_and_clear();

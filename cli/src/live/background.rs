@@ -1,4 +1,4 @@
-//! What an empty room shows: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
+//! Levels of an empty room: fans, curtains, pipes, machines. Where a map shows no more than that, nobody is seen in it, whatever a
 //! network makes of it.
 
 use std::path::Path;
@@ -64,6 +64,9 @@ impl Capture {
     }
 
     /// The level by the first two thirds, how far it is exceeded by the last.
+    ///
+    /// # Errors
+    /// Too few maps were captured.
     pub fn finish(self, judge: &Judge) -> anyhow::Result<Background> {
         let Capture { maps, doppler, range } = self;
         if maps.len() < LEAST_FRAMES {
@@ -109,6 +112,9 @@ fn excess_db(cells: &[f32], level_db: &[f32]) -> f32 {
 
 impl Background {
     /// Reads a capture; refuses one of another model.
+    ///
+    /// # Errors
+    /// The file cannot be read or was captured with another model.
     pub fn load(path: &Path, judge: &Judge) -> anyhow::Result<Self> {
         let named = || format!("{} is no capture of an empty room", path.display());
         let text = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
@@ -122,7 +128,7 @@ impl Background {
         }
         if background.model_hash != judge.model_hash {
             bail!(
-                "{} was captured with another model than {}, whose maps are others\n\nhint: radome background SOURCE --model {} -o \
+                "{} was captured with another model than {}, whose maps are others\n\nhint: radome model background SOURCE --model {} -o \
                  FILE.json captures the empty room anew",
                 path.display(),
                 judge.model,
@@ -133,6 +139,9 @@ impl Background {
     }
 
     /// Writes it, whole or not at all.
+    ///
+    /// # Errors
+    /// The file exists and is not to be replaced, or cannot be written.
     pub fn save(&self, path: &Path, existing: Existing) -> anyhow::Result<()> {
         let rounded = Background {
             level_db: self.level_db.iter().map(|level| (level * 100.0).round() / 100.0).collect(),

@@ -1,151 +1,20 @@
 //! One classifier at the end of a pipeline: frames in, answers out, and what to say at the end.
 
-use std::collections::BTreeMap;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, Gap, GapReason, Occupancy, Rdm, Waveform};
 use radome_models::evaluate::{Metrics, most_probable};
 use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
-use serde::Serialize;
 
+use super::answer::{Answer, Latency, Summary};
 use super::background::{Background, NOBODY_SEEN};
 use super::health::Health;
 use super::occupancy::PeopleCount;
 use super::pipeline::{Failure, Inlet, Item};
 use super::sink::{Moment, Sink};
-use crate::judge::{Judge, Model, Verdict};
+use crate::judge::{Delays, Judge, Model, Prediction};
 use crate::{output, panics};
-
-/// Probabilities of the classes by name.
-#[derive(Debug, Clone, Copy, Serialize)]
-pub struct Probabilities {
-    empty: f32,
-    one: f32,
-    two: f32,
-}
-
-impl std::fmt::Display for Probabilities {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{:5.3}   {:5.3}   {:5.3}", self.empty, self.one, self.two)
-    }
-}
-
-impl Probabilities {
-    /// Of empty, one and two.
-    pub fn values(self) -> [f32; 3] {
-        [self.empty, self.one, self.two]
-    }
-}
-
-impl From<[f32; 3]> for Probabilities {
-    fn from([empty, one, two]: [f32; 3]) -> Self {
-        Probabilities { empty, one, two }
-    }
-}
-
-/// What is said about one frame.
-#[derive(Debug, Clone, Serialize)]
-pub struct Answer {
-    /// Sequence number of the frame.
-    pub sequence: u64,
-    /// Time since the acquisition started, s.
-    pub time_s: f64,
-    /// Most likely class; `None` while a window over frames fills, and where no receiver gives a signal.
-    pub label: Option<Occupancy>,
-    /// Probabilities of the filter over the frames so far.
-    pub probabilities: Option<Probabilities>,
-    /// Probabilities by this frame's map alone.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub frame_probabilities: Option<Probabilities>,
-    /// Whether the room counts as occupied, with delays against flicker.
-    pub occupied: bool,
-    /// People that it counts as holding, with the same delays.
-    pub people: usize,
-    /// `n/K` while a window over K frames fills.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub warming_up: Option<String>,
-    /// Whether no receiver gives a signal in the frame: then it has no label, and `occupied` and `people` are those of the frame
-    /// before.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub no_signal: bool,
-    /// What is known to be true.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub truth: Option<Occupancy>,
-    /// Whether someone is partly in the room.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub transition: Option<bool>,
-    /// Codes at either end of the ADC.
-    #[serde(skip_serializing_if = "is_zero")]
-    pub saturated_samples: u32,
-    /// From the frame's last byte to its label, ms.
-    pub latency_ms: f64,
-}
-
-fn is_zero(n: &u32) -> bool {
-    *n == 0
-}
-
-/// Quantiles of the latency, ms.
-#[derive(Debug, Clone, Serialize)]
-pub struct Latency {
-    /// Median.
-    pub p50: f64,
-    /// 95 of 100 are faster.
-    pub p95: f64,
-    /// 99 of 100 are faster.
-    pub p99: f64,
-}
-
-/// What a run amounts to.
-#[derive(Debug, Clone, Serialize)]
-pub struct Summary {
-    /// Frames that arrived.
-    pub frames: u64,
-    /// Frames that were lost on the way.
-    pub dropped: u64,
-    /// The same by reason.
-    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-    pub dropped_by_reason: BTreeMap<&'static str, u64>,
-    /// Frames with a label.
-    pub labelled: u64,
-    /// How often each label was given.
-    pub labels: BTreeMap<&'static str, u64>,
-    /// Mean recall over the classes that occurred, over all frames with truth.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub balanced_accuracy: Option<f64>,
-    /// All figures over all frames with truth.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub metrics: Option<Metrics>,
-    /// The same over the frames in which nobody was entering or leaving.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub metrics_without_transitions: Option<Metrics>,
-    /// Frames in which somebody was.
-    pub transition_frames: u64,
-    /// The same metrics with the map of each frame judged alone, without the filter.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub metrics_unfiltered: Option<Metrics>,
-    /// From last byte to label.
-    pub latency_ms: Latency,
-    /// From the start of the program to the first label, s.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub first_label_s: Option<f64>,
-}
-
-/// Delays of `occupied`.
-#[derive(Debug, Clone, Copy)]
-pub struct Delays {
-    /// Agreement before it is said, s.
-    pub on_s: f64,
-    /// Agreement before it is taken back, s.
-    pub off_s: f64,
-}
-
-impl Default for Delays {
-    fn default() -> Self {
-        Delays { on_s: 0.5, off_s: 3.0 }
-    }
-}
 
 /// Judges frames one after the other.
 pub struct FrameClassifier {
@@ -170,6 +39,9 @@ type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
 
 impl FrameClassifier {
     /// Refuses frames of a waveform that the model was not made for.
+    ///
+    /// # Errors
+    /// The model does not take the waveform.
     pub fn new(model: Model, waveform: &Waveform, delays: Delays, started: Instant) -> anyhow::Result<Self> {
         let smoothing = model.smoothing();
         let map_s = model.frames() as f64 * waveform.frame_interval_s();
@@ -206,7 +78,7 @@ impl FrameClassifier {
         &self.health
     }
 
-    /// How far back an answer looks, s: the frames of a map, and as long as people stay.
+    /// Time that an answer looks back, s: the frames of a map, and as long as people stay.
     pub fn memory_s(&self) -> f64 {
         self.map_s + self.smoothing.dwell_s.min(10.0)
     }
@@ -218,6 +90,9 @@ impl FrameClassifier {
     }
 
     /// Judges a frame that arrived at `arrived`.
+    ///
+    /// # Errors
+    /// The frame is of another shape than the waveform says, or the model fails.
     pub fn frame(&mut self, frame: &Frame, arrived: Instant) -> anyhow::Result<Answer> {
         let time_s = frame.time_s();
         if self.last_time_s.is_some_and(|last_s| time_s < last_s) {
@@ -227,7 +102,7 @@ impl FrameClassifier {
             self.judge.reset();
         }
         self.last_time_s = Some(time_s);
-        let verdict = self.judge.frame(frame)?;
+        let prediction = self.judge.frame(frame)?;
         let mut answer = Answer {
             sequence: frame.sequence,
             time_s,
@@ -243,9 +118,9 @@ impl FrameClassifier {
             saturated_samples: 0,
             latency_ms: 0.0,
         };
-        match verdict {
-            Verdict::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
-            Verdict::NoSignal => {
+        match prediction {
+            Prediction::WarmingUp { have, need } => answer.warming_up = Some(format!("{have}/{need}")),
+            Prediction::NoSignal => {
                 // Nothing is known of this frame: what counted before counts on.
                 answer.no_signal = true;
                 answer.saturated_samples = self.map().flags.saturated_samples;
@@ -253,7 +128,7 @@ impl FrameClassifier {
                 answer.people = self.people.people();
                 answer.occupied = answer.people > 0;
             }
-            Verdict::Probabilities(raw) => {
+            Prediction::Probabilities(raw) => {
                 let is_background = self.background.as_ref().is_some_and(|background| background.is_all(self.map()));
                 let raw = if is_background { NOBODY_SEEN } else { raw };
                 let filtered = self.filter.update(answer.time_s, raw);
@@ -288,7 +163,7 @@ impl FrameClassifier {
         Ok(answer)
     }
 
-    /// What the run amounts to.
+    /// Summary of the run.
     pub fn summary(&self) -> Summary {
         let metrics = |confusion: &Confusion| {
             (confusion.iter().flatten().sum::<u64>() > 0).then(|| Metrics::from_confusion(*confusion))

@@ -1,4 +1,4 @@
-//! How a run fares, in counters of fixed size: what the page, the metrics and the summary at the end read.
+//! Counters of a run, of fixed size, for the page, the metrics and the summary at the end.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
@@ -15,7 +15,7 @@ pub struct Health {
     pub started: Instant,
     /// Frames that were judged.
     pub frames: u64,
-    /// How often each label was given.
+    /// Number of frames with each label.
     pub labels: [u64; Occupancy::ALL.len()],
     /// Frames lost, by reason.
     pub dropped: BTreeMap<GapReason, u64>,
@@ -25,7 +25,7 @@ pub struct Health {
     pub latency: LatencyHistogram,
     /// From the start to the first label.
     pub first_label: Option<Duration>,
-    /// What the newest frame said of the chip, degrees Celsius in thousandths.
+    /// Temperature of the chip in the newest frame, degrees Celsius in thousandths.
     pub temperature_millicelsius: Option<i32>,
     arrivals: VecDeque<Instant>,
 }
@@ -88,7 +88,7 @@ impl Health {
     }
 }
 
-/// How often latencies were how long, in bins that are 2 % wide from a microsecond to over a hundred seconds.
+/// Histogram of latencies in bins that are 2 % wide, from a microsecond to over a hundred seconds.
 #[derive(Debug, Clone)]
 pub struct LatencyHistogram {
     counts: Vec<u64>,

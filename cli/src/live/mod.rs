@@ -1,11 +1,12 @@
 //! From frames to labels while they happen: `FrameSource -> Frame -> Rdm -> Occupancy`.
 
 pub mod access;
+pub mod answer;
 pub mod background;
 pub mod classify;
 pub mod health;
-pub mod home;
 pub mod http_server;
+pub mod integrations;
 pub mod occupancy;
 pub mod pipeline;
 pub mod recorder;

@@ -1,4 +1,4 @@
-//! What leaves the house: how many people count as there, after delays.
+//! Number of people in the room, after delays.
 
 use radome_dsp::Occupancy;
 
@@ -31,7 +31,7 @@ impl Hysteresis {
     }
 }
 
-/// How many people a room counts as holding, with the same delays for each of them: nobody's first or second person flickers.
+/// Number of people in a room, with the same delays for each of them: neither the first nor the second person flickers.
 #[derive(Debug, Clone)]
 pub struct PeopleCount {
     at_least: [Hysteresis; 2],

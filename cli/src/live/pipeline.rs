@@ -12,7 +12,7 @@ use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceError, SourceEvent};
 
 use crate::panics::{Panicked, caught};
 
-/// What a consumer receives.
+/// Item that a consumer receives.
 pub enum Item {
     /// A frame, shared with the other consumers.
     Frame(Arc<Frame>),
@@ -67,13 +67,13 @@ impl Failure {
 
 /// An item and when the host had it.
 pub struct Delivery {
-    /// What.
+    /// Item.
     pub item: Item,
     /// When its last byte had arrived.
     pub arrived: Instant,
 }
 
-/// What happens when a consumer is slower than the source.
+/// Policy for a consumer that is slower than the source.
 #[derive(Debug, Clone, Copy)]
 pub enum Policy {
     /// The reader waits: for sources that can wait (files, simulations), where every frame counts.

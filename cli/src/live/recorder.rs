@@ -12,7 +12,7 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, TrySendError, bound
 use radome_driver::{FrameResult, Recorder, RecorderOptions, RecordingHeader, RecordingSummary};
 use radome_dsp::Gap;
 
-use super::classify::{Probabilities, Summary};
+use super::answer::{Probabilities, Summary};
 use super::health::Health;
 use super::pipeline::{Delivery, Failure, Inlet, Item};
 use super::sink::{Moment, Sink};
@@ -24,7 +24,7 @@ const WAITING_RESULTS: usize = 1024;
 /// A source that is silent for this long may never come back: what it said is made safe.
 const SILENCE: Duration = Duration::from_millis(500);
 
-/// What is recorded of a moment.
+/// Content of a moment that is recorded.
 pub fn frame_result(moment: &Moment) -> FrameResult {
     let Moment { answer, frame, .. } = moment;
     FrameResult {
@@ -62,6 +62,9 @@ enum Recorded {
 
 impl RecorderSink {
     /// Creates the file and starts the thread. The header must name a judge.
+    ///
+    /// # Errors
+    /// The file cannot be made, or the thread cannot be started.
     pub fn start(
         path: &Path,
         header: &RecordingHeader,

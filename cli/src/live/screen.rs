@@ -5,7 +5,7 @@ use std::io::IsTerminal;
 use radome_dsp::{Gap, Occupancy};
 use serde_json::json;
 
-use super::classify::Summary;
+use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
 use crate::output;
@@ -19,6 +19,9 @@ pub struct Screen {
 
 impl Screen {
     /// A screen whose head, if it has one, is written.
+    ///
+    /// # Errors
+    /// Standard output cannot be written.
     pub fn new(json: bool) -> anyhow::Result<Self> {
         let is_terminal = !json && std::io::stdout().is_terminal();
         if !json {

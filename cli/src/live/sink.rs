@@ -1,15 +1,15 @@
-//! Where answers go: the terminal, the page, the home, a recording.
+//! Destinations of answers: the terminal, the page, the integrations, a recording.
 
 use std::sync::Arc;
 
 use radome_dsp::{Frame, Gap, Rdm};
 
-use super::classify::{Answer, Summary};
+use super::answer::{Answer, Summary};
 use super::health::Health;
 
 /// A frame that has been judged, and everything that is known then.
 pub struct Moment<'a> {
-    /// What is said about it.
+    /// Answer to the frame.
     pub answer: &'a Answer,
     /// The frame; a sink that keeps it longer takes it out of the pool, which then grows by one.
     pub frame: &'a Arc<Frame>,

@@ -1,7 +1,7 @@
-//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, a tape's keys.
+//! The live page: what the sensor sees and says, in a browser, with labels and, on recordings, keys to play, pause and seek.
 //!
 //! The classifier's thread leaves the newest frame in a slot ([`feed`]) and goes on; maps are made for pages on a thread of
-//! their own, at most thirty a second and only those that somebody looks at. [`server`] decides what is served to whom, [`control`]
+//! their own, at most thirty a second and only those that somebody looks at. [`server`] serves, [`policy`] decides to whom, [`control`]
 //! what a page may ask for, [`labels`] keeps the labels, [`adaptation`] offers a command that uses them, [`partner`] the simulation that mirrors a recording.
 
 mod adaptation;
@@ -9,29 +9,32 @@ mod control;
 mod feed;
 mod labels;
 mod partner;
+mod policy;
 mod server;
+mod shared;
 
 use std::io::IsTerminal;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, UdpSocket};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
 
 use anyhow::Context;
 use qrcode::render::unicode::Dense1x2;
 use qrcode::{EcLevel, QrCode};
-use radome_driver::BoardIdentity;
-use radome_dsp::{Gap, Waveform};
+use radome_dsp::Gap;
 use serde_json::json;
 
 use super::access::{self, Token};
-use super::classify::Summary;
+use super::answer::Summary;
 use super::health::Health;
 use super::sink::{Moment, Sink};
-use crate::source::{Source, Tape};
+use crate::source::Source;
 use feed::Feed;
 use labels::Keeper;
 use partner::Partner;
+use policy::Policy;
+use shared::{About, Shared};
 
 /// Options of the page.
 #[derive(clap::Args)]
@@ -47,7 +50,7 @@ pub struct Arguments {
     read_only_labels: bool,
     #[command(flatten)]
     access: access::Arguments,
-    /// Folder that `dataset pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
+    /// Folder that `scene pair` made of the recording: its simulated partner is shown beside it. Without, NAME-pair beside
     /// NAME.mcap
     #[arg(long, value_name = "DIR")]
     pair: Option<PathBuf>,
@@ -65,62 +68,6 @@ impl Arguments {
     }
 }
 
-/// What a page is told of the run when it comes.
-struct About {
-    description: String,
-    model: String,
-    waveform: Waveform,
-    board: Option<BoardIdentity>,
-    tape: Option<Tape>,
-    has_partner: bool,
-    read_only_labels: bool,
-}
-
-impl About {
-    fn hello(&self) -> serde_json::Value {
-        let shape = self.waveform.shape();
-        let tape = self.tape.as_ref().map(|tape| {
-            let extent = tape.extent;
-            json!({
-                "first_s": extent.first.time_s(),
-                "last_s": extent.last.time_s(),
-                "first_sequence": extent.first.sequence,
-                "last_sequence": extent.last.sequence,
-            })
-        });
-        json!({ "hello": {
-            "version": env!("CARGO_PKG_VERSION"),
-            "source": self.description,
-            "model": self.model,
-            "rx": shape.rx,
-            "chirps": shape.chirps,
-            "samples": shape.samples,
-            "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
-            "frame_interval_s": self.waveform.frame_interval_s(),
-            "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
-            "tape": tape,
-            "partner": self.has_partner,
-            "read_only_labels": self.read_only_labels,
-        } })
-    }
-}
-
-/// What the server's tasks share.
-struct Shared {
-    about: About,
-    feed: Feed,
-    labels: Keeper,
-    policy: server::Policy,
-    /// What the run amounted to, once it is over.
-    over: Mutex<Option<serde_json::Value>>,
-}
-
-impl Shared {
-    fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
-        self.over.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 /// The page, as far as the pipeline knows it.
 pub struct Page {
     shared: Arc<Shared>,
@@ -130,6 +77,9 @@ pub struct Page {
 impl Page {
     /// Starts serving if the page is wanted. Labels of a source that is no recording itself are those of `recording`, which is being
     /// made.
+    ///
+    /// # Errors
+    /// The port cannot be opened, the token or the labels cannot be read, or a thread cannot be started.
     pub fn open(
         arguments: &Arguments,
         source: &Source,
@@ -140,8 +90,8 @@ impl Page {
             return Ok(None);
         }
         let waveform = source.frames.waveform().clone();
-        let tape = source.tape.clone();
-        let partner = Partner::find(arguments.pair.as_deref(), tape.as_ref(), &waveform)?;
+        let playback = source.playback.clone();
+        let partner = Partner::find(arguments.pair.as_deref(), playback.as_ref(), &waveform)?;
         let token = match arguments.access.token()? {
             None if !arguments.listen.ip().is_loopback() => Some(Token::random()?),
             token => token,
@@ -162,8 +112,8 @@ impl Page {
         let address = listener.local_addr()?;
         show_link(address, token.as_ref(), arguments.read_only_labels);
         let shared = Arc::new(Shared {
-            labels: Keeper::open(tape.as_ref(), recording, model, waveform.frame_interval_s())?,
-            feed: Feed::new(&waveform, tape.is_some()),
+            labels: Keeper::open(playback.as_ref(), recording, model, waveform.frame_interval_s())?,
+            feed: Feed::new(&waveform, playback.is_some()),
             about: About {
                 description: source.description.clone(),
                 model: model.file_name().unwrap_or_default().to_string_lossy().into_owned(),
@@ -171,9 +121,9 @@ impl Page {
                 has_partner: partner.is_some(),
                 read_only_labels: arguments.read_only_labels,
                 waveform,
-                tape,
+                playback,
             },
-            policy: server::Policy::new(address, &arguments.access, token.as_ref()),
+            policy: Policy::new(address, &arguments.access, token.as_ref()),
             over: Mutex::new(None),
         });
         let mut threads = Vec::new();
@@ -261,8 +211,8 @@ fn yield_to_others() {
 impl Sink for Page {
     fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
         // Frames before one that was sought only tell the network what came before.
-        if let Some(tape) = &self.shared.about.tape
-            && tape.transport.is_preroll(moment.answer.sequence)
+        if let Some(playback) = &self.shared.about.playback
+            && playback.transport.is_preroll(moment.answer.sequence)
         {
             return Ok(());
         }
@@ -277,8 +227,8 @@ impl Sink for Page {
     }
 
     fn end(&mut self, summary: &Summary) -> anyhow::Result<()> {
-        if let Some(tape) = &self.shared.about.tape {
-            tape.transport.close();
+        if let Some(playback) = &self.shared.about.playback {
+            playback.transport.close();
         }
         *self.shared.over() = Some(json!({ "over": summary }));
         self.shared.feed.close();

@@ -1,69 +1,163 @@
-//! The quantum layer: exact in f32 and f64, by state vector, and from shots.
+use anyhow::bail;
+use radome_models::quantum::{Circuit, CircuitSpec, Draw, Encoding, Execution, Jacobian, Noise, ShotGradient, Shots};
+use serde::{Serialize, Serializer};
 
-use std::f64::consts::PI;
+use crate::output;
 
-use radome_models::quantum::{
-    Circuit, CircuitSpec, Draw, Execution, ShotGradient, Shots, Trained, circuit, expectations_of_rows,
-    gradients_of_rows,
-};
+/// `radome bench circuit`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Inputs X0,X1,... in radians, one for each qubit
+    #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
+    x: Vec<f64>,
+    /// Angles T0,T1,... in radians: qubits times depth + 1
+    #[arg(long, value_delimiter = ',', num_args = 1, allow_hyphen_values = true, required = true)]
+    theta: Vec<f64>,
+    /// Qubits, 1 to 12
+    #[arg(long, default_value_t = 2)]
+    qubits: usize,
+    /// Encoding of inputs: the ZZ feature map, or RY(x)
+    #[arg(long, value_enum, default_value = "zz")]
+    encoding: EncodingName,
+    /// Repetitions of the feature map, 1 or 2
+    #[arg(long, default_value_t = 1)]
+    repetitions: usize,
+    /// Repetitions of the trained part
+    #[arg(long, default_value_t = 1)]
+    depth: usize,
+    /// Measurements to estimate from, in place of exact expectations
+    #[arg(long, value_name = "COUNT")]
+    shots: Option<u32>,
+    /// Seed of the measurements' outcomes
+    #[arg(long, default_value_t = 0, requires = "shots")]
+    seed: u64,
+    /// Gradients with shots: from shots of their own by parameter shift, or exact
+    #[arg(long, value_enum, default_value = "shots", requires = "shots")]
+    gradient: GradientName,
+    /// Depolarising probability after each gate on one qubit
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    depolarising_one_qubit: f64,
+    /// Depolarising probability after each gate on two qubits
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    depolarising_two_qubit: f64,
+    /// Probability that an outcome is read as the other one
+    #[arg(long, value_name = "P", default_value_t = 0.0, allow_hyphen_values = true)]
+    readout_flip: f64,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
 
-use super::point::{Point, least_ms};
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum EncodingName {
+    Zz,
+    Angle,
+}
 
-const STAGE: &str = "a sample by the circuit";
-const BATCH: usize = 256;
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum GradientName {
+    Shots,
+    Exact,
+}
 
-/// A batch of the paper's circuit, forward and all gradients; the error is the rms of the expectations.
-pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
-    let x: Vec<[f32; 2]> = (0..BATCH).map(|k| [(0.37 * k as f64 % PI) as f32, (1.91 * k as f64 % PI) as f32]).collect();
-    let theta = [0.4, -1.2, 2.0, 0.7];
-    let exact: Vec<[f64; 2]> =
-        x.iter().map(|x| circuit(x.map(f64::from), theta)).map(|point| [point.zi, point.iz]).collect();
-    let rms = |of: &dyn Fn(usize) -> [f64; 2]| {
-        let square: f64 =
-            (0..BATCH).map(|k| exact[k].iter().zip(of(k)).map(|(a, b)| (a - b).powi(2)).sum::<f64>()).sum();
-        (square / (2 * BATCH) as f64).sqrt()
-    };
-    let point = |way: String, milliseconds: f64, error: Option<f64>| Point {
-        stage: STAGE,
-        way,
-        milliseconds: milliseconds / BATCH as f64,
-        error,
-        error_unit: "rms of <Z>",
-        is_peer: false,
-    };
-    let mut points = Vec::new();
-    let (mut out, mut by_x) = (vec![[0.0f32; 2]; BATCH], vec![[0.0f32; 2]; BATCH]);
-    let cotangents = vec![[0.3f32, -0.5]; BATCH];
-    let ms = least_ms(rounds, || {
-        let trained = Trained::new(theta);
-        expectations_of_rows(&trained, &x, &mut out);
-        std::hint::black_box(gradients_of_rows(&trained, &x, &cotangents, &mut by_x));
-        Ok(())
-    })?;
-    points.push(point("closed form, f32 lanes".into(), ms, Some(rms(&|k| out[k].map(f64::from)))));
-    let ms = least_ms(rounds, || {
-        for x in &x {
-            std::hint::black_box(circuit(x.map(f64::from), theta));
+/// A quantum circuit at one point.
+///
+/// # Errors
+/// The circuit is not valid, or inputs and angles are not as many as it takes.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let spec = arguments.spec();
+    let circuit = Circuit::new(&spec)?;
+    let (x, theta) = (&arguments.x, &arguments.theta);
+    let (inputs, angles) = (circuit.qubits(), circuit.angle_count());
+    if (x.len(), theta.len()) != (inputs, angles) {
+        bail!(
+            "--x takes {} {} and --theta {}, got {} and {}\n\n\
+             hint: an input for each of --qubits, and as many angles for each of --depth + 1 layers",
+            in_words(inputs),
+            if inputs == 1 { "number" } else { "numbers" },
+            in_words(angles),
+            x.len(),
+            theta.len()
+        );
+    }
+    if x.iter().chain(theta).any(|v| !v.is_finite()) {
+        bail!("--x and --theta must be finite numbers");
+    }
+    let jacobian = circuit.jacobian(x, theta, Draw::default())?;
+    let answer = Answer { names: spec.observables(), jacobian };
+    if arguments.json { output::json_line(&answer) } else { answer.print() }
+}
+
+impl Arguments {
+    fn spec(&self) -> CircuitSpec {
+        CircuitSpec {
+            qubits: self.qubits,
+            encoding: match self.encoding {
+                EncodingName::Zz => Encoding::ZzFeatureMap,
+                EncodingName::Angle => Encoding::Angle,
+            },
+            repetitions: self.repetitions,
+            depth: self.depth,
+            execution: match self.shots {
+                None => Execution::Exact,
+                Some(count) => Execution::Shots(Shots {
+                    count,
+                    seed: self.seed,
+                    gradient: match self.gradient {
+                        GradientName::Shots => ShotGradient::Shots,
+                        GradientName::Exact => ShotGradient::Exact,
+                    },
+                }),
+            },
+            noise: Noise {
+                depolarising_one_qubit: self.depolarising_one_qubit,
+                depolarising_two_qubit: self.depolarising_two_qubit,
+                readout_flip: self.readout_flip,
+            },
+        }
+    }
+}
+
+/// Expectations and gradients by the names of observables: `ZI`, `IZ`.
+struct Answer {
+    names: Vec<String>,
+    jacobian: Jacobian,
+}
+
+impl Answer {
+    fn print(&self) -> anyhow::Result<()> {
+        let (names, j) = (&self.names, &self.jacobian);
+        let values = names.iter().zip(&j.expectations).map(|(name, v)| format!("<{name}> {v:+.12}"));
+        output::text_line(&values.collect::<Vec<_>>().join("   "))?;
+        for (name, gradient) in names.iter().zip(&j.by_theta) {
+            output::text_line(&format!("d<{name}>/dtheta {gradient:?}"))?;
+        }
+        for (name, gradient) in names.iter().zip(&j.by_x) {
+            output::text_line(&format!("d<{name}>/dx     {gradient:?}"))?;
         }
         Ok(())
-    })?;
-    points.push(point("closed form, f64, the reference".into(), ms, None));
-    for count in [100, 1_000, 4_096] {
-        let execution = Execution::Shots(Shots { count, seed: 1, gradient: ShotGradient::Shots });
-        let of = Circuit::new(&CircuitSpec { execution, ..CircuitSpec::default() })?;
-        let mut told = vec![[0.0; 2]; BATCH];
-        let ms = least_ms(rounds.min(10), || {
-            for (row, (x, told)) in x.iter().zip(&mut told).enumerate() {
-                let draw = Draw { call: 0, row: row as u64 };
-                let x = x.map(f64::from);
-                if let [a, b] = of.expectations(&x, &theta, draw)?[..] {
-                    *told = [a, b];
-                }
-                std::hint::black_box(of.gradients(&x, &theta, &[0.3, -0.5], draw)?);
-            }
-            Ok(())
-        })?;
-        points.push(point(format!("{count} shots"), ms, Some(rms(&|k| told[k]))));
     }
-    Ok(points)
+}
+
+impl Serialize for Answer {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        use serde::ser::SerializeMap;
+        let (j, mut map) = (&self.jacobian, serializer.serialize_map(None)?);
+        let names: Vec<String> = self.names.iter().map(|n| n.to_lowercase()).collect();
+        for (name, value) in names.iter().zip(&j.expectations) {
+            map.serialize_entry(name, value)?;
+        }
+        for (rows, by) in [(&j.by_theta, "theta"), (&j.by_x, "x")] {
+            for (name, row) in names.iter().zip(rows) {
+                map.serialize_entry(&format!("{name}_grad_{by}"), row)?;
+            }
+        }
+        map.end()
+    }
+}
+
+fn in_words(count: usize) -> String {
+    const WORDS: [&str; 13] =
+        ["no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven", "twelve"];
+    WORDS.get(count).map_or_else(|| count.to_string(), |word| (*word).to_owned())
 }

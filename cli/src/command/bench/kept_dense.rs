@@ -16,7 +16,7 @@ const SAME: f64 = 1e-6;
 /// And up to which it is close enough to compare with, which is then said: on a walker's map -54 dB are about 0.05 dB.
 const CLOSE: f64 = 2e-3;
 
-/// What a frame is computed from.
+/// Inputs that a frame is computed from.
 pub struct DenseFrame<'a> {
     pub simulator: &'a Simulator,
     pub index: u64,
@@ -36,6 +36,9 @@ pub struct DenseSamples {
 impl DenseFrame<'_> {
     /// From the folder where it is kept and still what the program makes: one chirp is computed again. Otherwise computed, with
     /// progress, and kept there.
+    ///
+    /// # Errors
+    /// The frame cannot be computed, or the file of kept samples cannot be read or written.
     pub fn samples(&self, folder: Option<&Path>) -> anyhow::Result<DenseSamples> {
         let Some(folder) = folder else { return self.compute() };
         let path = self.path(folder);
@@ -93,7 +96,7 @@ impl DenseFrame<'_> {
         Ok(DenseSamples { samples: (0..receivers).flat_map(of_receiver).collect(), milliseconds })
     }
 
-    /// How far the frame's middle chirp is from what the program makes of it now, relative to that.
+    /// Difference of the frame's middle chirp from the one that the program computes now, relative to the latter.
     fn off(&self, samples: &[f64]) -> f64 {
         let [_, chirps, length] = self.shape();
         let middle = chirps / 2;

@@ -29,7 +29,7 @@ const SIZE: usize = 128;
 /// `radome bench train`, `radome bench infer`
 #[derive(clap::Args)]
 pub struct Arguments {
-    /// Networks, as `radome models` names them
+    /// Networks, as `radome model list` names them
     networks: Vec<String>,
     /// Maps of a step or of a call
     #[arg(long)]
@@ -67,6 +67,9 @@ struct Row {
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// A training step: forward, backward, Adam.
+///
+/// # Errors
+/// There is no such network, or the peer fails.
 pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(32), arguments.repeats.unwrap_or(5));
     compare(arguments, "train", batch, repeats, &|spec, _| {
@@ -80,6 +83,9 @@ pub fn train(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// One map to logits, for the table of all stages; errors are those of logits against the portable
 /// kernels, over the largest.
+///
+/// # Errors
+/// A network cannot be prepared, or the peer fails.
 pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     const ROUNDS: usize = 30;
     let folder = std::env::temp_dir().join(format!("radome-bench-{}", std::process::id()));
@@ -136,6 +142,9 @@ pub fn points(python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
 }
 
 /// Maps to logits.
+///
+/// # Errors
+/// There is no such network, or the peer fails.
 pub fn infer(arguments: &Arguments) -> anyhow::Result<()> {
     let (batch, repeats) = (arguments.batch.unwrap_or(1), arguments.repeats.unwrap_or(30));
     compare(arguments, "infer", batch, repeats, &|spec, folder| {
@@ -186,7 +195,7 @@ fn compare(
     let mut rows = Vec::new();
     for name in &names {
         let Some(spec) = NetworkSpec::named(name) else {
-            bail!("there is no network '{name}'\n\nhint: `radome models` lists them");
+            bail!("there is no network '{name}'\n\nhint: `radome model list` lists them");
         };
         // What the circuit costs shows beside the same network with a linear head, which takes its turns too.
         let linear = if what == "train" && name == NETWORKS[0] { NetworkSpec::named(NETWORKS[1]) } else { None };

@@ -10,7 +10,7 @@ const SCRIPT: &str = include_str!("../../../bench/networks.py");
 
 /// A network in another program, prepared and waiting for its turns.
 pub struct Peer {
-    /// What it is called; empty before its first turn.
+    /// Name; empty before its first turn.
     pub name: String,
     child: Child,
     /// A line is a turn.

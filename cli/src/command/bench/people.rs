@@ -13,6 +13,9 @@ const FRAMES: [u64; 3] = [40, 60, 80];
 const HALVINGS: u32 = 7;
 
 /// The corridor with two walkers on all threads; the error is the rms of the samples' difference, over the samples' rms.
+///
+/// # Errors
+/// The scene cannot be read or simulated.
 pub fn points(rounds: usize) -> anyhow::Result<Vec<Point>> {
     let scene = Scene::load(&files::fixture("scenes/corridor.toml")?)?;
     let simulator = |tolerance_db: f64| {

@@ -1,4 +1,4 @@
-//! What every stage is measured in: one way to do its job, what it takes, and how far off it is.
+//! Measurement of one way to do the job of a stage: its time and its error.
 
 use std::time::Instant;
 
@@ -7,13 +7,13 @@ use serde::Serialize;
 /// One way to do a stage's job.
 #[derive(Debug, Clone, Serialize)]
 pub struct Point {
-    /// Which job.
+    /// Name of the stage.
     pub stage: &'static str,
-    /// Which way.
+    /// Name of the method.
     pub way: String,
     /// The least of several runs.
     pub milliseconds: f64,
-    /// How far off, in `error_unit`; `None` of a reference, and where nothing is approximated.
+    /// Error in `error_unit`; `None` of a reference, and where nothing is approximated.
     pub error: Option<f64>,
     /// Unit of the error.
     pub error_unit: &'static str,
@@ -22,6 +22,9 @@ pub struct Point {
 }
 
 /// Milliseconds of the fastest of several runs.
+///
+/// # Errors
+/// The job fails.
 pub fn least_ms(rounds: usize, mut run: impl FnMut() -> anyhow::Result<()>) -> anyhow::Result<f64> {
     let mut least = f64::INFINITY;
     for _ in 0..rounds.max(1) {

@@ -28,6 +28,10 @@ pub struct Arguments {
     python: Option<PathBuf>,
 }
 
+/// Measures maps by our kernels and by others.
+///
+/// # Errors
+/// A map cannot be computed, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let points = points(arguments.rounds, arguments.python.as_deref())?;
     if arguments.json {
@@ -47,6 +51,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// Our kernels, the fastest first, then libraries.
+///
+/// # Errors
+/// A map cannot be computed.
 pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>> {
     let waveform = Waveform::realise(WaveformRequest::paper())?;
     let spec = RdmSpec::default();
@@ -90,7 +97,7 @@ pub fn points(rounds: usize, python: Option<&Path>) -> anyhow::Result<Vec<Point>
     Ok(points)
 }
 
-/// What the script of the peer says, or nothing where it cannot run.
+/// Output of the script of the peer; `None` where it cannot run.
 fn scipy_ms(python: Option<&Path>) -> Option<f64> {
     let python = python.unwrap_or(Path::new("python3"));
     // The script is in the program, so that it is found wherever that runs.

@@ -61,6 +61,9 @@ struct Row {
 }
 
 /// Frames the slow way, then at every tolerance on one thread, and how far their maps are apart.
+///
+/// # Errors
+/// The scene cannot be read or simulated, or the dense frames cannot be kept.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let scene = Scene::load(&arguments.scene)?;
     if scene.file().people.body != BodyFile::Mesh {

@@ -8,7 +8,8 @@ use radome_sim::field::boundary::Boundary;
 use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
 use serde::Serialize;
 
-use crate::{output, plot};
+use crate::output;
+use crate::picture::plot;
 
 /// Tolerances that every method is asked for, dB.
 const TOLERANCES_DB: [f64; 4] = [1.0, 0.3, 0.1, 0.03];
@@ -44,6 +45,9 @@ struct Row {
 }
 
 /// Every method on every target at every tolerance, on one thread.
+///
+/// # Errors
+/// A target cannot be solved, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let targets = targets();
     let bar = output::progress(targets.len() as u64, "targets");

@@ -43,6 +43,9 @@ struct Row {
 const FRAME_CHIRPS: usize = 128;
 
 /// Paths of walkers through the paper's chirps, between two keys.
+///
+/// # Errors
+/// The samples cannot be computed, or standard output cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let rows = measure(&arguments.paths, arguments.rounds)?;
     if arguments.json {
@@ -62,6 +65,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 /// The same for the table of all stages.
+///
+/// # Errors
+/// The samples cannot be computed.
 pub fn points() -> anyhow::Result<Vec<Point>> {
     let mut points = Vec::new();
     for row in measure(&[300], 20)? {

@@ -3,8 +3,9 @@
 use std::path::PathBuf;
 
 use super::point::Point;
-use super::{circuit, networks, people, rdm, synthesis};
-use crate::{output, plot};
+use super::{circuit_time, networks, people, rdm, synthesis};
+use crate::output;
+use crate::picture::plot;
 
 #[derive(clap::Args)]
 pub struct Arguments {
@@ -20,6 +21,9 @@ pub struct Arguments {
 }
 
 /// All stages from chirps to labels.
+///
+/// # Errors
+/// A stage cannot be measured, or the picture cannot be written.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let python = arguments.python.as_deref();
     let bar = output::progress(5, "stages");
@@ -29,7 +33,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             0 => rdm::points(200, python)?,
             1 => synthesis::points()?,
             2 => people::points(5)?,
-            3 => circuit::points(50)?,
+            3 => circuit_time::points(50)?,
             _ => networks::points(python)?,
         });
         bar.inc(1);

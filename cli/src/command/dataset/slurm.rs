@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
 
-use super::plan::Plan;
+use crate::dataset::plan::Plan;
 use crate::output;
 use crate::shard::Shard;
 
@@ -25,6 +25,9 @@ pub struct Arguments {
 }
 
 /// Prints the script of an array job; `sbatch` takes it.
+///
+/// # Errors
+/// The spec cannot be planned, a number is zero, or a path has no full form or cannot stand in a script.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if arguments.tasks == 0 || arguments.cpus == 0 {
         bail!("an array has at least one task, and a task one core");

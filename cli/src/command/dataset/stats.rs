@@ -7,6 +7,7 @@ use radome_models::dataset::{Dataset, Split, SplitSpec, statistics};
 use radome_models::standardise::LEAST_SIGMA_DB;
 
 use super::features;
+use crate::dataset::features::compare;
 use crate::output;
 
 /// `radome dataset stats`
@@ -39,6 +40,9 @@ enum SplitName {
 }
 
 /// Prints the table. A zero sigma is an error, after the table that shows it.
+///
+/// # Errors
+/// The dataset or the measured features cannot be read, or a class has a sigma of zero.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let wanted = arguments.split.map(|split| match split {
@@ -50,7 +54,8 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let indices: Vec<usize> =
         (0..dataset.len()).filter(|index| wanted.is_none_or(|wanted| splits.get(*index) == Some(&wanted))).collect();
     if arguments.features {
-        return features::run(&dataset, &indices, &arguments.frames, arguments.measured.as_deref(), arguments.json);
+        let rows = compare(&dataset, &indices, &arguments.frames, arguments.measured.as_deref())?;
+        return features::print(&rows, !arguments.frames.is_empty(), arguments.json);
     }
     let table = statistics(&dataset, &indices)?;
     if arguments.json {

@@ -12,7 +12,7 @@ use crate::output;
 pub struct Arguments {
     /// Dataset folder
     dataset: PathBuf,
-    /// What no two splits may share beside sequences
+    /// Property that no two splits may share beside sequences
     #[arg(long, value_enum, default_value_t = By::Sequence)]
     by: By,
     /// One object
@@ -32,6 +32,9 @@ enum By {
 const SHOWN: usize = 5;
 
 /// Reads everything, says what is wrong; fails if anything is.
+///
+/// # Errors
+/// The dataset cannot be read, or something is wrong with it.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let dataset = Dataset::open(&arguments.dataset)?;
     let by = match arguments.by {

@@ -10,14 +10,18 @@ use serde::Serialize;
 use serde_json::json;
 use zip::write::SimpleFileOptions;
 
+use super::check::Check;
 use super::checks::Examined;
 use super::redact::{Kind, Redactor};
-use super::{Check, WireLog};
+use super::wire::WireLog;
 use crate::files;
 
 const EXISTS_HINT: &str = "hint: choose another name for --bundle, or remove that file";
 
 /// Fails early if the archive's name is taken or its folder is missing.
+///
+/// # Errors
+/// The file exists, or its folder does not.
 pub fn check_absent(path: &Path) -> anyhow::Result<()> {
     files::check_parent(path)?;
     // Also a link that leads nowhere.
@@ -28,6 +32,9 @@ pub fn check_absent(path: &Path) -> anyhow::Result<()> {
 }
 
 /// Names and contents of the archive's files.
+///
+/// # Errors
+/// A part cannot be written as JSON.
 pub fn parts(
     checks: &[Check],
     examined: Option<&Examined>,
@@ -74,6 +81,9 @@ pub fn parts(
 }
 
 /// Writes the archive, whole or not at all, and never over another file. Only its owner may read it.
+///
+/// # Errors
+/// The file exists or cannot be written.
 pub fn write(path: &Path, parts: &[(&'static str, Vec<u8>)]) -> anyhow::Result<()> {
     let mut archive = zip::ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in parts {

@@ -10,9 +10,9 @@ use radome_driver::RecordingHeader;
 use radome_driver::discover::{self, Identity, PERMISSION_REMEDY, State, UDEV_RULES};
 use radome_dsp::{Frame, FrameShape, KernelLevel, SourceEvent, Waveform};
 
-use super::Check;
-use crate::judge::{Judge, Model, Verdict};
-use crate::live::home::broker::BrokerArguments;
+use super::check::Check;
+use crate::judge::{Judge, Model, Prediction};
+use crate::live::integrations::broker::BrokerArguments;
 use crate::source::{self, SourceOptions};
 
 /// The program itself.
@@ -131,7 +131,7 @@ pub fn devices() -> Vec<Check> {
             State::Busy => Check::warn("device", format!("{name}, in use"), "another program has it: stop that first"),
             State::PermissionDenied { remedy } => Check::fail("device", format!("{name}, permission denied"), remedy),
             State::NotAnswering { why } => {
-                Check::fail("device", format!("{name}, {why}"), "radome devices says more; unplug it and plug it in")
+                Check::fail("device", format!("{name}, {why}"), "radome board list says more; unplug it and plug it in")
             }
             State::OtherChip { chip } => {
                 Check::fail("device", format!("{name}, radar chip {chip}"), "this program drives the BGT60TR13C")
@@ -142,7 +142,7 @@ pub fn devices() -> Vec<Check> {
     candidates.iter().map(check).collect()
 }
 
-/// What was seen of a source.
+/// Frames and header of a source.
 pub struct Examined {
     /// The source in words.
     pub description: String,
@@ -208,7 +208,9 @@ fn frames(
                 match judge.as_mut().map(|judge| judge.frame(&frame)) {
                     Some(Err(error)) => return Check::error("frames", &error),
                     // The first one sets things up.
-                    Some(Ok(Verdict::Probabilities(_))) if !kept.is_empty() => slowest = slowest.max(asked.elapsed()),
+                    Some(Ok(Prediction::Probabilities(_))) if !kept.is_empty() => {
+                        slowest = slowest.max(asked.elapsed())
+                    }
                     _ => {}
                 }
                 kept.push(frame.clone());
@@ -226,11 +228,7 @@ fn frames(
         interval_s * 1e3
     );
     if count == 0 {
-        return Check::fail(
-            "frames",
-            found,
-            "the board is silent: radome devices --reset, or unplug it and plug it in",
-        );
+        return Check::fail("frames", found, "the board is silent: radome board reset, or unplug it and plug it in");
     }
     if lost > 0 {
         return Check::warn("frames", found, "another socket or a shorter cable; a hub that others do not share");

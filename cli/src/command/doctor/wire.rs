@@ -1,4 +1,4 @@
-//! What is said to boards and by them while the doctor asks, for the bundle.
+//! Trace of requests to boards and their answers, for the bundle.
 
 use std::fmt::{self, Write};
 use std::sync::{Arc, Mutex, PoisonError};

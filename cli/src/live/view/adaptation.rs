@@ -9,7 +9,7 @@ use serde::Serialize;
 
 use crate::judge::CFAR;
 
-/// File that the command writes. `radome adapt` replaces no file that exists.
+/// File that the command writes. `radome model adapt` replaces no file that exists.
 const OUTPUT: &str = "room-mine.safetensors";
 
 /// Offer of a page to adapt the model.
@@ -68,7 +68,7 @@ impl Offer {
                 if is_running {
                     say("The recording is complete when this run has ended.");
                 }
-                Some(format!("radome adapt {} {} -o {OUTPUT}", quoted(model), quoted(recording)))
+                Some(format!("radome model adapt {} {} -o {OUTPUT}", quoted(model), quoted(recording)))
             }
         };
         Some(Offer { command, text })
@@ -95,7 +95,7 @@ mod tests {
     fn the_command_names_model_and_recording_and_the_text_what_is_missing() {
         let labels = [LabelSpan::new(0.0, 60.0, "empty"), LabelSpan::new(70.0, 130.0, "empty")];
         let found = offer("room-hqnn", Some("a room/it's.mcap"), &labels).expect("an offer");
-        let command = "radome adapt room-hqnn 'a room/it'\\''s.mcap' -o room-mine.safetensors";
+        let command = "radome model adapt room-hqnn 'a room/it'\\''s.mcap' -o room-mine.safetensors";
         assert_eq!(found.command.as_deref(), Some(command));
         for expected in ["120 s empty, 0 s one, 0 s two", "Without people", "a second recording"] {
             assert!(found.text.contains(expected), "{}", found.text);
@@ -103,7 +103,9 @@ mod tests {
         let with_one = [labels[0].clone(), LabelSpan::new(60.0, 70.0, "one")];
         let found = offer("-m.safetensors", Some("r.mcap"), &with_one).expect("an offer");
         assert!(found.text.contains("Not labelled yet: two."), "{}", found.text);
-        assert!(found.command.is_some_and(|command| command.starts_with("radome adapt ./-m.safetensors r.mcap ")));
+        assert!(
+            found.command.is_some_and(|command| command.starts_with("radome model adapt ./-m.safetensors r.mcap "))
+        );
     }
 
     #[test]

@@ -1,13 +1,13 @@
-//! What a page may ask for: one JSON object a message, checked here and nowhere else.
+//! Requests of a page: one JSON object a message, checked here and nowhere else.
 
 use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_dsp::Occupancy;
 use serde::Deserialize;
 
-use super::Shared;
 use super::feed::{Look, PageId};
 use super::labels::Edit;
+use super::shared::Shared;
 
 /// Longest name of who labels, characters.
 const MOST_WHO: usize = 60;
@@ -20,7 +20,7 @@ const MOST_SPEED: f64 = 1000.0;
 pub enum Command {
     /// A picture has been taken in; the next may come.
     Seen,
-    /// What this page wants to see.
+    /// Selection of this page.
     Look(Look),
     /// The recording goes on.
     Play,
@@ -53,11 +53,15 @@ pub enum Command {
 }
 
 /// Does what a page asks for; an error says why not.
-pub fn obey(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
+///
+/// # Errors
+/// The message is malformed, or the request cannot be met.
+pub fn handle(shared: &Shared, page: PageId, text: &str) -> anyhow::Result<()> {
     let command: Command = serde_json::from_str(text).context("that is no message of this page")?;
     let transport = || {
-        let tape = shared.about.tape.as_ref().context("only recordings can be sought, paused and stepped through")?;
-        anyhow::Ok(&tape.transport)
+        let playback =
+            shared.about.playback.as_ref().context("only recordings can be sought, paused and stepped through")?;
+        anyhow::Ok(&playback.transport)
     };
     let edit = |edit: Edit| {
         if shared.about.read_only_labels {

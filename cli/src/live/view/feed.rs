@@ -1,4 +1,4 @@
-//! What pages see: the newest frame, and of it the maps that they ask for.
+//! Content of pages: the newest frame, and the maps of it that they ask for.
 //!
 //! The classifier hands over the newest frame and its answer, and goes on. A thread of the pages keeps the history and makes the maps:
 //! each kind once, however many pages look at it, and only for pages that have taken in the picture before.
@@ -20,7 +20,7 @@ use serde_json::json;
 use tokio::sync::mpsc;
 
 use super::partner::Partner;
-use crate::live::classify::{Answer, Probabilities};
+use crate::live::answer::{Answer, Probabilities};
 use crate::live::sink::Moment;
 
 /// Pictures a second are enough for eyes.
@@ -43,7 +43,7 @@ const MTI_ALPHA: f64 = 0.8;
 /// Names a page.
 pub type PageId = u64;
 
-/// Which channel a map is of.
+/// Channel of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Channel {
@@ -56,7 +56,7 @@ pub enum Channel {
     Rx(usize),
 }
 
-/// How what stands still is taken out.
+/// Removal of static echoes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Removal {
@@ -69,17 +69,17 @@ pub enum Removal {
     Mti,
 }
 
-/// What a page looks at.
+/// Selection of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Look {
     /// Channel of the map.
     #[serde(default)]
     channel: Channel,
-    /// What is taken out of it.
+    /// Removal of static echoes from it.
     #[serde(default)]
     removal: Removal,
-    /// Which chirp, if any.
+    /// Index of the chirp, if one is shown.
     #[serde(default)]
     chirp: Option<usize>,
     /// Whether the simulated partner too.
@@ -97,7 +97,7 @@ struct Newest {
     health: serde_json::Value,
 }
 
-/// What was said of one frame, for the tracks over time.
+/// Answer to one frame, for the tracks over time.
 #[derive(Debug, Clone, Copy)]
 struct Point {
     sequence: u64,
@@ -299,6 +299,9 @@ impl Feed {
     }
 
     /// A page wants to see something else.
+    ///
+    /// # Errors
+    /// The frames have no such channel or chirp.
     pub fn look(&self, page: PageId, look: Look) -> anyhow::Result<()> {
         let shape = self.waveform.shape();
         if let Channel::Rx(rx) = look.channel
@@ -454,7 +457,7 @@ impl PageState {
     }
 }
 
-/// How the run fares.
+/// Health of the run.
 fn strip(moment: &Moment, frames_per_s: f64) -> serde_json::Value {
     let health = moment.health;
     let dropped: BTreeMap<&str, u64> = health.dropped.iter().map(|(reason, frames)| (reason.name(), *frames)).collect();

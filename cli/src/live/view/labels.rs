@@ -15,7 +15,7 @@ use serde::Serialize;
 
 use super::adaptation::Offer;
 use crate::labels;
-use crate::source::Tape;
+use crate::source::Playback;
 
 /// More labels than anybody makes by hand.
 const MOST_SPANS: usize = 5_000;
@@ -23,7 +23,7 @@ const MOST_SPANS: usize = 5_000;
 const MOST_UNDO: usize = 100;
 /// Shorter spans are slips of the hand, s.
 const SHORTEST_S: f64 = 1e-3;
-/// How often a label that grows is written to the disk, and how often to a recording that is being made: what is lost if this
+/// Interval at which a growing label is written to the disk, and to a recording that is being made: what is lost if this
 /// program is killed is not more than of its frames.
 const GROWING_SAVED: Duration = Duration::from_secs(10);
 const GROWING_RECORDED: Duration = Duration::from_millis(500);
@@ -35,7 +35,7 @@ const IN_A_ROW: Duration = Duration::from_millis(300);
 pub struct Span {
     /// Its name.
     pub id: u64,
-    /// What it says.
+    /// Text of the label.
     #[serde(flatten)]
     pub label: LabelSpan,
 }
@@ -43,9 +43,9 @@ pub struct Span {
 /// A label that still goes on.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Open {
-    /// Where it began, s.
+    /// Beginning, s.
     pub start_s: f64,
-    /// What it says.
+    /// Text of the label.
     pub label: Occupancy,
     #[serde(skip)]
     who: Option<String>,
@@ -212,7 +212,7 @@ fn now_ns() -> Option<u64> {
     SystemTime::now().duration_since(UNIX_EPOCH).ok().and_then(|since| u64::try_from(since.as_nanos()).ok())
 }
 
-/// What a page may do to labels.
+/// Edit of labels by a page.
 #[derive(Debug)]
 pub enum Edit {
     /// A key: from here on.
@@ -233,14 +233,14 @@ pub enum Edit {
     Redo,
 }
 
-/// What pages are told of the labels.
+/// Message about labels to pages.
 #[derive(Serialize)]
 struct Told<'a> {
     spans: &'a [Span],
     open: &'a Option<Open>,
     can_undo: bool,
     can_redo: bool,
-    /// Where they are kept, if anywhere.
+    /// Path of the labels, if they are stored.
     place: Option<String>,
     /// Whether what is shown is there.
     saved: bool,
@@ -252,7 +252,7 @@ struct Told<'a> {
     adaptation: Option<Offer>,
 }
 
-/// Where labels are kept.
+/// Storage of labels.
 #[derive(Debug, Clone)]
 enum Place {
     /// In a finished recording: beside it as long as they change, and in its channel of labels in the end.
@@ -353,10 +353,18 @@ pub struct Keeper {
 impl Keeper {
     /// Reads the labels that the recording has; labels of what is no recording go into the one that is being made. `model` is the one
     /// that pages offer to adapt.
-    pub fn open(tape: Option<&Tape>, recording: Option<&Path>, model: &Path, interval_s: f64) -> anyhow::Result<Self> {
+    ///
+    /// # Errors
+    /// The recording or its labels cannot be read.
+    pub fn open(
+        playback: Option<&Playback>,
+        recording: Option<&Path>,
+        model: &Path,
+        interval_s: f64,
+    ) -> anyhow::Result<Self> {
         let made = recording.map(|path| Place::Made { recording: path.to_owned() });
-        let place = tape.map(|tape| -> anyhow::Result<Place> {
-            let recording = tape.path.clone();
+        let place = playback.map(|playback| -> anyhow::Result<Place> {
+            let recording = playback.path.clone();
             Ok(match Recording::open(&recording)? {
                 Recording::Mcap(_) => Place::Mcap(recording),
                 _ => {
@@ -367,7 +375,8 @@ impl Keeper {
         });
         let place = place.transpose()?.or(made);
         let known = place.as_ref().map_or(Ok(Vec::new()), Place::read)?;
-        let extent_s = tape.map(|tape| (tape.extent.first.time_s(), tape.extent.last.time_s() + interval_s));
+        let extent_s =
+            playback.map(|playback| (playback.extent.first.time_s(), playback.extent.last.time_s() + interval_s));
         let state = State { book: Book::new(known.clone(), extent_s), known, ..State::default() };
         Ok(Keeper {
             state: Mutex::new(state),
@@ -393,6 +402,9 @@ impl Keeper {
     }
 
     /// Makes a change; why not otherwise.
+    ///
+    /// # Errors
+    /// The edit does not fit the labels.
     pub fn edit(&self, edit: Edit) -> anyhow::Result<()> {
         let now_s = self.now_s();
         let mut state = self.state();
@@ -444,7 +456,7 @@ impl Keeper {
         self.state().told
     }
 
-    /// What pages are told.
+    /// Message to pages.
     pub fn told(&self) -> serde_json::Value {
         let state = self.state();
         let recording = self.place.as_ref().map(Place::recording);
@@ -512,6 +524,9 @@ impl Keeper {
     }
 
     /// Gives the recording its labels for good; says what could not be kept.
+    ///
+    /// # Errors
+    /// The labels cannot be written.
     pub fn last_word(&self) -> anyhow::Result<()> {
         let state = self.state();
         let count = state.book.spans.len();

@@ -1,4 +1,4 @@
-//! The simulated partner of a recording: the scene that `dataset pair` made of it, at the moment of the frame that is shown.
+//! The simulated partner of a recording: the scene that `scene pair` made of it, at the moment of the frame that is shown.
 
 use std::path::{Path, PathBuf};
 
@@ -8,7 +8,7 @@ use radome_models::bounded_file::read_text;
 use radome_models::dataset::{Domain, MANIFEST_LIMIT_BYTES, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
 
-use crate::source::Tape;
+use crate::source::Playback;
 
 /// A simulation beside a recording.
 pub struct Partner {
@@ -21,8 +21,15 @@ pub struct Partner {
 
 impl Partner {
     /// The partner in `folder`, or, without it, in the folder beside the recording that is named after it, if there is one.
-    pub fn find(folder: Option<&Path>, tape: Option<&Tape>, waveform: &Waveform) -> anyhow::Result<Option<Self>> {
-        let Some(tape) = tape else {
+    ///
+    /// # Errors
+    /// The folder is no pair of the recording or cannot be read.
+    pub fn find(
+        folder: Option<&Path>,
+        playback: Option<&Playback>,
+        waveform: &Waveform,
+    ) -> anyhow::Result<Option<Self>> {
+        let Some(playback) = playback else {
             if folder.is_some() {
                 bail!("--pair is of a recording, and the source is none");
             }
@@ -30,19 +37,23 @@ impl Partner {
         };
         let folder = match folder {
             Some(folder) => folder.to_owned(),
-            None => match beside(&tape.path) {
+            None => match beside(&playback.path) {
                 Some(folder) => folder,
                 None => return Ok(None),
             },
         };
-        let partner = Self::open(&folder, tape, waveform).with_context(|| {
-            format!("{} is no pair of {}\n\nhint: radome dataset pair makes one", folder.display(), tape.path.display())
+        let partner = Self::open(&folder, playback, waveform).with_context(|| {
+            format!(
+                "{} is no pair of {}\n\nhint: radome scene pair makes one",
+                folder.display(),
+                playback.path.display()
+            )
         })?;
         eprintln!("simulated partner: {}", folder.display());
         Ok(Some(partner))
     }
 
-    fn open(folder: &Path, tape: &Tape, waveform: &Waveform) -> anyhow::Result<Self> {
+    fn open(folder: &Path, playback: &Playback, waveform: &Waveform) -> anyhow::Result<Self> {
         let manifest = folder.join("manifest.jsonl");
         let rows = read_text(&manifest, MANIFEST_LIMIT_BYTES)
             .with_context(|| format!("cannot read {}", manifest.display()))?;
@@ -63,8 +74,8 @@ impl Partner {
         if waveform.shape() != simulator.waveform().shape() {
             bail!("the mirror's frames are {}, the recording's {}", simulator.waveform().shape(), waveform.shape());
         }
-        let first = tape.extent.first;
-        if first_ns.is_some_and(|ns| ns < first.time_ns) || last_sequence > tape.extent.last.sequence {
+        let first = playback.extent.first;
+        if first_ns.is_some_and(|ns| ns < first.time_ns) || last_sequence > playback.extent.last.sequence {
             bail!("its frames are not the recording's");
         }
         Ok(Partner { simulator, first_s: first.time_s(), last_sequence })

@@ -1,9 +1,7 @@
 //! Server of the page. `access.rs` decides who may ask; `http_server.rs` limits connections.
 //! Refusals are counted and cost the pipeline nothing.
 
-use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use axum::body::Body;
@@ -17,14 +15,13 @@ use axum::{Extension, Router};
 use radome_driver::recording::label_text;
 use serde_json::json;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 
-use super::{Shared, control};
-use crate::live::access::{self, Access, Token};
+use super::control;
+use super::policy::Refusal;
+use super::shared::Shared;
+use crate::live::access::{self, Access};
 use crate::live::http_server::{self, Client, Event, Limits};
 
-/// Pages at a time.
-const MOST_PAGES: usize = 16;
 /// Longest message of a page, bytes. Its own are below 200.
 const LONGEST_MESSAGE: usize = 4096;
 /// Messages of a page in a second; a picture is answered by one, a held key makes thirty.
@@ -33,11 +30,11 @@ const MOST_MESSAGES: u32 = 200;
 const MOST_MALFORMED: u32 = 20;
 /// A page that says nothing whole for so long is dropped. Pages answer pings.
 const SILENCE: Duration = Duration::from_secs(30);
-/// How often pages are pinged.
+/// Interval between pings of pages.
 const PING: Duration = Duration::from_secs(10);
 /// A page that takes a message in for longer is given up.
 const SLOWEST_SEND: Duration = Duration::from_secs(10);
-/// How often a page is told what has changed beside pictures.
+/// Interval at which a page is told of changes beside pictures.
 const TICK: Duration = Duration::from_millis(100);
 /// Longest wait for pages at the end of a run.
 const FAREWELL: Duration = Duration::from_secs(1);
@@ -61,83 +58,6 @@ const FILES: [(&str, &str, &str); 12] = [
     ("labels.js", JS, include_str!("page/labels.js")),
     ("health.js", JS, include_str!("page/health.js")),
 ];
-
-/// Reason for refusing a connection, a request, a page or a message.
-#[derive(Debug, Clone, Copy)]
-enum Refusal {
-    Connection,
-    Unanswered,
-    Host,
-    Origin,
-    NoToken,
-    WrongToken,
-    Method,
-    Body,
-    Path,
-    Page,
-    Message,
-    Oversized,
-    Flood,
-}
-
-/// Names of the refusals, in their order.
-const REFUSALS: [&str; 13] = [
-    "connections",
-    "unanswered",
-    "host",
-    "origin",
-    "no_token",
-    "wrong_token",
-    "method",
-    "body",
-    "path",
-    "pages",
-    "messages",
-    "oversized",
-    "flood",
-];
-
-impl From<access::Refusal> for Refusal {
-    fn from(refusal: access::Refusal) -> Self {
-        match refusal {
-            access::Refusal::Host => Refusal::Host,
-            access::Refusal::Origin => Refusal::Origin,
-            access::Refusal::NoToken => Refusal::NoToken,
-            access::Refusal::WrongToken => Refusal::WrongToken,
-            access::Refusal::Body => Refusal::Body,
-        }
-    }
-}
-
-/// Access policy of the page, limit of pages, and counters of refusals.
-pub struct Policy {
-    access: Access,
-    pages: Arc<Semaphore>,
-    refused: [AtomicU64; REFUSALS.len()],
-}
-
-impl Policy {
-    /// Policy of a page that is served at `address`; with a token only for those who bring it.
-    pub fn new(address: SocketAddr, arguments: &access::Arguments, token: Option<&Token>) -> Self {
-        Policy {
-            access: Access::new(address, arguments, token),
-            pages: Arc::new(Semaphore::new(MOST_PAGES)),
-            refused: Default::default(),
-        }
-    }
-
-    fn count(&self, refusal: Refusal) {
-        if let Some(counter) = self.refused.get(refusal as usize) {
-            counter.fetch_add(1, Ordering::Relaxed);
-        }
-    }
-
-    fn refused(&self) -> serde_json::Value {
-        let refused =
-            REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));
-        refused.collect::<serde_json::Map<String, serde_json::Value>>().into()
-    }
-}
 
 /// Waits a little until pages have heard that the run is over, and gone.
 pub fn wait_for_farewells(shared: &Shared) {
@@ -292,7 +212,7 @@ async fn stream(upgrade: WebSocketUpgrade, State(shared): State<Arc<Shared>>) ->
     })
 }
 
-/// What a page has been told beside pictures.
+/// State that a page has been told beside pictures.
 #[derive(Default)]
 struct Told {
     labels: Option<u64>,
@@ -338,7 +258,7 @@ async fn converse(
                         return throw_out(&mut socket, "too many messages").await;
                     }
                     let obeyed = match &message {
-                        Message::Text(text) => control::obey(shared, page, text.as_str()),
+                        Message::Text(text) => control::handle(shared, page, text.as_str()),
                         _ => Err(anyhow::anyhow!("that is no message of this page")),
                     };
                     if let Err(error) = obeyed {
@@ -386,7 +306,7 @@ async fn converse(
     }
 }
 
-/// What has changed beside pictures.
+/// Sends changes beside pictures.
 async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool {
     let labels = shared.labels.told_count();
     if told.labels != Some(labels) {
@@ -395,8 +315,8 @@ async fn news(socket: &mut WebSocket, shared: &Shared, told: &mut Told) -> bool 
             return false;
         }
     }
-    if let Some(tape) = &shared.about.tape {
-        let playback = tape.transport.playback();
+    if let Some(playback) = &shared.about.playback {
+        let playback = playback.transport.playback();
         // Where it is, pictures say, unless it stands.
         let is_news = told.playback.is_none_or(|told| {
             (told.playing, told.speed, told.at_end) != (playback.playing, playback.speed, playback.at_end)

@@ -1,0 +1,313 @@
+use std::path::Path;
+use std::time::Instant;
+
+use anyhow::{Context, bail};
+use clap::ValueEnum;
+use glam::DVec3;
+use radome_sim::field::boundary::Boundary;
+use radome_sim::geometry::import::{LengthUnit, UpAxis, import};
+use radome_sim::geometry::{Mesh, Surface, weld};
+use radome_sim::rcs::{Method, Outline, Polarisation, Problem, Setup, Target, known};
+use radome_sim::scene::material::{Material, SKIN_PERMITTIVITY};
+use serde::Serialize;
+
+use crate::output;
+
+/// `radome bench rcs`
+///
+/// Directions are those of the radar as the target sees it: azimuth from the target's x axis towards y, elevation towards z.
+/// Plates and mirrors look along x, a cylinder and a dihedral's edge stand along z, a trihedral's edges are the three axes.
+/// Without directions a target is looked at along its axis of symmetry.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a mesh file in metres (.stl, .obj)
+    target: String,
+    /// Along y (plate), across the edge (dihedral), diameter of the aperture (mirror: 0.2)
+    #[arg(long)]
+    width_m: Option<f64>,
+    /// Along z
+    #[arg(long)]
+    height_m: Option<f64>,
+    /// Length of a trihedral's edges
+    #[arg(long)]
+    edge_m: Option<f64>,
+    /// Sphere, cylinder; radius of curvature of the mirror (1)
+    #[arg(long)]
+    radius_m: Option<f64>,
+    /// Semi-axes X,Y,Z of the ellipsoid
+    #[arg(long, value_delimiter = ',', num_args = 1)]
+    axes_m: Option<Vec<f64>>,
+    /// Outline of a trihedral's faces
+    #[arg(long, value_enum)]
+    faces: Option<Faces>,
+    /// Angle between the radar and a plate's normal
+    #[arg(long, allow_hyphen_values = true, conflicts_with = "azimuth_deg")]
+    angle_deg: Option<f64>,
+    /// Azimuth of the radar
+    #[arg(long, allow_hyphen_values = true)]
+    azimuth_deg: Option<f64>,
+    /// Elevation of the radar
+    #[arg(long, allow_hyphen_values = true)]
+    elevation_deg: Option<f64>,
+    /// Range to the target: middle of a plate, corner, pole of a mirror, surface of a round body [default: infinitely far]
+    #[arg(long)]
+    range_m: Option<f64>,
+    /// Frequency
+    #[arg(long, default_value_t = 60e9)]
+    frequency_hz: f64,
+    /// pec, skin, or a building material: concrete, plasterboard, glass, wood...
+    #[arg(long, default_value = "pec")]
+    material: String,
+    /// A slab of the material in air rather than a half-space
+    #[arg(long)]
+    thickness_m: Option<f64>,
+    /// Electric field of the radar
+    #[arg(long, value_enum, default_value_t = Field::Vertical)]
+    polarisation: Field,
+    /// Method; the program chooses one that suits the target
+    #[arg(long, value_enum, default_value_t = How::Auto)]
+    method: How,
+    /// Work on a mesh with edges of this length instead of the exact shape
+    #[arg(long)]
+    mesh_edge_m: Option<f64>,
+    /// Numerical error that is wanted
+    #[arg(long, default_value_t = 0.1)]
+    tolerance_db: f64,
+    /// Rounds; the fastest is timed
+    #[arg(long, default_value_t = 3)]
+    rounds: usize,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Faces {
+    Triangular,
+    Square,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum Field {
+    Vertical,
+    Horizontal,
+}
+
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum How {
+    /// Method that suits the target
+    Auto,
+    /// Stationary phase on the exact shape
+    Highlight,
+    /// Stationary phase on a mesh, facets where that does not hold
+    MeshHighlight,
+    /// Physical optics over adaptive facets
+    Facets,
+    /// Geometrical optics from face to face, physical optics on the last
+    Chain,
+    /// Physical optics over a grid of patches: the slow reference
+    Dense,
+}
+
+#[derive(Serialize)]
+struct Answer {
+    target: String,
+    method: &'static str,
+    value_dbsm: Option<f64>,
+    analytic_dbsm: Option<f64>,
+    error_db: Option<f64>,
+    milliseconds: f64,
+    rays: usize,
+    facets: usize,
+    /// Origin of the analytic value.
+    analytic_source: Option<&'static str>,
+    /// The method's own estimate of its numerical error.
+    estimate_db: Option<f64>,
+    tolerance_db: f64,
+    /// Meshing and finding normals, once per target.
+    prepare_milliseconds: f64,
+    triangles: usize,
+    azimuth_deg: f64,
+    elevation_deg: f64,
+    range_m: Option<f64>,
+    frequency_hz: f64,
+}
+
+/// One target through the solver.
+///
+/// # Errors
+/// The target, its sizes or its material are not valid, or the solver refuses the setup.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let target = target(arguments)?;
+    let setup = setup(arguments, &target)?;
+    let method = match arguments.method {
+        How::Auto => Method::automatic(&target, arguments.mesh_edge_m.is_some()),
+        How::Highlight => Method::Highlight,
+        How::MeshHighlight => Method::MeshHighlight,
+        How::Facets => Method::Facets,
+        How::Chain => Method::Chain,
+        How::Dense => Method::Dense,
+    };
+    let started = Instant::now();
+    let problem = Problem::new(&target, &setup, method, arguments.mesh_edge_m)?;
+    let prepare_milliseconds = started.elapsed().as_secs_f64() * 1e3;
+    let mut milliseconds = f64::INFINITY;
+    let mut outcome = None;
+    for _ in 0..arguments.rounds.clamp(1, 10_000) {
+        let started = Instant::now();
+        outcome = Some(problem.solve(arguments.tolerance_db)?);
+        milliseconds = milliseconds.min(started.elapsed().as_secs_f64() * 1e3);
+    }
+    let Some(outcome) = outcome else { bail!("nothing was solved") };
+    let known = known(&target, &setup);
+    let decibels = |sigma: f64| Some(10.0 * sigma.log10()).filter(|db| db.is_finite());
+    let value_dbsm = decibels(outcome.sigma_m2);
+    let analytic_dbsm = known.and_then(|k| decibels(k.sigma_m2));
+    let answer = Answer {
+        target: arguments.target.clone(),
+        method: method.name(),
+        value_dbsm,
+        analytic_dbsm,
+        error_db: value_dbsm.zip(analytic_dbsm).map(|(value, analytic)| value - analytic),
+        milliseconds,
+        rays: outcome.rays,
+        facets: outcome.facets,
+        analytic_source: known.map(|k| k.source),
+        estimate_db: outcome.estimate_db,
+        tolerance_db: arguments.tolerance_db,
+        prepare_milliseconds,
+        triangles: problem.triangles(),
+        azimuth_deg: setup.azimuth_rad.to_degrees(),
+        elevation_deg: setup.elevation_rad.to_degrees(),
+        range_m: setup.range_m,
+        frequency_hz: setup.frequency_hz,
+    };
+    if arguments.json { output::json_line(&answer) } else { print(&answer) }
+}
+
+fn print(answer: &Answer) -> anyhow::Result<()> {
+    let decibels = |v: Option<f64>, unit: &str| v.map_or_else(|| "none".to_owned(), |v| format!("{v:.3} {unit}"));
+    let range = answer.range_m.map_or_else(|| "far".to_owned(), |r| format!("at {r} m"));
+    let (azimuth, elevation) = (answer.azimuth_deg, answer.elevation_deg);
+    output::text_line(&format!("{} {range}, azimuth {azimuth:.2} deg, elevation {elevation:.2} deg", answer.target))?;
+    output::text_line(&format!("value      {}   by {}", decibels(answer.value_dbsm, "dBsm"), answer.method))?;
+    let source = answer.analytic_source.unwrap_or("no closed form for this look");
+    output::text_line(&format!("analytic   {}   {source}", decibels(answer.analytic_dbsm, "dBsm")))?;
+    let estimate = decibels(answer.estimate_db, "dB");
+    output::text_line(&format!("error      {}   own estimate {estimate}", decibels(answer.error_db, "dB")))?;
+    output::text_line(&format!(
+        "time       {:.3} ms   {} facets, {} rays; prepared in {:.1} ms, {} triangles",
+        answer.milliseconds, answer.facets, answer.rays, answer.prepare_milliseconds, answer.triangles
+    ))
+}
+
+fn target(arguments: &Arguments) -> anyhow::Result<Target> {
+    let a = arguments;
+    let (width_m, height_m) = (a.width_m.unwrap_or(0.1), a.height_m.unwrap_or(0.1));
+    let trihedral = |outline: Faces| {
+        let outline = if outline == Faces::Square { Outline::Square } else { Outline::Triangular };
+        Target::Trihedral { edge_m: a.edge_m.unwrap_or(0.1), outline }
+    };
+    // What each kind is measured by: a size that it does not have is a mistake, not to be passed over.
+    let (target, sizes): (Target, &[&str]) = match a.target.as_str() {
+        "plate" => (Target::Plate { width_m, height_m }, &["width-m", "height-m", "angle-deg"]),
+        "dihedral" => (Target::Dihedral { width_m, height_m }, &["width-m", "height-m"]),
+        "trihedral" => (trihedral(a.faces.unwrap_or(Faces::Triangular)), &["edge-m", "faces"]),
+        "trihedral-triangular" => (trihedral(Faces::Triangular), &["edge-m"]),
+        "trihedral-square" => (trihedral(Faces::Square), &["edge-m"]),
+        "sphere" => (Target::Sphere { radius_m: a.radius_m.unwrap_or(0.05) }, &["radius-m"]),
+        "cylinder" => (Target::Cylinder { radius_m: a.radius_m.unwrap_or(0.05), height_m }, &["radius-m", "height-m"]),
+        "ellipsoid" => {
+            let axes = a.axes_m.clone().unwrap_or_else(|| vec![0.12, 0.17, 0.3]);
+            let Ok(axes) = <[f64; 3]>::try_from(axes) else {
+                bail!("--axes-m takes three numbers, as in --axes-m 0.12,0.17,0.3");
+            };
+            (Target::Ellipsoid { semi_axes_m: DVec3::from_array(axes) }, &["axes-m"])
+        }
+        "mirror" => {
+            let (radius_m, aperture_m) = (a.radius_m.unwrap_or(1.0), a.width_m.unwrap_or(0.2));
+            (Target::Mirror { radius_m, aperture_m }, &["radius-m", "width-m"])
+        }
+        path => (mesh_file(path)?, &[]),
+    };
+    let given = [
+        ("width-m", a.width_m.is_some()),
+        ("height-m", a.height_m.is_some()),
+        ("edge-m", a.edge_m.is_some()),
+        ("radius-m", a.radius_m.is_some()),
+        ("axes-m", a.axes_m.is_some()),
+        ("faces", a.faces.is_some()),
+        ("angle-deg", a.angle_deg.is_some()),
+    ];
+    if let Some((name, _)) = given.iter().find(|(name, given)| *given && !sizes.contains(name)) {
+        let takes = if sizes.is_empty() { "no size".to_owned() } else { format!("--{}", sizes.join(", --")) };
+        bail!("--{name} does not belong to {}\n\nhint: it takes {takes}", a.target);
+    }
+    Ok(target)
+}
+
+/// Smooth across everything that bends less than this: a ball of triangles is a ball, a box has edges.
+const CREASE_DEG: f64 = 35.0;
+
+/// Vertices nearer than this are one, m.
+const WELD_TOLERANCE_M: f64 = 1e-6;
+
+fn mesh_file(path: &str) -> anyhow::Result<Target> {
+    let lower = path.to_ascii_lowercase();
+    if !lower.ends_with(".stl") && !lower.ends_with(".obj") {
+        bail!(
+            "there is no target {path}\n\nhint: plate, dihedral, trihedral, sphere, cylinder, ellipsoid, mirror, or a file \
+             that ends in .stl or .obj"
+        )
+    }
+    let mut mesh = Mesh::default();
+    for part in import(Path::new(path), LengthUnit::Metre, UpAxis::Z)? {
+        let first = mesh.vertices.len() as u32;
+        mesh.vertices.extend(part.mesh.vertices);
+        mesh.triangles.extend(part.mesh.triangles.iter().map(|corners| corners.map(|corner| first + corner)));
+    }
+    // Files without indices come apart at their edges.
+    let mesh = weld(&mesh, WELD_TOLERANCE_M)?.mesh;
+    Ok(Target::Surface { surface: Surface::from_mesh(&mesh, CREASE_DEG.to_radians()) })
+}
+
+fn setup(arguments: &Arguments, target: &Target) -> anyhow::Result<Setup> {
+    let (azimuth_rad, elevation_rad) = target.axis();
+    let azimuth = arguments.angle_deg.or(arguments.azimuth_deg);
+    let polarisation = match arguments.polarisation {
+        Field::Vertical => Polarisation::Vertical,
+        Field::Horizontal => Polarisation::Horizontal,
+    };
+    Ok(Setup {
+        frequency_hz: arguments.frequency_hz,
+        range_m: arguments.range_m,
+        azimuth_rad: azimuth.map_or(azimuth_rad, f64::to_radians),
+        elevation_rad: arguments.elevation_deg.map_or(elevation_rad, f64::to_radians),
+        polarisation,
+        boundary: boundary(arguments)?,
+    })
+}
+
+fn boundary(arguments: &Arguments) -> anyhow::Result<Boundary> {
+    let name = arguments.material.as_str();
+    let permittivity = match name {
+        "pec" | "metal" => None,
+        "skin" => Some(SKIN_PERMITTIVITY),
+        _ => {
+            let value = serde_json::Value::from(name);
+            let material: Material =
+                serde_json::from_value(value).with_context(|| format!("unknown material {name}: pec, skin"))?;
+            let Some(permittivity) = material.permittivity(arguments.frequency_hz) else {
+                bail!("{name} reflects nothing\n\nhint: choose pec, skin or a building material");
+            };
+            Some(permittivity)
+        }
+    };
+    match (permittivity, arguments.thickness_m) {
+        (None, None) => Ok(Boundary::Conductor),
+        (None, Some(_)) => bail!("--thickness-m does not belong to {name}, which nothing passes"),
+        (Some(permittivity), None) => Ok(Boundary::HalfSpace { permittivity }),
+        (Some(_), Some(t)) if !(t > 0.0 && t.is_finite()) => bail!("--thickness-m {t} is no thickness"),
+        (Some(permittivity), Some(thickness_m)) => Ok(Boundary::Slab { permittivity, thickness_m }),
+    }
+}

@@ -1,0 +1,40 @@
+//! `radome board`: boards that are attached, and emulated ones.
+
+mod config;
+mod emulate;
+mod list;
+mod reset;
+
+/// `radome board`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+// There is one in a program: its size does not matter.
+#[allow(clippy::large_enum_variant)]
+#[derive(clap::Subcommand)]
+enum Action {
+    /// List attached boards and debug probes: their identity, or what to do where one cannot be used
+    List(list::Arguments),
+    /// Show what follows from a waveform: ranges, resolutions, data rate, registers
+    Config(config::Arguments),
+    /// Emulate a board on a pseudo-terminal, with the frames of any source, until stopped
+    Emulate(emulate::Arguments),
+    /// Reset the chip of a kit through its debug probe
+    Reset(reset::Arguments),
+}
+
+/// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    match &arguments.action {
+        Action::List(arguments) => list::run(arguments),
+        Action::Config(arguments) => config::run(arguments),
+        Action::Emulate(arguments) => emulate::run(arguments),
+        Action::Reset(arguments) => reset::run(arguments),
+    }
+}

@@ -1,0 +1,124 @@
+use std::time::Duration;
+
+use radome_driver::Candidate;
+use radome_driver::discover::{self, Change, Identity, Roots, State, Watch};
+use serde::Serialize;
+
+use super::reset;
+use crate::output;
+
+/// Between two looks of `--watch`.
+const LOOK_INTERVAL: Duration = Duration::from_millis(500);
+
+/// `radome board list`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Ask every serial port whether a board is there, not only those whose USB ids are a board's: what hangs there is sent
+    /// requests that it may not know
+    #[arg(long, alias = "ask-all")]
+    probe: bool,
+    /// Say what is plugged in and unplugged, until stopped
+    #[arg(long, conflicts_with_all = ["reset", "udev_rules"])]
+    watch: bool,
+    /// Reset the chip on a debug probe. Former option, replaced by `radome board reset`
+    #[arg(long, hide = true, value_name = "PROBE", conflicts_with = "udev_rules")]
+    reset: Option<String>,
+    /// Print the udev rules that give every user access
+    #[arg(long)]
+    udev_rules: bool,
+    /// One object a candidate
+    #[arg(long)]
+    json: bool,
+}
+
+/// A candidate and what it answered.
+#[derive(Serialize)]
+struct Report {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    event: Option<&'static str>,
+    #[serde(flatten)]
+    candidate: Candidate,
+    #[serde(flatten)]
+    state: Option<State>,
+}
+
+/// Lists what might be a board or its debug probe, and what to do about those that cannot be used.
+///
+/// # Errors
+/// A probe cannot be reset, or standard output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if arguments.udev_rules {
+        return output::text_line(discover::UDEV_RULES.trim_end());
+    }
+    if let Some(probe) = &arguments.reset {
+        return reset::reset(probe, arguments.json);
+    }
+    if arguments.watch {
+        return watch(arguments);
+    }
+    let candidates = discover::candidates();
+    let is_empty = candidates.is_empty();
+    for candidate in candidates {
+        let state = Some(discover::ask(&candidate, arguments.probe));
+        say(&Report { event: None, candidate, state }, arguments.json)?;
+    }
+    if is_empty && !arguments.json {
+        eprintln!("nothing found\n\nhint: radome demo needs no board; radome board emulate makes one");
+    }
+    Ok(())
+}
+
+fn say(report: &Report, as_json: bool) -> anyhow::Result<()> {
+    if as_json { output::json_line(report) } else { output::text_line(&describe(report)) }
+}
+
+fn watch(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    let mut watch = Watch::new(Roots::default());
+    while !output::interrupted() {
+        for change in watch.look() {
+            let (event, candidate) = match change {
+                Change::Added(candidate) => ("added", candidate),
+                Change::Changed(candidate) => ("changed", candidate),
+                Change::Removed(candidate) => ("removed", candidate),
+            };
+            let state = (event != "removed").then(|| discover::ask(&candidate, arguments.probe));
+            say(&Report { event: Some(event), candidate, state }, arguments.json)?;
+        }
+        std::thread::sleep(LOOK_INTERVAL);
+    }
+    Ok(())
+}
+
+fn describe(report: &Report) -> String {
+    let Report { event, candidate, state } = report;
+    let mut line = match event {
+        Some(event) => format!("{event:8} "),
+        None => String::new(),
+    };
+    line += &format!("{:20} {}", candidate.path.display(), candidate.belief.description());
+    if let Some(product) = candidate.usb.as_ref().and_then(|usb| usb.product.as_deref()) {
+        line += &format!(" \"{product}\"");
+    }
+    let reset =
+        candidate.debug_probe.as_ref().map(|probe| format!("\n    hint: radome board reset {}", probe.display()));
+    match state {
+        None => {}
+        Some(State::Ready { identity: Identity::Board(board) }) => {
+            line += &format!(": ready: {}, firmware {}, {}", board.name, board.firmware_version, board.chip);
+        }
+        Some(State::Ready { identity: Identity::Probe(probe) }) => {
+            line += &format!(
+                ": ready: {}, firmware {}, serial number {}",
+                probe.product, probe.firmware_version, probe.serial_number
+            );
+        }
+        Some(State::NotAsked) => line += ": not asked",
+        Some(State::Busy) => line += ": busy: another program has it",
+        Some(State::PermissionDenied { remedy }) => line += &format!(": permission denied\n    hint: {remedy}"),
+        Some(State::NotAnswering { why }) => line += &format!(": {why}{}", reset.unwrap_or_default()),
+        Some(State::OtherChip { chip }) => line += &format!(": radar chip {chip}; this program drives the BGT60TR13C"),
+        Some(State::NoDriver) => line += ": it has no serial port\n    hint: sudo modprobe cdc_acm",
+    }
+    line
+}

@@ -1,0 +1,59 @@
+//! Checks of the doctor.
+
+use serde::Serialize;
+
+use crate::output;
+
+/// Outcome of a check.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// All is well.
+    Ok,
+    /// Something will be missing or slow.
+    Warn,
+    /// It will not work.
+    Fail,
+}
+
+/// Check and its finding.
+#[derive(Debug, Clone, Serialize)]
+pub struct Check {
+    /// Name of the check.
+    pub check: &'static str,
+    /// Outcome.
+    #[serde(rename = "verdict")]
+    pub outcome: Outcome,
+    /// Finding in words.
+    pub found: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    /// Remedy, if there is one.
+    pub hint: Option<String>,
+}
+
+impl Check {
+    /// Check that found all well.
+    pub fn ok(check: &'static str, found: impl Into<String>) -> Self {
+        Check { check, outcome: Outcome::Ok, found: found.into(), hint: None }
+    }
+
+    /// Check that found something missing or slow.
+    pub fn warn(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Check { check, outcome: Outcome::Warn, found: found.into(), hint: Some(hint.into()) }
+    }
+
+    /// Check that found something that will not work.
+    pub fn fail(check: &'static str, found: impl Into<String>, hint: impl Into<String>) -> Self {
+        Check { check, outcome: Outcome::Fail, found: found.into(), hint: Some(hint.into()) }
+    }
+
+    /// Check that failed with an error, whose hint becomes the remedy.
+    pub fn error(check: &'static str, error: &anyhow::Error) -> Self {
+        let text = output::chain(error);
+        let (found, hint) = match text.split_once("\n\nhint: ") {
+            Some((found, hint)) => (found.to_owned(), Some(hint.to_owned())),
+            None => (text, None),
+        };
+        Check { check, outcome: Outcome::Fail, found, hint }
+    }
+}

@@ -1,0 +1,188 @@
+mod curve;
+mod frames;
+
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use radome_dsp::{Frame, FrameSource, Occupancy};
+use radome_models::Dataset;
+use radome_models::train::{AdaptRecording, Adaptation, Adapter, BeforeAfter};
+use serde_json::json;
+
+use self::frames::Frames;
+use super::evaluate::LabelledRecording;
+use crate::judge::{CFAR, Model};
+use crate::output;
+use crate::output_file::Overwrite;
+
+/// `radome model adapt`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Model file
+    model: PathBuf,
+    /// Recordings of the room: with labels of their own, RECORDING=LABELS.txt or .label, or RECORDING=empty, RECORDING=one,
+    /// RECORDING=two where all of it shows that. Two or more that show the same are held out in turn: that measures what is gained
+    #[arg(value_name = "RECORDING[=LABEL]", required_unless_present_any = ["empty", "curve"])]
+    recordings: Vec<String>,
+    /// A recording of the room while nobody is there, the same as RECORDING=empty; may be given again and again
+    #[arg(long, value_name = "RECORDING")]
+    empty: Vec<PathBuf>,
+    /// Dataset folder with simulated maps to mix in, so that the model keeps what it knows of other rooms
+    #[arg(long, value_name = "DATASET")]
+    simulated: Option<PathBuf>,
+    /// Accuracy against minutes of labels instead, on the simulated rooms of a file such as fixtures/strangers.toml: the model is
+    /// adapted to each of them and judged on other recordings of it, and of the other rooms
+    #[arg(long, value_name = "ROOMS.toml", conflicts_with_all = ["recordings", "empty", "output"])]
+    curve: Option<PathBuf>,
+    /// Model file to write; without one, only what would be gained is told
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Write the model even where it judges recordings that were held out worse than before
+    #[arg(long)]
+    force: bool,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Adapts a model to a room and tells what that changes on recordings that were held out.
+///
+/// # Errors
+/// The model or a recording cannot be read, nothing is labelled, or the adapted model is worse and not forced.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
+    if arguments.model.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx")) {
+        bail!(
+            "{}: an ONNX file cannot be adapted\n\nhint: adapt the .safetensors file that it was exported from, and export that",
+            arguments.model.display()
+        );
+    }
+    let judging = Model::open(&arguments.model)?;
+    if matches!(judging, Model::Cfar) {
+        bail!("{CFAR} is not trained, so it cannot be adapted\n\nhint: name a model file");
+    }
+    let mut adapter = Adapter::new(crate::judge::network(&arguments.model)?)?;
+    if let Some(folder) = &arguments.simulated {
+        adapter.mix(&Dataset::open(folder)?).with_context(|| folder.display().to_string())?;
+    }
+    if let Some(rooms) = &arguments.curve {
+        return curve::run(judging, &adapter, rooms, arguments.json);
+    }
+    let inputs = inputs(arguments)?;
+    let mut frames = Frames::new(judging, &adapter);
+    let bar = output::progress(inputs.len() as u64, "reading");
+    let mut recordings = Vec::with_capacity(inputs.len());
+    for input in &inputs {
+        recordings.push(read(&mut frames, input)?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let adaptation = adapter.adapt(&recordings)?;
+    let is_refused = adaptation.adapted.held_out.is_some_and(|scores| scores.is_worse()) && !arguments.force;
+    let written = arguments.output.as_ref().filter(|_| !is_refused);
+    if let Some(path) = written {
+        adaptation.model.save(path)?;
+    }
+    tell(arguments, &inputs, &recordings, &adaptation, written)?;
+    if let Some(path) = arguments.output.as_ref().filter(|_| is_refused) {
+        bail!(
+            "{} is not written: the adapted model judges recordings that were held out worse than the model before\n\nhint: \
+             label more recordings, or --force",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
+/// Recordings with what is true of their frames.
+fn inputs(arguments: &Arguments) -> anyhow::Result<Vec<LabelledRecording>> {
+    let empty = arguments.empty.iter().map(|path| format!("{}=empty", path.display()));
+    let inputs = arguments.recordings.iter().cloned().chain(empty);
+    let inputs = inputs.map(|input| LabelledRecording::parse(&input)).collect::<anyhow::Result<Vec<_>>>()?;
+    // The same frames to learn from and to judge by would say that all is well.
+    let mut seen = BTreeSet::new();
+    for LabelledRecording { path, .. } in &inputs {
+        if !seen.insert(path.canonicalize().unwrap_or_else(|_| path.clone())) {
+            bail!("{} is named twice", path.display());
+        }
+    }
+    Ok(inputs)
+}
+
+/// The frames of a recording.
+fn read(frames: &mut Frames, recording: &LabelledRecording) -> anyhow::Result<AdaptRecording> {
+    let named = || recording.path.display().to_string();
+    let mut source = radome_driver::recording::open(&recording.path)?;
+    let waveform = source.waveform().clone();
+    let next = |frame: &mut Frame| source.next_frame(frame).map_err(anyhow::Error::from_boxed);
+    let found = frames.read(&waveform, next, |frame| recording.truth(frame, &waveform)).with_context(named)?;
+    if found.frames.iter().all(|frame| frame.label.is_none()) {
+        bail!(
+            "{0}: no label\n\nhint: label it on the page of radome live {0} --view, or by radome recording label; or say what all of \
+             it shows: {0}=empty",
+            named()
+        );
+    }
+    Ok(found)
+}
+
+fn tell(
+    arguments: &Arguments,
+    inputs: &[LabelledRecording],
+    recordings: &[AdaptRecording],
+    adaptation: &Adaptation,
+    written: Option<&PathBuf>,
+) -> anyhow::Result<()> {
+    let Adaptation { adapted, held_out, recordings_by_class, is_measured, .. } = adaptation;
+    let file = written.map(|path| path.display().to_string());
+    let mut not_measured = Vec::new();
+    let counts = Occupancy::ALL.into_iter().zip(*recordings_by_class).zip(*is_measured);
+    for ((class, count), _) in counts.filter(|(_, is_measured)| !is_measured) {
+        let why = match count {
+            0 => "no recording shows it; only the pull towards the model before keeps it",
+            1 => "only one recording shows it; held out, nothing would be left to adapt to",
+            _ => "each recording that shows it also shows something that no other one shows",
+        };
+        eprintln!("warning: {class} cannot be measured: {why}");
+        not_measured.push(json!({ "class": class, "recordings": count, "why": why }));
+    }
+    let all = inputs.iter().zip(recordings).zip(held_out);
+    if arguments.json {
+        let recordings: Vec<_> = all
+            .map(|((input, recording), held_out)| {
+                json!({ "path": input.path.display().to_string(), "seconds": recording.seconds(), "held_out": held_out })
+            })
+            .collect();
+        return output::json_line(&json!({
+            "file": file, "adapted": adapted, "recordings": recordings, "not_measured": not_measured,
+        }));
+    }
+    for ((input, recording), held_out) in all {
+        let [empty, one, two] = recording.seconds();
+        let scores = held_out.map_or("not measured".to_owned(), |scores| said(&scores));
+        let seconds = format!("{empty:.0} s empty, {one:.0} s one, {two:.0} s two");
+        output::text_line(&format!("{}: {seconds}; held out: {scores}", input.path.display()))?;
+    }
+    match adapted.held_out {
+        Some(scores) => output::text_line(&format!("all, each held out in turn: {}", said(&scores)))?,
+        None => output::text_line("nothing is measured: what a recording shows has to be in another one, too")?,
+    }
+    match file {
+        Some(file) => output::text_line(&format!("{file} written, pulled with a strength of {} s", adapted.strength)),
+        None => Ok(()),
+    }
+}
+
+/// Scores as people read them.
+fn said(scores: &BeforeAfter) -> String {
+    let BeforeAfter { before, after } = scores;
+    format!(
+        "balanced accuracy by frame {:.3}, before {:.3}; filtered {:.3}, before {:.3}",
+        after.by_frame, before.by_frame, after.filtered, before.filtered
+    )
+}

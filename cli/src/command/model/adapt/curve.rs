@@ -1,0 +1,300 @@
+//! `radome model adapt --curve`: accuracy against minutes of labels, on simulated rooms that no model has seen.
+//!
+//! A room is what a seed draws of a scene. It stays as it is while the program of its people goes on, so recordings of it are
+//! stretches of one simulation: stretches to adapt to first, then one to be judged by for each number of people.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_models::train::{AdaptRecording, Adapter, Scores};
+use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::frames::Frames;
+use crate::judge::Model;
+use crate::output;
+
+/// Format of the file of rooms.
+const FORMAT: u32 = 1;
+/// Time between the stretches to adapt to and those to be judged by, s: whoever is in the one has left before the other.
+const APART_S: f64 = 60.0;
+/// Longest time in the file, s.
+const LONGEST_S: f64 = 86_400.0;
+/// Time of the empty room by which alone a model is adapted, at most, minutes.
+const EMPTY_MINUTES: f64 = 1.0;
+const CLASSES: usize = Occupancy::ALL.len();
+
+/// File of rooms.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RoomsFile {
+    format: u32,
+    /// Labelled minutes in all, a third of them each class.
+    minutes: Vec<f64>,
+    /// Longest recording to adapt to, s.
+    recording_s: f64,
+    /// Time of each class that models are judged by, s.
+    test_s: f64,
+    room: Vec<RoomFile>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RoomFile {
+    name: String,
+    /// Scene file, relative to this file.
+    scene: PathBuf,
+    seed: u64,
+}
+
+impl RoomsFile {
+    fn check(&self) -> anyhow::Result<()> {
+        if self.format != FORMAT {
+            bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        let is_time = |seconds: f64| seconds > 0.0 && seconds <= LONGEST_S;
+        if self.minutes.is_empty() || !self.minutes.iter().all(|minutes| is_time(60.0 * minutes)) {
+            bail!("minutes are {:?}, expected some above 0 and up to {}", self.minutes, LONGEST_S / 60.0);
+        }
+        for (key, seconds) in [("recording_s", self.recording_s), ("test_s", self.test_s)] {
+            if !is_time(seconds) {
+                bail!("{key} is {seconds}, expected above 0 and up to {LONGEST_S}");
+            }
+        }
+        let mut names = BTreeSet::new();
+        match self.room.iter().find(|room| !names.insert(&room.name)) {
+            Some(room) => bail!("two rooms are called {}", room.name),
+            None if self.room.is_empty() => bail!("no [[room]]"),
+            None => Ok(()),
+        }
+    }
+
+    /// Time of each class that the longest labels take, s.
+    fn labelled_s(&self) -> f64 {
+        self.minutes.iter().copied().fold(0.0, f64::max) * 60.0 / CLASSES as f64
+    }
+}
+
+/// Recordings of a room.
+struct Room {
+    name: String,
+    /// Recordings to adapt to, `[people]`.
+    training: [Vec<AdaptRecording>; CLASSES],
+    /// Recordings to be judged by.
+    test: Vec<AdaptRecording>,
+}
+
+/// Scores of a model on the room that it was adapted to, and on the other rooms.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct Point {
+    room: Scores,
+    /// Scores on the other rooms; absent where there is one room.
+    others: Option<Scores>,
+}
+
+/// Points of a room.
+#[derive(Serialize)]
+struct Curve {
+    room: String,
+    before: Point,
+    /// Scores after a minute of the empty room alone.
+    empty: Point,
+    /// Scores after each of the labelled times.
+    labelled: Vec<Point>,
+}
+
+/// Adapts the model to each room of a file and tells how accurate it is then.
+///
+/// # Errors
+/// The file of rooms or a scene cannot be read, or the model does not take their waveform.
+pub fn run(model: Model, adapter: &Adapter, path: &Path, json: bool) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    let file: RoomsFile = toml::from_str(&text).with_context(|| format!("{} is no list of rooms", path.display()))?;
+    file.check().with_context(|| path.display().to_string())?;
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let bar = output::progress(file.room.len() as u64, "rooms");
+    let mut frames = Frames::new(model, adapter);
+    let mut rooms = Vec::with_capacity(file.room.len());
+    for of in &file.room {
+        bar.set_message(of.name.clone());
+        rooms.push(simulate(&mut frames, &file, folder, of).with_context(|| format!("room {}", of.name))?);
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    let curves = rooms.iter().map(|room| curve(adapter, &file, &rooms, room)).collect::<anyhow::Result<Vec<_>>>()?;
+    if json {
+        return output::json_line(&json!({ "minutes": file.minutes, "curves": curves, "mean": mean(&curves) }));
+    }
+    print(&file.minutes, &curves)
+}
+
+fn simulate(frames: &mut Frames, file: &RoomsFile, folder: &Path, of: &RoomFile) -> anyhow::Result<Room> {
+    let named = named_by_spec(folder, &of.scene).with_context(|| format!("cannot read {}", of.scene.display()))?;
+    let scene = Scene::load(&named)?;
+    let interval_s = scene.waveform().frame_interval_s();
+    let count = |seconds: f64| ((seconds / interval_s).round() as u64).max(1);
+    let (labelled, recording, test) = (count(file.labelled_s()), count(file.recording_s), count(file.test_s));
+    let mut training: [Vec<AdaptRecording>; CLASSES] = Default::default();
+    let mut tests = Vec::new();
+    for (people, training) in training.iter_mut().enumerate() {
+        let options = SimulateOptions { seed: of.seed, people: Some(people), ..SimulateOptions::default() };
+        // Features are computed on this thread: they must not queue behind the next frames.
+        let mut simulator = Simulator::new(&scene, options)?.on_own_threads()?;
+        // No two stretches are of the same time: people would move in both alike.
+        let first = people as u64 * labelled;
+        let mut at = first;
+        while at < first + labelled {
+            let length = recording.min(first + labelled - at);
+            simulator.seek(at);
+            training.push(stretch(frames, &mut simulator, length)?);
+            at += length;
+        }
+        simulator.seek(CLASSES as u64 * labelled + count(APART_S) + people as u64 * test);
+        tests.push(stretch(frames, &mut simulator, test)?);
+    }
+    Ok(Room { name: of.name.clone(), training, test: tests })
+}
+
+/// The next frames of a simulation as a recording.
+fn stretch(frames: &mut Frames, simulator: &mut Simulator, length: u64) -> anyhow::Result<AdaptRecording> {
+    let waveform = simulator.waveform().clone();
+    let mut left = length;
+    let next = |frame: &mut Frame| {
+        if output::interrupted() {
+            bail!("interrupted");
+        }
+        if left == 0 {
+            return Ok(SourceEvent::End);
+        }
+        left -= 1;
+        simulator.next_frame(frame).map_err(anyhow::Error::from_boxed)
+    };
+    let truth = |frame: &Frame| frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
+    frames.read(&waveform, next, truth)
+}
+
+/// The first seconds of recordings.
+fn first(recordings: &[AdaptRecording], seconds: f64) -> Vec<AdaptRecording> {
+    let mut left_s = seconds;
+    let mut all = Vec::new();
+    for recording in recordings {
+        let count = (left_s / recording.frame_interval_s).round().max(0.0) as usize;
+        let frames: Vec<_> = recording.frames.iter().take(count).cloned().collect();
+        if frames.is_empty() {
+            break;
+        }
+        left_s -= frames.len() as f64 * recording.frame_interval_s;
+        all.push(AdaptRecording { frame_interval_s: recording.frame_interval_s, frames });
+    }
+    all
+}
+
+fn curve(adapter: &Adapter, file: &RoomsFile, rooms: &[Room], room: &Room) -> anyhow::Result<Curve> {
+    let others = rooms.iter().filter(|other| other.name != room.name);
+    let others: Vec<AdaptRecording> = others.flat_map(|other| other.test.iter().cloned()).collect();
+    let point = |recordings: Option<Vec<AdaptRecording>>| -> anyhow::Result<Point> {
+        let fit = recordings.map(|recordings| adapter.fit(&recordings)).transpose()?;
+        let of = |test: &[AdaptRecording]| adapter.scores(fit.as_ref(), test);
+        let others = if others.is_empty() { None } else { Some(of(&others)?) };
+        Ok(Point { room: of(&room.test)?, others })
+    };
+    let labelled = |minutes: &f64| {
+        let of_class = |training: &Vec<AdaptRecording>| first(training, 60.0 * minutes / CLASSES as f64);
+        point(Some(room.training.iter().flat_map(of_class).collect()))
+    };
+    Ok(Curve {
+        room: room.name.clone(),
+        before: point(None)?,
+        empty: point(Some(first(&room.training[0], 60.0 * EMPTY_MINUTES)))?,
+        labelled: file.minutes.iter().map(labelled).collect::<anyhow::Result<_>>()?,
+    })
+}
+
+/// Means over rooms.
+fn mean(curves: &[Curve]) -> Curve {
+    let of = |point: &dyn Fn(&Curve) -> Option<Scores>| -> Option<Scores> {
+        let all: Vec<Scores> = curves.iter().filter_map(point).collect();
+        let mean = |of: fn(&Scores) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
+        let scores = Scores { by_frame: mean(|scores| scores.by_frame), filtered: mean(|scores| scores.filtered) };
+        (!all.is_empty()).then_some(scores)
+    };
+    let none = Scores { by_frame: f64::NAN, filtered: f64::NAN };
+    let point = |at: &dyn Fn(&Curve) -> Option<Point>| Point {
+        room: of(&|curve| at(curve).map(|point| point.room)).unwrap_or(none),
+        others: of(&|curve| at(curve).and_then(|point| point.others)),
+    };
+    let count = curves.iter().map(|curve| curve.labelled.len()).min().unwrap_or(0);
+    Curve {
+        room: "mean".to_owned(),
+        before: point(&|curve| Some(curve.before)),
+        empty: point(&|curve| Some(curve.empty)),
+        labelled: (0..count).map(|index| point(&|curve| curve.labelled.get(index).copied())).collect(),
+    }
+}
+
+fn print(minutes: &[f64], curves: &[Curve]) -> anyhow::Result<()> {
+    eprintln!("balanced accuracy by frame / filtered, on other recordings of the room, by minutes of labels");
+    let said = |scores: Option<Scores>| {
+        scores.map_or("-".to_owned(), |scores| format!("{:.2}/{:.2}", scores.by_frame, scores.filtered))
+    };
+    let line = |name: &str, cells: Vec<String>| {
+        let cells: String = cells.iter().map(|cell| format!(" {cell:>9}")).collect();
+        output::text_line(&format!("{name:<12}{cells}"))
+    };
+    let head = ["0".to_owned(), "empty 1".to_owned()].into_iter().chain(minutes.iter().map(f64::to_string));
+    line("room", head.collect())?;
+    let points = |curve: &Curve| {
+        [curve.before, curve.empty].into_iter().chain(curve.labelled.iter().copied()).collect::<Vec<Point>>()
+    };
+    let mean = mean(curves);
+    for curve in curves.iter().chain([&mean]) {
+        line(&curve.room, points(curve).iter().map(|point| said(Some(point.room))).collect())?;
+    }
+    line("other rooms", points(&mean).iter().map(|point| said(point.others)).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shipped_rooms_are_those_of_no_training_and_can_be_drawn() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures");
+        let text = std::fs::read_to_string(folder.join("strangers.toml")).expect("readable");
+        let file: RoomsFile = toml::from_str(&text).expect("a list of rooms");
+        file.check().expect("valid");
+        assert!(file.room.len() >= 4 && file.minutes == [0.5, 1.0, 2.0, 5.0, 10.0]);
+        for room in &file.room {
+            assert!(room.seed > 800_000, "{}", room.name);
+            let named = named_by_spec(&folder, &room.scene).expect("a scene");
+            Scene::load(&named).and_then(|scene| scene.drawn(room.seed)).expect("a room");
+        }
+    }
+
+    #[test]
+    fn first_seconds_are_cut_from_the_last_recording() {
+        let frames = |count: usize| {
+            let frame = |index: usize| radome_models::train::AdaptFrame {
+                time_s: 0.1 * index as f64,
+                features: Vec::new(),
+                label: None,
+            };
+            AdaptRecording { frame_interval_s: 0.1, frames: (0..count).map(frame).collect() }
+        };
+        let lengths = |seconds: f64| -> Vec<usize> {
+            first(&[frames(100), frames(100), frames(100)], seconds)
+                .iter()
+                .map(|recording| recording.frames.len())
+                .collect()
+        };
+        assert_eq!(lengths(5.0), [50]);
+        assert_eq!(lengths(20.0), [100, 100]);
+        assert_eq!(lengths(23.0), [100, 100, 30]);
+        assert_eq!(lengths(60.0), [100, 100, 100]);
+    }
+}

@@ -1,0 +1,50 @@
+//! Features of the frames that a model is adapted to.
+
+use anyhow::Context;
+use radome_dsp::{Frame, Occupancy, SourceEvent, Waveform};
+use radome_models::train::{AdaptFrame, AdaptRecording, Adapter};
+
+use crate::judge::{Model, Prediction};
+
+/// Computes the features of recordings with one model.
+pub struct Frames<'a> {
+    /// The model; absent while it is at work, and after an error.
+    model: Option<Model>,
+    adapter: &'a Adapter,
+}
+
+impl<'a> Frames<'a> {
+    /// Reader of frames for a model and its adapter.
+    pub fn new(model: Model, adapter: &'a Adapter) -> Self {
+        Frames { model: Some(model), adapter }
+    }
+
+    /// Features and labels of frames, which `next` gives one after another.
+    ///
+    /// # Errors
+    /// `next` fails, the model does not take the waveform, or an earlier call has failed.
+    pub fn read(
+        &mut self,
+        waveform: &Waveform,
+        mut next: impl FnMut(&mut Frame) -> anyhow::Result<SourceEvent>,
+        truth: impl Fn(&Frame) -> Option<Occupancy>,
+    ) -> anyhow::Result<AdaptRecording> {
+        let mut judge = self.model.take().context("an earlier recording has failed")?.judge(waveform)?;
+        let mut frame = Frame::zeroed(waveform.shape());
+        let mut frames = Vec::new();
+        loop {
+            match next(&mut frame)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => judge.reset(),
+                SourceEvent::Frame => {
+                    if let Prediction::Probabilities(_) = judge.frame(&frame)? {
+                        let features = self.adapter.features(judge.map())?;
+                        frames.push(AdaptFrame { time_s: frame.time_s(), features, label: truth(&frame) });
+                    }
+                }
+            }
+        }
+        self.model = Some(judge.into_model());
+        Ok(AdaptRecording { frame_interval_s: waveform.frame_interval_s(), frames })
+    }
+}

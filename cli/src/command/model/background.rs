@@ -1,0 +1,80 @@
+use std::path::PathBuf;
+
+use anyhow::Context;
+use radome_dsp::{Frame, SourceEvent};
+use serde_json::json;
+
+use crate::judge::{Model, Prediction};
+use crate::live::background::{Background, Capture};
+use crate::output;
+use crate::output_file::Overwrite;
+use crate::source::{self, SourceArgs};
+
+/// `radome model background`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Model that will judge the room
+    #[arg(long)]
+    model: PathBuf,
+    /// File to write, for `live --background`
+    #[arg(short, long, value_name = "FILE.json")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Seconds to measure, by the frames' own clock
+    #[arg(long, default_value_t = 60.0)]
+    seconds: f64,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Captures what an empty room shows.
+///
+/// # Errors
+/// The model or the source cannot be opened, too few frames come, or the file cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    arguments.overwrite.check(&arguments.output)?;
+    let model = Model::open(&arguments.model)?;
+    let judge = model.named(&arguments.model, Default::default())?;
+    let mut options = arguments.source.options()?;
+    options.waveform = options.waveform.or_else(|| model.waveform().cloned());
+    options.people.get_or_insert(0);
+    let mut source = source::open(&arguments.source.source, &options)?;
+    eprintln!("{}; nobody should be in the room", source.description);
+    let mut at_work = model.judge(source.frames.waveform())?;
+    let mut frame = Frame::zeroed(source.frames.waveform().shape());
+    let mut capture = Capture::new();
+    let mut start_s = None;
+    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
+    while frames_left > 0 && !output::interrupted() {
+        match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => break,
+            SourceEvent::Gap(_) => at_work.reset(),
+            SourceEvent::Frame => {
+                frames_left -= 1;
+                if frame.time_s() - *start_s.get_or_insert(frame.time_s()) > arguments.seconds {
+                    break;
+                }
+                if let Prediction::Probabilities(_) = at_work.frame(&frame)? {
+                    capture.add(at_work.map());
+                }
+            }
+        }
+    }
+    let background: Background =
+        capture.finish(&judge).with_context(|| format!("{} is not captured", arguments.source.source))?;
+    background.save(&arguments.output, arguments.overwrite.existing())?;
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        let (frames, threshold_db) = (background.frames, background.threshold_db);
+        return output::json_line(&json!({ "file": file, "frames": frames, "threshold_db": threshold_db }));
+    }
+    output::text_line(&format!(
+        "{file}: {} frames, {:.0} dB above it count",
+        background.frames, background.threshold_db
+    ))
+}

@@ -1,0 +1,426 @@
+mod ablation;
+mod candidate;
+mod labelled;
+mod ladder;
+mod thermal;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use radome_driver::RecordingError;
+use radome_driver::recording::Recording;
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_models::Classifier;
+use radome_models::calibration::ReliabilitySums;
+use radome_models::dataset::{self, Dataset, SplitSpec};
+use radome_models::evaluate::{FalseAlarms, Metrics, RecordingScores, Stretch, evaluate};
+use serde::Serialize;
+use serde_json::json;
+
+use self::candidate::{Candidate, Confusion, Predictions, Refused, add_confusion};
+pub use self::labelled::LabelledRecording;
+use self::thermal::ThermalNoise;
+use crate::judge::{CFAR, Model};
+use crate::output;
+
+/// `radome model evaluate`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Model file, or cfar for the classical detector; the first of what follows if not given here. With --ladder several can be
+    /// given
+    #[arg(long)]
+    model: Vec<PathBuf>,
+    /// A dataset folder, or recordings each with what it shows: RECORDING=empty, RECORDING=one, RECORDING=two (two people or
+    /// more), RECORDING=LABELS.txt (an Audacity label track) or .label (DEEPCRAFT), or RECORDING alone if it holds labels. Frames
+    /// without a label are left out. With --ladder: further models
+    #[arg(required_unless_present = "ladder", value_name = "DATASET|RECORDING[=LABEL]")]
+    inputs: Vec<String>,
+    /// Each frame of a recording by itself, as a dataset's maps are, rather than as `live` answers: through the causal filter
+    /// over the frames before it
+    #[arg(long)]
+    no_smoothing: bool,
+    /// Ends with status 0 although the model refused some recordings. They are listed and left out either way; without this the
+    /// status is 1
+    #[arg(long)]
+    skip_refused: bool,
+    /// Split of a dataset
+    #[arg(long, value_enum, default_value_t = Split::Test)]
+    split: Split,
+    /// Of recordings, also with thermal noise on the raw samples at these ratios of the signal's variance to the noise's, dB
+    #[arg(long, value_delimiter = ',', allow_hyphen_values = true, value_name = "DB,...")]
+    thermal_snr_db: Vec<f64>,
+    /// Also with parts of the maps replaced by noise of the same level, and with echoes moved and weakened: shows what the model
+    /// goes by
+    #[arg(long)]
+    ablate: bool,
+    /// A folder of rungs, or one rung: sets of recordings that are simulated and put to all models. Every set differs in one way
+    /// from what models are trained on. Frames in which someone enters or leaves are left out
+    #[arg(long, value_name = "DIR|RUNG.toml", conflicts_with_all = ["ablate", "thermal_snr_db", "no_smoothing", "skip_refused"])]
+    ladder: Option<PathBuf>,
+    /// Folder that keeps the recordings of the ladder for the next time. One is simulated again if its last frame has changed
+    #[arg(long, value_name = "DIR", requires = "ladder")]
+    keep: Option<PathBuf>,
+    /// Hours of each rung's rooms without people, which replace its recordings: recordings of six minutes whose seeds are not the
+    /// rung's. They give the false alarms an hour
+    #[arg(long, value_name = "HOURS", requires = "ladder")]
+    empty_hours: Option<f64>,
+    /// Also fits the settings of the causal filter to the answers of all models to the ladder, as [smoothing] of a training's
+    /// file takes them
+    #[arg(long, requires = "ladder", conflicts_with = "empty_hours")]
+    fit_smoothing: bool,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
+enum Split {
+    Train,
+    Validation,
+    Test,
+    All,
+}
+
+/// Metrics of a model on one split of a dataset or on labelled recordings; of several models on a ladder.
+///
+/// # Errors
+/// A model or an input cannot be read, or the model refuses a recording.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(path) = &arguments.ladder {
+        let models: Vec<PathBuf> =
+            arguments.model.iter().cloned().chain(arguments.inputs.iter().map(PathBuf::from)).collect();
+        let (hours, keep) = (arguments.empty_hours, arguments.keep.as_deref());
+        return ladder::run(&models, path, hours, keep, arguments.fit_smoothing, arguments.json);
+    }
+    let (model, inputs) = match (arguments.model.as_slice(), arguments.inputs.split_first()) {
+        ([model], _) => (model.clone(), arguments.inputs.as_slice()),
+        ([], Some((model, inputs))) => (PathBuf::from(model), inputs),
+        ([], None) => bail!("nothing to evaluate"),
+        (models, _) => bail!(
+            "{} models were given\n\nhint: --ladder compares several; on datasets and recordings evaluate them one by one",
+            models.len()
+        ),
+    };
+    let judging = Model::open(&model)?;
+    if arguments.ablate && matches!(judging, Model::Cfar) {
+        bail!("{CFAR} looks at raw frames, and --ablate changes maps\n\nhint: name a model file with --model");
+    }
+    match inputs {
+        [] => bail!(
+            "nothing to evaluate {} on\n\nhint: name a dataset folder, RECORDING=LABEL, or a ladder with --ladder",
+            model.display()
+        ),
+        [folder] if is_dataset(Path::new(folder)) => {
+            let Model::Network(mut classifier) = judging else {
+                bail!("{CFAR} looks at raw frames, and a dataset holds maps\n\nhint: name recordings, RECORDING=LABEL");
+            };
+            on_dataset(&mut classifier, Path::new(folder), arguments)
+        }
+        recordings => on_recordings(Candidate::new(model, judging), recordings, arguments),
+    }
+}
+
+/// Whether a path is a folder in which there is no recording: a dataset, or what was meant as one.
+fn is_dataset(path: &Path) -> bool {
+    path.is_dir() && matches!(Recording::open(path), Err(RecordingError::Unknown { .. }))
+}
+
+/// Answers to one recording.
+#[derive(Serialize)]
+struct Judged {
+    path: PathBuf,
+    /// Its label, or "mixed" where it has several.
+    label: &'static str,
+    /// Class that most of its labelled frames were called, and their share.
+    majority: Occupancy,
+    share: f64,
+    /// Labelled frames.
+    frames: u64,
+    /// Share of them that were called what their label says.
+    right: f64,
+    /// The same label by label.
+    by_label: Vec<OfLabel>,
+    /// Stretches of one label, and the seconds until the first frame of each that was called right.
+    stretches: Vec<Stretch>,
+    #[serde(skip)]
+    is_right: bool,
+}
+
+/// Frames of one label.
+#[derive(Serialize)]
+struct OfLabel {
+    label: Occupancy,
+    frames: u64,
+    /// Number of frames that were called empty, one and two.
+    called: [u64; Occupancy::ALL.len()],
+    /// Share of the frames that were called right.
+    right: f64,
+}
+
+impl Judged {
+    fn new(path: &Path, scores: &RecordingScores) -> Self {
+        let (frames, majority) = (scores.frames(), scores.majority());
+        let share = |count: u64, of: u64| count as f64 / of.max(1) as f64;
+        let of_label = |label: Occupancy| {
+            let called = scores.confusion[label.index()];
+            let frames: u64 = called.iter().sum();
+            (frames > 0).then(|| OfLabel { label, frames, called, right: share(called[label.index()], frames) })
+        };
+        Judged {
+            path: path.to_owned(),
+            label: scores.label().map_or("mixed", Occupancy::name),
+            majority,
+            share: share(scores.predicted()[majority.index()], frames),
+            frames,
+            right: share(scores.right(), frames),
+            by_label: Occupancy::ALL.into_iter().filter_map(of_label).collect(),
+            stretches: scores.stretches.clone(),
+            is_right: scores.is_right(),
+        }
+    }
+
+    fn print(&self) -> anyhow::Result<()> {
+        let mark = if self.is_right { ' ' } else { '!' };
+        output::text_line(&format!(
+            "{mark} {}: {} frames, {:.0} % {} (is {})",
+            self.path.display(),
+            self.frames,
+            100.0 * self.share,
+            self.majority,
+            self.label
+        ))?;
+        if self.stretches.len() < 2 {
+            return Ok(());
+        }
+        for stretch in &self.stretches {
+            let found = match stretch.found_within_s {
+                Some(seconds) => format!("found within {seconds:.1} s"),
+                None => "not found".to_owned(),
+            };
+            output::text_line(&format!(
+                "    {} from {:.1} s for {:.1} s: {found}",
+                stretch.label, stretch.start_s, stretch.duration_s
+            ))?;
+        }
+        for of in &self.by_label {
+            output::text_line(&format!("    {}: {} frames, {:.0} % right", of.label, of.frames, 100.0 * of.right))?;
+        }
+        Ok(())
+    }
+}
+
+fn on_recordings(mut candidate: Candidate, inputs: &[String], arguments: &Arguments) -> anyhow::Result<()> {
+    let all = inputs.iter().map(|input| LabelledRecording::parse(input)).collect::<anyhow::Result<Vec<_>>>()?;
+    let (mut confusion, mut confusion_alone) = (Confusion::default(), Confusion::default());
+    let (mut recordings, mut taken, mut all_scores) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut refused, mut first_refusal) = (Vec::new(), None);
+    let mut reliability = ReliabilitySums::default();
+    for recording in &all {
+        let predictions = match judge(&mut candidate, recording, None)? {
+            Ok(predictions) => predictions,
+            Err(refusal) => {
+                refused.push(Refused::new(recording.path.display().to_string(), &refusal));
+                first_refusal.get_or_insert(refusal.context(recording.path.display().to_string()));
+                continue;
+            }
+        };
+        let (filtered, alone) = (predictions.filtered_scores(), predictions.alone_scores());
+        if predictions.alone.is_empty() {
+            bail!(
+                "{}: no frame of it can be judged\n\nhint: it is shorter than the slow time of the model's maps, or its receivers give \
+                 no signal",
+                recording.path.display()
+            );
+        }
+        if alone.frames() == 0 {
+            bail!(
+                "{}: no label says of any of its frames that it is empty, one or two\n\nhint: RECORDING=empty, RECORDING=one or \
+                 RECORDING=two for all of it, RECORDING=LABELS.txt for labels in a file",
+                recording.path.display()
+            );
+        }
+        add_confusion(&mut confusion_alone, &alone.confusion);
+        let scores = if arguments.no_smoothing { alone } else { filtered };
+        add_confusion(&mut confusion, &scores.confusion);
+        predictions.count_reliability(&mut reliability);
+        recordings.push(Judged::new(&recording.path, &scores));
+        all_scores.push(scores);
+        taken.push(recording);
+    }
+    if !recordings.is_empty() {
+        let (metrics, alone) = (Metrics::from_confusion(confusion), Metrics::from_confusion(confusion_alone));
+        let false_alarms = FalseAlarms::of(&all_scores);
+        let mut ablated = Vec::new();
+        if arguments.ablate {
+            let (model, rows) = ablation::on_recordings(candidate.take()?, &taken)?;
+            candidate.put_back(model);
+            ablated = rows;
+        }
+        let thermal = under_thermal_noise(&mut candidate, &taken, arguments)?;
+        if arguments.json {
+            let mut answer = json!({
+                "balanced_accuracy": metrics.balanced_accuracy, "confusion": metrics.confusion,
+                "balanced_accuracy_by_single_frames": alone.balanced_accuracy,
+                "false_alarms": false_alarms.false_alarms, "empty_s": false_alarms.empty_s,
+                "false_alarms_per_hour": false_alarms.false_alarms_per_hour,
+                "false_alarm_share": false_alarms.false_alarm_share, "recordings": recordings,
+                "refused": refused, "reliability": reliability.reliability(), "thermal": thermal,
+            });
+            if arguments.ablate {
+                answer["ablation"] = json!(ablated);
+            }
+            output::json_line(&answer)?;
+        } else {
+            for of in &thermal {
+                eprintln!("thermal noise, SNR {:+} dB: balanced accuracy {:.4}", of.snr_db, of.balanced_accuracy);
+            }
+            recordings.iter().try_for_each(Judged::print)?;
+            for of in &refused {
+                output::text_line(&format!("- {}: refused: {}", of.recording, of.reason))?;
+            }
+            if !arguments.no_smoothing {
+                eprintln!("by single frames: balanced accuracy {:.4}", alone.balanced_accuracy);
+            }
+            print(&metrics)?;
+            print_errors(&false_alarms, &metrics)?;
+            ablation::print(&ablated)?;
+        }
+    }
+    match first_refusal {
+        Some(refusal) if recordings.is_empty() => Err(refusal),
+        Some(refusal) if !arguments.skip_refused => Err(refusal.context(format!(
+            "{} of {} recordings were refused\n\nhint: with --skip-refused that is no failure",
+            refused.len(),
+            all.len()
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// Prints how often an empty room was taken for a populated one, and for what share of their time people were missed.
+fn print_errors(of: &FalseAlarms, metrics: &Metrics) -> anyhow::Result<()> {
+    if let (Some(per_hour), Some(share)) = (of.false_alarms_per_hour, of.false_alarm_share) {
+        output::text_line(&format!(
+            "empty for {:.2} h: {} false alarms, {per_hour:.1} an hour; people reported for {:.2} % of that time",
+            of.empty_s / 3600.0,
+            of.false_alarms,
+            100.0 * share
+        ))?;
+    }
+    if let Some(recall) = metrics.populated_recall {
+        output::text_line(&format!(
+            "people there: reported as empty for {:.2} % of that time",
+            100.0 * (1.0 - recall)
+        ))?;
+    }
+    Ok(())
+}
+
+/// Scores with thermal noise on the raw samples.
+#[derive(Serialize)]
+struct Thermal {
+    snr_db: f64,
+    balanced_accuracy: f64,
+    confusion: Confusion,
+}
+
+fn under_thermal_noise(
+    candidate: &mut Candidate,
+    recordings: &[&LabelledRecording],
+    arguments: &Arguments,
+) -> anyhow::Result<Vec<Thermal>> {
+    let mut all = Vec::new();
+    for &snr_db in &arguments.thermal_snr_db {
+        if !snr_db.is_finite() {
+            bail!("--thermal-snr-db is {snr_db}, expected a finite number");
+        }
+        let mut confusion = Confusion::default();
+        for recording in recordings {
+            let noise = ThermalNoise::of(&recording.path, snr_db)?;
+            let predictions = judge(candidate, recording, Some(&noise))??;
+            let scores =
+                if arguments.no_smoothing { predictions.alone_scores() } else { predictions.filtered_scores() };
+            add_confusion(&mut confusion, &scores.confusion);
+        }
+        let balanced_accuracy = Metrics::from_confusion(confusion).balanced_accuracy;
+        all.push(Thermal { snr_db, balanced_accuracy, confusion });
+    }
+    Ok(all)
+}
+
+/// Predictions of the model for the frames of a recording. The inner error is the model's refusal of its waveform.
+fn judge(
+    candidate: &mut Candidate,
+    recording: &LabelledRecording,
+    noise: Option<&ThermalNoise>,
+) -> anyhow::Result<anyhow::Result<Predictions>> {
+    let mut source = radome_driver::recording::open(&recording.path)?;
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    let mut run = match candidate.start(source.waveform()) {
+        Ok(run) => run,
+        Err(refusal) => return Ok(Err(refusal)),
+    };
+    loop {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => return Ok(Ok(candidate.end(run))),
+            SourceEvent::Gap(_) => run.gap(),
+            SourceEvent::Frame => {
+                if let Some(noise) = noise {
+                    noise.add(&mut frame);
+                }
+                run.frame(&frame, recording.truth(&frame, source.waveform()))?;
+            }
+        }
+    }
+}
+
+fn on_dataset(classifier: &mut Classifier, folder: &Path, arguments: &Arguments) -> anyhow::Result<()> {
+    let dataset = Dataset::open(folder)?;
+    let wanted = match arguments.split {
+        Split::Train => Some(dataset::Split::Train),
+        Split::Validation => Some(dataset::Split::Validation),
+        Split::Test => Some(dataset::Split::Test),
+        Split::All => None,
+    };
+    let splits = dataset.splits(&SplitSpec::default())?;
+    let indices: Vec<usize> =
+        (0..dataset.len()).filter(|i| wanted.is_none_or(|w| splits.get(*i) == Some(&w))).collect();
+    let metrics = evaluate(classifier, &dataset, &indices)?;
+    let ablated = if arguments.ablate { Some(ablation::on_dataset(classifier, &dataset, &indices)?) } else { None };
+    if classifier.card().standardisation.needs_labels() {
+        eprintln!("the labels of these maps were told to the model: it standardises by scene and class");
+    }
+    if arguments.json {
+        return output::json_line(&OfDataset { metrics: &metrics, ablation: ablated });
+    }
+    print(&metrics)?;
+    ablation::print(&ablated.unwrap_or_default())
+}
+
+/// Scores on a dataset's maps.
+#[derive(Serialize)]
+struct OfDataset<'a> {
+    #[serde(flatten)]
+    metrics: &'a Metrics,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ablation: Option<Vec<ablation::Row>>,
+}
+
+fn print(metrics: &Metrics) -> anyhow::Result<()> {
+    output::text_line(&format!(
+        "{} maps: balanced accuracy {:.4}, macro-F1 {:.4}, accuracy {:.4}, populated recall {}",
+        metrics.samples,
+        metrics.balanced_accuracy,
+        metrics.macro_f1,
+        metrics.accuracy,
+        metrics.populated_recall.map_or("-".to_owned(), |r| format!("{r:.4}"))
+    ))?;
+    output::text_line(&format!("{:>14} {:>7} {:>7} {:>7}", "truth \\ label", "empty", "one", "two"))?;
+    for (class, row) in Occupancy::ALL.iter().zip(&metrics.confusion) {
+        output::text_line(&format!("{:>14} {:>7} {:>7} {:>7}", class.name(), row[0], row[1], row[2]))?;
+    }
+    for class in &metrics.absent {
+        eprintln!("no map is labelled {class}: the balanced accuracy is over the other classes");
+    }
+    Ok(())
+}

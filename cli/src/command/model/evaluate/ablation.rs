@@ -1,0 +1,100 @@
+//! Recalls with parts of the maps replaced by noise: what a model goes by.
+
+use anyhow::{Context, bail};
+use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
+use radome_models::ablation::{Ablation, AblationScores, ablate};
+use radome_models::dataset::Dataset;
+use radome_models::{Classifier, Metrics};
+use serde::Serialize;
+
+use super::labelled::LabelledRecording;
+use crate::judge::{CFAR, Model, Prediction};
+use crate::output;
+
+/// Scores with one part of the maps replaced, by single maps.
+#[derive(Serialize)]
+pub struct Row {
+    /// Name of the ablation: the cells that noise replaced, or the change of the echoes.
+    replaced: String,
+    /// Recall of empty, one and two; absent where there is no map of it.
+    recall: [Option<f64>; Occupancy::ALL.len()],
+    balanced_accuracy: f64,
+    /// Counts `[truth][label]`.
+    confusion: [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()],
+}
+
+/// Scores of a network over the labelled frames of recordings, each by itself; and the network again.
+///
+/// # Errors
+/// A recording cannot be read, or the model does not take its waveform.
+pub fn on_recordings(mut model: Model, recordings: &[&LabelledRecording]) -> anyhow::Result<(Model, Vec<Row>)> {
+    let Model::Network(classifier) = &model else { bail!("{CFAR} has no maps of which parts can be replaced") };
+    let mut scores = AblationScores::new(classifier.card());
+    let bar = output::progress(recordings.len() as u64, "ablation");
+    for recording in recordings {
+        let path = &recording.path;
+        let mut source = radome_driver::recording::open(path)?;
+        let mut frame = Frame::zeroed(source.waveform().shape());
+        let mut judge = model.judge(source.waveform()).with_context(|| path.display().to_string())?;
+        loop {
+            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => judge.reset(),
+                SourceEvent::Frame => {
+                    let prediction = judge.frame(&frame)?;
+                    if let (Prediction::Probabilities(_), Some(label)) =
+                        (prediction, recording.truth(&frame, source.waveform()))
+                    {
+                        let map = judge.map().clone();
+                        if let Some(classifier) = judge.classifier() {
+                            scores.add(&map, label, |map| classifier.classify(map))?;
+                        }
+                    }
+                }
+            }
+        }
+        model = judge.into_model();
+        bar.inc(1);
+    }
+    bar.finish_and_clear();
+    Ok((model, rows(&scores)))
+}
+
+/// Scores of a network over maps of a dataset.
+///
+/// # Errors
+/// A map cannot be read, or the network fails.
+pub fn on_dataset(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> anyhow::Result<Vec<Row>> {
+    Ok(rows(&ablate(classifier, dataset, indices)?))
+}
+
+fn rows(scores: &AblationScores) -> Vec<Row> {
+    let row = |(ablation, metrics): (Ablation, Metrics)| Row {
+        replaced: ablation.to_string(),
+        recall: metrics.recall,
+        balanced_accuracy: metrics.balanced_accuracy,
+        confusion: metrics.confusion,
+    };
+    scores.metrics().into_iter().map(row).collect()
+}
+
+/// A table; nothing of no rows.
+///
+/// # Errors
+/// Standard output cannot be written.
+pub fn print(rows: &[Row]) -> anyhow::Result<()> {
+    if rows.is_empty() {
+        return Ok(());
+    }
+    let [empty, one, two] = Occupancy::ALL.map(Occupancy::name);
+    output::text_line(&format!(
+        "{:<38} {empty:>6} {one:>6} {two:>6} {:>9}",
+        "replaced by noise, single maps", "balanced"
+    ))?;
+    for row in rows {
+        let [empty, one, two] = row.recall.map(|recall| recall.map_or("-".to_owned(), |recall| format!("{recall:.2}")));
+        let (replaced, balanced) = (&row.replaced, row.balanced_accuracy);
+        output::text_line(&format!("{replaced:<38} {empty:>6} {one:>6} {two:>6} {balanced:>9.3}"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,161 @@
+//! A model under evaluation, and what it predicts for the frames of a recording.
+
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Frame, Occupancy, Waveform};
+use radome_models::calibration::ReliabilitySums;
+use radome_models::evaluate::{FramePrediction, RecordingScores};
+use radome_models::occupancy_filter::OccupancyFilter;
+use radome_models::train::FilterSequence;
+use serde::Serialize;
+
+use crate::judge::{Judge, Model, Prediction};
+use crate::output;
+
+/// A model that judges one recording after another.
+pub struct Candidate {
+    path: PathBuf,
+    /// Absent while it is at work, and after it refused a recording: then it is opened again.
+    model: Option<Model>,
+}
+
+impl Candidate {
+    /// Takes a model that was opened from a path.
+    pub fn new(path: PathBuf, model: Model) -> Self {
+        Candidate { path, model: Some(model) }
+    }
+
+    /// Name of the model as it was given.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Hands the model out.
+    ///
+    /// # Errors
+    /// If it has to be opened again and cannot be.
+    pub fn take(&mut self) -> anyhow::Result<Model> {
+        match self.model.take() {
+            Some(model) => Ok(model),
+            None => Model::open(&self.path),
+        }
+    }
+
+    /// Takes the model back.
+    pub fn put_back(&mut self, model: Model) {
+        self.model = Some(model);
+    }
+
+    /// Puts the model to work on the frames of a recording.
+    ///
+    /// # Errors
+    /// If the model refuses the waveform. It can judge other recordings afterwards.
+    pub fn start(&mut self, waveform: &Waveform) -> anyhow::Result<Run> {
+        let model = self.take()?;
+        let filter = OccupancyFilter::new(model.smoothing(), waveform.frame_interval_s());
+        let judge = model.judge(waveform)?;
+        let frame_interval_s = waveform.frame_interval_s();
+        Ok(Run {
+            judge,
+            filter,
+            predictions: Predictions { filtered: Vec::new(), alone: Vec::new(), frame_interval_s },
+        })
+    }
+
+    /// Ends the work on a recording.
+    pub fn end(&mut self, run: Run) -> Predictions {
+        self.model = Some(run.judge.into_model());
+        run.predictions
+    }
+}
+
+/// A model at work on a recording.
+pub struct Run {
+    judge: Judge,
+    filter: OccupancyFilter,
+    predictions: Predictions,
+}
+
+impl Run {
+    /// Judges the next frame, whose label is `truth`.
+    ///
+    /// # Errors
+    /// If the model cannot judge it.
+    pub fn frame(&mut self, frame: &Frame, truth: Option<Occupancy>) -> anyhow::Result<()> {
+        if let Prediction::Probabilities(alone) = self.judge.frame(frame)? {
+            let time_s = frame.time_s();
+            let filtered = self.filter.update(time_s, alone);
+            self.predictions.filtered.push(FramePrediction { time_s, truth, probabilities: filtered });
+            self.predictions.alone.push(FramePrediction { time_s, truth, probabilities: alone });
+        }
+        Ok(())
+    }
+
+    /// Frames are missing before the next one.
+    pub fn gap(&mut self) {
+        self.judge.reset();
+    }
+}
+
+/// Predictions for the frames of a recording, those without a label too.
+pub struct Predictions {
+    /// Behind the filter.
+    pub filtered: Vec<FramePrediction>,
+    /// Predictions for each frame by itself.
+    pub alone: Vec<FramePrediction>,
+    frame_interval_s: f64,
+}
+
+impl Predictions {
+    /// Scores behind the filter.
+    pub fn filtered_scores(&self) -> RecordingScores {
+        RecordingScores::new(&self.filtered, self.frame_interval_s)
+    }
+
+    /// Scores of each frame by itself.
+    pub fn alone_scores(&self) -> RecordingScores {
+        RecordingScores::new(&self.alone, self.frame_interval_s)
+    }
+
+    /// Predictions for each frame by itself, as a filter is fitted to them.
+    pub fn sequence(&self) -> FilterSequence {
+        FilterSequence { frame_interval_s: self.frame_interval_s, frames: self.alone.clone() }
+    }
+
+    /// Counts how reliable the filter's confidence is.
+    pub fn count_reliability(&self, sums: &mut ReliabilitySums) {
+        for prediction in &self.filtered {
+            if let Some(truth) = prediction.truth {
+                sums.add(&prediction.probabilities, truth);
+            }
+        }
+    }
+}
+
+/// A recording that a model refused.
+#[derive(Debug, Clone, Serialize)]
+pub struct Refused {
+    /// Name of the recording.
+    pub recording: String,
+    /// Reason of the model.
+    pub reason: String,
+}
+
+impl Refused {
+    /// Keeps the reason of a refusal without its hint.
+    pub fn new(recording: String, refusal: &anyhow::Error) -> Self {
+        let reason = output::chain(refusal);
+        let reason = reason.split_once("\n\nhint: ").map_or(reason.as_str(), |(reason, _)| reason).to_owned();
+        Refused { recording, reason }
+    }
+}
+
+/// Number of frames by true class (row) and by the class that they were called (column).
+pub type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
+
+/// Adds the counts of one confusion matrix to another.
+pub fn add_confusion(sum: &mut Confusion, more: &Confusion) {
+    for (sum, more) in sum.iter_mut().flatten().zip(more.iter().flatten()) {
+        *sum += more;
+    }
+}

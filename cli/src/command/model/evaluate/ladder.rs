@@ -1,0 +1,273 @@
+//! `radome model evaluate --ladder`: models compared on simulated recordings that differ from training, one way a rung.
+
+mod rung;
+mod scores;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use indicatif::ProgressBar;
+use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
+use radome_driver::recording::{Existing, Recording};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_models::train::{FilterSequence, fit_smoothing};
+use radome_sim::{SimulateOptions, Simulator};
+use serde_json::json;
+
+use self::rung::{Rung, Simulation, load};
+use self::scores::{OfModel, RungScores, print, print_fit};
+use super::candidate::{Candidate, Refused, Run};
+use crate::judge::Model;
+use crate::output;
+use crate::panics::Guarded;
+
+/// Judges the recordings of a ladder with models and prints their scores; with `fit`, also the settings of the filter that suit all of
+/// them best.
+///
+/// With `empty_hours` the rungs' recordings are replaced by so many hours of each rung's rooms without people.
+///
+/// # Errors
+/// A rung or a model cannot be read, a simulation fails, or nothing can be judged.
+pub fn run(
+    models: &[PathBuf],
+    ladder: &Path,
+    empty_hours: Option<f64>,
+    keep: Option<&Path>,
+    fit: bool,
+    json: bool,
+) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    if models.is_empty() {
+        bail!("no model to evaluate on {}\n\nhint: name one or more with --model", ladder.display());
+    }
+    let mut rungs = load(ladder)?;
+    if let Some(hours) = empty_hours {
+        rungs = rungs.into_iter().map(|rung| rung.without_people(hours)).collect::<anyhow::Result<_>>()?;
+    }
+    let open = |path: &PathBuf| anyhow::Ok(Candidate::new(path.clone(), Model::open(path)?));
+    let mut candidates = models.iter().map(open).collect::<anyhow::Result<Vec<_>>>()?;
+    if let Some(folder) = keep {
+        std::fs::create_dir_all(folder).with_context(|| format!("cannot make the folder {}", folder.display()))?;
+    }
+    let frames: u64 = rungs.iter().flat_map(|rung| &rung.simulations).map(|simulation| simulation.frames).sum();
+    let bar = output::progress(frames, "ladder");
+    // [model][rung]
+    let mut all: Vec<Vec<RungScores>> = candidates.iter().map(|_| Vec::new()).collect();
+    for rung in &rungs {
+        bar.set_message(rung.name.clone());
+        let mut scores: Vec<RungScores> = candidates.iter().map(|_| RungScores::default()).collect();
+        for simulation in &rung.simulations {
+            simulation
+                .judge(&mut candidates, &mut scores, keep, &bar)
+                .with_context(|| format!("rung {}, recording {}", rung.name, simulation.name))?;
+        }
+        for (all, scores) in all.iter_mut().zip(scores) {
+            all.push(scores);
+        }
+    }
+    bar.finish_and_clear();
+    let answers: Vec<OfModel> =
+        candidates.iter().zip(&all).map(|(candidate, scores)| OfModel::new(candidate.path(), &rungs, scores)).collect();
+    let fitted = if fit {
+        let groups: Vec<Vec<FilterSequence>> =
+            all.iter_mut().flatten().map(|scores| std::mem::take(&mut scores.sequences)).collect();
+        fit_smoothing(&groups)
+    } else {
+        None
+    };
+    if json {
+        let of_rung = |rung: &Rung| {
+            let frames: u64 = rung.simulations.iter().map(|simulation| simulation.frames).sum();
+            json!({ "rung": rung.name, "about": rung.about, "recordings": rung.simulations.len(), "frames": frames })
+        };
+        let ladder: Vec<_> = rungs.iter().map(of_rung).collect();
+        let mut answer = json!({ "ladder": ladder, "models": answers });
+        if let Some(fitted) = &fitted {
+            answer["fitted_smoothing"] = serde_json::to_value(fitted)?;
+        }
+        return output::json_line(&answer);
+    }
+    print(&answers)?;
+    fitted.map_or(Ok(()), |fitted| print_fit(&fitted))
+}
+
+impl Simulation {
+    /// Has all models judge the frames, each of which is simulated once.
+    fn judge(
+        &self,
+        candidates: &mut [Candidate],
+        scores: &mut [RungScores],
+        keep: Option<&Path>,
+        bar: &ProgressBar,
+    ) -> anyhow::Result<()> {
+        let (mut source, mut recorder) = self.open(keep)?;
+        let waveform = source.waveform().clone();
+        let mut runs: Vec<Option<Run>> = Vec::new();
+        for (candidate, scores) in candidates.iter_mut().zip(scores.iter_mut()) {
+            let started = candidate.start(&waveform);
+            if let Err(refusal) = &started {
+                scores.refused.push(Refused::new(self.name.clone(), refusal));
+            }
+            runs.push(started.ok());
+        }
+        if runs.iter().all(Option::is_none) && recorder.is_none() {
+            bar.inc(self.frames);
+            return Ok(());
+        }
+        let mut frame = Frame::zeroed(waveform.shape());
+        loop {
+            if output::interrupted() {
+                bail!("interrupted");
+            }
+            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => runs.iter_mut().flatten().for_each(Run::gap),
+                SourceEvent::Frame => {
+                    if let Some(recorder) = &mut recorder {
+                        recorder.frame(&frame)?;
+                    }
+                    let truth = frame.truth.filter(|truth| !truth.transition).map(|truth| truth.occupancy);
+                    for run in runs.iter_mut().flatten() {
+                        run.frame(&frame, truth)?;
+                    }
+                    bar.inc(1);
+                }
+            }
+        }
+        if let Some(recorder) = recorder {
+            recorder.finish()?;
+        }
+        for ((candidate, run), scores) in candidates.iter_mut().zip(runs).zip(scores.iter_mut()) {
+            if let Some(run) = run {
+                scores.add(&self.name, &candidate.end(run));
+            }
+        }
+        Ok(())
+    }
+
+    /// The frames: simulated, or kept from an earlier time. With a recorder if they are to be kept.
+    fn open(&self, keep: Option<&Path>) -> anyhow::Result<(Box<dyn FrameSource>, Option<Recorder>)> {
+        let options = SimulateOptions {
+            seed: self.seed,
+            people: self.people,
+            frames: Some(self.frames),
+            ..SimulateOptions::default()
+        };
+        let simulator = Simulator::new(&self.scene, options)?;
+        let mut recorder = None;
+        if let Some(folder) = keep {
+            let path = folder.join(format!("{}.mcap", self.name));
+            if self.is_kept(&path, &simulator) {
+                return Ok((radome_driver::recording::open(&path)?, None));
+            }
+            let header = RecordingHeader::new(simulator.waveform().clone());
+            let options = RecorderOptions { existing: Existing::Replace, sync: None };
+            recorder = Some(Recorder::with_options(&path, &header, &options)?);
+        }
+        // Models judge on this thread: they must not queue behind the next frames.
+        let source: Box<dyn FrameSource> = Box::new(Guarded::new(Box::new(simulator.on_own_threads()?)));
+        Ok((source, recorder))
+    }
+
+    /// Whether a file is this recording, by its last frame. Whatever changes a scene or the simulator shows there.
+    fn is_kept(&self, path: &Path, simulator: &Simulator) -> bool {
+        let last = self.frames - 1;
+        let read = || -> Option<Frame> {
+            let mut recording = Recording::open(path).ok()?;
+            recording.seek_frame(last).ok()?;
+            let mut frame = Frame::zeroed(recording.waveform().shape());
+            let is_there = matches!(recording.next_frame(&mut frame), Ok(SourceEvent::Frame));
+            let mut behind = Frame::zeroed(recording.waveform().shape());
+            let is_last = matches!(recording.next_frame(&mut behind), Ok(SourceEvent::End));
+            (is_there && is_last).then_some(frame)
+        };
+        read().is_some_and(|kept| {
+            let again = simulator.render(last);
+            (kept.sequence, kept.time_ns, kept.shape, kept.truth)
+                == (again.sequence, again.time_ns, again.shape, again.truth)
+                && kept.codes == again.codes
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::Occupancy;
+
+    use super::*;
+
+    pub(super) fn ladder() -> PathBuf {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/ladder")
+    }
+
+    /// Every rung can be read, says what is strange, and its scenes give frames with a truth. Seeds are those of no training.
+    #[test]
+    fn all_rungs_can_be_simulated() {
+        let rungs = load(&ladder()).expect("rungs");
+        let mut frames = 0;
+        for rung in &rungs {
+            assert!(rung.about.ends_with('.') && (3..=16).contains(&rung.simulations.len()), "{}", rung.name);
+            frames += rung.simulations.iter().map(|simulation| simulation.frames).sum::<u64>();
+            for simulation in &rung.simulations {
+                assert!(simulation.seed > 700_000, "{}", simulation.name);
+                let (mut source, recorder) = simulation.open(None).expect("a simulation");
+                assert!(recorder.is_none());
+                let mut frame = Frame::zeroed(source.waveform().shape());
+                for _ in 0..3 {
+                    assert_eq!(source.next_frame(&mut frame).expect("a frame"), SourceEvent::Frame);
+                    assert!(frame.truth.is_some());
+                }
+            }
+        }
+        assert!((8_000..16_000).contains(&frames), "{frames} frames");
+        let names: Vec<&str> = rungs.iter().map(|rung| rung.name.as_str()).collect();
+        let expected = [
+            "furnished",
+            "gait",
+            "ghosts",
+            "receiver",
+            "rest",
+            "rooms",
+            "skins",
+            "still",
+            "three",
+            "wander",
+            "waveforms",
+        ];
+        assert_eq!(names, expected);
+    }
+
+    /// Three people are there at a time, and read as two.
+    #[test]
+    fn the_rung_of_three_people_has_three_people() {
+        let rung = load(&ladder().join("three.toml")).expect("a rung").remove(0);
+        let busiest = rung.simulations.iter().filter(|simulation| simulation.people.is_none()).map(|simulation| {
+            let options = SimulateOptions { seed: simulation.seed, ..SimulateOptions::default() };
+            let simulator = Simulator::new(&simulation.scene, options).expect("a simulation");
+            let people = |index: u64| simulator.people(index).iter().filter(|person| person.in_room).count();
+            let most = (0..simulation.frames).map(|index| (people(index), index)).max().expect("frames");
+            (most.0, simulator.truth(most.1).occupancy)
+        });
+        for (people, truth) in busiest {
+            assert_eq!((people, truth), (3, Occupancy::Two));
+        }
+    }
+
+    #[test]
+    fn a_kept_recording_is_known_again() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut simulation = load(&ladder().join("rooms.toml")).expect("a rung").remove(0).simulations.remove(0);
+        simulation.frames = 4;
+        let bar = ProgressBar::hidden();
+        let path = folder.path().join(format!("{}.mcap", simulation.name));
+        simulation.judge(&mut [], &mut [], Some(folder.path()), &bar).expect("simulated");
+        assert!(path.exists());
+        assert!(simulation.open(Some(folder.path())).expect("kept").1.is_none());
+        // Of another seed or length it is another recording.
+        simulation.frames = 3;
+        assert!(simulation.open(Some(folder.path())).expect("anew").1.is_some());
+        simulation.frames = 4;
+        simulation.seed += 1;
+        assert!(simulation.open(Some(folder.path())).expect("anew").1.is_some());
+    }
+}

@@ -1,0 +1,206 @@
+//! Scores of models on a ladder, as one object or as tables.
+
+use std::path::{Path, PathBuf};
+
+use radome_dsp::Occupancy;
+use radome_models::calibration::{Reliability, ReliabilitySums};
+use radome_models::evaluate::{FalseAlarms, FoundTimes, Metrics, RecordingScores};
+use radome_models::train::{FilterSequence, SmoothingFit};
+use serde::Serialize;
+
+use super::super::candidate::{Confusion, Predictions, Refused, add_confusion};
+use super::rung::Rung;
+use crate::output;
+
+/// Scores of a model on the recordings of a rung that it did not refuse.
+#[derive(Default)]
+pub(super) struct RungScores {
+    filtered: Confusion,
+    alone: Confusion,
+    recordings: Vec<OfRecording>,
+    scores: Vec<RecordingScores>,
+    reliability: ReliabilitySums,
+    /// Recordings that the model refused.
+    pub(super) refused: Vec<Refused>,
+    /// Frames that a filter is fitted to, by recording.
+    pub(super) sequences: Vec<FilterSequence>,
+}
+
+/// Judgement of a recording, behind the filter.
+#[derive(Debug, Clone, Serialize)]
+struct OfRecording {
+    recording: String,
+    /// Its label, or "mixed" where it has several.
+    label: &'static str,
+    majority: Occupancy,
+    frames: u64,
+    /// Share of the frames that were called what their label says.
+    right: f64,
+    is_right: bool,
+}
+
+impl RungScores {
+    /// Adds a recording.
+    pub(super) fn add(&mut self, name: &str, predictions: &Predictions) {
+        let scores = predictions.filtered_scores();
+        if scores.frames() == 0 {
+            return;
+        }
+        add_confusion(&mut self.filtered, &scores.confusion);
+        add_confusion(&mut self.alone, &predictions.alone_scores().confusion);
+        predictions.count_reliability(&mut self.reliability);
+        self.sequences.push(predictions.sequence());
+        self.recordings.push(OfRecording {
+            recording: name.to_owned(),
+            label: scores.label().map_or("mixed", Occupancy::name),
+            majority: scores.majority(),
+            frames: scores.frames(),
+            right: scores.right() as f64 / scores.frames() as f64,
+            is_right: scores.is_right(),
+        });
+        self.scores.push(scores);
+    }
+
+    fn merge(&mut self, other: &RungScores) {
+        add_confusion(&mut self.filtered, &other.filtered);
+        add_confusion(&mut self.alone, &other.alone);
+        self.reliability.merge(&other.reliability);
+        self.recordings.extend_from_slice(&other.recordings);
+        self.scores.extend_from_slice(&other.scores);
+        self.refused.extend_from_slice(&other.refused);
+    }
+}
+
+/// A model on a rung, or on all of them.
+#[derive(Serialize)]
+struct Row {
+    rung: String,
+    /// Balanced accuracy behind the filter; absent if the model refused all recordings.
+    balanced_accuracy: Option<f64>,
+    balanced_accuracy_by_single_frames: Option<f64>,
+    /// Number of frames behind the filter, `[truth][called]`.
+    confusion: Confusion,
+    recordings_right: usize,
+    recordings_judged: usize,
+    /// Time from the start of a stretch of `two` to the first frame of it that was called two.
+    second_person_found: FoundTimes,
+    /// False alarms behind the filter.
+    #[serde(flatten)]
+    false_alarms: FalseAlarms,
+    /// Reliability of the filter's largest probability.
+    reliability: Reliability,
+    recordings: Vec<OfRecording>,
+    refused: Vec<Refused>,
+}
+
+impl Row {
+    fn new(rung: &str, scores: &RungScores) -> Self {
+        let balanced = |confusion: Confusion| {
+            (!scores.recordings.is_empty()).then(|| Metrics::from_confusion(confusion).balanced_accuracy)
+        };
+        Row {
+            rung: rung.to_owned(),
+            balanced_accuracy: balanced(scores.filtered),
+            balanced_accuracy_by_single_frames: balanced(scores.alone),
+            confusion: scores.filtered,
+            recordings_right: scores.recordings.iter().filter(|recording| recording.is_right).count(),
+            recordings_judged: scores.recordings.len(),
+            second_person_found: FoundTimes::of(Occupancy::Two, scores.scores.iter().flat_map(|of| &of.stretches)),
+            false_alarms: FalseAlarms::of(&scores.scores),
+            reliability: scores.reliability.reliability(),
+            recordings: scores.recordings.clone(),
+            refused: scores.refused.clone(),
+        }
+    }
+}
+
+/// A model on a ladder.
+#[derive(Serialize)]
+pub(super) struct OfModel {
+    model: PathBuf,
+    rungs: Vec<Row>,
+    /// Accuracies are means over the rungs, so that each weighs the same; all else is over all recordings.
+    all: Row,
+}
+
+impl OfModel {
+    /// Scores of a model by rung.
+    pub(super) fn new(model: &Path, rungs: &[Rung], scores: &[RungScores]) -> Self {
+        let rows: Vec<Row> = rungs.iter().zip(scores).map(|(rung, scores)| Row::new(&rung.name, scores)).collect();
+        let mut sum = RungScores::default();
+        scores.iter().for_each(|scores| sum.merge(scores));
+        let mean = |of: fn(&Row) -> Option<f64>| {
+            let values: Vec<f64> = rows.iter().filter_map(of).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let all = Row {
+            balanced_accuracy: mean(|row| row.balanced_accuracy),
+            balanced_accuracy_by_single_frames: mean(|row| row.balanced_accuracy_by_single_frames),
+            // They stand in their rungs.
+            recordings: Vec::new(),
+            ..Row::new("all", &sum)
+        };
+        OfModel { model: model.to_owned(), rungs: rows, all }
+    }
+}
+
+/// Prints a table for each model.
+pub(super) fn print(answers: &[OfModel]) -> anyhow::Result<()> {
+    eprintln!("frames in which someone enters or leaves are left out; `two` means two people or more");
+    let number = |value: Option<f64>, decimals: usize| value.map_or("-".to_owned(), |v| format!("{v:.decimals$}"));
+    for of in answers {
+        output::text_line(&of.model.display().to_string())?;
+        output::text_line(&format!(
+            "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9} {:>9} {:>9} {:>12}",
+            "rung",
+            "by frame",
+            "filtered",
+            "recordings",
+            "two found, s",
+            "empty, h",
+            "alarms/h",
+            "alarm, %",
+            "calibration"
+        ))?;
+        for row in of.rungs.iter().chain([&of.all]) {
+            let some = match row.refused.len() {
+                0 => String::new(),
+                refused => format!("  {refused} refused"),
+            };
+            if row.recordings_judged == 0 {
+                output::text_line(&format!("  {:<12} refused", row.rung))?;
+                continue;
+            }
+            output::text_line(&format!(
+                "  {:<12} {:>9} {:>9} {:>11} {:>12} {:>9.3} {:>9} {:>9} {:>12}{some}",
+                row.rung,
+                number(row.balanced_accuracy_by_single_frames, 3),
+                number(row.balanced_accuracy, 3),
+                format!("{} of {}", row.recordings_right, row.recordings_judged),
+                number(row.second_person_found.median_s, 1),
+                row.false_alarms.empty_s / 3600.0,
+                number(row.false_alarms.false_alarms_per_hour, 1),
+                number(row.false_alarms.false_alarm_share.map(|share| 100.0 * share), 2),
+                number(row.reliability.expected_calibration_error, 3),
+            ))?;
+        }
+        for row in &of.rungs {
+            if let Some(first) = row.refused.first() {
+                eprintln!("{}: {} refused: {}", of.model.display(), first.recording, first.reason);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Prints settings as a training's file takes them.
+pub(super) fn print_fit(fit: &SmoothingFit) -> anyhow::Result<()> {
+    eprintln!(
+        "log loss, the mean over models and rungs: {:.3} by frame, {:.3} through the fitted filter",
+        fit.log_loss_by_frame, fit.log_loss
+    );
+    output::text_line("[smoothing]")?;
+    output::text_line(&format!("dwell_s = {:.2}", fit.smoothing.dwell_s))?;
+    output::text_line(&format!("independent_s = {:.2}", fit.smoothing.independent_s.unwrap_or_default()))?;
+    output::text_line(&format!("temperature = {:.2}", fit.smoothing.temperature))
+}

@@ -1,0 +1,53 @@
+//! Thermal noise on a recording's raw samples, of a stated ratio to the signal.
+
+use std::path::Path;
+
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use rand_distr::{Distribution, Normal};
+
+/// Gaussian noise on every sample, before it is a code again.
+pub struct ThermalNoise {
+    normal: Normal<f64>,
+    seed: u64,
+}
+
+/// Largest code of the converter.
+const MOST_CODE: f64 = 4095.0;
+
+impl ThermalNoise {
+    /// Noise whose variance is the signal's over `10^(snr_db / 10)`. The signal's variance is that of the samples about the mean
+    /// of their chirp, over the whole recording: an offset is no signal.
+    ///
+    /// # Errors
+    /// The recording cannot be read, or the ratio gives no finite noise.
+    pub fn of(path: &Path, snr_db: f64) -> anyhow::Result<Self> {
+        let mut source = radome_driver::recording::open(path)?;
+        let shape = source.waveform().shape();
+        let mut frame = Frame::zeroed(shape);
+        let (mut sum, mut count) = (0.0, 0u64);
+        loop {
+            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => {}
+                SourceEvent::Frame => {
+                    for chirp in frame.codes.chunks_exact(shape.samples.max(1)) {
+                        let mean = chirp.iter().map(|&c| f64::from(c)).sum::<f64>() / chirp.len() as f64;
+                        sum += chirp.iter().map(|&c| (f64::from(c) - mean).powi(2)).sum::<f64>();
+                        count += chirp.len() as u64;
+                    }
+                }
+            }
+        }
+        let sigma = (sum / count.max(1) as f64 / 10f64.powf(0.1 * snr_db)).sqrt();
+        Ok(ThermalNoise { normal: Normal::new(0.0, sigma)?, seed: snr_db.to_bits() })
+    }
+
+    /// Adds noise to a frame, the same whenever it is asked for; codes stay within the converter's range.
+    pub fn add(&self, frame: &mut Frame) {
+        let mut rng = radome_models::stream(self.seed, "thermal noise", frame.sequence);
+        for code in &mut frame.codes {
+            let noisy = f64::from(*code) + self.normal.sample(&mut rng);
+            *code = noisy.round().clamp(0.0, MOST_CODE) as u16;
+        }
+    }
+}

@@ -1,0 +1,50 @@
+use std::io::Write;
+use std::path::PathBuf;
+
+use radome_models::{Model, onnx};
+use serde_json::json;
+
+use crate::output_file::Overwrite;
+use crate::{files, output};
+
+/// Text below the options in the help.
+const NOTES: &str = "\
+The input `map` is float32 [batch, 1, range, doppler], standardised; the output `logits` is [batch, 3]: empty, one, two. What \
+maps the model wants and how they are standardised stands in the metadata, as JSON under the key `radome`, so that the file \
+is put to work as the model itself: --model FILE.onnx. That needs onnxruntime:\n\n  \
+pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort\n\n\
+A library of its own is named by ORT_DYLIB_PATH, or that of python3's onnxruntime is taken.\n\n\
+The networks descriptor_linear and descriptor_hqnn have no ONNX form: use their model files.";
+
+/// `radome model export`
+#[derive(clap::Args)]
+#[command(after_help = NOTES)]
+pub struct Arguments {
+    /// Model file (.safetensors)
+    model: PathBuf,
+    /// ONNX file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Writes a model as ONNX (opset 17), which every runtime of ONNX can read, and `live`, `evaluate` and all that takes a model too.
+///
+/// # Errors
+/// The model cannot be read or has no ONNX form, or the file cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.overwrite.check(&arguments.output)?;
+    let model = Model::load(&arguments.model)?;
+    let bytes = onnx::export(&model)?;
+    files::write_output(&arguments.output, arguments.overwrite.existing(), |file| Ok(file.write_all(&bytes)?))?;
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        let input = model.card.input_shape;
+        return output::json_line(&json!({ "onnx": file, "bytes": bytes.len(), "input": input }));
+    }
+    output::text_line(&format!("{file} written"))
+}

@@ -1,0 +1,42 @@
+use crate::output;
+
+/// Text below the options in the help.
+const NOTES: &str = "\
+hqnn                     the paper's: two convolutions, two numbers, a circuit of two qubits
+estimator_matched, dequantization, squashed_linear, squashed_dequantization, trigonometric, frozen_angles
+                         the same with other heads than a trained circuit
+doppler_net, resnet18, efficientnet_b0, efficientnet_b0_rgb
+                         larger networks
+descriptor_linear        42 plain numbers of a map and a linear head: what any other network should be better than
+descriptor_hqnn          the same 42, two numbers and the paper's circuit, or any head of the training spec
+
+The last two read maps over their own noise: their training spec needs reference = { over_noise = { skip_range_bins = 3 } }. \
+They have no ONNX form.";
+
+/// `radome model list`
+#[derive(clap::Args)]
+#[command(after_help = NOTES)]
+pub struct Arguments {
+    /// A list of objects
+    #[arg(long)]
+    json: bool,
+}
+
+/// The networks that can be trained.
+///
+/// # Errors
+/// Standard output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let networks = radome_models::networks();
+    if arguments.json {
+        return output::json_line(&networks);
+    }
+    output::text_line(&format!("{:24} {:>12} {:>14}  input", "network", "parameters", "multiply-adds"))?;
+    for network in networks {
+        output::text_line(&format!(
+            "{:24} {:>12} {:>14}  {:?}",
+            network.name, network.parameters, network.multiply_adds, network.input
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,148 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::dataset::Dataset;
+use radome_models::{NetworkSpec, TrainSpec, train_with_checkpoint};
+use radome_sim::bounded_file::named_by_spec;
+use serde_json::json;
+
+use crate::output_file::Overwrite;
+use crate::{files, output};
+
+/// `radome model train`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Dataset folder
+    dataset: PathBuf,
+    /// Model file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// TOML file with the settings of the training; defaults for what it leaves out
+    #[arg(long)]
+    spec: Option<PathBuf>,
+    /// Network, as `radome model list` names it; descriptor_linear and descriptor_hqnn need `reference.over_noise` in the spec
+    #[arg(long)]
+    network: Option<String>,
+    /// torchvision's weights to start from, for resnet18, efficientnet_b0 and efficientnet_b0_rgb: its .pth as safetensors
+    #[arg(long, value_name = "FILE")]
+    weights: Option<PathBuf>,
+    /// Passes over the training split
+    #[arg(long)]
+    epochs: Option<usize>,
+    /// Seed of initial weights and order
+    #[arg(long)]
+    seed: Option<u64>,
+    /// The recording (sequence) that alone is the test split
+    #[arg(long, value_name = "SEQUENCE")]
+    hold_out: Option<String>,
+    /// File that holds the training after each epoch; one that is there is carried on with. OUTPUT.checkpoint if not given
+    #[arg(long)]
+    checkpoint: Option<PathBuf>,
+    /// One object an epoch and one at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Trains a network and writes the weights of its best epoch.
+///
+/// # Errors
+/// The dataset or the spec cannot be read, or the training fails.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let checkpoint = arguments.checkpoint.clone().unwrap_or_else(|| {
+        let mut name = arguments.output.file_name().unwrap_or_default().to_owned();
+        name.push(".checkpoint");
+        arguments.output.with_file_name(name)
+    });
+    // A training that is carried on was allowed to begin.
+    match checkpoint.exists() {
+        true => files::check_parent(&arguments.output)?,
+        false => arguments.overwrite.check(&arguments.output)?,
+    }
+    let dataset = Dataset::open(&arguments.dataset)?;
+    let mut spec = read_spec(arguments.spec.as_deref())?;
+    if let Some(name) = &arguments.network {
+        let Some(network) = NetworkSpec::named(name) else {
+            let known: Vec<String> = radome_models::networks().into_iter().map(|network| network.name).collect();
+            bail!("there is no network '{name}'\n\nhint: there are {}", known.join(", "));
+        };
+        (spec.network, spec.head) = (network.kind, network.head);
+    }
+    if let Some(weights) = &arguments.weights {
+        spec.weights = Some(weights.clone());
+    }
+    if let Some(epochs) = arguments.epochs {
+        spec.epochs = epochs;
+        // A spec's settings are for its own number of epochs.
+        spec.linear_epochs = spec.linear_epochs.map(|linear| linear.min(epochs));
+    }
+    if let Some(seed) = arguments.seed {
+        spec.seed = seed;
+    }
+    if let Some(sequence) = &arguments.hold_out {
+        spec.split.held_out = Some(sequence.clone());
+    }
+    if checkpoint.exists() {
+        eprintln!("carrying on from {}", checkpoint.display());
+    }
+    // Starts before the last have their trial epochs too.
+    let trials = if spec.starts > 1 { (spec.starts - 1) * spec.start_epochs.min(spec.epochs) as u64 } else { 0 };
+    let bar = output::progress(spec.epochs as u64 + trials, "training");
+    let mut trouble = None;
+    let outcome = train_with_checkpoint(&dataset, &spec, Some(&checkpoint), &mut |report| {
+        bar.inc(1);
+        let said = if arguments.json {
+            output::json_line(&report)
+        } else {
+            let line = format!(
+                "start {} epoch {:2}/{}: loss {:.3}, balanced accuracy {:.3} training, {:.3} validation, {:.1} s",
+                report.start + 1,
+                report.epoch,
+                report.epochs,
+                report.training_loss,
+                report.training_balanced_accuracy,
+                report.validation_balanced_accuracy,
+                report.seconds
+            );
+            bar.suspend(|| output::text_line(&line))
+        };
+        trouble = trouble.take().or(said.err());
+    });
+    let outcome = outcome.inspect_err(|_| {
+        bar.finish_and_clear();
+        if checkpoint.exists() {
+            eprintln!("the epochs so far are in {}; the same command carries on", checkpoint.display());
+        }
+    })?;
+    bar.finish_and_clear();
+    for warning in &outcome.warnings {
+        eprintln!("warning: {warning}");
+    }
+    // What could not be told costs no model.
+    outcome.model.save(&arguments.output)?;
+    if let Some(error) = trouble {
+        return Err(error);
+    }
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        return output::json_line(&json!({ "model": file, "training": outcome.model.card.training }));
+    }
+    output::text_line(&format!("{file} written"))
+}
+
+/// Settings of a training from a TOML file, or the defaults.
+fn read_spec(path: Option<&Path>) -> anyhow::Result<TrainSpec> {
+    let Some(path) = path else { return Ok(TrainSpec::default()) };
+    let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+    let mut spec: TrainSpec =
+        toml::from_str(&text).with_context(|| format!("{} is no training spec", path.display()))?;
+    spec.check().with_context(|| format!("{} is no training spec", path.display()))?;
+    if let Some(weights) = &spec.weights {
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let found = named_by_spec(folder, weights);
+        spec.weights = Some(found.with_context(|| format!("cannot read {}", folder.join(weights).display()))?);
+    }
+    Ok(spec)
+}

@@ -1,0 +1,59 @@
+//! `radome recording`: recordings and what can be read from them.
+
+mod answers;
+mod convert;
+mod echoes;
+mod info;
+mod label;
+mod labels;
+mod maps;
+mod repair;
+
+use crate::exit::Ended;
+
+/// `radome recording`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    /// Show format, length, waveform, board, labels and model of a recording
+    Info(info::Arguments),
+    /// Convert a recording to another format: MCAP, Infineon's folder, text
+    Convert(convert::Arguments),
+    /// Save what can be read of a cut or damaged recording to a new file, and report what is lost
+    Repair(repair::Arguments),
+    /// Label a recording by hand, from a file, from its truth, or by a classical detector
+    Label(label::Arguments),
+    // Replaced by `label`.
+    /// Show, export or import labels. Former command
+    #[command(hide = true)]
+    Labels(labels::Arguments),
+    /// Show the answers that `live -o` recorded with the frames, as CSV or JSON
+    Answers(answers::Arguments),
+    /// Compute range-Doppler maps of a source, as an array or a picture
+    Maps(maps::Arguments),
+    /// Measure range, speed, azimuth and elevation of echoes; calibrate phase and gain between receivers
+    Echoes(echoes::Arguments),
+}
+
+/// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+    let done: anyhow::Result<()> = match &arguments.action {
+        Action::Info(arguments) => info::run(arguments),
+        Action::Convert(arguments) => convert::run(arguments),
+        Action::Repair(arguments) => return repair::run(arguments),
+        Action::Label(arguments) => label::run(arguments),
+        Action::Labels(arguments) => labels::run(arguments),
+        Action::Answers(arguments) => answers::run(arguments),
+        Action::Maps(arguments) => maps::run(arguments),
+        Action::Echoes(arguments) => echoes::run(arguments),
+    };
+    done.map(|()| Ended::Done)
+}

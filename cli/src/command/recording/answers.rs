@@ -1,0 +1,96 @@
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use radome_driver::recording::Recording;
+use radome_driver::{FrameResult, RecordingError};
+use radome_dsp::Occupancy;
+
+use crate::output_file::Overwrite;
+use crate::{files, output};
+
+/// `radome recording answers`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recording that `live -o` has made
+    recording: PathBuf,
+    /// Write them to this file instead of to stdout
+    #[arg(long, value_name = "FILE")]
+    csv: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Only where the number of people changes
+    #[arg(long)]
+    changes: bool,
+    /// One object a frame
+    #[arg(long, conflicts_with = "csv")]
+    json: bool,
+}
+
+const HEAD: &str = "sequence,time_s,host_time_s,label,p_empty,p_one,p_two,occupied,people,latency_ms";
+
+/// Prints the answers to the frames of a recording as CSV or JSON lines.
+///
+/// # Errors
+/// The recording cannot be read or holds no answers, or the output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let named = arguments.recording.display();
+    let recording = Recording::open(&arguments.recording)?;
+    let judge = recording.header().judge;
+    let Some((results, judge)) = recording.results()?.zip(judge) else {
+        bail!(
+            "{named} holds no results\n\nhint: radome live SOURCE --model M -o FILE.mcap records them with the frames"
+        );
+    };
+    eprintln!(
+        "judged by {} (SHA-256 {}), on after {} s, off after {} s",
+        judge.model, judge.model_hash, judge.on_delay_s, judge.off_delay_s
+    );
+    let mut people = None;
+    let mut wanted = results.filter(|result| {
+        let Ok(result) = result else { return true };
+        let is_change = people.replace(result.people) != Some(result.people);
+        is_change || !arguments.changes
+    });
+    match &arguments.csv {
+        Some(path) => {
+            arguments.overwrite.check(path)?;
+            files::write_output(path, arguments.overwrite.existing(), |file| write_csv(file, wanted))
+        }
+        None if arguments.json => wanted.try_for_each(|result| output::json_line(&result?)),
+        None => {
+            output::text_line(HEAD)?;
+            wanted.try_for_each(|result| output::text_line(&csv_line(&result?)))
+        }
+    }
+}
+
+fn write_csv(
+    out: &mut impl Write,
+    results: impl Iterator<Item = Result<FrameResult, RecordingError>>,
+) -> anyhow::Result<()> {
+    let cannot = "cannot write the results";
+    writeln!(out, "{HEAD}").context(cannot)?;
+    for result in results {
+        writeln!(out, "{}", csv_line(&result?)).context(cannot)?;
+    }
+    out.flush().context(cannot)
+}
+
+fn csv_line(result: &FrameResult) -> String {
+    let probabilities =
+        result.probabilities.map_or(",,".to_owned(), |[empty, one, two]| format!("{empty},{one},{two}"));
+    let host_time = match result.host_time_ns {
+        0 => String::new(),
+        ns => format!("{:.3}", ns as f64 * 1e-9),
+    };
+    format!(
+        "{},{:.6},{host_time},{},{probabilities},{},{},{:.3}",
+        result.sequence,
+        result.time_s(),
+        result.label.map_or("", Occupancy::name),
+        result.occupied,
+        result.people,
+        result.latency_ns as f64 * 1e-6
+    )
+}

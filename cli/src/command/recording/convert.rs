@@ -1,0 +1,131 @@
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use radome_driver::recording::{Format, Recording, RecordingError, RecordingWriter};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use serde_json::json;
+
+use crate::output;
+use crate::output_file::Overwrite;
+
+const REPAIR_HINT: &str = "\n\nhint: radome recording repair saves what can be read of it";
+
+/// `radome recording convert`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recording: MCAP file, Infineon folder or text file
+    input: PathBuf,
+    /// Output: FILE.mcap, FILE.txt (with FILE.txt_config.json), or a FOLDER/
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Format to write, where the name does not say
+    #[arg(long, value_enum)]
+    to: Option<To>,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum To {
+    /// Radar Fusion GUI and ifxdaq: RadarIfxAvian_00/radar.npy
+    Infineon,
+    /// The native format
+    Mcap,
+    /// The SDK application's text
+    Text,
+}
+
+/// Writes a recording in another format. The output is whole or absent; what its format cannot hold is said on stderr.
+///
+/// # Errors
+/// The input cannot be read, or the output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    let Arguments { input, output: path, .. } = arguments;
+    let format = match arguments.to {
+        Some(To::Infineon) => Format::Infineon,
+        Some(To::Mcap) => Format::Mcap,
+        Some(To::Text) => Format::Text,
+        None => match Format::of_output(path) {
+            Some(format) => format,
+            None => bail!(
+                "the name {} does not say which format to write\n\nhint: --to infineon, --to mcap or --to text",
+                path.display()
+            ),
+        },
+    };
+    if is_same(input, path) {
+        bail!("{} is input and output at once\n\nhint: choose another name", path.display());
+    }
+    arguments.overwrite.check(path)?;
+    let mut source = match Recording::open(input) {
+        Err(error @ RecordingError::Corrupt { .. }) if Format::of_output(input) == Some(Format::Mcap) => {
+            bail!("{error}{REPAIR_HINT}")
+        }
+        opened => opened?,
+    };
+    if let Recording::Mcap(reader) = &source
+        && !reader.is_complete()
+    {
+        eprintln!("{} was never finished: it is read up to its last whole chunk", input.display());
+    }
+    if matches!(source, Recording::Infineon(_)) {
+        eprintln!("not carried over: the descriptions in meta.json");
+    }
+    let mut writer = RecordingWriter::create_with(path, format, &source.header(), arguments.overwrite.existing())?;
+    let bar = output::progress(source.frame_count().unwrap_or(0), "converting");
+    let mut frame = Frame::zeroed(source.waveform().shape());
+    loop {
+        if output::interrupted() {
+            bail!("interrupted: nothing has been written");
+        }
+        match source.next_frame(&mut frame) {
+            Ok(SourceEvent::Frame) => writer.frame(&frame)?,
+            Ok(SourceEvent::Gap(gap)) => writer.gap(&gap)?,
+            Ok(SourceEvent::End) => break,
+            Err(error) => {
+                let hint = match source {
+                    Recording::Mcap(_) => REPAIR_HINT,
+                    _ => "",
+                };
+                bail!("{}{hint}", output::chain(&anyhow::Error::from_boxed(error)));
+            }
+        }
+        bar.inc(1);
+    }
+    for label in source.labels()? {
+        writer.label(&label)?;
+    }
+    for result in source.results()?.into_iter().flatten() {
+        writer.result(&result?)?;
+    }
+    let report = writer.finish()?;
+    bar.finish_and_clear();
+    for what in &report.unheld {
+        eprintln!("not held by this format: {what}");
+    }
+    if arguments.json {
+        return output::json_line(&json!({
+            "file": path.display().to_string(),
+            "frames": report.frames,
+            "gaps": report.gaps,
+            "lost": report.frames_lost,
+            "written": report.bytes,
+            "not_held": report.unheld,
+        }));
+    }
+    output::text_line(&format!(
+        "{}: {} frames, {} gaps with {} frames lost, {} bytes",
+        path.display(),
+        report.frames,
+        report.gaps,
+        report.frames_lost,
+        report.bytes
+    ))
+}
+
+fn is_same(a: &Path, b: &Path) -> bool {
+    a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
+}

@@ -1,0 +1,212 @@
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::angle::{AngleCalibration, Receivers};
+use radome_dsp::echo::{Echo, EchoFinder, RangeProfile};
+use radome_dsp::{Frame, SourceEvent};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use crate::output_file::Overwrite;
+use crate::source::{self, SourceArgs, SourceOptions};
+use crate::{files, output};
+
+/// Time over which frames are compared to find what sits or stands, s.
+const STILL_S: f64 = 2.0;
+/// A still echo nearer than this to one that moves is the same body, m.
+const SAME_M: f64 = 0.5;
+/// Half the stretch of ranges in which a reflector is looked for, m.
+const REFLECTOR_M: f64 = 0.3;
+/// Frames over which a reflector is averaged.
+const REFLECTOR_FRAMES: u64 = 50;
+
+/// Frames to look at where no number is named.
+const FRAMES: u64 = 100;
+
+/// `radome recording echoes`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Offsets between the receivers of this board, as --reflector wrote them
+    #[arg(long, value_name = "FILE")]
+    angles: Option<PathBuf>,
+    /// A reflector stands there, in metres and degrees to the left and up, and nothing moves: tell what the receivers are unlike in
+    #[arg(
+        long,
+        value_name = "RANGE_M,AZIMUTH_DEG,ELEVATION_DEG",
+        value_delimiter = ',',
+        allow_hyphen_values = true,
+        num_args = 1
+    )]
+    reflector: Option<Vec<f64>>,
+    /// File for it
+    #[arg(short, long, requires = "reflector")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// One object a frame
+    #[arg(long)]
+    json: bool,
+}
+
+/// Content of a file of angles.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct AngleFile {
+    format: u32,
+    #[serde(default)]
+    measured_from: String,
+    #[serde(flatten)]
+    calibration: AngleCalibration,
+}
+
+/// An echo as it is said.
+#[derive(Serialize)]
+struct Said {
+    range_m: f64,
+    velocity_m_per_s: f64,
+    azimuth_deg: Option<f64>,
+    elevation_deg: Option<f64>,
+    snr_db: f64,
+    is_still: bool,
+}
+
+/// Ranges, speeds and directions of what moves, frame by frame; or what receivers are unlike in.
+///
+/// # Errors
+/// The source or the angles cannot be read, or no reflector is found.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
+    let calibration = arguments.angles.as_deref().map(read).transpose()?.unwrap_or_default();
+    let frames = arguments.source.frames.unwrap_or(FRAMES);
+    let options = SourceOptions { frames: Some(frames), ..arguments.source.options()? };
+    let mut source = source::open(&arguments.source.source, &options)?.frames;
+    let waveform = source.waveform().clone();
+    let receivers = Receivers::new(waveform.request.rx_antennas, calibration);
+    if receivers.baselines().is_empty() {
+        eprintln!("these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation");
+    }
+    let mut finder = EchoFinder::new(&waveform, &receivers.baselines());
+    let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
+    let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(window + 1);
+    let mut frame = Frame::zeroed(waveform.shape());
+    let wanted = if arguments.reflector.is_some() { frames.min(REFLECTOR_FRAMES) } else { frames };
+    let most = if arguments.reflector.is_some() { REFLECTOR_FRAMES as usize } else { window };
+    let mut looked = 0;
+    while looked < wanted && !output::interrupted() {
+        match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => break,
+            SourceEvent::Gap(_) => profiles.clear(),
+            SourceEvent::Frame => {
+                let (moving, profile) = finder.moving(&frame)?;
+                if profiles.len() == most {
+                    profiles.pop_front();
+                }
+                profiles.push_back(profile);
+                looked += 1;
+                if arguments.reflector.is_none() {
+                    let mut echoes = moving;
+                    if profiles.len() == window {
+                        let still = finder.still(&profiles.iter().collect::<Vec<_>>());
+                        let is_new = |s: &Echo| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
+                        let new: Vec<Echo> = still.into_iter().filter(is_new).collect();
+                        echoes.extend(new);
+                    }
+                    say(&frame, &echoes, &receivers, arguments.json)?;
+                }
+            }
+        }
+    }
+    let Some(truth) = &arguments.reflector else { return Ok(()) };
+    let &[range_m, azimuth_deg, elevation_deg] = truth.as_slice() else {
+        bail!("--reflector takes three numbers: RANGE_M,AZIMUTH_DEG,ELEVATION_DEG, such as 2.0,0,0");
+    };
+    if !(range_m > 0.0 && azimuth_deg.abs() <= 60.0 && elevation_deg.abs() <= 60.0) {
+        bail!(
+            "--reflector {range_m},{azimuth_deg},{elevation_deg}: expected a range above 0 and angles of at most 60 degrees"
+        );
+    }
+    let profiles: Vec<&RangeProfile> = profiles.iter().collect();
+    let echo = finder.standing(&profiles, range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
+        format!(
+            "no range within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
+            waveform.max_range_m()
+        )
+    })?;
+    let truth = (azimuth_deg.to_radians(), elevation_deg.to_radians());
+    let calibration = receivers.calibrate(&echo.cosines, truth, waveform.wavelength_m());
+    let measured_from = format!(
+        "{}: a reflector at {range_m} m, {azimuth_deg} degrees left, {elevation_deg} up; seen at {:.3} m, {:.0} dB over the median range",
+        arguments.source.source, echo.range_m, echo.snr_db
+    );
+    let file = AngleFile { format: 1, measured_from, calibration };
+    if let Some(path) = &arguments.output {
+        files::write_output(path, arguments.overwrite.existing(), |out| {
+            std::io::Write::write_all(out, toml::to_string(&file)?.as_bytes()).context("cannot write the angles")
+        })?;
+    }
+    if arguments.json {
+        return output::json_line(&file);
+    }
+    output::text_line(&format!(
+        "RX1 over RX3 {:+.1} degrees, RX2 over RX3 {:+.1}; {}",
+        calibration.azimuth_phase_rad.to_degrees(),
+        calibration.elevation_phase_rad.to_degrees(),
+        file.measured_from
+    ))
+}
+
+fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let file: AngleFile = toml::from_str(&text).with_context(|| {
+        format!(
+            "{}: no file of angles\n\nhint: make one with radome recording echoes SOURCE --reflector 2.0,0,0 -o FILE",
+            path.display()
+        )
+    })?;
+    if file.format != 1 {
+        bail!("{}: format {}, this program reads 1", path.display(), file.format);
+    }
+    let AngleCalibration { azimuth_phase_rad, elevation_phase_rad } = file.calibration;
+    if !(azimuth_phase_rad.is_finite() && elevation_phase_rad.is_finite()) {
+        bail!("{}: a phase is no number", path.display());
+    }
+    Ok(file.calibration)
+}
+
+fn say(frame: &Frame, echoes: &[Echo], receivers: &Receivers, json: bool) -> anyhow::Result<()> {
+    let said = echoes.iter().map(|echo| {
+        let direction = receivers.direction(&echo.cosines);
+        Said {
+            range_m: echo.range_m,
+            velocity_m_per_s: echo.velocity_m_per_s,
+            azimuth_deg: direction.azimuth_rad.map(f64::to_degrees),
+            elevation_deg: direction.elevation_rad.map(f64::to_degrees),
+            snr_db: echo.snr_db,
+            is_still: echo.is_still,
+        }
+    });
+    let said: Vec<Said> = said.collect();
+    if json {
+        return output::json_line(&json!({ "sequence": frame.sequence, "time_s": frame.time_s(), "echoes": said }));
+    }
+    for of in &said {
+        let angle = |angle: Option<f64>| angle.map_or("     -".to_owned(), |degrees| format!("{degrees:+6.1}"));
+        output::text_line(&format!(
+            "{:8.2} s  {:6.3} m  {:+6.2} m/s  {} deg left  {} deg up  {:5.1} dB{}",
+            frame.time_s(),
+            of.range_m,
+            of.velocity_m_per_s,
+            angle(of.azimuth_deg),
+            angle(of.elevation_deg),
+            of.snr_db,
+            if of.is_still { "  still" } else { "" }
+        ))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,74 @@
+//! `radome recording info`.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use radome_driver::recording::Recording;
+use radome_dsp::FrameSource;
+use serde_json::json;
+
+use crate::{labels, output};
+
+/// `radome recording info`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Recording: MCAP file, Infineon folder or text file
+    recording: PathBuf,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Prints format, length, waveform, board, labels and model of a recording.
+///
+/// # Errors
+/// The recording or its labels cannot be read.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let path = &arguments.recording;
+    let mut recording = Recording::open(path)?;
+    let header = recording.header();
+    let waveform = &header.waveform;
+    let frames = recording.frame_count();
+    let duration_s = recording
+        .extent()?
+        .map_or(0.0, |extent| extent.last.time_s() - extent.first.time_s() + waveform.frame_interval_s());
+    let format = match &recording {
+        Recording::Mcap(_) => "mcap",
+        Recording::Infineon(_) => "infineon",
+        Recording::Text(_) => "text",
+    };
+    let spans = labels::of(path)?;
+    let mut labelled_s: BTreeMap<&str, f64> = BTreeMap::new();
+    for span in &spans {
+        *labelled_s.entry(&span.label).or_default() += span.end_s - span.start_s;
+    }
+    let board = header.board.as_ref().map(|board| format!("{}, firmware {}", board.name, board.firmware_version));
+    let model = header.judge.as_ref().map(|judge| judge.model.as_str());
+    if arguments.json {
+        return output::json_line(&json!({
+            "path": path,
+            "format": format,
+            "frames": frames,
+            "duration_s": duration_s,
+            "waveform": waveform,
+            "board": board,
+            "labelled_s": labelled_s,
+            "model": model,
+        }));
+    }
+    let labels: Vec<String> = labelled_s.iter().map(|(label, seconds)| format!("{label} {seconds:.1} s")).collect();
+    let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".to_owned());
+    for (name, value) in [
+        ("format", format.to_owned()),
+        ("frames", frames.map_or_else(|| "unknown".to_owned(), |frames| frames.to_string())),
+        ("duration", format!("{duration_s:.3} s")),
+        ("frame", waveform.shape().to_string()),
+        ("frame rate", format!("{:.3} Hz", 1.0 / waveform.frame_interval_s())),
+        ("board", or_none(board)),
+        ("labels", or_none((!labels.is_empty()).then(|| labels.join(", ")))),
+        ("answers of", or_none(model.map(str::to_owned))),
+    ] {
+        output::text_line(&format!("{name:12} {value}"))?;
+    }
+    Ok(())
+}

@@ -1,0 +1,144 @@
+//! `radome recording label`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_driver::LabelSpan;
+use radome_driver::recording::Recording;
+use radome_driver::recording::span_check::check_spans;
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use serde_json::json;
+
+use crate::dataset::detector;
+use crate::output_file::Overwrite;
+use crate::{labels, output};
+
+/// `radome recording label`
+#[derive(clap::Args)]
+#[command(group = clap::ArgGroup::new("what").multiple(true))]
+pub struct Arguments {
+    /// Recording of any kind; labels go into an MCAP file, or into a file beside other kinds
+    recording: PathBuf,
+    /// A stretch of time and what it shows, such as 0.5:12=empty; may be given again and again
+    #[arg(long, value_name = "START_S:END_S=LABEL", group = "what", value_parser = parse_span)]
+    span: Vec<LabelSpan>,
+    /// File with labels: .txt is an Audacity label track, .label a DEEPCRAFT file
+    #[arg(long, group = "what")]
+    from: Option<PathBuf>,
+    /// Labels from the frames' own truth, which simulations have, or from a classical detector
+    #[arg(long, value_enum, group = "what")]
+    propose: Option<Proposer>,
+    /// Write the labels to this file, .txt or .label, instead of adding them to the recording; without --span, --from and --propose
+    /// those that the recording has
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Author of the labels, stored with them
+    #[arg(long, requires = "what")]
+    who: Option<String>,
+    /// A list of objects
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Clone, Copy, clap::ValueEnum)]
+enum Proposer {
+    Truth,
+    Detector,
+}
+
+fn parse_span(text: &str) -> Result<LabelSpan, String> {
+    let wrong = || format!("'{text}': expected START_S:END_S=LABEL such as 0.5:12=empty");
+    let (times, label) = text.split_once('=').ok_or_else(wrong)?;
+    let (start, end) = times.split_once(':').ok_or_else(wrong)?;
+    let time = |text: &str| text.trim().parse::<f64>().map_err(|_| wrong());
+    Ok(LabelSpan::new(time(start)?, time(end)?, label.trim()))
+}
+
+/// Adds labels to a recording, or shows those that it has.
+///
+/// # Errors
+/// The recording or a file of labels cannot be read or written, or the labels contradict each other or the recording.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(file) = &arguments.output {
+        arguments.overwrite.check(file)?;
+    }
+    if arguments.span.is_empty() && arguments.from.is_none() && arguments.propose.is_none() {
+        return show(arguments);
+    }
+    let mut spans = arguments.span.clone();
+    if let Some(file) = &arguments.from {
+        spans.extend(labels::read(file)?);
+    }
+    if let Some(who) = &arguments.who {
+        spans.iter_mut().for_each(|span| span.who = Some(who.clone()));
+    }
+    if let Some(proposer) = arguments.propose {
+        spans.extend(match proposer {
+            Proposer::Truth => truth(&arguments.recording)?,
+            Proposer::Detector => detector::propose(&arguments.recording)?,
+        });
+    }
+    let place = match &arguments.output {
+        Some(file) => {
+            check_spans(&spans, None)?;
+            labels::write(file, arguments.overwrite.existing(), &spans)?;
+            file.clone()
+        }
+        None => labels::add(&arguments.recording, &spans)?,
+    };
+    eprintln!("{} labels written to {}", spans.len(), place.display());
+    print(&spans, arguments.json)
+}
+
+/// Prints the labels of a recording and writes them to the output file, if one is named.
+fn show(arguments: &Arguments) -> anyhow::Result<()> {
+    let spans = labels::of(&arguments.recording)?;
+    if let Some(file) = &arguments.output {
+        labels::write(file, arguments.overwrite.existing(), &spans)?;
+    }
+    print(&spans, arguments.json)
+}
+
+fn print(spans: &[LabelSpan], as_json: bool) -> anyhow::Result<()> {
+    if as_json {
+        return output::json_line(&json!(spans));
+    }
+    for LabelSpan { start_s, end_s, label, confidence, .. } in spans {
+        let confidence = confidence.map_or_else(String::new, |c| format!("{c:.2}"));
+        output::text_line(&format!("{start_s:10.3} s  {end_s:10.3} s  {label}  {confidence}"))?;
+    }
+    Ok(())
+}
+
+fn truth(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
+    let mut recording = Recording::open(path)?;
+    let interval_s = recording.waveform().frame_interval_s();
+    let mut frame = Frame::zeroed(recording.waveform().shape());
+    let mut frames = Vec::new();
+    loop {
+        match recording.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => break,
+            SourceEvent::Gap(_) => {}
+            SourceEvent::Frame => {
+                let truth = frame.truth.with_context(|| {
+                    format!(
+                        "{}: frame {} has no truth\n\nhint: simulated recordings have it; for others: --propose detector",
+                        path.display(),
+                        frame.sequence
+                    )
+                })?;
+                frames.push((frame.time_s(), truth.occupancy));
+            }
+        }
+    }
+    if frames.is_empty() {
+        bail!("{}: no frame", path.display());
+    }
+    let mut spans = labels::spans_of(&frames, interval_s);
+    for span in &mut spans {
+        (span.who, span.confidence) = (Some("truth".into()), Some(1.0));
+    }
+    Ok(spans)
+}

@@ -1,0 +1,162 @@
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::Context;
+use radome_dsp::rdm::{Channels, SlowTime, StaticRemoval};
+use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, SourceEvent};
+use serde_json::json;
+
+use crate::map_preset::MapPreset;
+use crate::output_file::Overwrite;
+use crate::picture::plot;
+use crate::source::{self, SourceArgs};
+use crate::{files, output};
+
+/// Frames of a simulation where no number is named.
+const SIMULATED_FRAMES: u64 = 100;
+
+/// `radome recording maps`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    source: SourceArgs,
+    /// Array to write, f32 dB `[frame][rx][doppler][range]`
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Picture of one map to write
+    #[arg(long)]
+    png: Option<PathBuf>,
+    /// Frame of the picture; the last by default
+    #[arg(long)]
+    frame: Option<u64>,
+    /// Kind of map
+    #[arg(long, value_enum, default_value_t)]
+    preset: MapPreset,
+    /// One receive channel, 1-based
+    #[arg(long, conflicts_with = "incoherent")]
+    rx: Option<usize>,
+    /// Mean power of all receive channels
+    #[arg(long)]
+    incoherent: bool,
+    /// Remove what stands still: slow-time mean
+    #[arg(long)]
+    remove_static: bool,
+    /// One map from the last so many frames instead of one from the chirps of each
+    #[arg(long)]
+    across_frames: Option<usize>,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Range-Doppler maps of a source.
+///
+/// # Errors
+/// The source cannot be opened, the map is not valid for its waveform, or an output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    if arguments.output.is_none() && arguments.png.is_none() {
+        anyhow::bail!(
+            "nothing to write\n\nhint: name an array with -o maps.npy, a picture with --png map.png, or both"
+        );
+    }
+    if let Some(path) = &arguments.output {
+        arguments.overwrite.check(path)?;
+    }
+    let mut options = arguments.source.options()?;
+    options.frames.get_or_insert(SIMULATED_FRAMES);
+    let mut source = source::open(&arguments.source.source, &options)?;
+    let mut frames_left = arguments.source.frames.unwrap_or(u64::MAX);
+    let waveform = source.frames.waveform().clone();
+    let mut spec = arguments.preset.spec(&waveform);
+    if let Some(rx) = arguments.rx {
+        spec.channels = Channels::One(rx.checked_sub(1).context("receive channels count from 1")?);
+    }
+    if arguments.incoherent {
+        spec.channels = Channels::IncoherentSum;
+    }
+    if arguments.remove_static {
+        spec.static_removal = StaticRemoval::SlowTimeMean;
+    }
+    if let Some(frames) = arguments.across_frames {
+        spec.slow_time = SlowTime::Frames { frames };
+        spec.doppler_fft_length = None;
+    }
+    let mut processor = RdmProcessor::new(&spec, &waveform)?;
+    let mut map = processor.empty_map();
+    let mut frame = Frame::zeroed(waveform.shape());
+    let (mut maps, mut saturated, mut non_finite, mut pictured) = (0u64, 0u64, 0u64, false);
+    let bar = output::progress(source.frames.frame_count().unwrap_or(0), "maps");
+    // The array grows as maps come: a night of them fits no memory.
+    let mut each_map = |write: &mut dyn FnMut(&Rdm) -> anyhow::Result<()>| {
+        while frames_left > 0 && !output::interrupted() {
+            match source.frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => processor.reset(),
+                SourceEvent::Frame => {
+                    frames_left -= 1;
+                    bar.inc(1);
+                    if processor.process(&frame, &mut map)? != MapStatus::Ready {
+                        continue;
+                    }
+                    maps += 1;
+                    saturated += u64::from(map.flags.saturated_samples);
+                    non_finite += u64::from(map.flags.non_finite_cells);
+                    write(&map)?;
+                    if let (Some(path), true) = (&arguments.png, arguments.frame == Some(frame.sequence)) {
+                        plot::map(path, &map, 0)?;
+                        pictured = true;
+                    }
+                }
+            }
+        }
+        anyhow::Ok(maps)
+    };
+    match &arguments.output {
+        None => {
+            each_map(&mut |_| Ok(()))?;
+        }
+        Some(path) => {
+            let empty = map_shape(&RdmProcessor::new(&spec, &waveform)?.empty_map());
+            files::write_output(path, arguments.overwrite.existing(), |file| {
+                files::write_growing_array(file, &empty, |file| {
+                    each_map(&mut |map| {
+                        map.db
+                            .iter()
+                            .try_for_each(|value| file.write_all(&value.to_le_bytes()))
+                            .context("cannot write the array")
+                    })
+                })
+            })?;
+        }
+    }
+    bar.finish_and_clear();
+    if let (Some(path), false, true) = (&arguments.png, pictured, maps > 0) {
+        plot::map(path, &map, 0)?;
+    }
+    let [rx, doppler, range] = map_shape(&map);
+    let shape = [maps, rx, doppler, range];
+    if arguments.json {
+        return output::json_line(&json!({
+            "maps": maps,
+            "shape": shape,
+            "range_step_m": map.range_step_m,
+            "velocity_step_m_per_s": map.velocity_step_m_per_s,
+            "saturated_samples": saturated,
+            "non_finite_cells": non_finite,
+        }));
+    }
+    output::text_line(&format!(
+        "{maps} maps of {}, {:.4} m by {:.4} m/s{}",
+        map.shape,
+        map.range_step_m,
+        map.velocity_step_m_per_s,
+        if saturated > 0 { format!(", {saturated} samples at the ends of the ADC") } else { String::new() }
+    ))
+}
+
+fn map_shape(map: &Rdm) -> [u64; 3] {
+    [map.shape.rx as u64, map.shape.doppler as u64, map.shape.range as u64]
+}

@@ -1,0 +1,74 @@
+use std::path::PathBuf;
+
+use radome_driver::recording::mcap;
+use serde_json::json;
+
+use crate::exit::Ended;
+use crate::output;
+use crate::output_file::Overwrite;
+
+/// `radome recording repair`
+#[derive(clap::Args)]
+#[command(
+    after_help = "Exit status: 0 if all of the file could be read, 3 if chunks or frames of it are lost, 1 if there is no new file."
+)]
+pub struct Arguments {
+    /// MCAP recording that was cut or damaged; it is only read
+    file: PathBuf,
+    /// MCAP file to write
+    #[arg(short, long)]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+/// Writes what can be read of a recording to a new one and says what is lost.
+///
+/// A recording that was never finished counts as lost only where bytes of it cannot be read: what its recorder had in its hands
+/// when it was killed was never in the file.
+///
+/// # Errors
+/// The file is no MCAP recording, nothing of it can be read, or the output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<Ended> {
+    arguments.overwrite.check(&arguments.output)?;
+    let report = mcap::repair_with(&arguments.file, &arguments.output, arguments.overwrite.existing())?;
+    if !report.was_finished {
+        eprintln!("the recording was never finished; what came after its last chunk is lost");
+    }
+    for damage in &report.damage {
+        let frames = damage.frames.map_or("frames unknown".into(), |frames| format!("{frames} frames"));
+        eprintln!("at byte {}: {} bytes lost, {frames}: {}", damage.offset, damage.bytes, damage.reason);
+    }
+    for gap in &report.lost {
+        match gap.frames {
+            0 => eprintln!("frames lost from {} on, nobody knows how many", gap.first_sequence),
+            frames => eprintln!("{frames} frames lost from {} on", gap.first_sequence),
+        }
+    }
+    let file = arguments.output.display().to_string();
+    if arguments.json {
+        let lost = |gap: &radome_dsp::Gap| json!({ "first_sequence": gap.first_sequence, "frames": gap.frames });
+        output::unless_closed(output::json_line(&json!({
+            "file": file,
+            "frames": report.frames,
+            "labels": report.labels,
+            "results": report.results,
+            "gaps": report.gaps,
+            "lost": report.frames_lost(),
+            "lost_bytes": report.bytes_lost(),
+            "lost_from": report.lost.iter().map(lost).collect::<Vec<_>>(),
+            "was_finished": report.was_finished,
+        })))?;
+    } else {
+        output::unless_closed(output::text_line(&format!(
+            "{file}: {} frames saved, {} known to be lost, {} bytes unreadable",
+            report.frames,
+            report.frames_lost(),
+            report.bytes_lost()
+        )))?;
+    }
+    Ok(Ended::with_loss(!report.damage.is_empty() || !report.lost.is_empty()))
+}

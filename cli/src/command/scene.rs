@@ -1,0 +1,42 @@
+//! `radome scene`: scenes, their simulation, and their comparison with recordings.
+
+mod calibrate;
+mod pair;
+mod paths;
+mod preview;
+mod simulate;
+
+/// `radome scene`
+#[derive(clap::Args)]
+pub struct Arguments {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(clap::Subcommand)]
+enum Action {
+    /// Simulate a scene: raw frames, truth and labels
+    Simulate(simulate::Arguments),
+    /// List every path between the antennas at one time: surfaces, length, delay, Doppler shift, gain, phase
+    Paths(paths::Arguments),
+    /// Draw a scene without simulating it: what stands in it, the radar's beam, and the way of each person
+    Preview(preview::Arguments),
+    /// Fit a receiver to a recording; report the difference between simulation and recording before and after
+    Calibrate(calibrate::Arguments),
+    /// Simulate the scene that mirrors a recording, and store the maps of both as one dataset
+    Pair(pair::Arguments),
+}
+
+/// Runs a command of the group.
+///
+/// # Errors
+/// Those of the command.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    match &arguments.action {
+        Action::Simulate(arguments) => simulate::run(arguments),
+        Action::Paths(arguments) => paths::run(arguments),
+        Action::Preview(arguments) => preview::run(arguments),
+        Action::Calibrate(arguments) => calibrate::run(arguments),
+        Action::Pair(arguments) => pair::run(arguments),
+    }
+}

@@ -1,0 +1,70 @@
+//! `calibrate`: fits a receiver to recordings, and says how far simulations with it, and without, are from what it has not seen.
+
+mod arguments;
+mod copies;
+mod gap;
+mod line;
+mod measured;
+mod recordings;
+mod report;
+mod sample;
+mod still;
+
+use anyhow::bail;
+use radome_sim::receiver::Receiver;
+
+pub use self::arguments::Arguments;
+use self::copies::Copies;
+use self::measured::measure;
+use self::recordings::Recordings;
+
+/// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
+///
+/// # Errors
+/// A recording, the scene or the base receiver cannot be read, too few frames can be fitted, or the output cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(output) = &arguments.output {
+        arguments.overwrite.check(output)?;
+    }
+    if !(arguments.part > 0.0 && arguments.part < 1.0) {
+        bail!("--part is {}, expected a number between 0 and 1", arguments.part);
+    }
+    if !(1..=10_000).contains(&arguments.copies) {
+        bail!("--copies is {}, expected 1 to 10000", arguments.copies);
+    }
+    let base = match &arguments.base {
+        Some(path) => radome_sim::scene::load_receiver(path)?,
+        None => Receiver::typical(),
+    };
+    let recordings = Recordings::open(&arguments.recordings, arguments.part)?;
+    let copies = Copies::new(arguments, recordings.waveform())?;
+    let mut measured = measure(arguments, &recordings, &base)?;
+    let clutter = still::fit_clutter(recordings.waveform(), &mut measured);
+    let gain = match copies.has_scene() {
+        true => Some(still::fit_level(recordings.waveform(), &copies, &mut measured)?),
+        false => None,
+    };
+    report::round(&mut measured.fit.receiver);
+    let line = measured.slow_time.line();
+    let real = gap::Real::new(&recordings, measured.judged.channels.clone(), line.map(|line| line.bin))?;
+    let before = copies.sample(&base, real.regions())?;
+    let after = copies.sample(&measured.fit.receiver, real.regions())?;
+    if let Some(output) = &arguments.output {
+        report::write_receiver(output, &measured.fit.receiver, arguments)?;
+    }
+    let answer = report::Answer {
+        receiver: arguments.output.as_deref(),
+        frames_fitted: recordings.frames_fitted(),
+        frames_judged: recordings.frames_judged(),
+        copies: arguments.copies,
+        fit_residual_lsb: measured.fit.channels.iter().map(|channel| channel.residual_lsb).collect(),
+        clutter,
+        gain: gain.map(report::Gain::from),
+        resampled: real.resampled(),
+        between_real: real.between(),
+        before: real.beside(&before),
+        after: real.beside(&after),
+        line: copies.has_scene().then(|| line::Lines::new(line, &before.lines, &after.lines)),
+    };
+    report::print(&answer, arguments.json)
+}

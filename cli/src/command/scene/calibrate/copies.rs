@@ -1,0 +1,126 @@
+//! Simulated copies of what recordings show, each of another seed.
+
+use anyhow::Context;
+use radome_dsp::distance::Regions;
+use radome_dsp::slow_time::{Line, SlowTime};
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_sim::receiver::Receiver;
+use radome_sim::receiver::calibration::{Calibration, ChannelFit, LEAST_FRAMES};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+
+use super::arguments::{Arguments, WINDOW_S};
+use super::sample::{Sample, Sampler};
+use crate::output;
+
+/// A scene to be simulated through one receiver after the other.
+pub struct Copies {
+    scene: Scene,
+    has_scene: bool,
+    people: Option<usize>,
+    seeds: std::ops::Range<u64>,
+    /// Frames of each.
+    frames: u64,
+}
+
+/// Samples of copies through one receiver.
+pub struct Simulated {
+    /// By seed.
+    pub samples: Vec<Sample>,
+    /// Of all of them.
+    pub channels: Vec<ChannelFit>,
+    /// Line of the moving person in each.
+    pub lines: Vec<Option<Line>>,
+}
+
+impl Copies {
+    /// Of the scene that was asked for, or of nothing.
+    ///
+    /// # Errors
+    /// The scene cannot be read, or its waveform is not that of the recordings.
+    pub fn new(arguments: &Arguments, waveform: &Waveform) -> anyhow::Result<Self> {
+        let scene = match &arguments.scene {
+            Some(path) => {
+                let scene = Scene::load(path)?;
+                scene.waveform().check_compatible(waveform).context("the scene's waveform is not the recording's")?;
+                scene
+            }
+            None => Scene::nothing(waveform)?,
+        };
+        let frames = (WINDOW_S / waveform.frame_interval_s()).round().max(LEAST_FRAMES as f64) as u64;
+        Ok(Copies {
+            has_scene: arguments.scene.is_some(),
+            people: arguments.people,
+            seeds: arguments.seed..arguments.seed.saturating_add(arguments.copies),
+            scene,
+            frames,
+        })
+    }
+
+    /// Whether there is anything but the receiver in them.
+    pub fn has_scene(&self) -> bool {
+        self.has_scene
+    }
+
+    /// Simulates all copies through a receiver.
+    ///
+    /// # Errors
+    /// The receiver does not fit the scene, or the simulation fails.
+    pub fn sample(&self, receiver: &Receiver, regions: &Regions) -> anyhow::Result<Simulated> {
+        let copies = (self.seeds.end - self.seeds.start) as usize;
+        let waveform = self.scene.waveform();
+        let mut calibration = Calibration::new(waveform, copies * self.frames as usize)?;
+        let mut sampler = Sampler::new(waveform, regions)?;
+        let (mut samples, mut lines) = (Vec::new(), Vec::new());
+        let bar = output::progress(copies as u64, "simulating");
+        for seed in self.seeds.clone() {
+            let (mut sample, mut slow_time) = (Sample::default(), SlowTime::new(waveform, WINDOW_S));
+            calibration.begin_recording();
+            self.each_frame(receiver, seed, self.people, |frame| {
+                calibration.push(frame)?;
+                slow_time.push(frame);
+                sampler.add(frame, &mut sample)
+            })?;
+            slow_time.end();
+            samples.push(sample);
+            lines.push(slow_time.line());
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(Simulated { samples, channels: calibration.fit(receiver, "", "")?.channels, lines })
+    }
+
+    /// Static echoes of the scene, without people and without leakage.
+    ///
+    /// # Errors
+    /// The simulation fails.
+    pub fn clutter(&self, receiver: &Receiver) -> anyhow::Result<SlowTime> {
+        let mut quiet = receiver.clone();
+        for rx in &mut quiet.rx {
+            rx.leakage.clear();
+            rx.transient.clear();
+        }
+        let mut slow_time = SlowTime::new(self.scene.waveform(), WINDOW_S);
+        self.each_frame(&quiet, self.seeds.start, Some(0), |frame| {
+            slow_time.push(frame);
+            Ok(())
+        })?;
+        slow_time.end();
+        Ok(slow_time)
+    }
+
+    fn each_frame(
+        &self,
+        receiver: &Receiver,
+        seed: u64,
+        people: Option<usize>,
+        mut visit: impl FnMut(&Frame) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let options = SimulateOptions { seed, people, frames: Some(self.frames), ..SimulateOptions::default() };
+        let mut simulator = Simulator::new(&self.scene.clone().with_receiver(receiver.clone()), options)?;
+        let mut frame = Frame::zeroed(self.scene.waveform().shape());
+        while simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? == SourceEvent::Frame {
+            visit(&frame)?;
+        }
+        Ok(())
+    }
+}

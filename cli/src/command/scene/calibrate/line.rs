@@ -1,0 +1,79 @@
+//! Lines of moving people in the recordings and in their simulated copies.
+
+use radome_dsp::slow_time::Line;
+use serde::Serialize;
+
+/// The strongest line of slow time, real and simulated.
+#[derive(Serialize)]
+pub struct Lines {
+    pub real: Option<One>,
+    pub before: Option<Many>,
+    pub after: Option<Many>,
+}
+
+/// A recording's.
+#[derive(Clone, Copy, Serialize)]
+pub struct One {
+    pub level_dbfs: f64,
+    pub range_m: f64,
+    pub breath_hz: Option<f64>,
+    /// Windows of ten seconds.
+    pub windows: usize,
+}
+
+/// Those of copies, each of which draws somebody else.
+#[derive(Serialize)]
+pub struct Many {
+    /// Mean power, dBFS, and the levels of the quarter below and above.
+    pub level_dbfs: f64,
+    pub level_quartiles_dbfs: [f64; 2],
+    /// Median, m, and the ranges of the quarter below and above.
+    pub range_m: f64,
+    pub range_quartiles_m: [f64; 2],
+    /// Median.
+    pub breath_hz: Option<f64>,
+    /// Copies in which there is a line.
+    pub copies: usize,
+    /// From the recordings' line; `None` where they have none.
+    pub level_difference_db: Option<f64>,
+    pub range_difference_m: Option<f64>,
+}
+
+impl Lines {
+    pub fn new(real: Option<Line>, before: &[Option<Line>], after: &[Option<Line>]) -> Self {
+        let one = |line: Line| One {
+            level_dbfs: line.level_dbfs,
+            range_m: line.range_m,
+            breath_hz: line.breath_hz,
+            windows: line.windows,
+        };
+        let real = real.map(one);
+        Lines { real, before: Many::of(before, real), after: Many::of(after, real) }
+    }
+}
+
+impl Many {
+    fn of(lines: &[Option<Line>], real: Option<One>) -> Option<Self> {
+        let sorted = |of: &dyn Fn(&Line) -> Option<f64>| {
+            let mut values: Vec<f64> = lines.iter().flatten().filter_map(of).collect();
+            values.sort_unstable_by(f64::total_cmp);
+            values
+        };
+        let at = |values: &[f64], part: f64| values.get((part * values.len() as f64) as usize).copied();
+        let levels = sorted(&|line| Some(line.level_dbfs));
+        let (ranges, rates) = (sorted(&|line| Some(line.range_m)), sorted(&|line| line.breath_hz));
+        let power = levels.iter().map(|db| 10f64.powf(0.1 * db)).sum::<f64>() / levels.len().max(1) as f64;
+        let level_dbfs = 10.0 * power.log10();
+        let range_m = at(&ranges, 0.5)?;
+        Some(Many {
+            level_dbfs,
+            level_quartiles_dbfs: [at(&levels, 0.25)?, at(&levels, 0.75)?],
+            range_m,
+            range_quartiles_m: [at(&ranges, 0.25)?, at(&ranges, 0.75)?],
+            breath_hz: at(&rates, 0.5),
+            copies: levels.len(),
+            level_difference_db: real.map(|real| level_dbfs - real.level_dbfs),
+            range_difference_m: real.map(|real| range_m - real.range_m),
+        })
+    }
+}

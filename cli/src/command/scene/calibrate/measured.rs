@@ -1,0 +1,54 @@
+//! Measurements of a receiver from recordings.
+
+use radome_dsp::slow_time::SlowTime;
+use radome_sim::receiver::Receiver;
+use radome_sim::receiver::calibration::{Calibration, Fit};
+
+use super::arguments::{Arguments, WINDOW_S};
+use super::recordings::Recordings;
+
+/// Measurements of a receiver from recordings.
+pub struct Measured {
+    /// Fit to the first parts of the recordings.
+    pub fit: Fit,
+    /// Fit to the other parts, which judge.
+    pub judged: Fit,
+    /// Slow time of the first parts.
+    pub fitted_slow_time: SlowTime,
+    /// Slow time of whole recordings.
+    pub slow_time: SlowTime,
+}
+
+/// Measures noise, leakage and slow time.
+///
+/// # Errors
+/// A recording cannot be read, or too little can be fitted.
+pub fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) -> anyhow::Result<Measured> {
+    let waveform = recordings.waveform();
+    let mut fitted = Calibration::new(waveform, recordings.frames_fitted() as usize)?;
+    let mut judged = Calibration::new(waveform, recordings.frames_judged() as usize)?;
+    let (mut fitted_slow_time, mut slow_time) = (SlowTime::new(waveform, WINDOW_S), SlowTime::new(waveform, WINDOW_S));
+    for recording in recordings.all() {
+        fitted.begin_recording();
+        judged.begin_recording();
+        recording.each_frame("measuring", |place, frame| {
+            if place.is_fitted {
+                fitted.push(frame)?;
+                fitted_slow_time.push(frame);
+            } else {
+                judged.push(frame)?;
+            }
+            slow_time.push(frame);
+            Ok(())
+        })?;
+        fitted_slow_time.end();
+        slow_time.end();
+    }
+    let name = arguments.name.clone().unwrap_or_else(|| recordings.name());
+    Ok(Measured {
+        fit: fitted.fit(base, &name, &recordings.measured_from())?,
+        judged: judged.fit(&Receiver::typical(), "", "")?,
+        fitted_slow_time,
+        slow_time,
+    })
+}

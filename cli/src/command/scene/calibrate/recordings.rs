@@ -1,0 +1,149 @@
+//! Recordings of one receiver, read frame by frame as often as needed: they may be larger than memory.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use radome_driver::recording::Recording;
+use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
+use radome_sim::receiver::calibration::LEAST_FRAMES;
+
+use crate::output;
+
+/// Recordings of one waveform, each cut in two.
+pub struct Recordings {
+    waveform: Waveform,
+    all: Vec<Cut>,
+}
+
+/// A recording whose first frames are fitted.
+pub struct Cut {
+    path: PathBuf,
+    frames: u64,
+    fitted: u64,
+}
+
+/// Position of a frame in a recording.
+pub struct Place {
+    /// Whether the receiver is fitted to it.
+    pub is_fitted: bool,
+    /// Its place in its part, 0..1.
+    pub in_part: f64,
+}
+
+impl Recordings {
+    /// Opens recordings, of which the first part is fitted.
+    ///
+    /// # Errors
+    /// A recording cannot be read or is too short, or two have different waveforms.
+    pub fn open(paths: &[PathBuf], part: f64) -> anyhow::Result<Self> {
+        let (mut waveform, mut all) = (None::<(Waveform, &Path)>, Vec::new());
+        for path in paths {
+            let source = Recording::open(path)?;
+            match &waveform {
+                None => waveform = Some((source.waveform().clone(), path)),
+                Some((first, of)) if first != source.waveform() => {
+                    bail!(
+                        "{} has another waveform than {}\n\nhint: a receiver is fitted at one waveform and gain; \
+                         calibrate each by itself",
+                        path.display(),
+                        of.display()
+                    );
+                }
+                Some(_) => {}
+            }
+            let mut cut = Cut { path: path.clone(), frames: 0, fitted: 0 };
+            cut.frames = match source.frame_count() {
+                Some(frames) => frames,
+                None => cut.count()?,
+            };
+            cut.fitted = (cut.frames as f64 * part).round() as u64;
+            if cut.fitted.min(cut.frames - cut.fitted.min(cut.frames)) < LEAST_FRAMES as u64 {
+                bail!(
+                    "{}: {} frames to fit and {} to judge by, {LEAST_FRAMES} of each are needed\n\nhint: record ten seconds or more",
+                    path.display(),
+                    cut.fitted,
+                    cut.frames.saturating_sub(cut.fitted)
+                );
+            }
+            all.push(cut);
+        }
+        match waveform {
+            Some((waveform, _)) => Ok(Recordings { waveform, all }),
+            None => bail!("no recording to calibrate by"),
+        }
+    }
+
+    pub fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    pub fn all(&self) -> &[Cut] {
+        &self.all
+    }
+
+    pub fn frames_fitted(&self) -> u64 {
+        self.all.iter().map(|cut| cut.fitted).sum()
+    }
+
+    pub fn frames_judged(&self) -> u64 {
+        self.all.iter().map(|cut| cut.frames - cut.fitted).sum()
+    }
+
+    /// The first one's name.
+    pub fn name(&self) -> String {
+        self.all.first().map(Cut::name).unwrap_or_default()
+    }
+
+    /// Names of the recordings that a receiver was fitted to.
+    pub fn measured_from(&self) -> String {
+        let of = |cut: &Cut| format!("{}: {} of {} frames", cut.name(), cut.fitted, cut.frames);
+        self.all.iter().map(of).collect::<Vec<_>>().join("; ")
+    }
+}
+
+impl Cut {
+    pub fn name(&self) -> String {
+        self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
+    }
+
+    /// Reads it once more; one that has gaps is as good as several.
+    ///
+    /// # Errors
+    /// The recording cannot be read, or the callback fails.
+    pub fn each_frame(
+        &self,
+        what: &'static str,
+        mut visit: impl FnMut(Place, &Frame) -> anyhow::Result<()>,
+    ) -> anyhow::Result<()> {
+        let mut source = Recording::open(&self.path)?;
+        let bar = output::progress(self.frames, what);
+        let mut frame = Frame::zeroed(source.waveform().shape());
+        let mut index = 0;
+        loop {
+            match source.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+                SourceEvent::End => break,
+                SourceEvent::Gap(_) => {}
+                SourceEvent::Frame => {
+                    let is_fitted = index < self.fitted;
+                    let (at, of) =
+                        if is_fitted { (index, self.fitted) } else { (index - self.fitted, self.frames - self.fitted) };
+                    visit(Place { is_fitted, in_part: at as f64 / of.max(1) as f64 }, &frame)?;
+                    index += 1;
+                    bar.inc(1);
+                }
+            }
+        }
+        bar.finish_and_clear();
+        Ok(())
+    }
+
+    /// Counts what does not say how long it is.
+    fn count(&self) -> anyhow::Result<u64> {
+        let mut frames = 0;
+        self.each_frame("counting", |_, _| {
+            frames += 1;
+            Ok(())
+        })?;
+        Ok(frames)
+    }
+}

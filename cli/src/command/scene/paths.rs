@@ -1,0 +1,130 @@
+//! `radome scene paths`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::bail;
+use glam::DVec3;
+use radome_sim::Scene;
+use radome_sim::path_list::{ListedPath, PathKind, PathList, PathListOptions};
+
+use crate::picture::scene::{DrawnPath, Preview, draw};
+use crate::{files, output};
+
+/// `radome scene paths`
+///
+/// Lengths, delays, Doppler shifts, gains and phases of every path from the transmitter to each receiver at one time. Gain is
+/// received over transmitted power with antennas of gain 1 on boresight; phase is that of the received field in the middle of
+/// the chirp.
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene file
+    scene: PathBuf,
+    /// When, from the first frame on, s
+    #[arg(long, default_value_t = 0.0, value_name = "S")]
+    time: f64,
+    /// Only paths by way of the person of this slot
+    #[arg(long, value_name = "N")]
+    person: Option<usize>,
+    /// People that the scene is forced to have; the scene's own program if absent
+    #[arg(long)]
+    people: Option<usize>,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Leave out paths this far below the noise of a cell of the map, dB; simulations with 0.5 dB of error leave out those 10 dB
+    /// below it
+    #[arg(long, default_value_t = 10.0, allow_hyphen_values = true)]
+    margin_db: f64,
+    /// PNG file to draw the paths of the first receiver into: from above and from the side
+    #[arg(long, value_name = "FILE.png")]
+    preview: Option<PathBuf>,
+    /// One object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Lists the paths of a scene.
+///
+/// # Errors
+/// An argument or the scene is not valid, the person is not there, or the picture cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if !(arguments.time >= 0.0 && arguments.time.is_finite()) {
+        bail!("--time {} is no time\n\nhint: seconds from the first frame on", arguments.time);
+    }
+    if !arguments.margin_db.is_finite() {
+        bail!("--margin-db {} is no number of decibels", arguments.margin_db);
+    }
+    let scene = Scene::load(&arguments.scene)?;
+    let options = PathListOptions {
+        seed: arguments.seed,
+        people: arguments.people,
+        person: arguments.person,
+        time_s: arguments.time,
+        margin_db: arguments.margin_db,
+    };
+    let list = PathList::new(&scene, &options)?;
+    if let Some(person) = arguments.person.filter(|person| !list.people.contains(person)) {
+        let there: Vec<String> = list.people.iter().map(usize::to_string).collect();
+        let there = if there.is_empty() { "nobody".to_owned() } else { there.join(", ") };
+        bail!("person {person} is not there at {} s\n\nhint: at that time there is {there}", arguments.time);
+    }
+    if let Some(path) = &arguments.preview {
+        draw_preview(arguments, &scene, &list, path)?;
+    }
+    if arguments.json { output::json_line(&list) } else { print(&list) }
+}
+
+fn print(list: &PathList) -> anyhow::Result<()> {
+    output::text_line(&format!(
+        "{}, seed {}, {:.3} s: {} paths at {:.6} GHz",
+        list.scene,
+        list.seed,
+        list.time_s,
+        list.paths.len(),
+        list.frequency_hz * 1e-9
+    ))?;
+    output::text_line("rx   length/m  delay/ns  Doppler/Hz  gain/dB  phase/rad  by")?;
+    for path in &list.paths {
+        output::text_line(&format!(
+            "{:2} {:10.4} {:9.4} {:11.2} {:8.2} {:10.4}  {}",
+            path.rx,
+            path.length_m,
+            path.delay_s * 1e9,
+            path.doppler_hz,
+            path.gain_db,
+            path.phase_rad,
+            path.surfaces.join(" > ")
+        ))?;
+    }
+    Ok(())
+}
+
+/// Draws the paths of the first receiver, the stronger the darker.
+fn draw_preview(arguments: &Arguments, scene: &Scene, list: &PathList, path: &Path) -> anyhow::Result<()> {
+    /// Paths weaker than the strongest of their kind by this are as faint as lines get, dB.
+    const RANGE_DB: f64 = 40.0;
+    files::check_parent(path)?;
+    let scene = scene.drawn(arguments.seed)?;
+    let first = list.paths.first().map(|path| path.rx);
+    let drawn: Vec<&ListedPath> = list.paths.iter().filter(|path| Some(path.rx) == first).collect();
+    let strongest_db = |kind: PathKind| {
+        drawn.iter().filter(|path| path.kind == kind).map(|path| path.gain_db).fold(f64::NEG_INFINITY, f64::max)
+    };
+    let paths: Vec<DrawnPath> = drawn
+        .iter()
+        .filter(|path| !path.points_m.is_empty())
+        .map(|path| DrawnPath {
+            points: path.points_m.iter().map(|p| DVec3::from_array(*p)).collect(),
+            is_moving: path.kind == PathKind::Person,
+            strength: (1.0 + (path.gain_db - strongest_db(path.kind)) / RANGE_DB).clamp(0.0, 1.0),
+        })
+        .collect();
+    let preview = Preview {
+        scene: &scene,
+        seed: arguments.seed,
+        people: arguments.people,
+        until_s: arguments.time,
+        paths: &paths,
+    };
+    draw(&preview, path)
+}

@@ -1,0 +1,67 @@
+//! `radome scene preview`.
+
+use std::path::{Path, PathBuf};
+
+use radome_sim::Scene;
+use serde_json::json;
+
+use crate::output_file::Overwrite;
+use crate::picture::scene::{self, Preview};
+use crate::{files, output};
+
+/// `radome scene preview`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene file
+    scene: PathBuf,
+    /// PNG file to write
+    #[arg(short, long, value_name = "FILE.png")]
+    output: PathBuf,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Frames during which people are drawn
+    #[arg(long, default_value_t = 400)]
+    frames: u64,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Number of people, instead of the scene's own
+    #[arg(long)]
+    people: Option<usize>,
+    /// Print one JSON object
+    #[arg(long)]
+    json: bool,
+}
+
+/// Draws a scene without simulating it.
+///
+/// # Errors
+/// The scene is not valid, or the picture cannot be written.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    arguments.overwrite.check(&arguments.output)?;
+    let scene = Scene::load(&arguments.scene)?;
+    draw(&scene, arguments.seed, arguments.people, arguments.frames, &arguments.output)?;
+    report(&arguments.scene, arguments.seed, &arguments.output, arguments.json)
+}
+
+/// Draws a scene as its seed makes it, with the people of its first `frames` frames.
+///
+/// # Errors
+/// The seed gives no valid scene, or the picture cannot be written.
+pub fn draw(scene: &Scene, seed: u64, people: Option<usize>, frames: u64, path: &Path) -> anyhow::Result<()> {
+    files::check_parent(path)?;
+    let scene = scene.drawn(seed)?;
+    let until_s = frames as f64 * scene.waveform().frame_interval_s();
+    scene::draw(&Preview { scene: &scene, seed, people, until_s, paths: &[] }, path)
+}
+
+/// Prints the name of a picture that was drawn.
+///
+/// # Errors
+/// Standard output cannot be written.
+pub fn report(scene: &Path, seed: u64, picture: &Path, as_json: bool) -> anyhow::Result<()> {
+    if as_json {
+        return output::json_line(&json!({ "preview": picture.display().to_string(), "seed": seed }));
+    }
+    output::text_line(&format!("{}: {}, seed {seed}", picture.display(), scene.display()))
+}

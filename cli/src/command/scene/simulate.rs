@@ -1,0 +1,194 @@
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use anyhow::bail;
+use radome_driver::recording::mcap::{Recorder, RecorderOptions, RecordingHeader};
+use radome_driver::recording::{Existing, rename_synced};
+use radome_dsp::{Frame, FrameSource, SourceEvent};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use serde_json::json;
+
+use super::preview;
+use crate::output_file::Overwrite;
+use crate::shard::Shard;
+use crate::{files, output};
+
+/// `radome scene simulate`
+#[derive(clap::Args)]
+pub struct Arguments {
+    /// Scene file
+    scene: PathBuf,
+    /// MCAP file to write; without one the frames are made, and what it took is told
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    overwrite: Overwrite,
+    /// Frames
+    #[arg(long, default_value_t = 400)]
+    frames: u64,
+    /// Seed of everything random
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// People that the scene is forced to have; the scene's own program if absent
+    #[arg(long)]
+    people: Option<usize>,
+    /// Error of the echoes in the maps that is asked for, dB; 0.5 if absent
+    #[arg(long)]
+    tolerance_db: Option<f64>,
+    /// Only part I of N (from 0) of the frames, into NAME-shard-I-of-N.mcap; `auto/N` or `auto` takes I from a Slurm, HyperQueue or
+    /// Kubernetes array
+    #[arg(long, value_name = "I/N", requires = "output")]
+    shard: Option<Shard>,
+    /// PNG file to draw the scene into. Former option, replaced by `radome scene preview`
+    #[arg(long, hide = true, value_name = "FILE.png")]
+    preview: Option<PathBuf>,
+    /// One object at the end
+    #[arg(long)]
+    json: bool,
+}
+
+impl Arguments {
+    /// First frame, and the one behind the last.
+    fn range(&self) -> (u64, u64) {
+        let Shard { index, count } = self.shard.unwrap_or(Shard::WHOLE);
+        let cut = |i: usize| (u128::from(self.frames) * i as u128 / count as u128) as u64;
+        (cut(index), cut(index + 1))
+    }
+
+    /// The file to write.
+    fn file(&self) -> Option<PathBuf> {
+        let output = self.output.clone()?;
+        let Some(shard) = self.shard else { return Some(output) };
+        let stem = output.file_stem().unwrap_or_default().to_string_lossy();
+        let extension = output.extension().unwrap_or("mcap".as_ref()).to_string_lossy();
+        Some(output.with_file_name(format!("{stem}-{}.{extension}", shard.name())))
+    }
+}
+
+/// Simulates a scene into a recording.
+///
+/// # Errors
+/// The scene cannot be read or simulated, the recording cannot be written, or the user interrupts a shard.
+pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    output::catch_interrupts()?;
+    let (first, end) = arguments.range();
+    let file = arguments.file();
+    if let Some(output) = &file {
+        files::check_parent(output)?;
+        if arguments.shard.is_some() && output.exists() {
+            // It took its name when it was whole; the same arguments would make the same bytes.
+            eprintln!("{} is there already", output.display());
+            return tell_shard(arguments, output, end - first);
+        }
+        arguments.overwrite.check(output)?;
+    }
+    // A shard takes its name when it is whole, so that it can be asked for again after anything.
+    let written = file.as_ref().map(|path| match arguments.shard {
+        Some(_) => path.with_extension("partial"),
+        None => path.clone(),
+    });
+    let scene = Scene::load(&arguments.scene)?;
+    if let Some(path) = &arguments.preview {
+        preview::draw(&scene, arguments.seed, arguments.people, arguments.frames, path)?;
+        if arguments.output.is_none() {
+            return preview::report(&arguments.scene, arguments.seed, path, arguments.json);
+        }
+    }
+    let mut options =
+        SimulateOptions { seed: arguments.seed, people: arguments.people, frames: Some(end), ..Default::default() };
+    if let Some(tolerance_db) = arguments.tolerance_db {
+        options.tolerance_db = tolerance_db;
+    }
+    let mut simulator = Simulator::new(&scene, options)?;
+    foretell(&simulator, end - first);
+    simulator.seek(first);
+    let header = RecordingHeader::new(scene.waveform().clone());
+    // What an interrupted run has left of a shard is made anew.
+    let existing = if arguments.shard.is_some() { Existing::Replace } else { arguments.overwrite.existing() };
+    let options_of_file = RecorderOptions { existing, ..RecorderOptions::default() };
+    let mut recorder =
+        written.as_ref().map(|path| Recorder::with_options(path, &header, &options_of_file)).transpose()?;
+    let bar = output::progress(end - first, "simulating");
+    let mut frame = Frame::zeroed(scene.waveform().shape());
+    let (mut frames, mut estimate_db, mut clamped, mut clipped) = (0u64, None::<f64>, 0, 0);
+    let started = Instant::now();
+    while !output::interrupted() {
+        match simulator.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::Frame => recorder.as_mut().map_or(Ok(()), |r| r.frame(&frame))?,
+            SourceEvent::Gap(gap) => recorder.as_mut().map_or(Ok(()), |r| r.gap(&gap))?,
+            SourceEvent::End => break,
+        }
+        if let Some(report) = simulator.last_report() {
+            estimate_db = report.estimate_db.map(|e| estimate_db.map_or(e, |worst| worst.max(e))).or(estimate_db);
+            clamped += report.clamped;
+            clipped += report.clipped;
+        }
+        frames += 1;
+        bar.inc(1);
+    }
+    if let Some(recorder) = recorder {
+        recorder.finish()?;
+    }
+    if let (Some(_), Some(written), Some(file)) = (arguments.shard, &written, &file) {
+        if output::interrupted() {
+            let _ = std::fs::remove_file(written);
+            bail!("interrupted: {} was not finished", file.display());
+        }
+        rename_synced(written, file)?;
+    }
+    bar.finish_and_clear();
+    let seconds = started.elapsed().as_secs_f64();
+    let rate = frames as f64 / seconds;
+    if arguments.json {
+        return output::json_line(&json!({
+            "file": file.as_ref().map(|path| path.display().to_string()),
+            "seed": arguments.seed,
+            "frames": frames,
+            "seconds": seconds,
+            "frames_per_second": rate,
+            "tolerance_db": options.tolerance_db,
+            "worst_estimate_db": estimate_db,
+            "clamped_amplitudes": clamped,
+            "clipped_codes": clipped,
+        }));
+    }
+    let estimate =
+        estimate_db.map_or_else(String::new, |e| format!(", the strongest way's echoes within {e:.2} dB by estimate"));
+    let what = file.as_ref().unwrap_or(&arguments.scene).display();
+    output::text_line(&format!("{what}: {frames} frames in {seconds:.2} s, {rate:.0} frames/s{estimate}"))
+}
+
+/// Says that a shard was there.
+fn tell_shard(arguments: &Arguments, file: &Path, frames: u64) -> anyhow::Result<()> {
+    if arguments.json {
+        let file = file.display().to_string();
+        return output::json_line(&json!({ "file": file, "seed": arguments.seed, "frames": frames, "found": true }));
+    }
+    output::text_line(&format!("{}: {frames} frames", file.display()))
+}
+
+/// Says how long a long run will take and what it will need, by its first frame.
+fn foretell(simulator: &Simulator, frames: u64) {
+    /// Shorter runs need no warning, s.
+    const LONG_S: f64 = 15.0;
+    let started = Instant::now();
+    let frame = simulator.render(0);
+    let threads = rayon::current_num_threads().max(1);
+    let seconds = started.elapsed().as_secs_f64() * frames as f64 / threads as f64;
+    if seconds < LONG_S {
+        return;
+    }
+    let frame_mb = (frame.codes.len() * size_of::<u16>()) as f64 * 1e-6;
+    let (file_mb, memory_mb) = (frame_mb * frames as f64, resident_mb().unwrap_or(0.0) * threads as f64);
+    eprintln!(
+        "about {:.0} min on {threads} threads; {file_mb:.0} MB of frames, up to {memory_mb:.0} MB of memory",
+        (seconds / 60.0).max(1.0).round()
+    );
+}
+
+/// The most memory that this process has had, MB; `None` where the system does not say.
+fn resident_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    Some(line.split_whitespace().next()?.parse::<f64>().ok()? * 1e-3)
+}

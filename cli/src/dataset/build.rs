@@ -1,0 +1,217 @@
+//! Builds of datasets, which continue where they were stopped.
+//!
+//! While a build runs, its finished units and its plan lie in `NAME.parts`, each unit whole or absent. The same command goes
+//! on with them after anything; when all are there they are merged, or, of a shard, take the shard's name as they are.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_driver::recording::rename_synced;
+use radome_models::dataset::{self, Dataset, DatasetError, SplitSpec};
+use rayon::prelude::*;
+
+use super::plan::{self, Plan, PlanCard};
+use super::unit;
+use crate::output::Interrupted;
+use crate::shard::Shard;
+use crate::{files, output, panics};
+
+/// Dataset or shard that a build made.
+pub struct Built {
+    /// Folder of the dataset, or of the shard.
+    pub folder: PathBuf,
+    /// Number of units that it is made of.
+    pub units: usize,
+    /// Number of units that an earlier run had made.
+    pub found: usize,
+    /// Number of its maps.
+    pub counts: Counts,
+}
+
+/// Builds a dataset in the folder `output`, or one shard of it in a folder within. Continues where an earlier run was stopped.
+///
+/// # Errors
+/// The spec or a source cannot be read, the folder holds something else, a unit fails, or the user interrupts.
+pub fn build(spec: &Path, output: &Path, shard: Option<Shard>) -> anyhow::Result<Built> {
+    let plan = Plan::new(spec, shard.unwrap_or(Shard::WHOLE))?;
+    let target = match shard {
+        Some(shard) => output.join(shard.name()),
+        None => output.to_owned(),
+    };
+    let parts = Parts::of(&target);
+    let found = match (shard, target.exists()) {
+        (Some(_), true) => shard_again(&plan, &target)?,
+        (None, true) if !parts.was_merged(&plan, &target) => {
+            return Err(DatasetError::Exists { path: target }.into());
+        }
+        (None, true) => parts.remove().map(|()| plan.units.len())?,
+        (shard, false) => {
+            let _lock = parts.enter(&plan)?;
+            let found = parts.make(&plan)?;
+            match shard {
+                Some(_) => parts.finish_shard(&target)?,
+                None => {
+                    merge_units(&parts.folder, &plan.card, 1, &target, |_| parts.folder.clone())?;
+                    parts.remove()?;
+                }
+            }
+            found
+        }
+    };
+    let mut counts = Counts::default();
+    match shard {
+        None => counts.add(&Dataset::open(&target)?),
+        Some(shard) => {
+            for unit in plan.units_of(shard) {
+                counts.add(&Dataset::open(&target.join(unit_name(unit)))?);
+            }
+        }
+    }
+    Ok(Built { folder: target, units: plan.units_of(plan.card.shard).count(), found, counts })
+}
+
+/// A shard that is there is not made twice, unless it is another's.
+fn shard_again(plan: &Plan, target: &Path) -> anyhow::Result<usize> {
+    if let Some(difference) = plan.card.difference(&PlanCard::read(target)?) {
+        bail!("{} is there already, but was {difference}\n\nhint: move it away", target.display());
+    }
+    eprintln!("{} is there already", target.display());
+    Ok(plan.units_of(plan.card.shard).count())
+}
+
+/// Name of a unit's folder.
+pub fn unit_name(unit: usize) -> String {
+    format!("unit-{unit:06}")
+}
+
+impl Plan {
+    /// Units of a shard: every so many, so that long and short sources are dealt out evenly.
+    pub fn units_of(&self, shard: Shard) -> impl Iterator<Item = usize> {
+        (shard.index..self.units.len()).step_by(shard.count)
+    }
+}
+
+/// The folder in which the units of an unfinished build lie.
+struct Parts {
+    folder: PathBuf,
+}
+
+impl Parts {
+    fn of(target: &Path) -> Self {
+        let mut name = target.file_name().unwrap_or_default().to_owned();
+        name.push(".parts");
+        Parts { folder: target.with_file_name(name) }
+    }
+
+    /// Makes the folder, or goes on in it if it holds units of the same plan. Nobody else may, until what comes back is
+    /// dropped.
+    fn enter(&self, plan: &Plan) -> anyhow::Result<fs::File> {
+        fs::create_dir_all(&self.folder).with_context(|| format!("cannot make {}", self.folder.display()))?;
+        let lock = dataset::lock_folder(&self.folder)?;
+        if !self.folder.join(plan::FILE).exists() {
+            let text = plan.card.to_json()?;
+            files::write_atomically(&self.folder.join(plan::FILE), |file| {
+                std::io::Write::write_all(file, text.as_bytes()).context("cannot write the plan")
+            })?;
+        } else if let Some(difference) = plan.card.difference(&PlanCard::read(&self.folder)?) {
+            bail!(
+                "{folder} holds the beginning of another build, {difference}\n\nhint: undo the change to go on with it, or \
+                 remove {folder} to begin anew",
+                folder = self.folder.display()
+            );
+        }
+        Ok(lock)
+    }
+
+    /// Whether all that is left to do is to clean up: the dataset had its name when an earlier run ended.
+    fn was_merged(&self, plan: &Plan, target: &Path) -> bool {
+        let same = |card: PlanCard| plan.card.difference(&card).is_none();
+        target.join("dataset.json").exists() && PlanCard::read(&self.folder).is_ok_and(same)
+    }
+
+    /// Makes the units that are missing, on all threads; returns how many were there.
+    fn make(&self, plan: &Plan) -> anyhow::Result<usize> {
+        let all = plan.units_of(plan.card.shard).count();
+        let place = |unit: &usize| self.folder.join(unit_name(*unit));
+        let missing: Vec<usize> = plan.units_of(plan.card.shard).filter(|unit| !place(unit).exists()).collect();
+        let found = all - missing.len();
+        if found > 0 {
+            eprintln!("{}: {found} of {all} units are there", self.folder.display());
+        }
+        let bar = output::progress(all as u64, "units");
+        bar.set_position(found as u64);
+        let make = |unit: &usize, parallel: bool| -> anyhow::Result<()> {
+            let Some(source) = plan.units.get(*unit) else { return Ok(()) };
+            // A unit that panics ends the build as one that fails: the others stay.
+            panics::caught(|| unit::make(plan, source, &place(unit), parallel))
+                .unwrap_or_else(|panicked| Err(panicked.into()))
+                .with_context(|| source.recording.clone())?;
+            bar.inc(1);
+            Ok(())
+        };
+        // Many units: each on one thread, which no thread waits for. Few: the frames of each on all threads.
+        let made = if missing.len() >= 2 * rayon::current_num_threads() {
+            missing.par_iter().with_max_len(1).try_for_each(|unit| make(unit, false))
+        } else {
+            missing.iter().try_for_each(|unit| make(unit, true))
+        };
+        bar.finish_and_clear();
+        let Err(error) = made else { return Ok(found) };
+        let made = plan.units_of(plan.card.shard).filter(|unit| place(unit).exists()).count();
+        if error.is::<Interrupted>() {
+            bail!("interrupted: {made} of {all} units are done\n\nhint: the same command goes on with the others")
+        }
+        eprintln!("{made} of {all} units are done and kept in {}", self.folder.display());
+        Err(error)
+    }
+
+    /// Gives a shard's units the shard's name.
+    fn finish_shard(&self, target: &Path) -> anyhow::Result<()> {
+        Ok(rename_synced(&self.folder, target)?)
+    }
+
+    fn remove(&self) -> anyhow::Result<()> {
+        fs::remove_dir_all(&self.folder).with_context(|| format!("cannot remove {}", self.folder.display()))
+    }
+}
+
+/// Merges all units of a plan into the dataset, in order; `place` gives the folder in which those of a shard lie.
+///
+/// # Errors
+/// A unit cannot be read, or none has a map, or the dataset cannot be written.
+pub fn merge_units(
+    what: &Path,
+    card: &PlanCard,
+    shards: usize,
+    target: &Path,
+    place: impl Fn(usize) -> PathBuf,
+) -> anyhow::Result<usize> {
+    let folders: Vec<PathBuf> = (0..card.units).map(|unit| place(unit % shards).join(unit_name(unit))).collect();
+    let units = folders.iter().map(|folder| Dataset::open(folder)).collect::<Result<Vec<_>, _>>()?;
+    if units.iter().all(Dataset::is_empty) {
+        bail!("{}: no source gave a map", what.display());
+    }
+    let units: Vec<(&Path, &Dataset)> = folders.iter().map(PathBuf::as_path).zip(&units).collect();
+    let split: Option<SplitSpec> = card.spec.split.clone();
+    Ok(dataset::merge(&units, target, split.as_ref())?)
+}
+
+/// Number of maps by class.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counts {
+    /// Maps of empty, one and two.
+    pub classes: [u64; 3],
+    /// Maps during which somebody came or went.
+    pub transitions: u64,
+}
+
+impl Counts {
+    /// Adds the maps of a dataset.
+    pub fn add(&mut self, dataset: &Dataset) {
+        for row in dataset.rows() {
+            self.classes[row.label.index()] += 1;
+            self.transitions += u64::from(row.transition);
+        }
+    }
+}

@@ -1,0 +1,131 @@
+//! Fingerprints of what a build is made from, so that a change between two runs of it is noticed.
+
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use radome_sim::bounded_file::{TEXT_LIMIT_BYTES, named_by_spec, read_text};
+use sha2::{Digest, Sha256};
+
+/// Of a longer file only its length and so much of either end goes in, bytes: recordings of many gigabytes would be read
+/// twice otherwise.
+const END: u64 = 1 << 19;
+/// Files that name files that name files.
+const DEEPEST: usize = 4;
+
+/// Fingerprints by name.
+pub struct Fingerprints {
+    base: PathBuf,
+    prints: BTreeMap<String, String>,
+}
+
+impl Fingerprints {
+    /// Of files named relative to a folder.
+    pub fn new(base: &Path) -> Self {
+        Fingerprints { base: base.to_owned(), prints: BTreeMap::new() }
+    }
+
+    /// The fingerprints.
+    pub fn into_map(self) -> BTreeMap<String, String> {
+        self.prints
+    }
+
+    /// A file.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn file(&mut self, name: &Path) -> anyhow::Result<()> {
+        let print = of_file(&self.base.join(name))?;
+        self.prints.insert(name.display().to_string(), print);
+        Ok(())
+    }
+
+    /// A scene file and every file that it names, and so on.
+    ///
+    /// # Errors
+    /// A file cannot be read, or files name each other too deeply.
+    pub fn scene(&mut self, name: &Path) -> anyhow::Result<()> {
+        self.named(name, 0)
+    }
+
+    fn named(&mut self, name: &Path, depth: usize) -> anyhow::Result<()> {
+        let key = name.display().to_string();
+        let path = self.base.join(name);
+        if self.prints.contains_key(&key) || !path.is_file() {
+            return Ok(());
+        }
+        self.prints.insert(key, of_file(&path)?);
+        if depth == DEEPEST || path.extension().is_none_or(|e| e != "toml") {
+            return Ok(());
+        }
+        let text = read_text(&path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        // What is no TOML has been refused by who reads scenes.
+        let Ok(table) = text.parse::<toml::Table>() else { return Ok(()) };
+        let mut strings = Vec::new();
+        collect_strings(&toml::Value::Table(table), &mut strings);
+        let folder = name.parent().unwrap_or(Path::new(""));
+        // Only what a scene may name; any other string is no file of it.
+        let own = self.base.join(folder);
+        let files = strings.iter().filter(|string| named_by_spec(&own, Path::new(string)).is_ok());
+        files.into_iter().try_for_each(|string| self.named(&folder.join(string), depth + 1))
+    }
+
+    /// A recording, file or folder, with the file of its labels.
+    ///
+    /// # Errors
+    /// A file of the recording cannot be read.
+    pub fn recording(&mut self, name: &str, path: &Path, labels: Option<&Path>) -> anyhow::Result<()> {
+        let mut files: Vec<PathBuf> = Vec::new();
+        if path.is_dir() {
+            let cannot = || format!("{}: cannot be listed", path.display());
+            for entry in std::fs::read_dir(path).with_context(cannot)? {
+                let file = entry.with_context(cannot)?.path();
+                files.extend(file.is_file().then_some(file));
+            }
+            files.sort();
+        } else {
+            files.push(path.to_owned());
+        }
+        files.extend(labels.map(Path::to_owned));
+        let mut hash = Sha256::new();
+        for file in files {
+            hash.update(file.file_name().unwrap_or_default().as_encoded_bytes());
+            hash.update(of_file(&file)?);
+        }
+        self.prints.insert(name.to_owned(), hex(&hash.finalize()));
+        Ok(())
+    }
+}
+
+fn collect_strings(value: &toml::Value, strings: &mut Vec<String>) {
+    match value {
+        toml::Value::String(string) => strings.push(string.clone()),
+        toml::Value::Array(values) => values.iter().for_each(|value| collect_strings(value, strings)),
+        toml::Value::Table(table) => table.values().for_each(|value| collect_strings(value, strings)),
+        _ => {}
+    }
+}
+
+fn of_file(path: &Path) -> anyhow::Result<String> {
+    let read = || -> std::io::Result<String> {
+        let mut file = File::open(path)?;
+        let length = file.metadata()?.len();
+        let mut hash = Sha256::new();
+        hash.update(length.to_le_bytes());
+        let mut bytes = Vec::new();
+        file.by_ref().take(END).read_to_end(&mut bytes)?;
+        if length > END {
+            file.seek(SeekFrom::Start(length.saturating_sub(END).max(END)))?;
+            file.take(END).read_to_end(&mut bytes)?;
+        }
+        hash.update(&bytes);
+        Ok(hex(&hash.finalize()))
+    };
+    read().with_context(|| format!("cannot read {}", path.display()))
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|b| format!("{b:02x}")).collect()
+}

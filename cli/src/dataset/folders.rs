@@ -1,0 +1,221 @@
+//! Recordings in a folder, and what their names say of them.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use regex_lite::Regex;
+
+use super::spec::{FolderLabel, Recorded};
+
+/// Folders within folders that are looked into.
+const DEEPEST: usize = 12;
+
+/// A recording that was found.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Found {
+    /// Path to open.
+    pub path: PathBuf,
+    /// Session by its path from the folder; several radars may have recorded it.
+    pub session: String,
+    /// The recording: the session, and which radar where there are several.
+    pub name: String,
+}
+
+/// All recordings in a folder, by name.
+///
+/// # Errors
+/// A folder cannot be listed, or there is no recording in it.
+pub fn find(folder: &Path) -> anyhow::Result<Vec<Found>> {
+    let mut found = Vec::new();
+    search(folder, "", &mut found, 0)?;
+    found.sort();
+    if found.is_empty() {
+        bail!(
+            "{}: no recording here\n\nhint: expected folders with RadarIfxAvian_00 or radar.npy in them, .mcap files, or text \
+             recordings with their _config.json",
+            folder.display()
+        );
+    }
+    // A folder that is itself a recording is called by its own name.
+    for found in found.iter_mut().filter(|f| f.session.is_empty()) {
+        let own = folder.canonicalize().unwrap_or_else(|_| folder.to_owned());
+        found.session = own.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        found.name = format!("{}{}", found.session, found.name);
+    }
+    Ok(found)
+}
+
+fn search(folder: &Path, name: &str, found: &mut Vec<Found>, depth: usize) -> anyhow::Result<()> {
+    let cannot = || format!("{}: cannot be listed", folder.display());
+    let mut entries: Vec<PathBuf> = Vec::new();
+    for entry in std::fs::read_dir(folder).with_context(cannot)? {
+        entries.push(entry.with_context(cannot)?.path());
+    }
+    entries.sort();
+    let file_name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    if folder.join("radar.npy").exists() {
+        found.push(Found { path: folder.to_owned(), session: name.to_owned(), name: name.to_owned() });
+        return Ok(());
+    }
+    let radars: Vec<&PathBuf> =
+        entries.iter().filter(|path| path.is_dir() && file_name(path).starts_with("RadarIfxAvian_")).collect();
+    if !radars.is_empty() {
+        for radar in &radars {
+            let radar_name = if radars.len() > 1 { format!("{name}/{}", file_name(radar)) } else { name.to_owned() };
+            found.push(Found { path: radar.to_path_buf(), session: name.to_owned(), name: radar_name });
+        }
+        return Ok(());
+    }
+    if depth == DEEPEST {
+        bail!("{}: folders within folders {DEEPEST} deep; do they contain each other?", folder.display());
+    }
+    for path in entries {
+        let own = file_name(&path);
+        let inner = |own: &str| if name.is_empty() { own.to_owned() } else { format!("{name}/{own}") };
+        if own.starts_with('.') {
+            continue;
+        } else if path.is_dir() {
+            search(&path, &inner(&own), found, depth + 1)?;
+        } else if path.extension().is_some_and(|e| e == "mcap") || is_text(&path) {
+            let stem = inner(own.strip_suffix(".mcap").or(own.strip_suffix(".txt")).unwrap_or(&own));
+            found.push(Found { path, session: stem.clone(), name: stem });
+        }
+    }
+    Ok(())
+}
+
+/// Whether the file is a text recording: `NAME` beside `NAME_config.json`, or `NAME.txt`.
+fn is_text(path: &Path) -> bool {
+    let with_config = |name: &std::ffi::OsStr| {
+        let mut name = name.to_owned();
+        name.push("_config.json");
+        path.with_file_name(name).is_file()
+    };
+    path.file_name().is_some_and(with_config)
+        || (path.extension().is_some_and(|e| e == "txt") && path.file_stem().is_some_and(with_config))
+}
+
+/// Meaning of a name.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reading {
+    pub label: FolderLabel,
+    pub scene: Option<String>,
+    pub subject: Option<String>,
+    pub sequence: Option<String>,
+}
+
+/// The patterns of a source.
+#[derive(Debug)]
+pub struct Rules(Vec<(String, Regex, FolderLabel)>);
+
+impl Rules {
+    /// From the spec.
+    ///
+    /// # Errors
+    /// A pattern is not valid.
+    pub fn new(source: &Recorded) -> anyhow::Result<Self> {
+        let rules = source.labels.iter().map(|(pattern, label)| Ok((pattern.clone(), compile(pattern)?, *label)));
+        Ok(Rules(rules.collect::<anyhow::Result<_>>()?))
+    }
+
+    /// Label by name: the one pattern that fits decides.
+    ///
+    /// # Errors
+    /// No pattern fits the name, or more than one does.
+    pub fn read(&self, name: &str) -> anyhow::Result<Reading> {
+        let last = name.rsplit('/').next().unwrap_or(name);
+        let fits = |(pattern, regex, label): &(String, Regex, FolderLabel)| {
+            let captures = regex.captures(if pattern.contains('/') { name } else { last })?;
+            let get = |what: &str| captures.name(what).map(|m| m.as_str().to_owned());
+            let reading =
+                Reading { label: *label, scene: get("scene"), subject: get("subject"), sequence: get("sequence") };
+            Some((pattern.clone(), reading))
+        };
+        let mut fitting: Vec<(String, Reading)> = self.0.iter().filter_map(fits).collect();
+        match (fitting.pop(), fitting.first()) {
+            (Some((_, reading)), None) => Ok(reading),
+            (None, _) => {
+                let patterns: Vec<String> = self.0.iter().map(|(pattern, ..)| format!("\"{pattern}\"")).collect();
+                bail!(
+                    "'{name}' fits none of the patterns {}\n\nhint: add one to `labels`; \"skip\" leaves a recording out",
+                    patterns.join(", ")
+                )
+            }
+            (Some((second, _)), Some((first, _))) => {
+                bail!("'{name}' fits two patterns, \"{first}\" and \"{second}\"\n\nhint: make one of them narrower")
+            }
+        }
+    }
+}
+
+/// A pattern as a regular expression.
+fn compile(pattern: &str) -> anyhow::Result<Regex> {
+    let mut text = String::from("^");
+    let mut rest = pattern;
+    while let Some(character) = rest.chars().next() {
+        rest = &rest[character.len_utf8()..];
+        match character {
+            '*' => text += "[^/]*",
+            '?' => text += "[^/]",
+            '{' => {
+                let Some((name, after)) = rest.split_once('}') else {
+                    bail!("pattern \"{pattern}\": a brace is never closed")
+                };
+                if !["scene", "subject", "sequence"].contains(&name) {
+                    bail!(
+                        "pattern \"{pattern}\": {{{name}}} means nothing; there are {{scene}}, {{subject}} and {{sequence}}"
+                    );
+                }
+                text += &format!("(?P<{name}>[^/]+?)");
+                rest = after;
+            }
+            other => text += &regex_lite::escape(other.encode_utf8(&mut [0; 4])),
+        }
+    }
+    text.push('$');
+    Regex::new(&text).with_context(|| format!("pattern \"{pattern}\" cannot be used"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rules(patterns: &[(&str, FolderLabel)]) -> anyhow::Result<Rules> {
+        patterns.iter().map(|(p, l)| Ok(((*p).to_owned(), compile(p)?, *l))).collect::<anyhow::Result<_>>().map(Rules)
+    }
+
+    #[test]
+    fn names_are_read_by_the_one_pattern_that_fits() {
+        use FolderLabel::{Empty, One, Two};
+        let rules =
+            rules(&[("empty*", Empty), ("{scene}/{subject}/one_*", One), ("{subject}+*_two.?", Two)]).expect("rules");
+        let read = |name: &str| {
+            let r = rules.read(name).expect("one fits");
+            (r.label, r.scene, r.subject)
+        };
+        assert_eq!(read("kitchen/empty-20240528"), (Empty, None, None));
+        assert_eq!(read("kitchen/ann/one_3"), (One, Some("kitchen".into()), Some("ann".into())));
+        assert_eq!(read("x/ann+bob_two.1"), (Two, None, Some("ann".into())));
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn no_pattern_or_two_is_an_error_with_the_name() {
+            use FolderLabel::{Empty, One};
+            let rules = rules(&[("empty*", Empty), ("*one*", One)]).expect("rules");
+            let said = |name: &str| rules.read(name).expect_err("no").to_string();
+            assert!(
+                said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"*one*\", \"empty*\"")
+                    || said("day1/nobody").contains("'day1/nobody' fits none of the patterns \"empty*\", \"*one*\"")
+            );
+            assert!(said("empty_or_one").contains("fits two patterns"));
+            // Dots and brackets mean themselves; a star does not go across folders.
+            let strict = super::rules(&[("a.[b]*", One), ("x/*", Empty)]).expect("rules");
+            assert!(strict.read("a.[b]c").is_ok() && strict.read("ab").is_err() && strict.read("x/y/z").is_err());
+            assert!(compile("{who}_*").expect_err("unknown").to_string().contains("{who}"));
+            assert!(compile("{subject").expect_err("open").to_string().contains("never closed"));
+        }
+    }
+}

@@ -1,0 +1,17 @@
+//! Echoes by frame.
+
+use radome_dsp::echo::Echo;
+
+/// Echoes of one frame.
+#[derive(Debug, Clone)]
+pub struct Detections {
+    /// Middle of the frame, s.
+    pub time_s: f64,
+    /// Number of people by label; 2 without a label.
+    pub people: usize,
+    /// Echoes, moving and still.
+    pub echoes: Vec<Echo>,
+}
+
+/// Index of a frame and index of an echo in its list.
+pub type Place = (usize, usize);

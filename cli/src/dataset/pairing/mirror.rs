@@ -1,0 +1,164 @@
+//! The scene that mirrors a recording, as a file that `simulate` opens.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::Waveform;
+use radome_sim::Scene;
+use radome_sim::bounded_file::{MESH_LIMIT_BYTES, TEXT_LIMIT_BYTES, named_by_spec, read, read_text};
+use radome_sim::scene::file::StepFile;
+use toml::{Table, Value};
+
+/// A scene file without its people and with a recording's waveform: what a mirror is made from.
+pub struct Stage {
+    table: Table,
+    /// The same for the dataset's folder, where the meshes have the names of `meshes`.
+    pub stored: Table,
+    /// Meshes of the room: name in the dataset's folder, and where they are.
+    meshes: Vec<(String, PathBuf)>,
+    /// The scene, empty.
+    pub scene: Scene,
+    /// Whether the file had another waveform.
+    pub waveform_replaced: bool,
+}
+
+impl Stage {
+    /// Reads a scene file; its people, if it has any, are left out.
+    ///
+    /// # Errors
+    /// The file cannot be read, is another scene for each seed, or does not take the recording's waveform.
+    pub fn load(path: &Path, waveform: &Waveform) -> anyhow::Result<Self> {
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("{} cannot be read", path.display()))?;
+        let mut table: Table = toml::from_str(&text).with_context(|| format!("{} is no scene", path.display()))?;
+        if table.get("random").and_then(Value::as_table).is_some_and(|random| !random.is_empty()) {
+            bail!(
+                "{}: the scene is another for each seed\n\nhint: a recording shows one room: write its values in place of [random]",
+                path.display()
+            );
+        }
+        let folder = path.parent().unwrap_or(Path::new(""));
+        if let Some(Value::String(relative)) = table.get("receiver") {
+            let file =
+                named_by_spec(folder, Path::new(relative)).with_context(|| format!("{}: receiver", path.display()))?;
+            let receiver = radome_sim::load_receiver(&file)?;
+            table.insert("receiver".into(), Value::try_from(&receiver).context("the receiver as TOML")?);
+        }
+        let own = table.get("waveform").cloned();
+        let request = Value::try_from(&waveform.request).context("the waveform as TOML")?;
+        table.insert("waveform".into(), request);
+        let body = table.get("people").and_then(|p| p.get("body")).cloned();
+        let mut people = Table::new();
+        if let Some(body) = body {
+            people.insert("body".into(), body);
+        }
+        table.insert("people".into(), Value::Table(people));
+        let scene = Scene::parse(&with_people(&table, Vec::new()).to_string(), path)?;
+        let realised = scene.waveform();
+        realised.check_compatible(waveform).context("the recording's frames are not those of its own settings")?;
+        let apart_hz = (realised.sampled_start_frequency_hz - waveform.sampled_start_frequency_hz).abs();
+        if apart_hz > 0.01 * waveform.sampled_bandwidth_hz() {
+            bail!(
+                "the recording was sampled from {:.4} GHz on, a chip with its settings from {:.4} GHz on: they cannot be mirrored",
+                waveform.sampled_start_frequency_hz * 1e-9,
+                realised.sampled_start_frequency_hz * 1e-9
+            );
+        }
+        let waveform_replaced = own
+            .and_then(|own| own.try_into().ok())
+            .and_then(|request| Waveform::realise(request).ok())
+            .is_none_or(|own| own.check_compatible(waveform).is_err() || waveform.check_compatible(&own).is_err());
+        let mut stored = table.clone();
+        let meshes = rename_meshes(&mut stored, folder)?;
+        Ok(Stage { table, stored, meshes, scene, waveform_replaced })
+    }
+
+    /// The scene file's table: meshes have their names in its own folder.
+    pub fn table(&self) -> &Table {
+        &self.table
+    }
+
+    /// Files that belong beside the stored scene.
+    ///
+    /// # Errors
+    /// One cannot be read.
+    pub fn mesh_files(&self) -> anyhow::Result<Vec<(&str, Vec<u8>)>> {
+        let mut files = Vec::new();
+        for (name, path) in &self.meshes {
+            let bytes = read(path, MESH_LIMIT_BYTES).with_context(|| format!("{} cannot be read", path.display()))?;
+            files.push((name.as_str(), bytes));
+        }
+        Ok(files)
+    }
+
+    /// A scene file with these people: when each begins, and what they do.
+    pub fn with_scripts(table: &Table, name: &str, height_m: f64, scripts: &[(f64, Vec<StepFile>)]) -> String {
+        let mut table = table.clone();
+        table.insert("name".into(), Value::String(name.to_owned()));
+        let actors = scripts.iter().map(|(start_s, steps)| {
+            let mut actor = Table::new();
+            actor.insert("start_s".into(), Value::Float(*start_s));
+            actor.insert("height_m".into(), Value::Float(height_m));
+            actor.insert("step".into(), Value::Array(steps.iter().map(step).collect()));
+            Value::Table(actor)
+        });
+        with_people(&table, actors.collect()).to_string()
+    }
+}
+
+fn step(step: &StepFile) -> Value {
+    let mut table = Table::new();
+    if let Some([x, y]) = step.walk_to_m {
+        table.insert("walk_to_m".into(), Value::Array(vec![Value::Float(x), Value::Float(y)]));
+    }
+    for (key, value) in [("speed_m_per_s", step.speed_m_per_s), ("stand_s", step.stand_s), ("sit_s", step.sit_s)] {
+        if let Some(value) = value {
+            table.insert(key.into(), Value::Float(value));
+        }
+    }
+    Value::Table(table)
+}
+
+/// A table with these actors, or with nobody.
+fn with_people(table: &Table, actors: Vec<Value>) -> Table {
+    let mut table = table.clone();
+    if let Some(Value::Table(people)) = table.get_mut("people") {
+        if actors.is_empty() {
+            // The one program that can be told to have neither people nor doors.
+            people.remove("body");
+            let nobody = [("max_people", Value::Integer(0)), ("objects_probability", Value::Float(0.0))];
+            people.insert("desk".into(), Value::Table(nobody.map(|(k, v)| (k.to_owned(), v)).into_iter().collect()));
+        } else {
+            people.insert("actor".into(), Value::Array(actors));
+        }
+    }
+    table
+}
+
+/// Gives the meshes of a room names in another folder, for a scene names files of its own folder only. Returns each name and
+/// where the mesh is.
+fn rename_meshes(table: &mut Table, folder: &Path) -> anyhow::Result<Vec<(String, PathBuf)>> {
+    let mut found = Vec::new();
+    let meshes = table.get_mut("room").and_then(|room| room.get_mut("mesh")).and_then(Value::as_array_mut);
+    for (index, mesh) in meshes.into_iter().flatten().enumerate() {
+        let Some(Value::String(file)) = mesh.get_mut("file") else { continue };
+        let path = folder.join(&*file);
+        let extension = path.extension().map(|e| e.to_string_lossy().to_lowercase()).unwrap_or_default();
+        if extension == "gltf" && has_files_beside(&read(&path, MESH_LIMIT_BYTES)?) {
+            bail!(
+                "{}: its buffers are files beside it, which a mirror would lack\n\nhint: export it as .glb, which is one file",
+                path.display()
+            );
+        }
+        *file = format!("mirror-mesh-{index}.{extension}");
+        found.push((file.clone(), path));
+    }
+    Ok(found)
+}
+
+/// Whether a `.gltf` names files.
+fn has_files_beside(bytes: &[u8]) -> bool {
+    let document: serde_json::Value = serde_json::from_slice(bytes).unwrap_or_default();
+    let buffers = document.get("buffers").and_then(serde_json::Value::as_array);
+    let mut uris = buffers.into_iter().flatten().filter_map(|buffer| buffer.get("uri")?.as_str());
+    uris.any(|uri| !uri.starts_with("data:"))
+}

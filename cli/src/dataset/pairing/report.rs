@@ -1,0 +1,183 @@
+//! Differences between a mirror and its recording.
+
+use std::fmt::Write;
+use std::path::Path;
+
+use anyhow::Context;
+use radome_dsp::echo::Echo;
+use serde::Serialize;
+use serde_json::json;
+
+use super::detections::Detections;
+use super::script::Role;
+use super::smooth::{Sensor, Smoothed};
+use crate::output;
+
+/// An echo of the mirror so near to where somebody should be is theirs, m and m/s.
+const NEAR_M: f64 = 0.5;
+const NEAR_M_PER_S: f64 = 0.6;
+
+/// Size of some differences.
+#[derive(Debug, Clone, Copy, Default, Serialize)]
+pub struct Spread {
+    pub mean: f64,
+    pub rms: f64,
+    pub p90: f64,
+    pub worst: f64,
+}
+
+impl Spread {
+    fn of(differences: &[f64]) -> Option<Self> {
+        let mut sizes: Vec<f64> = differences.iter().map(|d| d.abs()).collect();
+        sizes.sort_unstable_by(f64::total_cmp);
+        let count = differences.len() as f64;
+        Some(Spread {
+            mean: differences.iter().sum::<f64>() / count,
+            rms: (differences.iter().map(|d| d * d).sum::<f64>() / count).sqrt(),
+            p90: sizes.get((0.9 * (count - 1.0)).round() as usize).copied()?,
+            worst: sizes.last().copied()?,
+        })
+    }
+}
+
+/// One person's.
+#[derive(Debug, Clone, Serialize)]
+struct Person {
+    /// Frames with an echo that no repeat off a wall is merged with.
+    visible: usize,
+    /// Frames in which they were followed, those bridged within included.
+    followed: usize,
+    /// Echoes of the mirror less those of the recording, in frames that have both.
+    compared: usize,
+    range_m: Option<Spread>,
+    velocity_m_per_s: Option<Spread>,
+    angle_deg: Option<Spread>,
+    /// Greatest standard deviation of a place by the smoother's own account, m.
+    sigma_m: f64,
+}
+
+/// All of it.
+#[derive(Debug, Clone, Serialize)]
+pub struct Report {
+    frames: usize,
+    people: Vec<Person>,
+    /// Frames of the mirror in which as many people are in the room as the recording's labels say.
+    labels_agree: usize,
+    tells_direction: bool,
+}
+
+impl Report {
+    pub fn new(
+        roles: &[Role],
+        real: &[Detections],
+        mirror: &[Detections],
+        sensor: &Sensor,
+        labels_agree: usize,
+    ) -> Self {
+        let people = roles.iter().filter(|role| !role.knots.is_empty()).map(|role| person(role, real, mirror, sensor));
+        Report { frames: real.len(), people: people.collect(), labels_agree, tells_direction: sensor.tells_direction() }
+    }
+
+    /// Prints the report.
+    ///
+    /// # Errors
+    /// Standard output cannot be written.
+    pub fn tell(&self, folder: &Path, pair: &str, maps: usize, json: bool) -> anyhow::Result<()> {
+        if json {
+            return output::json_line(&json!({
+                "dataset": folder, "pair": pair, "maps": maps, "frames": self.frames,
+                "labels_agree": self.labels_agree, "tells_direction": self.tells_direction, "people": self.people,
+            }));
+        }
+        output::text_line(&format!(
+            "{}: {maps} maps of {} frames and their mirror, which has as many people as the labels say in {}",
+            folder.display(),
+            self.frames,
+            self.labels_agree
+        ))?;
+        if self.people.is_empty() {
+            return output::text_line("nobody is there");
+        }
+        output::text_line(&format!(
+            "{:>6} {:>8} {:>9} {:>9}  mirror less recording: {:>20} {:>20} {:>20}",
+            "person", "visible", "followed", "compared", "range rms/p90/worst", "speed", "angle"
+        ))?;
+        for (i, person) in self.people.iter().enumerate() {
+            let spread = |spread: Option<Spread>, unit: &str| {
+                spread.map_or("-".into(), |s| format!("{:.2}/{:.2}/{:.2} {unit}", s.rms, s.p90, s.worst))
+            };
+            output::text_line(&format!(
+                "{:>6} {:>8} {:>9} {:>9}  {:>43} {:>20} {:>20}",
+                i + 1,
+                person.visible,
+                person.followed,
+                person.compared,
+                spread(person.range_m, "m"),
+                spread(person.velocity_m_per_s, "m/s"),
+                spread(person.angle_deg, "deg")
+            ))?;
+        }
+        Ok(())
+    }
+}
+
+fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sensor) -> Person {
+    let (mut range, mut speed, mut angle) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut visible, mut followed, mut sigma_m) = (0, 0, 0f64);
+    for tracklet in &role.tracklets {
+        followed += tracklet.track.len();
+        for state in &tracklet.track {
+            sigma_m = sigma_m.max(state.sigma_m);
+            let place = tracklet.places.iter().find(|p| p.0 == state.frame);
+            let Some(echo) = place.and_then(|p| real.get(p.0)?.echoes.get(p.1)) else { continue };
+            visible += usize::from(state.is_visible);
+            let Some(other) = mirror.get(state.frame).and_then(|detected| near(detected, state, sensor)) else {
+                continue;
+            };
+            range.push(other.range_m - echo.range_m);
+            speed.push(sensor.wrapped(other.velocity_m_per_s - echo.velocity_m_per_s));
+            if let (Some(Some(a)), Some(Some(b))) = (echo.cosines.first(), other.cosines.first()) {
+                angle.push((b.asin() - a.asin()).to_degrees());
+            }
+        }
+    }
+    Person {
+        visible,
+        followed,
+        compared: range.len(),
+        range_m: Spread::of(&range),
+        velocity_m_per_s: Spread::of(&speed),
+        angle_deg: Spread::of(&angle),
+        sigma_m,
+    }
+}
+
+/// The strongest echo of the mirror where somebody should be.
+fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Echo> {
+    let expected = sensor.expected(state);
+    let is_near = |echo: &&Echo| {
+        (echo.range_m - expected.range_m).abs() < NEAR_M
+            && sensor.wrapped(echo.velocity_m_per_s - expected.velocity_m_per_s).abs() < NEAR_M_PER_S
+    };
+    detected.echoes.iter().filter(is_near).max_by(|a, b| a.snr_db.total_cmp(&b.snr_db))
+}
+
+/// A line of JSON for each frame in which somebody was followed.
+///
+/// # Errors
+/// A line cannot be formatted.
+pub fn track_lines(roles: &[Role], frames: &[(u64, f64)]) -> anyhow::Result<String> {
+    let mut text = String::new();
+    for (i, role) in roles.iter().enumerate() {
+        for state in role.tracklets.iter().flat_map(|s| &s.track) {
+            let Some((frame, begin_s)) = frames.get(state.frame) else { continue };
+            let line = json!({
+                "person": i + 1, "frame": frame, "frame_begins_s": begin_s, "position_m": [state.x, state.y],
+                "velocity_m_per_s": [state.vx, state.vy], "sigma_m": state.sigma_m, "snr_db": state.snr_db,
+                "visible": state.is_visible,
+            });
+            writeln!(text, "{line}").context("writing the track")?;
+        }
+    }
+    Ok(text)
+}

@@ -1,0 +1,502 @@
+//! A person's script: tracklets, way-points and doors become legs that a scene file can state.
+//!
+//! The recording wins where somebody was followed. What lies between is bridged when it is short, goes by way-points where
+//! some are given, and through a door where labels say that the person came or went; anything else is refused by name.
+
+use glam::DVec2;
+use radome_sim::scene::file::{DoorFile, SceneFile, StepFile};
+use serde::Deserialize;
+use thiserror::Error;
+
+use super::detections::Detections;
+use super::follow::Tracklet;
+use super::smooth::Smoothed;
+
+/// Stretches without an echo that are bridged, s.
+pub const BRIDGE_S: f64 = 1.5;
+/// Nobody is believed to walk faster, m/s.
+const FASTEST_M_PER_S: f64 = 2.5;
+/// Scripts go no faster and no slower, m/s (sim/src/scene/check.rs).
+const SPEEDS_M_PER_S: [f64; 2] = [0.05, 5.0];
+/// A body this far beyond a door is out of the room, and one this far from it is on its way in, m.
+const OUTSIDE_M: f64 = 0.75;
+const DOORSTEP_M: f64 = 0.3;
+/// Legs follow the trajectory within this, m.
+const LEG_M: f64 = 0.03;
+/// Before a script's first time somebody who stands is on the way, s: who has arrived faces the radar.
+const ARRIVAL_S: f64 = 5.0;
+
+/// A time and a place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Knot {
+    pub time_s: f64,
+    pub place: DVec2,
+}
+
+/// One person over the whole recording.
+#[derive(Debug, Clone, Default)]
+pub struct Role {
+    pub tracklets: Vec<Tracklet>,
+    pub knots: Vec<Knot>,
+}
+
+/// File of way-points: for each person `[[person]]` with `point = [{ time_s = 1.5, position_m = [2.0, 1.0] }, ...]`, times by
+/// the recording's clock and in order.
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WayPoints {
+    #[serde(default)]
+    pub person: Vec<WayPointPerson>,
+}
+
+impl WayPoints {
+    /// The same by another clock.
+    pub fn shifted(mut self, by_s: f64) -> Self {
+        self.person.iter_mut().flat_map(|p| &mut p.point).for_each(|point| point.time_s += by_s);
+        self
+    }
+}
+
+#[derive(Debug, Clone, Default, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WayPointPerson {
+    pub point: Vec<WayPoint>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WayPoint {
+    pub time_s: f64,
+    pub position_m: [f64; 2],
+}
+
+/// Stretch of time without a known position of a person.
+#[derive(Debug, Clone, PartialEq, Error)]
+pub enum ScriptError {
+    /// Not followed, and no way-points.
+    #[error(
+        "person {person} is in the room from {from_s:.2} to {to_s:.2} s by the labels, but was not followed there, and no \
+         door is within reach\n\nhint: give way-points for that time with --waypoints FILE.toml: [[person]] with \
+         point = [{{ time_s = {from_s:.2}, position_m = [x, y] }}, ...]; the persons are numbered from 1 in the order of the file"
+    )]
+    Unknown {
+        /// From 1.
+        person: usize,
+        from_s: f64,
+        to_s: f64,
+    },
+    /// Faster than scripts go.
+    #[error("person {person} would have to go {speed_m_per_s:.1} m/s from {from_s:.2} to {to_s:.2} s, more than {most} m/s; correct the way-points", most = SPEEDS_M_PER_S[1])]
+    TooFast { person: usize, speed_m_per_s: f64, from_s: f64, to_s: f64 },
+    /// Way-points out of order.
+    #[error("way-points of person {person}: {time_s} s comes after {before_s} s, expected times that rise")]
+    Order { person: usize, time_s: f64, before_s: f64 },
+}
+
+/// Deals tracklets out to so many people: each goes on with who was last seen nearest to where it begins.
+pub fn deal(tracklets: Vec<Tracklet>, people: usize) -> Vec<Role> {
+    let mut roles = vec![Role::default(); people];
+    for tracklet in tracklets {
+        let Some(begin) = tracklet.track.first().copied() else { continue };
+        let from = |role: &Role| -> Option<f64> {
+            let Some(last) = role.tracklets.last().and_then(|s| s.track.last()) else { return Some(10.0) };
+            let gap_s = begin.time_s - last.time_s;
+            let foreseen = place(last) + velocity(last) * gap_s.min(1.0);
+            (gap_s > 0.0).then(|| foreseen.distance(place(&begin)))
+        };
+        let nearest = roles.iter_mut().filter_map(|role| Some((from(role)?, role))).min_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, role)) = nearest {
+            role.tracklets.push(tracklet);
+        }
+    }
+    roles
+}
+
+fn place(state: &Smoothed) -> DVec2 {
+    DVec2::new(state.x, state.y)
+}
+
+fn velocity(state: &Smoothed) -> DVec2 {
+    DVec2::new(state.vx, state.vy)
+}
+
+/// Number of the other roles that are followed in a frame.
+fn others(roles: &[Role], person: usize, frame: usize) -> usize {
+    let holds = |s: &Tracklet| (s.frames().0..=s.frames().1).contains(&frame);
+    roles.iter().enumerate().filter(|(i, role)| *i != person && role.tracklets.iter().any(holds)).count()
+}
+
+/// Fills in the knots of all roles.
+///
+/// # Errors
+/// [`ScriptError::Unknown`] where nothing says where a person was, [`ScriptError::Order`] where way-points are out of order.
+pub fn fill(
+    roles: &mut [Role],
+    detections: &[Detections],
+    scene: &SceneFile,
+    points: &WayPoints,
+) -> Result<(), ScriptError> {
+    let all: Vec<Vec<Knot>> =
+        (0..roles.len()).map(|person| knots(roles, person, detections, scene, points)).collect::<Result<_, _>>()?;
+    roles.iter_mut().zip(all).for_each(|(role, knots)| role.knots = knots);
+    Ok(())
+}
+
+fn knots(
+    roles: &[Role],
+    person: usize,
+    detections: &[Detections],
+    scene: &SceneFile,
+    points: &WayPoints,
+) -> Result<Vec<Knot>, ScriptError> {
+    let Some(role) = roles.get(person) else { return Ok(Vec::new()) };
+    let given: Vec<Knot> = points.person.get(person).map_or(Vec::new(), |p| {
+        p.point.iter().map(|p| Knot { time_s: p.time_s, place: DVec2::from_array(p.position_m) }).collect()
+    });
+    for pair in given.windows(2) {
+        if let [before, after] = pair
+            && after.time_s.partial_cmp(&before.time_s) != Some(std::cmp::Ordering::Greater)
+        {
+            return Err(ScriptError::Order { person: person + 1, time_s: after.time_s, before_s: before.time_s });
+        }
+    }
+    let between = |from_s: f64, to_s: f64| given.iter().copied().filter(move |k| k.time_s > from_s && k.time_s < to_s);
+    let unknown = |from_s: f64, to_s: f64| ScriptError::Unknown { person: person + 1, from_s, to_s };
+    let (Some(begin_s), Some(end_s)) = (detections.first().map(|l| l.time_s), detections.last().map(|l| l.time_s))
+    else {
+        return Ok(given);
+    };
+    // Frames of a stretch in which labels leave no room for this person.
+    let absent = |from_s: f64, to_s: f64| {
+        let within = detections.iter().enumerate().filter(|(_, l)| l.time_s > from_s && l.time_s < to_s);
+        let away: Vec<f64> = within
+            .filter(|(frame, detected)| detected.people <= others(roles, person, *frame))
+            .map(|(_, l)| l.time_s)
+            .collect();
+        away.first().copied().zip(away.last().copied())
+    };
+    let mut knots: Vec<Knot> = Vec::new();
+    let (Some(first), Some(last)) = (role.tracklets.first(), role.tracklets.last()) else {
+        let there =
+            detections.iter().enumerate().filter(|(k, l)| l.people > others(roles, person, *k)).map(|(_, l)| l.time_s);
+        let (from, to) = there.fold((f64::INFINITY, 0.0), |(a, b), t| (t.min(a), t.max(b)));
+        // Nobody was seen and nobody is missed.
+        return if given.is_empty() && to - from > BRIDGE_S { Err(unknown(from, to)) } else { Ok(given) };
+    };
+    let ends = |tracklet: &Tracklet| Some((*tracklet.track.first()?, *tracklet.track.last()?));
+    // Before.
+    if let Some((start, _)) = ends(first) {
+        let given: Vec<Knot> = between(f64::NEG_INFINITY, start.time_s).collect();
+        if given.is_empty() {
+            let since = absent(begin_s - 1.0, start.time_s).map(|(_, last_s)| last_s);
+            knots.extend(
+                arrive(&start, since, begin_s, scene).ok_or_else(|| unknown(since.unwrap_or(begin_s), start.time_s))?,
+            );
+        } else {
+            knots.extend(given);
+        }
+    }
+    for (i, tracklet) in role.tracklets.iter().enumerate() {
+        knots.extend(tracklet.track.iter().map(|s| Knot { time_s: s.time_s, place: place(s) }));
+        let Some(next) = role.tracklets.get(i + 1) else { break };
+        let (Some((_, end)), Some((start, _))) = (ends(tracklet), ends(next)) else { continue };
+        let given: Vec<Knot> = between(end.time_s, start.time_s).collect();
+        let gap_s = start.time_s - end.time_s;
+        if !given.is_empty() {
+            knots.extend(given);
+        } else if let Some((from_s, to_s)) = absent(end.time_s, start.time_s) {
+            knots.extend(leave(&end, Some(from_s), end_s, scene).ok_or_else(|| unknown(end.time_s, from_s))?);
+            knots.extend(arrive(&start, Some(to_s), begin_s, scene).ok_or_else(|| unknown(to_s, start.time_s))?);
+        } else if gap_s > BRIDGE_S || place(&end).distance(place(&start)) > FASTEST_M_PER_S * gap_s {
+            return Err(unknown(end.time_s, start.time_s));
+        }
+    }
+    if let Some((_, end)) = ends(last) {
+        let given: Vec<Knot> = between(end.time_s, f64::INFINITY).collect();
+        if given.is_empty() {
+            let from = absent(end.time_s, end_s + 1.0).map(|(first_s, _)| first_s);
+            knots.extend(leave(&end, from, end_s, scene).ok_or_else(|| unknown(end.time_s, from.unwrap_or(end_s)))?);
+        } else {
+            knots.extend(given);
+        }
+    }
+    // Who waits outside comes again by another door: on the way there nobody sees them.
+    knots.dedup_by(|b, a| b.time_s <= a.time_s + 1e-6);
+    Ok(knots)
+}
+
+/// The way in to where somebody was first seen: since labels let them be there, or from the first frame on.
+fn arrive(start: &Smoothed, since: Option<f64>, begin_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
+    let Some(since_s) = since else {
+        let lead_s = start.time_s - begin_s;
+        return (lead_s <= BRIDGE_S).then(|| straight(start, begin_s, scene));
+    };
+    Some(by_door(start, start.time_s - since_s, -1.0, scene)?.into_iter().rev().collect())
+}
+
+/// The way out, likewise.
+fn leave(end: &Smoothed, until: Option<f64>, end_s: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
+    let Some(until_s) = until else {
+        let tail_s = end_s - end.time_s;
+        return (tail_s <= BRIDGE_S).then(|| straight(end, end_s, scene));
+    };
+    by_door(end, until_s - end.time_s, 1.0, scene)
+}
+
+/// Straight on to a time, but not through walls.
+fn straight(state: &Smoothed, time_s: f64, scene: &SceneFile) -> Vec<Knot> {
+    if (time_s - state.time_s).abs() < 1e-6 {
+        return Vec::new();
+    }
+    let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
+    let place = place(state) + velocity(state) * (time_s - state.time_s);
+    vec![Knot { time_s, place: place.clamp(DVec2::splat(0.2).min(size * 0.5), (size - 0.2).max(size * 0.5)) }]
+}
+
+/// Through the door that suits the time best, in order away from where somebody was seen; `sign` is -1 back in time. Straight
+/// on out of the room where there is no door.
+fn by_door(state: &Smoothed, time_s: f64, sign: f64, scene: &SceneFile) -> Option<Vec<Knot>> {
+    let (from, usual) = (place(state), velocity(state).length().clamp(0.5, 2.0));
+    let size = DVec2::new(scene.room.size_m[0], scene.room.size_m[1]);
+    let mut ways: Vec<(DVec2, DVec2)> = scene.door.iter().map(|door| doorway(door, from, size)).collect();
+    if ways.is_empty() {
+        let on = (velocity(state) * sign).normalize_or((from - 0.5 * size).normalize_or(DVec2::X));
+        let out_m = (0..2)
+            .map(|i| {
+                if on[i] > 0.0 {
+                    (size[i] - from[i]) / on[i]
+                } else if on[i] < 0.0 {
+                    -from[i] / on[i]
+                } else {
+                    1e9
+                }
+            })
+            .fold(1e9, f64::min);
+        ways.push((from + on * out_m.max(0.0), on));
+    }
+    // The body shows before its middle is in the door.
+    let timed = ways.into_iter().filter_map(|(door, out)| {
+        let way_m = (door + out * DOORSTEP_M).distance(from);
+        let speed = way_m / time_s.max(way_m / FASTEST_M_PER_S);
+        // Where somebody is first or last seen is known as well as the smoother says.
+        let sure_m = (way_m - 3.0 * state.sigma_m).max(0.0);
+        let is_likely = sure_m / time_s < FASTEST_M_PER_S + 1.0 && (speed > 0.3 || time_s < BRIDGE_S);
+        is_likely.then_some(((speed / usual).ln().abs(), speed.max(0.3), door, out))
+    });
+    let (_, speed, door, out) = timed.min_by(|a, b| a.0.total_cmp(&b.0))?;
+    // Who was seen through the door does not come in first.
+    let beyond_m = (from - door).dot(out);
+    let mut knots = Vec::new();
+    let (mut time_s, mut at) = (state.time_s, from);
+    for (place, is_ahead) in [(door, beyond_m < 0.0), (door + out * OUTSIDE_M, beyond_m < OUTSIDE_M)] {
+        if is_ahead {
+            time_s += sign * at.distance(place) / speed;
+            at = place;
+            knots.push(Knot { time_s, place });
+        }
+    }
+    Some(knots)
+}
+
+/// The place in a door that is nearest, and the way out.
+fn doorway(door: &DoorFile, from: DVec2, size: DVec2) -> (DVec2, DVec2) {
+    let [x, y] = door.position_m;
+    let room = (0.5 * door.width_m - 0.3).max(0.0);
+    if x < 1e-6 || x > size.x - 1e-6 {
+        let out = if x < 1e-6 { -DVec2::X } else { DVec2::X };
+        (DVec2::new(x, from.y.clamp(y - room, y + room)), out)
+    } else {
+        let out = if y < 1e-6 { -DVec2::Y } else { DVec2::Y };
+        (DVec2::new(from.x.clamp(x - room, x + room), y), out)
+    }
+}
+
+/// A role's steps from a start, as a scene states them. Times are those of the scene.
+///
+/// # Errors
+/// [`ScriptError::TooFast`] where a person would have to go faster than scripts go.
+pub fn steps(
+    person: usize,
+    knots: &[Knot],
+    radar: DVec2,
+    seated: bool,
+) -> Result<Option<(f64, Vec<StepFile>)>, ScriptError> {
+    let knots = simplified(knots);
+    let Some(first) = knots.first() else { return Ok(None) };
+    let blank = StepFile::default();
+    // From a little farther off, so that who stands faces the radar.
+    let away = (first.place - radar).normalize_or(DVec2::X);
+    let moves = |a: &Knot, b: &Knot| a.place.distance(b.place) >= SPEEDS_M_PER_S[0] * (b.time_s - a.time_s);
+    let waits = match knots.as_slice() {
+        [a, b, ..] => !moves(a, b),
+        _ => true,
+    };
+    let mut steps = Vec::new();
+    let mut start_s = first.time_s;
+    if waits {
+        start_s -= ARRIVAL_S;
+        let from = first.place + 0.25 * away;
+        steps.push(StepFile { walk_to_m: Some(from.to_array()), ..blank.clone() });
+        steps.push(StepFile { walk_to_m: Some(first.place.to_array()), speed_m_per_s: Some(0.25), ..blank.clone() });
+        steps.push(still(ARRIVAL_S - 1.0, seated, &blank));
+    } else {
+        steps.push(StepFile { walk_to_m: Some(first.place.to_array()), ..blank.clone() });
+    }
+    let (mut at, mut now_s) = (first.place, first.time_s);
+    for knot in knots.iter().skip(1) {
+        let (way_m, time_s) = (at.distance(knot.place), knot.time_s - now_s);
+        if time_s <= 0.0 {
+            continue;
+        }
+        let speed = way_m / time_s;
+        if speed > SPEEDS_M_PER_S[1] {
+            let (from_s, to_s) = (now_s, knot.time_s);
+            return Err(ScriptError::TooFast { person: person + 1, speed_m_per_s: speed, from_s, to_s });
+        }
+        now_s = knot.time_s;
+        if speed < SPEEDS_M_PER_S[0] || way_m < 2e-3 {
+            match steps.last_mut() {
+                Some(StepFile { stand_s: Some(s), .. } | StepFile { sit_s: Some(s), .. }) => *s += time_s,
+                _ => steps.push(still(time_s, seated, &blank)),
+            }
+        } else {
+            steps.push(StepFile {
+                walk_to_m: Some(knot.place.to_array()),
+                speed_m_per_s: Some(speed),
+                ..blank.clone()
+            });
+            at = knot.place;
+        }
+    }
+    if seated {
+        // Nobody gets up at the end.
+        if let Some(StepFile { sit_s: Some(s), .. }) = steps.last_mut() {
+            *s += ARRIVAL_S;
+        }
+    }
+    Ok(Some((start_s, steps)))
+}
+
+fn still(time_s: f64, seated: bool, blank: &StepFile) -> StepFile {
+    if seated {
+        StepFile { sit_s: Some(time_s), ..blank.clone() }
+    } else {
+        StepFile { stand_s: Some(time_s), ..blank.clone() }
+    }
+}
+
+/// The fewest of the knots between which straight walks at even speed stay within [`LEG_M`] of all (Ramer, Douglas and
+/// Peucker, over time).
+fn simplified(knots: &[Knot]) -> Vec<Knot> {
+    let [first, .., last] = knots else { return knots.to_vec() };
+    let at = |t: f64| first.place.lerp(last.place, (t - first.time_s) / (last.time_s - first.time_s));
+    let off = |k: &Knot| k.place.distance(at(k.time_s));
+    let farthest = knots.iter().enumerate().max_by(|a, b| off(a.1).total_cmp(&off(b.1)));
+    match farthest {
+        Some((i, knot)) if off(knot) > LEG_M && i > 0 && i + 1 < knots.len() => {
+            let mut all = simplified(knots.get(..=i).unwrap_or_default());
+            all.pop();
+            all.extend(simplified(knots.get(i..).unwrap_or_default()));
+            all
+        }
+        _ => vec![*first, *last],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn knots(all: &[(f64, f64, f64)]) -> Vec<Knot> {
+        all.iter().map(|&(time_s, x, y)| Knot { time_s, place: DVec2::new(x, y) }).collect()
+    }
+
+    /// Trajectory of a script's steps, at even speeds and without rounding.
+    fn walked(start_s: f64, steps: &[StepFile], time_s: f64) -> DVec2 {
+        let mut at = DVec2::from_array(steps[0].walk_to_m.expect("a place"));
+        let mut now_s = start_s;
+        for step in &steps[1..] {
+            let (to, lasts_s) = match (step.walk_to_m, step.stand_s.or(step.sit_s)) {
+                (Some(to), _) => {
+                    let to = DVec2::from_array(to);
+                    (to, to.distance(at) / step.speed_m_per_s.expect("a speed"))
+                }
+                (_, still) => (at, still.expect("a duration")),
+            };
+            if time_s < now_s + lasts_s {
+                return at.lerp(to, ((time_s - now_s) / lasts_s).max(0.0));
+            }
+            (at, now_s) = (to, now_s + lasts_s);
+        }
+        at
+    }
+
+    #[test]
+    fn few_legs_follow_a_trajectory_in_place_and_time() {
+        let path = |t: f64| match t {
+            t if t < 3.0 => (5.0 - t, 1.0 + 0.2 * t),
+            t if t < 5.0 => (2.0, 1.6),
+            t => (2.0 + 0.8 * (t - 5.0), 1.6 - 0.1 * (t - 5.0).powi(2)),
+        };
+        let all: Vec<(f64, f64, f64)> =
+            (0..90).map(|i| f64::from(i) * 0.1).map(|t| (t + 0.032, path(t).0, path(t).1)).collect();
+        let knots = knots(&all);
+        let (start_s, steps) = steps(0, &knots, DVec2::ZERO, false).expect("possible").expect("a script");
+        assert!(steps.len() < 12, "{steps:?}");
+        assert!(steps.iter().any(|s| s.stand_s.is_some_and(|s| (s - 2.0).abs() < 0.15)), "{steps:?}");
+        for knot in &knots {
+            let off = walked(start_s, &steps, knot.time_s).distance(knot.place);
+            assert!(off < 0.05, "{off} m at {} s: {steps:?}", knot.time_s);
+        }
+    }
+
+    #[test]
+    fn who_stays_in_one_place_faces_the_radar_and_may_sit() {
+        let (start_s, steps) = steps(0, &knots(&[(0.0, 2.0, 1.0), (10.0, 2.0, 1.01)]), DVec2::new(0.0, 1.0), true)
+            .expect("fine")
+            .expect("one");
+        assert_eq!(start_s, -ARRIVAL_S);
+        // From behind the place towards the radar.
+        assert!(steps[0].walk_to_m.expect("a place")[0] > steps[1].walk_to_m.expect("a place")[0]);
+        assert!(steps.last().and_then(|s| s.sit_s) > Some(10.0), "{steps:?}");
+    }
+
+    /// A step before the door they go out by it; seen in it or beyond it they do not come back in first.
+    #[test]
+    fn who_is_seen_through_a_door_goes_straight_on() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        let scene = radome_sim::Scene::load(&file).expect("a scene");
+        for (x, places) in [(11.8, 2), (12.2, 1), (12.8, 0)] {
+            let state = Smoothed {
+                frame: 0,
+                time_s: 3.0,
+                x,
+                y: 1.2,
+                vx: 1.0,
+                vy: 0.0,
+                sigma_m: 0.1,
+                snr_db: Some(20.0),
+                is_visible: true,
+            };
+            let knots = by_door(&state, 0.5, 1.0, scene.file()).expect("a door");
+            assert_eq!(knots.len(), places, "{knots:?}");
+            let mut last = (3.0, x);
+            for knot in knots {
+                assert!(knot.time_s > last.0 && knot.place.x > last.1, "{knot:?} {last:?}");
+                last = (knot.time_s, knot.place.x);
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn nobody_runs_faster_than_scripts_go() {
+            let error = steps(1, &knots(&[(0.0, 0.0, 0.0), (1.0, 9.0, 0.0)]), DVec2::ZERO, false).expect_err("9 m/s");
+            assert!(matches!(error, ScriptError::TooFast { person: 2, .. }), "{error}");
+            assert!(error.to_string().contains("9.0 m/s from 0.00 to 1.00 s"), "{error}");
+            assert!(matches!(steps(0, &[], DVec2::ZERO, false), Ok(None)));
+        }
+    }
+}

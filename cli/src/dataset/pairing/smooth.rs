@@ -1,0 +1,546 @@
+//! Trajectory of a person from the echoes of a tracklet: a Kalman filter forth and a Rauch-Tung-Striebel smoother back, over
+//! again about their own answer until it stays (the Gauss-Newton step of the whole trajectory).
+//!
+//! The state is a place and a velocity on the ground plan. An echo tells the range of the trunk's near surface, its radial
+//! speed, and a cosine; the body's axis lies behind that surface ([`REACH_M`]). Limbs and repeats off walls pull single echoes
+//! away by far more than noise does: what an echo is worth falls with how far it lies off, as with Student's distribution.
+
+use std::f64::consts::PI;
+
+use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
+use radome_dsp::Waveform;
+use radome_dsp::angle::Baseline;
+use radome_sim::Scene;
+use radome_sim::field::fresnel;
+use radome_sim::field::image::{BoxRoom, Wall};
+use radome_sim::field::pattern::Pattern;
+use radome_sim::scene::ANTENNA_OFFSETS_M;
+
+use super::detections::{Detections, Place};
+
+/// From the middle of the chest to its surface before or behind it, and beside it, m: its semi-axes in a body of average girth
+/// (sim/src/actor/body.rs).
+const REACH_M: [f64; 2] = [0.115, 0.165];
+/// Those who walk lean forward: their chest is so far before their hips, m.
+const LEAN_M: f64 = 0.024;
+/// Height of the chest's middle over that of the body.
+pub const CHEST_HEIGHT: f64 = 0.72;
+/// Errors of an echo's range (m) and speed (m/s): which part of the trunk it is.
+const RANGE_M: f64 = 0.06;
+const SPEED_M_PER_S: f64 = 0.12;
+/// Errors of its direction: by repeats off walls, and across the body (m).
+const COSINE: f64 = 0.03;
+const ACROSS_M: f64 = 0.08;
+/// People change their velocity by so much, m/s, in the root of a second, as they walk on; where they turn or stop, by more.
+const RESTLESSNESS: f64 = 0.2;
+/// Time over which a turn is looked for, s.
+const TURN_S: f64 = 0.5;
+const MOST_TURN: f64 = 300.0;
+/// Somebody is visible where repeats merged with their echo have less than this of its field: 6 dB down.
+const CLEAR: f64 = 0.5;
+/// Share of the power on it that a wall throws about by Lambert's law, the most that was measured (sim/src/diffuse.rs), and how
+/// much of a wall a range cell holds, m^2.
+const MULTIPATH_SHARE: f64 = 0.16;
+const PIECE_M2: f64 = 3.0;
+/// No way by a wall counts as shorter, m.
+const LEAST_LEG_M: f64 = 0.3;
+/// Degrees of freedom of the errors' distribution.
+const FREEDOM: f64 = 4.0;
+const ROUNDS: usize = 8;
+
+/// The radar as far as echoes tell of it.
+#[derive(Debug, Clone)]
+pub struct Sensor {
+    pub position: DVec3,
+    world_from_radar: DMat3,
+    /// Unit vector, in the room, along the pair of receivers that tells azimuth; `None` with one receiver.
+    azimuth: Option<DVec3>,
+    /// Height of the trunk's middle, m.
+    pub trunk_height_m: f64,
+    /// Span of speeds without ambiguity, m/s.
+    pub span_m_per_s: f64,
+    range_resolution_m: f64,
+    pattern: Pattern,
+    room: BoxRoom,
+}
+
+/// A person in a frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Smoothed {
+    /// Index among the detections.
+    pub frame: usize,
+    pub time_s: f64,
+    pub x: f64,
+    pub y: f64,
+    pub vx: f64,
+    pub vy: f64,
+    /// Standard deviation of the place, by the smoother's own account, m.
+    pub sigma_m: f64,
+    /// Level of the echo over noise, dB; `None` where there was none.
+    pub snr_db: Option<f64>,
+    /// Whether there was one that no repeat off a wall is merged with.
+    pub is_visible: bool,
+}
+
+/// Echo that is expected of a person.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Expected {
+    pub range_m: f64,
+    pub velocity_m_per_s: f64,
+    pub cosine: f64,
+}
+
+/// Ghost of a person by a piece of wall, on average, beside their own echo.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Multipath {
+    /// Additional range of the ghost, m.
+    pub farther_m: f64,
+    /// Level over theirs, dB.
+    pub louder_db: f64,
+}
+
+impl Sensor {
+    /// The radar of a scene, and the receivers to compare: RX1 with RX3 side by side, else RX1 with RX2, which are beside and
+    /// above each other.
+    pub fn new(scene: &Scene, waveform: &Waveform, height_m: f64) -> (Self, Vec<Baseline>) {
+        let world_from_radar = scene.radar_from_world().transpose();
+        let antennas = waveform.request.rx_antennas.antennas();
+        let index = |antenna: u8| antennas.iter().position(|a| *a == antenna);
+        let offset = |antenna: u8| ANTENNA_OFFSETS_M.rx.get(usize::from(antenna) - 1).copied().unwrap_or_default();
+        let pair = [(1, 3), (1, 2)].into_iter().find_map(|(to, from)| {
+            let way = offset(to) - offset(from);
+            let baseline = Baseline { to: index(to)?, from: index(from)?, length_m: way.length(), phase_rad: 0.0 };
+            Some((world_from_radar * way.normalize(), baseline))
+        });
+        let antenna = &scene.receiver().antenna;
+        let sensor = Sensor {
+            position: scene.radar_position(),
+            world_from_radar,
+            azimuth: pair.map(|(direction, _)| direction),
+            trunk_height_m: CHEST_HEIGHT * height_m,
+            span_m_per_s: 2.0 * waveform.max_velocity_m_per_s(),
+            range_resolution_m: waveform.range_resolution_m(),
+            pattern: Pattern::new(
+                antenna.azimuth_beamwidth_deg.to_radians(),
+                antenna.elevation_beamwidth_deg.to_radians(),
+                antenna.side_lobe_floor_db,
+            ),
+            room: scene.room(),
+        };
+        (sensor, pair.map(|(_, baseline)| baseline).into_iter().collect())
+    }
+
+    /// Whether receivers tell direction.
+    pub fn tells_direction(&self) -> bool {
+        self.azimuth.is_some()
+    }
+
+    /// A difference of speeds, folded into the span without ambiguity.
+    pub fn wrapped(&self, speed: f64) -> f64 {
+        speed - self.span_m_per_s * (speed / self.span_m_per_s).round()
+    }
+
+    /// Ghost of a person by a piece of wall, which is given by its middle and its normal into the room: by the way from the radar
+    /// over the wall and the person back, and the other way round.
+    pub fn multipath(&self, state: &Smoothed, (middle, normal): &(DVec3, DVec3)) -> Multipath {
+        let place = DVec3::new(state.x, state.y, self.trunk_height_m);
+        let (there, on, back) = (*middle - self.position, place - *middle, self.position - place);
+        let [there_m, on_m, back_m] = [there, on, back].map(|way| way.length().max(LEAST_LEG_M));
+        let field = |way: DVec3| self.pattern.field(self.world_from_radar.transpose() * way.normalize_or_zero());
+        let cosines = (-there.dot(*normal)).max(0.0) / there_m * on.dot(*normal).max(0.0) / on_m;
+        let by_pattern = (field(there) / field(-back).max(1e-3)).powi(2);
+        // Two ways, in phase, of which a receiver takes one polarisation; the body throws as much to all sides.
+        let power =
+            4.0 * 0.5 * MULTIPATH_SHARE * PIECE_M2 * cosines / PI * by_pattern * (back_m / (there_m * on_m)).powi(2);
+        Multipath { farther_m: 0.5 * (there_m + on_m - back_m), louder_db: 10.0 * power.max(1e-12).log10() }
+    }
+
+    /// Middles of pieces of floor, ceiling and walls, that far apart, each with the normal into the room.
+    pub fn wall_pieces(&self, step_m: f64) -> impl Iterator<Item = (DVec3, DVec3)> + '_ {
+        let size = self.room.size_m;
+        let counts = (size / step_m).ceil().max(DVec3::ONE);
+        let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
+        walls.flat_map(move |(i, _)| {
+            let (axis, u, v) = (i / 2, (i / 2 + 1) % 3, (i / 2 + 2) % 3);
+            let normal = DVec3::AXES[axis] * if i % 2 == 0 { 1.0 } else { -1.0 };
+            let middle = move |a: f64, b: f64| {
+                let mut middle = DVec3::ZERO;
+                middle[axis] = if i % 2 == 0 { 0.0 } else { size[axis] };
+                (middle[u], middle[v]) = ((a + 0.5) / counts[u] * size[u], (b + 0.5) / counts[v] * size[v]);
+                (middle, normal)
+            };
+            (0..counts[u] as usize).flat_map(move |a| (0..counts[v] as usize).map(move |b| middle(a as f64, b as f64)))
+        })
+    }
+
+    /// Repeats off upright walls that fall into the range cell of somebody's own echo: their field over its, all together, and
+    /// by how much they can pull its cosine.
+    pub fn merged_repeats(&self, x: f64, y: f64) -> (f64, f64) {
+        let place = DVec3::new(x, y, self.trunk_height_m);
+        let field = |from: DVec3| {
+            let unit = (place - from).normalize_or_zero();
+            (self.pattern.field(self.world_from_radar.transpose() * unit), unit)
+        };
+        let (own, way_m) = (field(self.position), place.distance(self.position));
+        let (mut all, mut pull) = (0.0, 0.0);
+        for (wall, image) in self.images().filter(|(wall, _)| wall / 2 < 2) {
+            let later_m = 0.5 * (place.distance(image) - way_m);
+            if later_m > self.range_resolution_m {
+                continue;
+            }
+            // Seen from the antenna the repeat comes from the person's own image.
+            let (axis, at) = (wall / 2, if wall % 2 == 0 { 0.0 } else { self.room.size_m[wall / 2] });
+            let mut mirrored = place;
+            mirrored[axis] = 2.0 * at - place[axis];
+            let unit = (mirrored - self.position).normalize_or_zero();
+            let reflection = match self.room.walls.get(wall) {
+                Some(Wall::Slab { permittivity, thickness_m }) => {
+                    let slab = fresnel::slab(*permittivity, *thickness_m, self.room.wavenumber_per_m, unit[axis].abs());
+                    slab.reflection.te.norm()
+                }
+                Some(Wall::Conductor) => 1.0,
+                _ => 0.0,
+            };
+            let share = reflection * self.pattern.field(self.world_from_radar.transpose() * unit) / own.0.max(1e-3);
+            all += share;
+            pull += share * (self.beside().dot(unit) - self.beside().dot(own.1)).abs();
+        }
+        (all, pull)
+    }
+
+    /// The radar in each wall's mirror, with the wall's index.
+    pub fn images(&self) -> impl Iterator<Item = (usize, DVec3)> {
+        let (size, at) = (self.room.size_m, self.position);
+        let walls = self.room.walls.iter().enumerate().filter(|(_, wall)| !matches!(wall, Wall::Open));
+        walls.map(move |(i, _)| {
+            let mut image = at;
+            let axis = i / 2;
+            image[axis] = if i % 2 == 0 { -at[axis] } else { 2.0 * size[axis] - at[axis] };
+            (i, image)
+        })
+    }
+
+    /// Echo that is expected of a person.
+    pub fn expected(&self, state: &Smoothed) -> Expected {
+        let [range, speed, cosine] = self.measures(DVec4::new(state.x, state.y, state.vx, state.vy));
+        Expected { range_m: range.0, velocity_m_per_s: speed.0, cosine: cosine.0 }
+    }
+
+    /// Along which cosines are measured: beside the boresight where no receivers tell.
+    fn beside(&self) -> DVec3 {
+        self.azimuth.unwrap_or(self.world_from_radar.y_axis)
+    }
+
+    /// Range, speed and cosine that a state makes, each with its gradient.
+    fn measures(&self, state: DVec4) -> [(f64, DVec4); 3] {
+        let velocity = DVec2::new(state.z, state.w);
+        let lean = velocity.normalize_or_zero() * LEAN_M * velocity.length().min(1.0);
+        let way = DVec3::new(state.x + lean.x, state.y + lean.y, self.trunk_height_m) - self.position;
+        let r = way.length().max(0.05);
+        let unit = way / r;
+        let ground = unit.truncate();
+        let speed = velocity.dot(ground);
+        // The support function of the trunk's ellipse; people face where they go, and those who stand either way.
+        let [front, side] = REACH_M;
+        let facing = if velocity.length() > 0.2 { velocity.normalize().dot(ground.normalize_or_zero()) } else { 0.7 };
+        let level = front * front * facing * facing + side * side * (1.0 - facing * facing);
+        let reach = level.sqrt() * ground.length();
+        let by_place = (velocity - speed * ground) / r;
+        let beside = self.beside();
+        let cosine = beside.dot(unit);
+        let turn = (beside - cosine * unit) / r;
+        [
+            (r - reach, DVec4::new(ground.x, ground.y, 0.0, 0.0)),
+            (speed, DVec4::new(by_place.x, by_place.y, ground.x, ground.y)),
+            (cosine, DVec4::new(turn.x, turn.y, 0.0, 0.0)),
+        ]
+    }
+
+    /// Roughly where an echo comes from.
+    fn place(&self, range_m: f64, cosine: f64) -> DVec2 {
+        let ground_m = (range_m.powi(2) - (self.trunk_height_m - self.position.z).powi(2)).max(0.01).sqrt();
+        let sine = (cosine * range_m / ground_m).clamp(-0.95, 0.95);
+        let ahead = self.world_from_radar.x_axis.truncate().normalize_or(DVec2::X);
+        self.position.truncate() + ground_m * (ahead * (1.0 - sine * sine).sqrt() + ahead.perp() * sine)
+    }
+}
+
+/// Value, what it should be by error, and which of the three measures.
+struct Measure {
+    which: usize,
+    value: f64,
+    sigma: f64,
+    /// Factor on the variance, by how far it lies off.
+    doubt: f64,
+}
+
+/// The trajectory of a tracklet, a state for each frame from its first to its last.
+pub fn smooth(detections: &[Detections], places: &[Place], sensor: &Sensor) -> Vec<Smoothed> {
+    let (Some(first), Some(last)) = (places.first().map(|p| p.0), places.last().map(|p| p.0)) else {
+        return Vec::new();
+    };
+    let frames: Vec<&Detections> = detections.iter().take(last + 1).skip(first).collect();
+    let mut measures: Vec<Vec<Measure>> = frames.iter().map(|_| Vec::new()).collect();
+    let mut snr_db = vec![None; frames.len()];
+    let mut seen: Vec<(f64, DVec2)> = Vec::new();
+    for &(frame, echo) in places {
+        let Some(echo) = detections.get(frame).and_then(|detected| detected.echoes.get(echo)) else { continue };
+        let Some((row, (level, detected))) =
+            measures.get_mut(frame - first).zip(snr_db.get_mut(frame - first).zip(frames.get(frame - first)))
+        else {
+            continue;
+        };
+        *level = Some(echo.snr_db);
+        let noise = 10f64.powf(-0.05 * echo.snr_db);
+        let mut add = |which, value, sigma: f64| row.push(Measure { which, value, sigma, doubt: 1.0 });
+        add(0, echo.range_m, RANGE_M * if echo.is_still { 2.0 } else { 1.0 });
+        add(1, echo.velocity_m_per_s, SPEED_M_PER_S);
+        let cosine = match echo.cosines.first() {
+            Some(cosine) => *cosine,
+            None => Some(0.0),
+        };
+        if let Some(cosine) = cosine {
+            let at = sensor.place(echo.range_m, cosine);
+            let pull = sensor.merged_repeats(at.x, at.y).1;
+            add(
+                2,
+                cosine,
+                (COSINE.powi(2) + pull * pull + (ACROSS_M / echo.range_m.max(0.3)).powi(2) + noise * noise).sqrt(),
+            );
+        }
+        seen.push((detected.time_s, sensor.place(echo.range_m, cosine.unwrap_or(0.0))));
+    }
+    let mut states = first_guess(&frames, &seen);
+    let mut sigmas = vec![0.0; states.len()];
+    let mut restless = vec![4.0; states.len()];
+    for _ in 0..ROUNDS {
+        (states, sigmas) = once(&frames, &measures, &states, &restless, sensor);
+        restless = turns(&frames, &states);
+        for (row, state) in measures.iter_mut().zip(&states) {
+            let expected = sensor.measures(*state);
+            for measure in row {
+                let Some((value, _)) = expected.get(measure.which) else { continue };
+                let off = off(measure, *value, sensor) / measure.sigma;
+                measure.doubt = 1.0 + off * off / FREEDOM;
+            }
+        }
+    }
+    let all = frames.iter().zip(states).zip(sigmas.into_iter().zip(snr_db)).enumerate();
+    all.map(|(i, ((detected, s), (sigma_m, snr_db)))| Smoothed {
+        frame: first + i,
+        time_s: detected.time_s,
+        x: s.x,
+        y: s.y,
+        vx: s.z,
+        vy: s.w,
+        sigma_m,
+        snr_db,
+        is_visible: snr_db.is_some() && sensor.merged_repeats(s.x, s.y).0 < CLEAR,
+    })
+    .collect()
+}
+
+/// Factor on how restless somebody is at each time, by how much their velocity changes there: as with errors, what is unlikely
+/// is taken for something else that happened.
+fn turns(frames: &[&Detections], states: &[DVec4]) -> Vec<f64> {
+    let at = |time_s: f64| {
+        let later = frames.partition_point(|detected| detected.time_s < time_s).min(states.len().saturating_sub(1));
+        states.get(later).map_or(DVec2::ZERO, |s| DVec2::new(s.z, s.w))
+    };
+    let factor = |detected: &&Detections| {
+        let change = at(detected.time_s + 0.5 * TURN_S) - at(detected.time_s - 0.5 * TURN_S);
+        let usual = 2.0 * RESTLESSNESS * RESTLESSNESS * TURN_S;
+        1.0 + (change.length_squared() / usual).powi(2).min(MOST_TURN)
+    };
+    frames.iter().map(factor).collect()
+}
+
+/// A measure less what it should be.
+fn off(measure: &Measure, value: f64, sensor: &Sensor) -> f64 {
+    let off = measure.value - value;
+    if measure.which == 1 { sensor.wrapped(off) } else { off }
+}
+
+/// Places between those seen, averaged over half a second either way, with the slope of that.
+fn first_guess(frames: &[&Detections], seen: &[(f64, DVec2)]) -> Vec<DVec4> {
+    const HALF_S: f64 = 0.5;
+    let about = |time_s: f64| {
+        let near = seen.iter().filter(|(t, _)| (t - time_s).abs() <= HALF_S);
+        let (sum, count) = near.fold((DVec2::ZERO, 0.0), |(sum, count), (_, place)| (sum + *place, count + 1.0));
+        if count > 0.0 {
+            return sum / count;
+        }
+        let nearest = seen.iter().min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()));
+        nearest.map_or(DVec2::ZERO, |(_, place)| *place)
+    };
+    let guess = |detected: &&Detections| {
+        let (place, velocity) =
+            (about(detected.time_s), about(detected.time_s + HALF_S) - about(detected.time_s - HALF_S));
+        DVec4::new(place.x, place.y, velocity.x / (2.0 * HALF_S), velocity.y / (2.0 * HALF_S))
+    };
+    frames.iter().map(guess).collect()
+}
+
+/// Forth and back once, with all measures linear about `about`. States, and standard deviations of the places.
+fn once(
+    frames: &[&Detections],
+    measures: &[Vec<Measure>],
+    about: &[DVec4],
+    restless: &[f64],
+    sensor: &Sensor,
+) -> (Vec<DVec4>, Vec<f64>) {
+    let mut state = about.first().copied().unwrap_or_default();
+    // Little is known before.
+    let mut covariance = DMat4::from_diagonal(DVec4::new(25.0, 25.0, 4.0, 4.0));
+    let mut before_s = frames.first().map_or(0.0, |detected| detected.time_s);
+    // Of each frame: what the frame before made of it, and what its echo added; and how it came from there.
+    let mut passed: Vec<(DMat4, DVec4, DMat4, DVec4, DMat4)> = Vec::with_capacity(frames.len());
+    for ((detected, row), (about, restless)) in frames.iter().zip(measures).zip(about.iter().zip(restless)) {
+        let dt = detected.time_s - before_s;
+        before_s = detected.time_s;
+        let mut step = DMat4::IDENTITY;
+        (step.z_axis.x, step.w_axis.y) = (dt, dt);
+        let q = RESTLESSNESS * RESTLESSNESS * restless;
+        let (a, b, c) = (q * dt.powi(3) / 3.0, q * dt.powi(2) / 2.0, q * dt);
+        let restless = DMat4::from_cols(
+            DVec4::new(a, 0.0, b, 0.0),
+            DVec4::new(0.0, a, 0.0, b),
+            DVec4::new(b, 0.0, c, 0.0),
+            DVec4::new(0.0, b, 0.0, c),
+        );
+        state = step * state;
+        covariance = step * covariance * step.transpose() + restless;
+        let predicted = (state, covariance);
+        let expected = sensor.measures(*about);
+        for measure in row {
+            let Some((value, gradient)) = expected.get(measure.which) else { continue };
+            let innovation = off(measure, *value, sensor) - gradient.dot(state - *about);
+            let spread = covariance * *gradient;
+            let variance = gradient.dot(spread) + measure.sigma * measure.sigma * measure.doubt;
+            let gain = spread / variance;
+            state += gain * innovation;
+            let taken = DMat4::from_cols(gain * spread.x, gain * spread.y, gain * spread.z, gain * spread.w);
+            covariance -= taken;
+            covariance = (covariance + covariance.transpose()) * 0.5;
+        }
+        passed.push((step, predicted.0, predicted.1, state, covariance));
+    }
+    let mut states = vec![state; passed.len()];
+    let mut sigmas = vec![0.0; passed.len()];
+    let mut after: Option<(DMat4, DVec4, DMat4, DVec4, DMat4)> = None;
+    for (i, (step, predicted, predicted_covariance, filtered, filtered_covariance)) in
+        passed.into_iter().enumerate().rev()
+    {
+        let (mut state, mut covariance) = (filtered, filtered_covariance);
+        if let Some((step, predicted, predicted_covariance, later, later_covariance)) = after {
+            let gain = filtered_covariance * step.transpose() * predicted_covariance.inverse();
+            state = filtered + gain * (later - predicted);
+            covariance = filtered_covariance + gain * (later_covariance - predicted_covariance) * gain.transpose();
+        }
+        if let (Some(s), Some(sigma)) = (states.get_mut(i), sigmas.get_mut(i)) {
+            *s = state;
+            *sigma = (covariance.x_axis.x + covariance.y_axis.y).max(0.0).sqrt();
+        }
+        after = Some((step, predicted, predicted_covariance, state, covariance));
+    }
+    (states, sigmas)
+}
+
+#[cfg(test)]
+mod tests {
+    use radome_dsp::WaveformRequest;
+    use radome_dsp::echo::Echo;
+
+    use super::*;
+
+    fn sensor() -> Sensor {
+        let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
+        Sensor::new(&Scene::nothing(&waveform).expect("a scene"), &waveform, 1.75).0
+    }
+
+    /// Echoes of somebody on a straight way, exactly as the sensor expects them, but for some that come from elsewhere.
+    fn detections(sensor: &Sensor, wrong: impl Fn(usize) -> bool) -> (Vec<Detections>, Vec<Smoothed>) {
+        let truth = |i: usize| {
+            let time_s = 0.1 * i as f64;
+            Smoothed {
+                frame: i,
+                time_s,
+                x: sensor.position.x + 6.0 - 1.1 * time_s,
+                y: sensor.position.y - 1.0 + 0.4 * time_s,
+                vx: -1.1,
+                vy: 0.4,
+                sigma_m: 0.0,
+                snr_db: Some(30.0),
+                is_visible: true,
+            }
+        };
+        let detected = |i: usize| {
+            let expected = sensor.expected(&truth(i));
+            let (range, cosine) = if wrong(i) { (0.5, -0.3) } else { (0.0, 0.0) };
+            let echo = Echo {
+                range_m: expected.range_m + range,
+                velocity_m_per_s: expected.velocity_m_per_s,
+                snr_db: 30.0,
+                cosines: vec![Some(expected.cosine + cosine)],
+                is_still: false,
+            };
+            Detections { time_s: truth(i).time_s, people: 1, echoes: vec![echo] }
+        };
+        ((0..40).map(detected).collect(), (0..40).map(truth).collect())
+    }
+
+    #[test]
+    fn a_straight_way_is_found_again_from_what_it_makes() {
+        let sensor = sensor();
+        let (detections, truth) = detections(&sensor, |_| false);
+        let places: Vec<Place> = (0..40).filter(|i| !(15..20).contains(i)).map(|i| (i, 0)).collect();
+        let track = smooth(&detections, &places, &sensor);
+        assert_eq!(track.len(), 40);
+        for (told, truth) in track.iter().zip(&truth) {
+            let (place, speed) =
+                ((told.x - truth.x).hypot(told.y - truth.y), (told.vx - truth.vx).hypot(told.vy - truth.vy));
+            assert!(place < 0.01 && speed < 0.02, "{told:?} {truth:?}");
+            assert_eq!(told.snr_db.is_none(), (15..20).contains(&told.frame));
+        }
+    }
+
+    /// One in seven is 1.8 m to one side: an average over them would be 0.26 m off, the smoother is less than half as much. (At
+    /// the ends, where little else is known, wrong echoes weigh more.)
+    #[test]
+    fn echoes_from_elsewhere_pull_little() {
+        let sensor = sensor();
+        let (detections, truth) = detections(&sensor, |i| i % 7 == 3 && (7..33).contains(&i));
+        let places: Vec<Place> = (0..40).map(|i| (i, 0)).collect();
+        for (told, truth) in smooth(&detections, &places, &sensor).iter().zip(&truth) {
+            assert!((told.x - truth.x).hypot(told.y - truth.y) < 0.13, "{told:?} {truth:?}");
+        }
+    }
+
+    /// Gradients against differences of the values.
+    #[test]
+    fn measures_change_as_their_gradients_say() {
+        let sensor = sensor();
+        let state = DVec4::new(sensor.position.x + 3.0, sensor.position.y + 0.8, -0.9, 0.5);
+        for axis in 0..4 {
+            let mut step = DVec4::ZERO;
+            step[axis] = 1e-4;
+            let (after, before) = (sensor.measures(state + step), sensor.measures(state - step));
+            for (which, (value, gradient)) in sensor.measures(state).into_iter().enumerate() {
+                let slope = (after[which].0 - before[which].0) / 2e-4;
+                // How far the trunk reaches and leans is taken for constant.
+                assert!((slope - gradient[axis]).abs() < 0.05, "{which} {axis}: {slope} {} at {value}", gradient[axis]);
+            }
+        }
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn nothing_to_follow_is_no_trajectory() {
+            assert!(smooth(&[], &[], &sensor()).is_empty());
+            let lone = Detections { time_s: 0.0, people: 1, echoes: Vec::new() };
+            assert!(smooth(&[lone], &[(0, 3)], &sensor()).len() <= 1);
+        }
+    }
+}

@@ -1,0 +1,45 @@
+//! The dataset of a recording and its mirror.
+
+use radome_dsp::{Rdm, Truth};
+use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
+
+use super::watcher::Taken;
+
+/// Writer of maps of both sides of a pair.
+pub struct Store {
+    /// Writer of the dataset.
+    pub writer: DatasetWriter,
+    /// Name of the pair.
+    pub pair: String,
+    /// Name of the scene.
+    pub scene: String,
+    /// Name of the person.
+    pub subject: Option<String>,
+}
+
+impl Store {
+    /// Stores a map of one side with the class of the frame.
+    ///
+    /// # Errors
+    /// The dataset cannot be written.
+    pub fn push(
+        &mut self,
+        domain: Domain,
+        map: &Rdm,
+        of: &Taken,
+        truth: Truth,
+        seed: Option<u64>,
+    ) -> anyhow::Result<()> {
+        let recording = match domain {
+            Domain::Real => self.pair.clone(),
+            Domain::Sim => format!("{}-mirror", self.pair),
+        };
+        let mut row = ManifestRow::new(domain, &self.scene, &recording, &self.pair, of.sequence, truth.occupancy);
+        row.subject.clone_from(&self.subject);
+        row.time_ns = Some(of.time_ns);
+        row.pair = Some(self.pair.clone());
+        row.transition = truth.transition;
+        row.seed = seed;
+        Ok(self.writer.push(map, row)?)
+    }
+}

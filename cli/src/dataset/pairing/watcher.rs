@@ -1,0 +1,91 @@
+//! Echoes of every frame of a recording or a simulation, moving and still.
+
+use std::collections::VecDeque;
+
+use radome_dsp::angle::Baseline;
+use radome_dsp::echo::{Echo, EchoFinder, RangeProfile};
+use radome_dsp::{Frame, Truth, Waveform};
+
+use super::detections::Detections;
+
+/// Half the time over which frames are compared with each other to find people who are still, s.
+const STILL_HALF_S: f64 = 1.0;
+/// Distance, m, within which a moving echo hides a still one.
+const KEEPS_AWAY_M: f64 = 1.0;
+
+/// Frame of the recording without its samples.
+#[derive(Debug, Clone, Copy)]
+pub struct Taken {
+    /// Number of the frame.
+    pub sequence: u64,
+    /// Beginning of the frame on the recording's clock, ns.
+    pub time_ns: u64,
+    /// Whether frames were lost before it.
+    pub after_gap: bool,
+    /// Class by label or by simulation.
+    pub truth: Option<Truth>,
+}
+
+/// Finds echoes frame by frame.
+pub struct Watcher {
+    finder: EchoFinder,
+    moving: Vec<Vec<Echo>>,
+    profiles: VecDeque<RangeProfile>,
+    still: Vec<Vec<Echo>>,
+    /// Frames of a window.
+    window: usize,
+}
+
+impl Watcher {
+    /// Finder for frames of a waveform.
+    pub fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
+        let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
+        Watcher {
+            finder: EchoFinder::new(waveform, baselines),
+            moving: Vec::new(),
+            profiles: VecDeque::new(),
+            still: Vec::new(),
+            window: 2 * half + 1,
+        }
+    }
+
+    /// Finds the echoes of the next frame.
+    ///
+    /// # Errors
+    /// The frame is of another shape than the waveform says.
+    pub fn take(&mut self, frame: &Frame) -> anyhow::Result<()> {
+        let (echoes, profile) = self.finder.moving(frame)?;
+        self.moving.push(echoes);
+        self.profiles.push_back(profile);
+        if self.profiles.len() > self.window {
+            self.profiles.pop_front();
+        }
+        if self.profiles.len() == self.window {
+            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+        }
+        Ok(())
+    }
+
+    /// Echoes of all frames, with those that are still in the middle of each window; the first and last whole window stand for
+    /// either end.
+    pub fn finish(mut self, times_s: &[f64], taken: &[Taken], waveform: &Waveform) -> Vec<Detections> {
+        if self.still.is_empty() && !self.profiles.is_empty() {
+            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+        }
+        let middle_s = 0.5 * waveform.request.chirps_per_frame as f64 * waveform.chirp_interval_s;
+        let half = self.window / 2;
+        let moving = std::mem::take(&mut self.moving);
+        let of = |(k, mut echoes): (usize, Vec<Echo>)| {
+            let still = self.still.get(k.saturating_sub(half).min(self.still.len().saturating_sub(1)));
+            let near = |still: &Echo| echoes.iter().any(|e| (e.range_m - still.range_m).abs() < KEEPS_AWAY_M);
+            let quiet: Vec<_> = still.into_iter().flatten().filter(|s| !near(s)).cloned().collect();
+            echoes.extend(quiet);
+            Detections {
+                time_s: times_s.get(k).copied().unwrap_or(0.0) + middle_s,
+                people: taken.get(k).and_then(|of| of.truth).map_or(2, |truth| truth.occupancy.index()),
+                echoes,
+            }
+        };
+        moving.into_iter().enumerate().map(of).collect()
+    }
+}

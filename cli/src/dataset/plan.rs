@@ -1,0 +1,315 @@
+//! The work list of a build, the same on every machine: units, each a run of a scene or a recording.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use anyhow::{Context, bail};
+use radome_driver::recording::Recording;
+use radome_dsp::rdm::Channels;
+use radome_dsp::{FrameSource, KernelLevel, Occupancy};
+use radome_models::bounded_file::read_text;
+use radome_models::dataset::{DatasetHeader, Split};
+use radome_sim::Scene;
+use radome_sim::bounded_file::named_by_spec;
+use radome_sim::scene::file::BodyFile;
+use serde::{Deserialize, Serialize};
+
+use super::fingerprints::Fingerprints;
+use super::folders::{self, Found, Reading, Rules};
+use super::spec::{Body, BuildSpec, FolderLabel, Recorded, Simulated};
+use crate::shard::Shard;
+
+/// Version of `plan.json`.
+const FORMAT: u32 = 1;
+/// Longest card that is read: it names every file that the build is made from.
+const CARD_LIMIT_BYTES: u64 = 256 << 20;
+/// Its name in a folder of units.
+pub const FILE: &str = "plan.json";
+
+/// A run of a scene, or a recording.
+#[derive(Debug, Clone)]
+pub struct Unit {
+    pub scene: String,
+    pub recording: String,
+    pub sequence: String,
+    pub subject: Option<String>,
+    pub split: Option<Split>,
+    /// Take one map in so many.
+    pub every: u64,
+    pub source: UnitSource,
+}
+
+#[derive(Debug, Clone)]
+pub enum UnitSource {
+    Run { scene: Arc<Scene>, seed: u64, people: Option<usize>, frames: u64, tolerance_db: Option<f64> },
+    Recording { path: PathBuf, label: Option<Occupancy>, label_file: Option<PathBuf> },
+}
+
+/// Units and what their maps have in common.
+pub struct Plan {
+    pub header: DatasetHeader,
+    pub kernel: KernelLevel,
+    pub units: Vec<Unit>,
+    pub card: PlanCard,
+}
+
+/// Inputs that decide the bytes of a build, as written beside its units: a later run or a merge compares them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlanCard {
+    format: u32,
+    /// Version of the program.
+    program: String,
+    /// Instructions that the maps are made with.
+    kernel: KernelLevel,
+    pub spec: BuildSpec,
+    /// Fingerprints of the files that the spec names, by the names that it gives them.
+    sources: BTreeMap<String, String>,
+    /// Units of the whole build; unit `k` is shard `k mod N`'s.
+    pub units: usize,
+    pub shard: Shard,
+}
+
+impl Plan {
+    /// The plan of a spec file.
+    ///
+    /// # Errors
+    /// The spec or a source cannot be read, a name occurs twice, or the machine lacks the kernel.
+    pub fn new(path: &Path, shard: Shard) -> anyhow::Result<Self> {
+        let spec = BuildSpec::load(path)?;
+        let base = path.parent().unwrap_or(Path::new("."));
+        let mut list = List { units: Vec::new(), prints: Fingerprints::new(base), header: None, spec: &spec };
+        for source in &spec.simulated {
+            list.simulated(&named(base, &source.scene)?, source)?;
+        }
+        for source in &spec.recorded {
+            list.recorded(base, source)?;
+        }
+        let List { units, prints, header, .. } = list;
+        let Some((_, header)) = header else { bail!("{} names no source", path.display()) };
+        let mut names = BTreeSet::new();
+        if let Some(twice) = units.iter().find(|unit| !names.insert(&unit.recording)) {
+            bail!("{}: two recordings would be called '{}'", path.display(), twice.recording);
+        }
+        let kernel = spec.kernel.unwrap_or_else(KernelLevel::detect);
+        if !kernel.is_available() {
+            bail!(
+                "{}: kernel {kernel} asked for, the best that this machine has is {}",
+                path.display(),
+                KernelLevel::detect()
+            );
+        }
+        let card = PlanCard {
+            format: FORMAT,
+            program: env!("CARGO_PKG_VERSION").to_owned(),
+            kernel,
+            sources: prints.into_map(),
+            units: units.len(),
+            spec,
+            shard,
+        };
+        Ok(Plan { header, kernel, units, card })
+    }
+}
+
+/// Path of what a spec in a folder names.
+fn named(folder: &Path, name: &Path) -> anyhow::Result<PathBuf> {
+    named_by_spec(folder, name).with_context(|| format!("cannot read {}", folder.join(name).display()))
+}
+
+struct List<'a> {
+    units: Vec<Unit>,
+    prints: Fingerprints,
+    /// The first source sets it; its name is for messages.
+    header: Option<(String, DatasetHeader)>,
+    spec: &'a BuildSpec,
+}
+
+impl List<'_> {
+    fn check_waveform(&mut self, name: &str, waveform: &radome_dsp::Waveform) -> anyhow::Result<()> {
+        match &self.header {
+            Some((first, header)) => header
+                .rdm_spec
+                .check_compatible(waveform, &header.waveform)
+                .with_context(|| format!("{name} and {first}: sources of one dataset must agree")),
+            None => {
+                self.header = Some((name.to_owned(), DatasetHeader::new(waveform.clone(), self.spec.map)?));
+                Ok(())
+            }
+        }
+    }
+
+    fn simulated(&mut self, path: &Path, source: &Simulated) -> anyhow::Result<()> {
+        let mut scene = Scene::load_with_waveform(path, &source.waveform)?;
+        if let Some(body) = source.body {
+            if scene.file().people.desk.is_some() {
+                bail!("{}: people at a desk are made of one thing only; leave `body` out of the spec", path.display());
+            }
+            scene = scene.with_body(match body {
+                Body::Ellipsoids => BodyFile::Ellipsoids,
+                Body::Mesh => BodyFile::Mesh,
+            });
+        }
+        self.check_waveform(&path.display().to_string(), scene.waveform())?;
+        if let Channels::One(index) = self.spec.map.channels {
+            // What no map shows need not be simulated.
+            let receivers = scene.waveform().request.rx_antennas.up_to(index);
+            scene = scene.with_receivers(receivers);
+        }
+        let scene = Arc::new(scene);
+        self.prints.scene(&source.scene)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let waveform = match source.waveform.is_empty() {
+            true => String::new(),
+            false => {
+                let request = &scene.waveform().request;
+                let interval_us = (request.chirp_interval_s * 1e6).round();
+                format!("-{}x{}x{interval_us}us", request.chirps_per_frame, request.samples_per_chirp)
+            }
+        };
+        let forced: Vec<Option<usize>> =
+            if source.people.is_empty() { vec![None] } else { source.people.iter().map(|p| Some(*p)).collect() };
+        for seed in source.seeds.0..=source.seeds.1 {
+            for &people in &forced {
+                let suffix = people.map_or(String::new(), |p| format!("-people{p}"));
+                let body = if source.body == Some(Body::Mesh) { "-mesh" } else { "" };
+                let recording = format!("{name}{waveform}-seed{seed}{suffix}{body}");
+                self.units.push(Unit {
+                    scene: name.clone(),
+                    sequence: recording.clone(),
+                    recording,
+                    subject: None,
+                    split: source.split,
+                    every: source.every,
+                    source: UnitSource::Run {
+                        scene: Arc::clone(&scene),
+                        seed,
+                        people,
+                        frames: source.frames,
+                        tolerance_db: source.tolerance_db,
+                    },
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn recorded(&mut self, base: &Path, source: &Recorded) -> anyhow::Result<()> {
+        if let Some(recording) = &source.recording {
+            let path = named(base, recording)?;
+            let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let found = Found { path, session: name.clone(), name };
+            let label_file = source.label_file.as_ref().map(|file| named(base, file)).transpose()?;
+            if let Some(file) = &source.label_file {
+                self.prints.file(file)?;
+            }
+            return self.recording(source, found, &recording.display().to_string(), source.label, label_file, None);
+        }
+        let Some(folders) = &source.folders else { return Ok(()) };
+        let rules = Rules::new(source)?;
+        let folder = named(base, folders)?;
+        for found in folders::find(&folder)? {
+            let reading = rules.read(&found.session).with_context(|| format!("in {}", folder.display()))?;
+            let label = match reading.label {
+                FolderLabel::Skip => continue,
+                FolderLabel::Spans => None,
+                FolderLabel::Empty => Some(Occupancy::Empty),
+                FolderLabel::One => Some(Occupancy::One),
+                FolderLabel::Two => Some(Occupancy::Two),
+            };
+            let called = format!("{}/{}", folders.display(), found.name);
+            self.recording(source, found, &called, label, None, Some(reading))?;
+        }
+        Ok(())
+    }
+
+    /// A recording as a unit; `called` is its name in the list of sources.
+    fn recording(
+        &mut self,
+        source: &Recorded,
+        found: Found,
+        called: &str,
+        label: Option<Occupancy>,
+        label_file: Option<PathBuf>,
+        reading: Option<Reading>,
+    ) -> anyhow::Result<()> {
+        let opened = Recording::open(&found.path)?;
+        self.check_waveform(&found.path.display().to_string(), opened.waveform())?;
+        let label_file = label_file.or_else(|| match (&opened, label) {
+            (Recording::Mcap(_), _) | (_, Some(_)) => None,
+            _ => crate::labels::file_beside(&found.path),
+        });
+        let content = if let Recording::Infineon(reader) = &opened { reader.folder() } else { &found.path };
+        self.prints.recording(called, content, label_file.as_deref())?;
+        let reading =
+            reading.unwrap_or(Reading { label: FolderLabel::Spans, scene: None, subject: None, sequence: None });
+        self.units.push(Unit {
+            scene: reading.scene.or_else(|| source.scene.clone()).unwrap_or_else(|| "unknown".into()),
+            subject: reading.subject.or_else(|| source.subject.clone()),
+            sequence: reading.sequence.or_else(|| source.sequence.clone()).unwrap_or(found.session),
+            recording: found.name,
+            split: source.split,
+            every: source.every,
+            source: UnitSource::Recording { path: found.path, label, label_file },
+        });
+        Ok(())
+    }
+}
+
+impl PlanCard {
+    /// Reads the card in a folder of units.
+    ///
+    /// # Errors
+    /// The card cannot be read or is of another format.
+    pub fn read(folder: &Path) -> anyhow::Result<Self> {
+        let path = folder.join(FILE);
+        let text = read_text(&path, CARD_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        #[derive(Deserialize)]
+        struct Version {
+            format: u32,
+        }
+        let version: Version = serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))?;
+        if version.format > FORMAT {
+            bail!(
+                "{}: format {} is newer than {FORMAT}, the newest this program reads",
+                path.display(),
+                version.format
+            );
+        }
+        serde_json::from_str(&text).with_context(|| format!("{} is no plan", path.display()))
+    }
+
+    /// As text.
+    ///
+    /// # Errors
+    /// The card cannot be written as JSON.
+    pub fn to_json(&self) -> anyhow::Result<String> {
+        Ok(serde_json::to_string_pretty(self).context("cannot write the plan")? + "\n")
+    }
+
+    /// Difference that keeps another plan's units from being merged with this one's; `None` if there is none.
+    pub fn difference(&self, other: &PlanCard) -> Option<String> {
+        if self.program != other.program {
+            return Some(format!("made by version {} of this program, not {}", other.program, self.program));
+        }
+        if self.kernel != other.kernel {
+            return Some(format!(
+                "maps made with kernel {}, not {}; `kernel` in the spec makes unlike machines agree",
+                other.kernel, self.kernel
+            ));
+        }
+        if self.spec != other.spec {
+            return Some("made from another spec".into());
+        }
+        let names: BTreeSet<&String> = self.sources.keys().chain(other.sources.keys()).collect();
+        names.into_iter().find(|name| self.sources.get(*name) != other.sources.get(*name)).map(|name| {
+            let what = match (self.sources.contains_key(name), other.sources.contains_key(name)) {
+                (true, true) => "another content",
+                (true, false) => "no such file",
+                _ => "a file that is now absent",
+            };
+            format!("made from {what} of {name}")
+        })
+    }
+}

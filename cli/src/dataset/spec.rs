@@ -1,0 +1,284 @@
+//! Spec of a dataset: a TOML file. Paths in it are relative to it.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, bail};
+use radome_dsp::rdm::{Channels, StaticRemoval};
+use radome_dsp::{KernelLevel, Occupancy, RdmSpec};
+use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
+use radome_models::dataset::{Split, SplitSpec};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
+
+/// Newest format of the file.
+const FORMAT: u32 = 1;
+/// Frames of one run at most: eleven days at ten a second.
+const MOST_FRAMES: u64 = 10_000_000;
+/// Runs of all scenes together at most: each is a folder of its own while a dataset is built.
+const MOST_RUNS: u64 = 1_000_000;
+
+/// The whole file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BuildSpec {
+    format: u32,
+    /// Kind of map: keys that are left out are those of [`map_of_networks`].
+    #[serde(default = "map_of_networks", deserialize_with = "over_map_of_networks")]
+    pub map: RdmSpec,
+    /// Instructions that maps are made with; the fastest that the machine has if absent. Unlike machines agree to the
+    /// bit if it is given.
+    #[serde(default)]
+    pub kernel: Option<KernelLevel>,
+    /// Rule by which splits are made, once and for all; left to the training if absent.
+    #[serde(default)]
+    pub split: Option<SplitSpec>,
+    /// Runs of scenes.
+    #[serde(default)]
+    pub simulated: Vec<Simulated>,
+    /// Recordings.
+    #[serde(default)]
+    pub recorded: Vec<Recorded>,
+}
+
+/// Runs of a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Simulated {
+    /// Scene file.
+    pub scene: PathBuf,
+    /// First and last seed.
+    pub seeds: (u64, u64),
+    /// Numbers of people to force, one run each; the scene's own program if absent.
+    #[serde(default)]
+    pub people: Vec<usize>,
+    /// Frames of a run.
+    pub frames: u64,
+    /// Take one map in so many.
+    #[serde(default = "one")]
+    pub every: u64,
+    /// Other values of keys of the scene's `[waveform]`. Maps on physical axes may come of several waveforms.
+    #[serde(default)]
+    pub waveform: toml::Table,
+    /// Kind of body; the scene's own if absent.
+    #[serde(default)]
+    pub body: Option<Body>,
+    /// Error of the echoes that is asked for, dB; the simulator's own if absent.
+    #[serde(default)]
+    pub tolerance_db: Option<f64>,
+    /// Split of all runs; dealt out by sequence if absent.
+    #[serde(default)]
+    pub split: Option<Split>,
+}
+
+/// Kind of body.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Body {
+    /// Ellipsoids: analytic, fast.
+    Ellipsoids,
+    /// Skins.
+    Mesh,
+}
+
+/// A recording, or all recordings in a folder.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Recorded {
+    /// One recording.
+    #[serde(default)]
+    pub recording: Option<PathBuf>,
+    /// All recordings in this folder and in those within it. Each is named by its path from here.
+    #[serde(default)]
+    pub folders: Option<PathBuf>,
+    /// With `folders`: what a recording is, by its name. `*` stands for anything within a name, `{subject}`, `{scene}` and
+    /// `{sequence}` for what is to be called so; a pattern without `/` is held against the last name of the path. Exactly
+    /// one must fit.
+    #[serde(default)]
+    pub labels: BTreeMap<String, FolderLabel>,
+    /// With `recording`: the class throughout; by its own labels and truth if absent.
+    #[serde(default)]
+    pub label: Option<Occupancy>,
+    /// With `recording`: file with labels instead of its own.
+    #[serde(default)]
+    pub label_file: Option<PathBuf>,
+    /// Scene or place.
+    #[serde(default)]
+    pub scene: Option<String>,
+    /// Name of the person.
+    #[serde(default)]
+    pub subject: Option<String>,
+    /// Sequence of the maps; the recording if absent.
+    #[serde(default)]
+    pub sequence: Option<String>,
+    /// Take one map in so many.
+    #[serde(default = "one")]
+    pub every: u64,
+    /// Split of all maps; dealt out by sequence if absent.
+    #[serde(default)]
+    pub split: Option<Split>,
+}
+
+/// Label of the recordings whose names fit a pattern.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FolderLabel {
+    /// Nobody, throughout.
+    Empty,
+    /// One person, throughout.
+    One,
+    /// Two people or more, throughout.
+    Two,
+    /// Labels of the recordings themselves.
+    Spans,
+    /// Not for the dataset.
+    Skip,
+}
+
+/// Map on which networks are trained, whatever the board: the mean power of all receivers, less each chirp's mean and what stands
+/// still within the frame.
+fn map_of_networks() -> RdmSpec {
+    RdmSpec {
+        channels: Channels::IncoherentSum,
+        chirp_mean_removal: true,
+        static_removal: StaticRemoval::SlowTimeMean,
+        ..RdmSpec::default()
+    }
+}
+
+fn over_map_of_networks<'de, D: Deserializer<'de>>(deserializer: D) -> Result<RdmSpec, D::Error> {
+    // Not a TOML table: a build's plan holds its spec as JSON, whose nulls that has no place for.
+    let given = serde_json::Map::deserialize(deserializer)?;
+    let Value::Object(mut all) = serde_json::to_value(map_of_networks()).map_err(D::Error::custom)? else {
+        return Err(D::Error::custom("a map is a table"));
+    };
+    all.extend(given);
+    serde_json::from_value(Value::Object(all)).map_err(D::Error::custom)
+}
+
+fn one() -> u64 {
+    1
+}
+
+impl BuildSpec {
+    /// Reads and checks a file.
+    ///
+    /// # Errors
+    /// The file cannot be read, or a value is not valid.
+    pub fn load(path: &Path) -> anyhow::Result<Self> {
+        let text = read_text(path, TEXT_LIMIT_BYTES).with_context(|| format!("cannot read {}", path.display()))?;
+        Self::parse(&text).with_context(|| format!("{} is no dataset spec", path.display()))
+    }
+
+    /// Parses and checks a file's text.
+    ///
+    /// # Errors
+    /// The text is no spec, or a value is not valid.
+    pub fn parse(text: &str) -> anyhow::Result<Self> {
+        let spec: BuildSpec = toml::from_str(text)?;
+        spec.check()?;
+        Ok(spec)
+    }
+
+    fn check(&self) -> anyhow::Result<()> {
+        if self.format != FORMAT {
+            bail!("format is {}, this program knows {FORMAT}", self.format);
+        }
+        let mut runs = 0u64;
+        for (index, source) in self.simulated.iter().enumerate() {
+            let (first, last) = source.seeds;
+            if first > last {
+                bail!("simulated source {}: seeds are [{first}, {last}], expected the first one first", index + 1);
+            }
+            if source.every == 0 || source.frames == 0 {
+                bail!("simulated source {}: frames and every are counted from 1", index + 1);
+            }
+            if source.frames > MOST_FRAMES {
+                bail!("simulated source {}: {} frames, expected {MOST_FRAMES} at most", index + 1, source.frames);
+            }
+            let of_source = (last - first).saturating_add(1).saturating_mul(source.people.len().max(1) as u64);
+            runs = runs.saturating_add(of_source);
+            if runs > MOST_RUNS {
+                bail!("simulated source {}: more than {MOST_RUNS} runs up to here", index + 1);
+            }
+        }
+        for (index, source) in self.recorded.iter().enumerate() {
+            let fault = match (&source.recording, &source.folders) {
+                (Some(_), Some(_)) => "has both `recording` and `folders`, expected one of them",
+                (None, None) => "has neither `recording` nor `folders`",
+                (Some(_), None) if !source.labels.is_empty() => {
+                    "`labels` goes with `folders`; for one recording: `label`"
+                }
+                (Some(_), None) if source.label.is_some() && source.label_file.is_some() => {
+                    "has both `label` and `label_file`, expected one of them at most"
+                }
+                (None, Some(_)) if source.labels.is_empty() => {
+                    "`folders` wants `labels`, such as { \"empty*\" = \"empty\", \"one_*\" = \"one\" }"
+                }
+                (None, Some(_)) if source.label.is_some() || source.label_file.is_some() => {
+                    "`label` and `label_file` go with `recording`; for folders: `labels`"
+                }
+                _ if source.every == 0 => "`every` is counted from 1",
+                _ => continue,
+            };
+            bail!("recorded source {}: {fault}", index + 1);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_map_that_is_not_named_is_one_that_networks_can_take_and_named_keys_change_it() {
+        let read = |text: &str| toml::from_str::<BuildSpec>(text);
+        assert_eq!(read("format = 1").expect("valid").map, map_of_networks());
+        let some = read("format = 1\n[map]\nchannels = { one = 0 }").expect("valid").map;
+        assert_eq!(some, RdmSpec { channels: Channels::One(0), ..map_of_networks() });
+        let spec = read("format = 1\n[map]\nchannels = { one = 2 }").expect("valid");
+        let kept = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(serde_json::from_str::<BuildSpec>(&kept).expect("a plan's spec"), spec);
+        let error = read("format = 1\n[map]\nchannel = 1").expect_err("no such key").to_string();
+        assert!(error.contains("channel"), "{error}");
+    }
+
+    mod hard_cases {
+        use super::*;
+
+        #[test]
+        fn numbers_that_would_fill_memory_are_refused() {
+            let source = |rest: &str| {
+                let text = format!("format = 1\n[[simulated]]\nscene = \"a.toml\"\n{rest}");
+                BuildSpec::parse(&text).map(|_| ()).map_err(|error| format!("{error:#}"))
+            };
+            assert_eq!(source("seeds = [1, 2600]\nframes = 600\npeople = [0, 1, 2]\n"), Ok(()));
+            let refused = |rest: &str, expected: &str| {
+                let error = source(rest).expect_err(rest);
+                assert!(error.contains(expected), "{rest}: {error}");
+            };
+            refused("seeds = [0, 9223372036854775807]\nframes = 1\n", "more than 1000000 runs");
+            refused("seeds = [1, 500000]\nframes = 1\npeople = [0, 1, 2]\n", "more than 1000000 runs");
+            refused("seeds = [1, 1]\nframes = 9223372036854775807\n", "10000000 at most");
+            refused("seeds = [2, 1]\nframes = 1\n", "the first one first");
+            refused("seeds = [1, 1]\nframes = -1\n", "frames");
+            let deep = format!("format = 1\nmap = {}", "{ a = ".repeat(100_000));
+            assert!(BuildSpec::parse(&deep).is_err());
+        }
+
+        #[test]
+        fn a_spec_that_is_too_long_or_no_file_is_not_read() {
+            let folder = std::env::temp_dir().join(format!("radome-spec-{}", std::process::id()));
+            std::fs::create_dir_all(&folder).expect("a folder");
+            let path = folder.join("set.toml");
+            std::fs::write(&path, vec![b'#'; (1 << 20) + 1]).expect("written");
+            let long = format!("{:#}", BuildSpec::load(&path).expect_err("too long"));
+            let none = format!("{:#}", BuildSpec::load(&folder).expect_err("a folder"));
+            std::fs::remove_dir_all(&folder).expect("removed");
+            assert!(long.contains("set.toml") && long.contains("at most 1048576"), "{long}");
+            assert!(none.contains("not a regular file"), "{none}");
+        }
+    }
+}

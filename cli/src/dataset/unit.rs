@@ -1,0 +1,153 @@
+//! The maps of one unit, in the order of its frames, whatever runs beside it.
+
+use std::path::Path;
+
+use anyhow::Context;
+use radome_driver::LabelSpan;
+use radome_driver::recording::Recording;
+use radome_driver::recording::span_check::check_spans;
+use radome_dsp::{Frame, FrameSource, MapStatus, Rdm, RdmProcessor, RdmSpec, SourceEvent, Truth};
+use radome_models::dataset::{DatasetWriter, Domain, ManifestRow};
+use radome_sim::{Scene, SimulateOptions, Simulator};
+use rayon::prelude::*;
+
+use super::plan::{Plan, Unit, UnitSource};
+use crate::output::Interrupted;
+use crate::{labels, output};
+
+/// Frames that are rendered before maps are made of them.
+const CHUNK: usize = 32;
+
+/// Makes the maps of a unit and writes them as a dataset at `folder`. With `parallel`, its frames are rendered on all
+/// threads; the bytes are the same either way.
+///
+/// # Errors
+/// The source cannot be read or simulated, a map cannot be written, or the user interrupts.
+pub fn make(plan: &Plan, unit: &Unit, folder: &Path, parallel: bool) -> anyhow::Result<()> {
+    let mut sink = Sink { writer: DatasetWriter::create(folder, &plan.header)?, unit, made: 0 };
+    match &unit.source {
+        UnitSource::Run { scene, seed, people, frames, tolerance_db } => {
+            let mut options =
+                SimulateOptions { seed: *seed, people: *people, frames: Some(*frames), ..Default::default() };
+            options.tolerance_db = tolerance_db.unwrap_or(options.tolerance_db);
+            // Receivers that no map shows are not simulated.
+            let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, scene.waveform(), plan.kernel)?;
+            run(scene, options, &plan.header.rdm_spec, processor, parallel, &mut sink)?;
+        }
+        UnitSource::Recording { path, label, label_file } => {
+            let mut recording = Recording::open(path)?;
+            // A recording's own axes may differ from the first's within what counts as the same; on physical axes its waveform may.
+            let processor = RdmProcessor::with_kernel(&plan.header.rdm_spec, recording.waveform(), plan.kernel)?;
+            let spans = match (label, label_file) {
+                (Some(_), _) => Vec::new(),
+                (None, Some(file)) => labels::read(file)?,
+                (None, None) => recording.labels()?,
+            };
+            let fixed = label.map(|occupancy| Truth { occupancy, transition: false });
+            self::recording(&mut recording, &spans, fixed, processor, &mut sink)
+                .with_context(|| format!("{} cannot be used", path.display()))?;
+        }
+    }
+    Ok(sink.writer.finish()?)
+}
+
+/// Takes in one map in so many.
+struct Sink<'a> {
+    writer: DatasetWriter,
+    unit: &'a Unit,
+    made: u64,
+}
+
+impl Sink<'_> {
+    fn offer(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
+        self.made += 1;
+        if (self.made - 1).is_multiple_of(self.unit.every) { self.take(map, truth) } else { Ok(()) }
+    }
+
+    fn take(&mut self, map: &Rdm, truth: Truth) -> anyhow::Result<()> {
+        let unit = self.unit;
+        let (domain, seed) = match &unit.source {
+            UnitSource::Run { seed, .. } => (Domain::Sim, Some(*seed)),
+            UnitSource::Recording { .. } => (Domain::Real, None),
+        };
+        let mut row =
+            ManifestRow::new(domain, &unit.scene, &unit.recording, &unit.sequence, map.sequence, truth.occupancy);
+        row.subject.clone_from(&unit.subject);
+        row.transition = truth.transition;
+        row.split = unit.split;
+        row.seed = seed;
+        Ok(self.writer.push(map, row)?)
+    }
+}
+
+fn run(
+    scene: &Scene,
+    options: SimulateOptions,
+    spec: &RdmSpec,
+    mut processor: RdmProcessor,
+    parallel: bool,
+    sink: &mut Sink,
+) -> anyhow::Result<()> {
+    let simulator = Simulator::new(scene, options)?;
+    let is_single = spec.is_of_single_frames();
+    // Maps of single frames need no others: render only those that are taken.
+    let step = if is_single { sink.unit.every as usize } else { 1 };
+    let wanted: Vec<u64> = (0..options.frames.unwrap_or(0)).step_by(step).collect();
+    let mut map = processor.empty_map();
+    for chunk in wanted.chunks(if parallel { CHUNK } else { 1 }) {
+        if output::interrupted() {
+            return Err(Interrupted.into());
+        }
+        let frames: Vec<Frame> = match parallel {
+            true => chunk.par_iter().map(|index| simulator.render(*index)).collect(),
+            false => chunk.iter().map(|index| simulator.render(*index)).collect(),
+        };
+        for frame in &frames {
+            if processor.process(frame, &mut map)? == MapStatus::Ready {
+                let truth = frame.truth.context("a simulated frame has truth")?;
+                if is_single { sink.take(&map, truth)? } else { sink.offer(&map, truth)? }
+            }
+        }
+    }
+    Ok(())
+}
+
+fn recording(
+    frames: &mut Recording,
+    spans: &[LabelSpan],
+    fixed: Option<Truth>,
+    mut processor: RdmProcessor,
+    sink: &mut Sink,
+) -> anyhow::Result<()> {
+    check_spans(spans, None)?;
+    let waveform = frames.waveform().clone();
+    let mut map = processor.empty_map();
+    let mut frame = Frame::zeroed(waveform.shape());
+    let mut unlabelled = 0u64;
+    let mut extent_s: Option<(f64, f64)> = None;
+    loop {
+        if output::interrupted() {
+            return Err(Interrupted.into());
+        }
+        match frames.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
+            SourceEvent::End => break,
+            SourceEvent::Gap(_) => processor.reset(),
+            SourceEvent::Frame => {
+                let end_s = frame.time_s() + waveform.frame_interval_s();
+                extent_s = Some((extent_s.map_or(frame.time_s(), |(first, _)| first), end_s));
+                if processor.process(&frame, &mut map)? != MapStatus::Ready {
+                    continue;
+                }
+                match fixed.or_else(|| labels::by_span(spans, &frame, &waveform)).or(frame.truth) {
+                    Some(truth) => sink.offer(&map, truth)?,
+                    None => unlabelled += 1,
+                }
+            }
+        }
+    }
+    check_spans(spans, extent_s)?;
+    if unlabelled > 0 {
+        eprintln!("{}: {unlabelled} maps without a label were left out", sink.unit.recording);
+    }
+    Ok(())
+}

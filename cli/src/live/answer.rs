@@ -1,0 +1,122 @@
+//! Answers to frames, and the summary of a run.
+
+use std::collections::BTreeMap;
+
+use radome_dsp::Occupancy;
+use radome_models::evaluate::Metrics;
+use serde::Serialize;
+
+/// Probabilities of the classes by name.
+#[derive(Debug, Clone, Copy, Serialize)]
+pub struct Probabilities {
+    empty: f32,
+    one: f32,
+    two: f32,
+}
+
+impl std::fmt::Display for Probabilities {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{:5.3}   {:5.3}   {:5.3}", self.empty, self.one, self.two)
+    }
+}
+
+impl Probabilities {
+    /// Of empty, one and two.
+    pub fn values(self) -> [f32; 3] {
+        [self.empty, self.one, self.two]
+    }
+}
+
+impl From<[f32; 3]> for Probabilities {
+    fn from([empty, one, two]: [f32; 3]) -> Self {
+        Probabilities { empty, one, two }
+    }
+}
+
+/// Answer to one frame.
+#[derive(Debug, Clone, Serialize)]
+pub struct Answer {
+    /// Sequence number of the frame.
+    pub sequence: u64,
+    /// Time since the acquisition started, s.
+    pub time_s: f64,
+    /// Most likely class; `None` while a window over frames fills, and where no receiver gives a signal.
+    pub label: Option<Occupancy>,
+    /// Probabilities of the filter over the frames so far.
+    pub probabilities: Option<Probabilities>,
+    /// Probabilities by this frame's map alone.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub frame_probabilities: Option<Probabilities>,
+    /// Whether the room counts as occupied, with delays against flicker.
+    pub occupied: bool,
+    /// People that it counts as holding, with the same delays.
+    pub people: usize,
+    /// `n/K` while a window over K frames fills.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub warming_up: Option<String>,
+    /// Whether no receiver gives a signal in the frame: then it has no label, and `occupied` and `people` are those of the frame
+    /// before.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub no_signal: bool,
+    /// True class, where it is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub truth: Option<Occupancy>,
+    /// Whether someone is partly in the room.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub transition: Option<bool>,
+    /// Codes at either end of the ADC.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub saturated_samples: u32,
+    /// From the frame's last byte to its label, ms.
+    pub latency_ms: f64,
+}
+
+fn is_zero(n: &u32) -> bool {
+    *n == 0
+}
+
+/// Quantiles of the latency, ms.
+#[derive(Debug, Clone, Serialize)]
+pub struct Latency {
+    /// Median.
+    pub p50: f64,
+    /// 95 of 100 are faster.
+    pub p95: f64,
+    /// 99 of 100 are faster.
+    pub p99: f64,
+}
+
+/// Summary of a run.
+#[derive(Debug, Clone, Serialize)]
+pub struct Summary {
+    /// Frames that arrived.
+    pub frames: u64,
+    /// Frames that were lost on the way.
+    pub dropped: u64,
+    /// The same by reason.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub dropped_by_reason: BTreeMap<&'static str, u64>,
+    /// Frames with a label.
+    pub labelled: u64,
+    /// Number of frames with each label.
+    pub labels: BTreeMap<&'static str, u64>,
+    /// Mean recall over the classes that occurred, over all frames with truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub balanced_accuracy: Option<f64>,
+    /// All figures over all frames with truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics: Option<Metrics>,
+    /// The same over the frames in which nobody was entering or leaving.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics_without_transitions: Option<Metrics>,
+    /// Frames in which somebody was.
+    pub transition_frames: u64,
+    /// The same metrics with the map of each frame judged alone, without the filter.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metrics_unfiltered: Option<Metrics>,
+    /// From last byte to label.
+    pub latency_ms: Latency,
+    /// From the start of the program to the first label, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub first_label_s: Option<f64>,
+}

@@ -1,0 +1,375 @@
+//! Address and login of the MQTT broker. Passwords come from a file or the environment, never from the command line, and
+//! are shown nowhere.
+
+use std::fs::File;
+use std::io::Read;
+use std::net::Ipv6Addr;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use anyhow::{Context, bail};
+use percent_encoding::percent_decode_str;
+use rumqttc::v5::MqttOptions;
+use rumqttc::{TlsConfiguration, Transport};
+use rustls::pki_types::CertificateDer;
+use rustls::pki_types::pem::PemObject;
+
+const GRAMMAR: &str = "\n\nhint: mqtt://HOST, mqtt://USER@HOST:PORT or mqtts://HOST; the password comes from \
+                       --mqtt-password-file FILE or RADOME_MQTT_PASSWORD";
+/// Variables of the environment that hold user and password.
+pub const USER_VARIABLE: &str = "RADOME_MQTT_USER";
+pub const PASSWORD_VARIABLE: &str = "RADOME_MQTT_PASSWORD";
+/// Longest password that is read from a file, bytes.
+const MOST_PASSWORD_BYTES: u64 = 4096;
+/// Longest packet that is taken from a broker: what is subscribed to has messages of a few bytes.
+const MOST_PACKET_BYTES: u32 = 4096;
+/// Longest silence of a connection; the broker says that the radar is gone after one and a half times this.
+const KEEP_ALIVE: Duration = Duration::from_secs(15);
+
+/// Options that name a broker.
+#[derive(clap::Args, Default)]
+pub struct BrokerArguments {
+    /// MQTT broker, and Home Assistant through it: mqtt://[USER@]HOST[:PORT], or mqtts:// encrypted. The user may also stand
+    /// in RADOME_MQTT_USER
+    #[arg(long = "mqtt", id = "mqtt", value_name = "URL")]
+    url: Option<String>,
+    /// File whose first line is the password at the broker; only its owner and group may read it. Without it, the password
+    /// is RADOME_MQTT_PASSWORD
+    #[arg(long, value_name = "FILE", requires = "mqtt")]
+    mqtt_password_file: Option<PathBuf>,
+}
+
+impl BrokerArguments {
+    /// The broker's address as it was given, which may be wrong and hold a password.
+    pub fn url(&self) -> Option<&str> {
+        self.url.as_deref()
+    }
+
+    /// File of the password.
+    pub fn password_file(&self) -> Option<&Path> {
+        self.mqtt_password_file.as_deref()
+    }
+
+    /// The broker with its login; `None` where no broker is named.
+    ///
+    /// # Errors
+    /// The address is malformed or holds a password; the password's file cannot be read or others may read it; there is a
+    /// password but no user. No error quotes any part of the login.
+    pub fn broker(&self) -> anyhow::Result<Option<Broker>> {
+        let Some(url) = &self.url else { return Ok(None) };
+        let password = match &self.mqtt_password_file {
+            Some(path) => Some(read_password(path)?),
+            None => variable(PASSWORD_VARIABLE)?.map(Secret),
+        };
+        Broker::parse(url, variable(USER_VARIABLE)?, password).map(Some)
+    }
+}
+
+/// A variable of the environment, if it is set and not empty.
+fn variable(name: &str) -> anyhow::Result<Option<String>> {
+    match std::env::var_os(name).filter(|value| !value.is_empty()).map(|value| value.into_string()) {
+        None => Ok(None),
+        Some(Ok(value)) => Ok(Some(value)),
+        // The value itself is not quoted: it may be a password.
+        Some(Err(_)) => bail!("the environment variable {name} is not text in UTF-8"),
+    }
+}
+
+/// The first line of a file that only its owner and group may read.
+fn read_password(path: &Path) -> anyhow::Result<Secret> {
+    let named = || format!("cannot read the password in {}", path.display());
+    let file = File::open(path).with_context(named)?;
+    let mode = file.metadata().with_context(named)?.permissions().mode();
+    if mode & 0o007 != 0 {
+        bail!(
+            "{path}: every user of this machine may read or change this password (mode {mode:03o})\n\nhint: chmod 600 {path}",
+            path = path.display(),
+            mode = mode & 0o777
+        );
+    }
+    let mut text = Vec::new();
+    file.take(MOST_PASSWORD_BYTES + 1).read_to_end(&mut text).with_context(named)?;
+    if text.len() as u64 > MOST_PASSWORD_BYTES {
+        bail!("{}: longer than {MOST_PASSWORD_BYTES} bytes, so it is no file of a password", path.display());
+    }
+    let Ok(text) = String::from_utf8(text) else { bail!("{}: the password is not text in UTF-8", path.display()) };
+    let password = text.lines().next().unwrap_or_default();
+    if password.is_empty() {
+        bail!("{}: there is no password in its first line", path.display());
+    }
+    Ok(Secret(password.to_owned()))
+}
+
+/// A text that is not shown by `{:?}` and has no `{}`.
+#[derive(Clone, PartialEq, Eq)]
+pub struct Secret(String);
+
+impl Secret {
+    /// The text itself: not for errors and logs.
+    pub fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl std::fmt::Debug for Secret {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("(secret)")
+    }
+}
+
+/// A broker's address and the login there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Broker {
+    host: String,
+    port: u16,
+    is_encrypted: bool,
+    user: Option<String>,
+    password: Option<Secret>,
+}
+
+/// Host and port, without the login: this goes to logs.
+impl std::fmt::Display for Broker {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}:{}", self.host, self.port)
+    }
+}
+
+impl Broker {
+    /// From a URL and what the file and the environment add to it. A URL that holds a password is refused: other users see
+    /// it in the list of processes. No error quotes the URL, since what it is malformed by may be a password.
+    fn parse(url: &str, user: Option<String>, password: Option<Secret>) -> anyhow::Result<Self> {
+        let (is_encrypted, rest) = match url.split_once("://") {
+            Some(("mqtt" | "tcp", rest)) => (false, rest),
+            Some(("mqtts" | "ssl", rest)) => (true, rest),
+            _ => bail!("the broker's address does not begin with mqtt:// or mqtts://{GRAMMAR}"),
+        };
+        // The host is what follows the last @: a password may hold any character.
+        let (login, address) = match rest.rsplit_once('@') {
+            Some((login, address)) => (Some(login), address),
+            None => (None, rest),
+        };
+        if login.is_some_and(|login| login.contains(':')) {
+            bail!(
+                "the broker's address holds a password, which other users can read in the list of processes\n\nhint: write it \
+                 into a file for --mqtt-password-file FILE (chmod 600), or set {PASSWORD_VARIABLE}; --mqtt mqtt://USER@HOST"
+            );
+        }
+        let address = address.strip_suffix('/').unwrap_or(address);
+        let default_port = if is_encrypted { 8883 } else { 1883 };
+        // An address of IP version 6 stands in brackets.
+        let (host, port) = match address.rsplit_once(':') {
+            Some((host, port)) if !port.contains(']') => match port.parse() {
+                Ok(port) => (host, port),
+                Err(_) => bail!("the port in the broker's address is not a number from 1 to 65535{GRAMMAR}"),
+            },
+            _ => (address, default_port),
+        };
+        if !is_host(host) || port == 0 {
+            bail!("the broker's address holds no valid host, or port 0, or more than host and port{GRAMMAR}");
+        }
+        let decode = |text: &str| percent_decode_str(text).decode_utf8().map(|text| text.into_owned());
+        let url_user = match login.filter(|login| !login.is_empty()).map(decode) {
+            Some(Ok(user)) => Some(user),
+            Some(Err(_)) => bail!("the user in the broker's address is not text in UTF-8{GRAMMAR}"),
+            None => None,
+        };
+        let user = url_user.or(user);
+        if user.is_none() && password.is_some() {
+            bail!("there is a password for the broker, but no user{GRAMMAR}");
+        }
+        Ok(Broker { host: host.to_owned(), port, is_encrypted, user, password })
+    }
+
+    /// Name or address of the host; IPv6 in brackets.
+    pub fn host(&self) -> &str {
+        &self.host
+    }
+
+    /// User at the broker.
+    pub fn user(&self) -> Option<&str> {
+        self.user.as_deref()
+    }
+
+    /// Password of that user.
+    pub fn password(&self) -> Option<&Secret> {
+        self.password.as_ref()
+    }
+
+    /// Options of a connection, less the last will. `authorities` is a file of certificates to trust in place of the
+    /// system's.
+    ///
+    /// # Errors
+    /// The certificates cannot be read, or a file of them is named for a connection that is not encrypted.
+    pub fn options(&self, client_id: &str, authorities: Option<&Path>) -> anyhow::Result<MqttOptions> {
+        let mut options = MqttOptions::new(client_id, &self.host, self.port);
+        options.set_keep_alive(KEEP_ALIVE);
+        options.set_clean_start(true);
+        options.set_connection_timeout(10);
+        // Version 5 of the protocol lets the broker know: it keeps longer ones to itself, also those that it retains.
+        options.set_max_packet_size(Some(MOST_PACKET_BYTES));
+        if let Some(user) = &self.user {
+            options.set_credentials(user, self.password.as_ref().map_or("", Secret::reveal));
+        }
+        if self.is_encrypted {
+            options.set_transport(Transport::tls_with_config(TlsConfiguration::Rustls(Arc::new(tls(authorities)?))));
+        } else if authorities.is_some() {
+            bail!("--mqtt-ca is for connections that are encrypted\n\nhint: --mqtt mqtts://HOST");
+        }
+        Ok(options)
+    }
+}
+
+/// Whether this is a host's name, an address of IP version 4, or one of version 6 in brackets.
+fn is_host(host: &str) -> bool {
+    match host.strip_prefix('[').and_then(|host| host.strip_suffix(']')) {
+        // A link-local address carries its interface: fe80::1%eth0.
+        Some(address) => address.split('%').next().is_some_and(|address| address.parse::<Ipv6Addr>().is_ok()),
+        None => !host.is_empty() && host.chars().all(|c| c.is_alphanumeric() || ".-_".contains(c)),
+    }
+}
+
+fn tls(authorities: Option<&Path>) -> anyhow::Result<rustls::ClientConfig> {
+    let mut roots = rustls::RootCertStore::empty();
+    match authorities {
+        Some(path) => {
+            let named = || format!("cannot read the certificates in {}", path.display());
+            for certificate in CertificateDer::pem_file_iter(path).with_context(named)? {
+                roots.add(certificate.with_context(named)?).with_context(named)?;
+            }
+        }
+        None => {
+            roots.add_parsable_certificates(rustls_native_certs::load_native_certs().certs);
+        }
+    }
+    if roots.is_empty() {
+        bail!("there is no certificate to trust the broker by\n\nhint: name its authority's with --mqtt-ca FILE.pem");
+    }
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let builder = rustls::ClientConfig::builder_with_provider(provider).with_safe_default_protocol_versions()?;
+    Ok(builder.with_root_certificates(roots).with_no_client_auth())
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::Write;
+
+    use super::*;
+
+    fn parse(url: &str) -> anyhow::Result<Broker> {
+        Broker::parse(url, None, None)
+    }
+
+    fn secret(text: &str) -> Secret {
+        Secret(text.to_owned())
+    }
+
+    #[test]
+    fn an_address_names_host_port_and_user() {
+        let broker = parse("mqtt://ra%40dar@hub.local:1884").expect("parses");
+        assert_eq!((broker.host.as_str(), broker.port), ("hub.local", 1884));
+        assert_eq!((broker.user.as_deref(), broker.password), (Some("ra@dar"), None));
+        assert_eq!(parse("mqtt://hub").expect("parses").port, 1883);
+        assert_eq!(parse("mqtts://hub/").expect("parses").port, 8883);
+        let broker = parse("mqtt://[::1]:1").expect("parses");
+        assert_eq!((broker.host.as_str(), broker.port), ("[::1]", 1));
+        assert_eq!(parse("mqtt://[::1]").expect("parses").host, "[::1]");
+        assert_eq!(parse("mqtt://u@[fe80::1%25eth0]:1883").expect("parses").user.as_deref(), Some("u"));
+    }
+
+    #[test]
+    fn file_and_environment_add_the_login_and_nothing_shows_the_password() {
+        let with = |url| Broker::parse(url, Some("env".into()), Some(secret("hunter2"))).expect("parses");
+        assert_eq!(
+            (with("mqtt://hub").user.as_deref(), with("mqtt://u@hub").user.as_deref()),
+            (Some("env"), Some("u"))
+        );
+        let broker = with("mqtt://u@hub");
+        assert_eq!(broker.password().map(Secret::reveal), Some("hunter2"));
+        assert_eq!(broker.to_string(), "hub:1883");
+        assert!(!format!("{broker:?} {broker:#?}").contains("hunter2"));
+    }
+
+    #[test]
+    fn the_password_is_the_first_line_of_a_file_that_others_may_not_read() {
+        let mut file = tempfile::NamedTempFile::new().expect("a file");
+        let mode = |mode| std::fs::set_permissions(file.path(), PermissionsExt::from_mode(mode)).expect("settable");
+        let read = || read_password(file.path()).map_err(|error| format!("{error:#}"));
+        assert!(read().expect_err("empty").contains("no password"));
+        file.as_file().write_all("hünter 2\r\nof the radar\n".as_bytes()).expect("writable");
+        for (bits, is_taken) in
+            [(0o600, true), (0o400, true), (0o640, true), (0o644, false), (0o606, false), (0o602, false)]
+        {
+            mode(bits);
+            match read() {
+                Ok(password) => assert!(is_taken && password.reveal() == "hünter 2", "{bits:o}"),
+                Err(said) => {
+                    assert!(!is_taken && said.contains("chmod 600") && !said.contains("nter"), "{bits:o}: {said}")
+                }
+            }
+        }
+        mode(0o600);
+        file.write_all(&[0xff]).expect("writable");
+        assert!(read_password(file.path()).is_err_and(|error| !format!("{error:#} {error:?}").contains("nter")));
+        file.write_all(&[b'x'; 5000]).expect("writable");
+        assert!(read_password(file.path()).is_err_and(|error| format!("{error}").contains("longer")));
+        assert!(read_password(Path::new("/no/such/file")).is_err_and(|e| format!("{e:#}").contains("/no/such/file")));
+    }
+
+    mod hard_cases {
+        use proptest::prelude::*;
+
+        use super::*;
+
+        #[test]
+        fn what_is_no_address_is_refused_with_a_hint() {
+            for url in [
+                "",
+                "hub",
+                "http://hub",
+                "mqtt://",
+                "mqtt://hub:0",
+                "mqtt://hub:x",
+                "mqtt://hub:99999",
+                "mqtt://hub/a/b",
+                "mqtt://u@",
+                "mqtt://u@hub:",
+                "mqtt://%ff@hub",
+                "mqtt://hub?x=1",
+                "mqtt://::1",
+                "mqtt://[::1",
+                "mqtt://[hub]:1",
+                "mqtt://[::1]x:1",
+                "mqtt://a hub",
+            ] {
+                let Err(error) = parse(url) else { panic!("{url} was taken") };
+                let said = format!("{error:#}");
+                assert!(said.contains("hint:"), "{url}: {said}");
+            }
+            assert!(Broker::parse("mqtt://hub", None, Some(secret("p"))).is_err());
+        }
+
+        proptest! {
+            /// A password in an address is refused and not echoed, whether the address is well formed or not.
+            #[test]
+            fn no_password_in_an_address_is_taken_or_quoted(
+                scheme in prop::sample::select(vec!["mqtt://", "mqtts://", "ssl://", "http://", "mqtt:", ""]),
+                user in "[a-z%:@]{0,6}",
+                inner in "[ -~äé€]{0,12}",
+                between in prop::sample::select(vec!["@", "@@", ""]),
+                host in prop::sample::select(vec!["hub", "hub:1883", "[::1]", "[fe80::1]:8883", "::1", "hub/x", "hub:x", ""]),
+            ) {
+                let password = format!("hunter{inner}2hunter");
+                let url = format!("{scheme}{user}:{password}{between}{host}");
+                match parse(&url) {
+                    Ok(broker) => prop_assert!(false, "{url} was taken as {broker:?}"),
+                    Err(error) => {
+                        let said = format!("{error:#} {error:?}");
+                        prop_assert!(!said.contains("hunter"), "{url}: {said}");
+                    }
+                }
+            }
+        }
+    }
+}

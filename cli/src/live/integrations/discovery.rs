@@ -1,0 +1,179 @@
+//! Messages to Home Assistant: one device with all its entities in one retained message (its "device discovery", for which see
+//! <https://www.home-assistant.io/integrations/mqtt/>), and the states that those entities read.
+
+use radome_driver::BoardIdentity;
+use serde_json::{Value, json};
+
+use super::latest::Said;
+
+/// A state that is older than this counts as unknown, s.
+pub const EXPIRES_AFTER_S: u64 = 30;
+
+/// The radar as the house knows it, and its topics.
+#[derive(Debug, Clone)]
+pub struct Device {
+    /// Name for people.
+    name: String,
+    /// Stable through restarts, no other's: the board's own identity, or the name.
+    id: String,
+    model: String,
+    maker: &'static str,
+    firmware: Option<String>,
+    discovery_prefix: String,
+    /// Whether wrong answers may be reported.
+    takes_reports: bool,
+}
+
+/// Buttons of the device: what is pressed when an answer is wrong.
+const REPORTS: [(&str, &str); 3] =
+    [("empty", "Report false alarm"), ("one", "Report one person"), ("two", "Report two people")];
+
+impl Device {
+    /// The device of a board, or of a name where no board has an identity.
+    pub fn new(board: Option<&BoardIdentity>, name: Option<&str>, discovery_prefix: &str, takes_reports: bool) -> Self {
+        let uuid = board.map(|board| board.uuid.as_str()).filter(|uuid| uuid.contains(|c| c != '0'));
+        let id = uuid.map_or_else(|| slug(name.unwrap_or("radome")), slug);
+        Device {
+            name: name.unwrap_or("Radar").to_owned(),
+            id,
+            model: board.map_or("BGT60TR13C", |board| board.chip.as_str()).to_owned(),
+            maker: "Infineon",
+            firmware: board.map(|board| board.firmware_version.clone()),
+            discovery_prefix: discovery_prefix.trim_matches('/').to_owned(),
+            takes_reports,
+        }
+    }
+
+    /// Client identity at the broker: the same after a restart, so that the broker drops the connection that went before.
+    pub fn client_id(&self) -> String {
+        format!("radome-{}", self.id)
+    }
+
+    /// `online` or `offline`, retained.
+    pub fn availability_topic(&self) -> String {
+        format!("radome/{}/availability", self.id)
+    }
+
+    /// [`state`], retained.
+    pub fn state_topic(&self) -> String {
+        format!("radome/{}/state", self.id)
+    }
+
+    /// Topic where reports arrive: the name of a class that would have been right.
+    pub fn report_topic(&self) -> Option<String> {
+        self.takes_reports.then(|| format!("radome/{}/report", self.id))
+    }
+
+    /// Topic where the hub reports that it is there.
+    pub fn hub_topic(&self) -> String {
+        format!("{}/status", self.discovery_prefix)
+    }
+
+    /// Topic where the hub looks for devices.
+    pub fn discovery_topic(&self) -> String {
+        format!("{}/device/bgt60_{}/config", self.discovery_prefix, self.id)
+    }
+
+    /// Message that the hub finds there.
+    pub fn discovery(&self) -> Value {
+        let version = env!("CARGO_PKG_VERSION");
+        let unique = |what: &str| format!("bgt60_{}_{what}", self.id);
+        let mut components = json!({
+            "occupancy": {
+                "p": "binary_sensor", "name": "Occupancy", "dev_cla": "occupancy", "uniq_id": unique("occupancy"),
+                "val_tpl": "{{ 'ON' if value_json.count > 0 else 'OFF' }}", "exp_aft": EXPIRES_AFTER_S,
+            },
+            "count": {
+                "p": "sensor", "name": "People", "uniq_id": unique("count"), "stat_cla": "measurement",
+                "unit_of_meas": "people", "val_tpl": "{{ value_json.count }}", "exp_aft": EXPIRES_AFTER_S,
+            },
+            "confidence": {
+                "p": "sensor", "name": "Confidence", "ent_cat": "diagnostic", "uniq_id": unique("confidence"),
+                "stat_cla": "measurement", "unit_of_meas": "%",
+                "val_tpl": "{{ (value_json.confidence*100)|round(0) }}",
+            },
+            "dropped": {
+                "p": "sensor", "name": "Dropped frames", "ent_cat": "diagnostic", "uniq_id": unique("dropped"),
+                "stat_cla": "total_increasing", "val_tpl": "{{ value_json.dropped_frames }}",
+            },
+        });
+        if let (Some(topic), Some(components)) = (self.report_topic(), components.as_object_mut()) {
+            for (class, name) in REPORTS {
+                let report = json!({
+                    "p": "button", "name": name, "ent_cat": "diagnostic", "uniq_id": unique(&format!("report_{class}")),
+                    "cmd_t": topic, "pl_prs": class,
+                });
+                components.insert(format!("report_{class}"), report);
+            }
+        }
+        let mut device = json!({
+            "ids": [format!("bgt60_{}", self.id)], "name": self.name, "mf": self.maker, "mdl": self.model, "sw": version,
+        });
+        if let (Some(firmware), Some(device)) = (&self.firmware, device.as_object_mut()) {
+            device.insert("hw".into(), firmware.as_str().into());
+        }
+        json!({
+            "dev": device,
+            "o": { "name": "radome", "sw": version },
+            "avty_t": self.availability_topic(),
+            "stat_t": self.state_topic(),
+            "cmps": components,
+        })
+    }
+}
+
+/// The state that all entities read.
+pub fn state(said: &Said, dropped_frames: u64) -> Value {
+    json!({
+        "occupancy": if said.people > 0 { "ON" } else { "OFF" },
+        "count": said.people,
+        "confidence": (f64::from(said.confidence()) * 1e3).round() / 1e3,
+        "dropped_frames": dropped_frames,
+    })
+}
+
+/// Text as it may stand in a topic and in an id: lower-case letters, digits and `_`.
+fn slug(name: &str) -> String {
+    let text: String =
+        name.chars().map(|c| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '_' }).take(64).collect();
+    if text.is_empty() { "radome".to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn board(uuid: &str) -> BoardIdentity {
+        BoardIdentity {
+            name: "MCU7".into(),
+            vendor_id: 0x058B,
+            product_id: 0x0251,
+            firmware_version: "2.6.0".into(),
+            extended_version: String::new(),
+            protocol_version: "4.0".into(),
+            uuid: uuid.into(),
+            chip: "BGT60TR13C".into(),
+            chip_id: 0x303,
+        }
+    }
+
+    #[test]
+    fn a_board_is_known_by_its_identity_and_anything_else_by_its_name() {
+        let device = Device::new(Some(&board("00ab")), Some("Bedroom radar"), "homeassistant", false);
+        assert_eq!(device.discovery_topic(), "homeassistant/device/bgt60_00ab/config");
+        assert_eq!(device.discovery()["dev"]["name"], "Bedroom radar");
+        assert_eq!(device.discovery()["dev"]["hw"], "2.6.0");
+        let device = Device::new(Some(&board("0000")), Some("Küche #1/+"), "homeassistant", true);
+        assert_eq!(device.state_topic(), "radome/k_che__1__/state", "no wildcard may stand in a topic");
+        assert_eq!(device.discovery()["cmps"]["report_empty"]["pl_prs"], "empty");
+    }
+
+    #[test]
+    fn occupancy_and_count_come_from_one_number() {
+        let said = |people| Said { probabilities: [0.1, 0.7, 0.2], people };
+        let state = |people| state(&said(people), 3);
+        assert_eq!(state(0)["occupancy"], "OFF");
+        assert_eq!((state(1)["occupancy"].as_str(), state(1)["confidence"].as_f64()), (Some("ON"), Some(0.7)));
+        assert_eq!((state(2)["count"].as_u64(), state(2)["dropped_frames"].as_u64()), (Some(2), Some(3)));
+    }
+}

@@ -1,0 +1,379 @@
+//! The last minute, kept to be saved as training data when somebody says that the answer is wrong.
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use anyhow::{Context, bail};
+use crossbeam::channel::{Receiver, RecvTimeoutError, Sender, bounded};
+use radome_driver::protocol::packed12;
+use radome_driver::recording::{Format, RecordingWriter};
+use radome_driver::{FrameResult, LabelSpan, RecordingHeader};
+use radome_dsp::{Frame, Gap, Occupancy};
+
+use super::latest::{Latest, count};
+use crate::live::answer::Summary;
+use crate::live::health::Health;
+use crate::live::recorder::frame_result;
+use crate::live::sink::{Moment, Sink};
+use crate::panics::Panicked;
+
+/// Options of what is kept.
+#[derive(clap::Args, Default)]
+pub struct Arguments {
+    /// Keep the last frames, and save them in this folder when somebody reports a wrong answer: by a button of the hub, by
+    /// POST to /report/empty on the metrics' address, or by SIGUSR1 (false alarm)
+    #[arg(long, value_name = "FOLDER")]
+    keep_to: Option<PathBuf>,
+    /// Seconds of the past to keep
+    #[arg(long, value_name = "SECONDS", default_value_t = 60.0)]
+    keep_last_s: f64,
+    /// Memory for it; what does not fit is not kept
+    #[arg(long, value_name = "MIB", default_value_t = 256)]
+    keep_memory_mib: u64,
+    /// Reports are refused when the folder holds so much
+    #[arg(long, value_name = "MIB", default_value_t = 4096)]
+    keep_disk_mib: u64,
+}
+
+impl Arguments {
+    /// Whether anything is to be kept.
+    pub fn is_wanted(&self) -> bool {
+        self.keep_to.is_some()
+    }
+}
+
+/// Somebody says what would have been right.
+#[derive(Debug, Clone, Copy)]
+pub struct Report {
+    /// True class.
+    pub truth: Occupancy,
+    /// By which way it came.
+    pub by: &'static str,
+}
+
+/// Between two reports that are both believed.
+const LEAST_INTERVAL: Duration = Duration::from_secs(5);
+
+/// The way to the keeper.
+#[derive(Clone)]
+pub struct Reports(Sender<Report>);
+
+impl Reports {
+    /// Hands a report on; `false` if the keeper is still busy with others.
+    pub fn send(&self, report: Report) -> bool {
+        self.0.try_send(report).is_ok()
+    }
+}
+
+/// A frame, its codes packed as the chip packs them: three bytes for two.
+#[derive(Default)]
+struct Kept {
+    packed: Vec<u8>,
+    /// Everything but the codes.
+    head: Option<Frame>,
+    result: Option<FrameResult>,
+}
+
+impl Kept {
+    fn fill(&mut self, moment: &Moment) {
+        let frame = moment.frame;
+        self.packed.clear();
+        packed12::pack(&frame.codes, &mut self.packed);
+        self.head = Some(Frame { codes: Vec::new(), ..frame_head(frame) });
+        self.result = Some(frame_result(moment));
+    }
+
+    fn bytes(&self) -> usize {
+        self.packed.capacity() + size_of::<Kept>()
+    }
+}
+
+/// A frame without its codes.
+fn frame_head(frame: &Frame) -> Frame {
+    let Frame { sequence, time_ns, host_time_ns, shape, truth, temperature_millicelsius, .. } = *frame;
+    Frame { sequence, time_ns, host_time_ns, shape, truth, temperature_millicelsius, codes: Vec::new() }
+}
+
+#[derive(Clone)]
+enum Entry {
+    Frame(Arc<Kept>),
+    Gap(Gap),
+}
+
+/// The past, as far as time and memory allow.
+struct Ring {
+    entries: VecDeque<Entry>,
+    bytes: usize,
+    span_ns: u64,
+    most_bytes: usize,
+    newest_ns: u64,
+}
+
+impl Ring {
+    /// Forgets what is too old or too much; gives back the memory of one frame, to be used again.
+    fn forget(&mut self) -> Option<Kept> {
+        let mut spare = None;
+        while let Some(first) = self.entries.front() {
+            let is_old = match first {
+                Entry::Gap(_) => self.entries.len() == 1,
+                Entry::Frame(kept) => {
+                    let time_ns = kept.head.as_ref().map_or(0, |head| head.time_ns);
+                    self.newest_ns.saturating_sub(time_ns) > self.span_ns || self.bytes > self.most_bytes
+                }
+            };
+            // A gap at the front is before all that is kept.
+            if !is_old && matches!(first, Entry::Frame(_)) {
+                break;
+            }
+            if let Some(Entry::Frame(kept)) = self.entries.pop_front() {
+                self.bytes -= kept.bytes();
+                // Unless it is being saved.
+                spare = Arc::into_inner(kept).or(spare);
+            }
+        }
+        spare
+    }
+}
+
+/// Keeps frames as they are judged.
+pub struct Keeper {
+    ring: Arc<Mutex<Ring>>,
+    spare: Option<Kept>,
+}
+
+/// The thread that saves; ends when this is dropped, behind the report that is being saved.
+pub struct Saver {
+    stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Keeper {
+    /// A keeper, the way to it, and its thread; nothing if nothing is to be kept.
+    ///
+    /// # Errors
+    /// The folder cannot be written, or the thread cannot be started.
+    pub fn open(
+        arguments: &Arguments,
+        header: &RecordingHeader,
+        latest: Arc<Latest>,
+    ) -> anyhow::Result<Option<(Self, Reports, Saver)>> {
+        let Some(folder) = &arguments.keep_to else { return Ok(None) };
+        let span_s = arguments.keep_last_s;
+        if !(span_s > 0.0 && span_s <= 86_400.0) {
+            bail!("--keep-last-s {span_s}: expected seconds, above 0 and up to a day");
+        }
+        std::fs::create_dir_all(folder).with_context(|| {
+            format!("cannot make the folder {}\n\nhint: --keep-to a folder that this user may write", folder.display())
+        })?;
+        let most_bytes = usize::try_from(arguments.keep_memory_mib << 20).unwrap_or(usize::MAX);
+        let frame_bytes = packed12::packed_length(header.waveform.shape().codes()) + size_of::<Kept>();
+        let fits_s = (most_bytes / frame_bytes) as f64 * header.waveform.frame_interval_s();
+        if fits_s < span_s {
+            eprintln!("of the last {span_s:.0} s only {fits_s:.0} s are kept: --keep-memory-mib allows no more");
+        }
+        let ring =
+            Ring { entries: VecDeque::new(), bytes: 0, span_ns: (span_s * 1e9) as u64, most_bytes, newest_ns: 0 };
+        let ring = Arc::new(Mutex::new(ring));
+        let (sender, receiver) = bounded(2);
+        let saving = Saving {
+            ring: ring.clone(),
+            folder: folder.clone(),
+            most_disk_bytes: arguments.keep_disk_mib << 20,
+            header: header.clone(),
+            latest,
+        };
+        let stop = Arc::new(AtomicBool::new(false));
+        let told = stop.clone();
+        let thread = std::thread::spawn(move || saving.run(&receiver, &told));
+        Ok(Some((Keeper { ring, spare: None }, Reports(sender), Saver { stop, thread: Some(thread) })))
+    }
+}
+
+impl Drop for Saver {
+    fn drop(&mut self) {
+        // Whoever still holds a way to it, and be it a task that hangs, is not waited for.
+        self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take()
+            && let Err(payload) = thread.join()
+        {
+            tracing::error!("reports are no longer saved: {}", Panicked::new(payload.as_ref()));
+        }
+    }
+}
+
+impl Sink for Keeper {
+    fn answer(&mut self, moment: &Moment) -> anyhow::Result<()> {
+        let mut kept = self.spare.take().unwrap_or_default();
+        kept.fill(moment);
+        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        // A clock that has started again makes the past another night's.
+        if moment.frame.time_ns < ring.newest_ns {
+            ring.entries.clear();
+            ring.bytes = 0;
+        }
+        ring.newest_ns = moment.frame.time_ns;
+        ring.bytes += kept.bytes();
+        ring.entries.push_back(Entry::Frame(Arc::new(kept)));
+        self.spare = ring.forget();
+        Ok(())
+    }
+
+    fn gap(&mut self, gap: &Gap, _health: &Health) -> anyhow::Result<()> {
+        let mut ring = self.ring.lock().unwrap_or_else(PoisonError::into_inner);
+        if !ring.entries.is_empty() {
+            ring.entries.push_back(Entry::Gap(*gap));
+        }
+        Ok(())
+    }
+
+    fn end(&mut self, _summary: &Summary) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+/// Inputs of saving.
+struct Saving {
+    ring: Arc<Mutex<Ring>>,
+    folder: PathBuf,
+    most_disk_bytes: u64,
+    header: RecordingHeader,
+    latest: Arc<Latest>,
+}
+
+impl Saving {
+    fn run(&self, reports: &Receiver<Report>, stop: &AtomicBool) {
+        let mut last: Option<Instant> = None;
+        loop {
+            let report = match reports.recv_timeout(Duration::from_millis(100)) {
+                Ok(report) => report,
+                Err(RecvTimeoutError::Timeout) if !stop.load(Ordering::Relaxed) => continue,
+                Err(_) => return,
+            };
+            if last.is_some_and(|last| last.elapsed() < LEAST_INTERVAL) {
+                tracing::warn!("a report ({}) within five seconds of another is not believed", report.by);
+                count(&self.latest.counters.reports_refused);
+                continue;
+            }
+            match self.save(report) {
+                Ok(path) => {
+                    last = Some(Instant::now());
+                    count(&self.latest.counters.reports_kept);
+                    eprintln!("report by {}: it was {}; kept as {}", report.by, report.truth.name(), path.display());
+                }
+                Err(error) => {
+                    count(&self.latest.counters.reports_refused);
+                    tracing::error!("a report is lost: {}", crate::output::chain(&error));
+                }
+            }
+        }
+    }
+
+    /// Writes what is kept as a recording, whole or not at all.
+    fn save(&self, report: Report) -> anyhow::Result<PathBuf> {
+        // A list of references: the classifier's thread waits no longer for it than for another frame.
+        let entries = self.ring.lock().unwrap_or_else(PoisonError::into_inner).entries.clone();
+        let entries: Vec<Entry> = entries.into();
+        let results = entries.iter().filter_map(|entry| match entry {
+            Entry::Frame(kept) => kept.result,
+            Entry::Gap(_) => None,
+        });
+        let results: Vec<FrameResult> = results.collect();
+        if results.is_empty() {
+            bail!("no frame has come yet");
+        }
+        let held = folder_bytes(&self.folder)?;
+        if held >= self.most_disk_bytes {
+            bail!(
+                "{} holds {} MiB already\n\nhint: look at the reports and remove them, or raise --keep-disk-mib",
+                self.folder.display(),
+                held >> 20
+            );
+        }
+        let now_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |now| now.as_nanos() as u64);
+        let path = self.free_name(now_ns / 1_000_000_000, report.truth);
+        let mut writer = RecordingWriter::create(&path, Format::Mcap, &self.header)?;
+        let mut frame = Frame::zeroed(self.header.waveform.shape());
+        for entry in &entries {
+            match entry {
+                Entry::Gap(gap) => writer.gap(gap)?,
+                Entry::Frame(kept) => {
+                    let Some(head) = &kept.head else { continue };
+                    let codes = std::mem::take(&mut frame.codes);
+                    frame = Frame { codes, ..frame_head(head) };
+                    packed12::unpack(&kept.packed, &mut frame.codes);
+                    writer.frame(&frame)?;
+                }
+            }
+        }
+        results.iter().try_for_each(|result| writer.result(result))?;
+        let (start_s, end_s) = disputed(&results, report.truth, self.header.waveform.frame_interval_s());
+        writer.label(&LabelSpan {
+            who: Some(format!("report by {}", report.by)),
+            made_ns: Some(now_ns),
+            note: Some("from when the answer became another until the report; look at it before training".into()),
+            ..LabelSpan::new(start_s, end_s, report.truth.name())
+        })?;
+        writer.finish()?;
+        Ok(path)
+    }
+
+    /// `report-SECONDS-CLASS.mcap`, with another number where that is taken.
+    fn free_name(&self, now_s: u64, truth: Occupancy) -> PathBuf {
+        let name = |n: u64| self.folder.join(format!("report-{}-{}.mcap", now_s + n, truth.name()));
+        (0..).map(name).find(|path| !path.exists()).unwrap_or_else(|| name(0))
+    }
+}
+
+/// From when the answer last became another than the truth, until the end; everything if it never was.
+fn disputed(results: &[FrameResult], truth: Occupancy, interval_s: f64) -> (f64, f64) {
+    let is_wrong = |result: &&FrameResult| usize::from(result.people) != truth.index();
+    let wrong_until = results.iter().rposition(|result| is_wrong(&result));
+    let start = wrong_until.map_or(0, |last| {
+        let before = results.iter().take(last).rposition(|result| !is_wrong(&result));
+        before.map_or(0, |before| before + 1)
+    });
+    let time_s = |result: Option<&FrameResult>| result.map_or(0.0, FrameResult::time_s);
+    (time_s(results.get(start)), time_s(results.last()) + interval_s)
+}
+
+fn folder_bytes(folder: &Path) -> anyhow::Result<u64> {
+    let files = std::fs::read_dir(folder).with_context(|| format!("cannot read {}", folder.display()))?;
+    Ok(files.filter_map(|file| file.ok()?.metadata().ok()).map(|metadata| metadata.len()).sum())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn results(people: &[u8]) -> Vec<FrameResult> {
+        let result = |(i, people): (usize, &u8)| FrameResult {
+            sequence: i as u64,
+            time_ns: i as u64 * 100_000_000,
+            host_time_ns: 0,
+            label: None,
+            probabilities: None,
+            frame_probabilities: None,
+            occupied: *people > 0,
+            people: *people,
+            latency_ns: 0,
+        };
+        people.iter().enumerate().map(result).collect()
+    }
+
+    #[test]
+    fn what_is_disputed_starts_where_the_answer_became_wrong() {
+        let span = |people: &[u8], truth| disputed(&results(people), truth, 0.1);
+        let close = |(a, b): (f64, f64), (c, d): (f64, f64)| (a - c).abs() < 1e-9 && (b - d).abs() < 1e-9;
+        assert!(close(span(&[0, 0, 1, 1, 2], Occupancy::Empty), (0.2, 0.5)));
+        // It has righted itself before somebody found the button.
+        assert!(close(span(&[0, 1, 1, 0, 0], Occupancy::Empty), (0.1, 0.5)));
+        // Somebody was there before, rightly.
+        assert!(close(span(&[1, 0, 1, 1], Occupancy::Empty), (0.2, 0.4)));
+        assert!(close(span(&[1, 1, 0, 0], Occupancy::One), (0.2, 0.4)));
+        assert!(close(span(&[0, 0], Occupancy::Empty), (0.0, 0.2)));
+    }
+}

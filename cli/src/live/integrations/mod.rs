@@ -1,0 +1,173 @@
+//! Connections of a run to other programs: MQTT for home automation, metrics for Prometheus, notifications for systemd. Each reads the
+//! newest answer on a thread of its own and cannot hold up the classifier.
+
+pub mod broker;
+mod discovery;
+mod http;
+mod keep;
+mod latest;
+mod metrics;
+mod mqtt;
+mod systemd;
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, bail};
+use radome_driver::RecordingHeader;
+use radome_dsp::Occupancy;
+use tokio::runtime::Runtime;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+use self::broker::BrokerArguments;
+use self::discovery::Device;
+use self::keep::{Keeper, Report, Reports, Saver};
+use self::latest::{Latest, LatestSink};
+use super::access::{self, Access};
+use super::sink::Sink;
+
+/// Options of the house.
+#[derive(clap::Args, Default)]
+pub struct Arguments {
+    #[command(flatten)]
+    broker: BrokerArguments,
+    /// Name of the radar in the house; where no board has an identity of its own, what it is known by
+    #[arg(long, value_name = "NAME", requires = "mqtt")]
+    mqtt_name: Option<String>,
+    /// Topic prefix where the hub looks for devices
+    #[arg(long, value_name = "TOPIC", default_value = "homeassistant")]
+    mqtt_discovery_prefix: String,
+    /// Certificates to trust the broker by, instead of the system's
+    #[arg(long, value_name = "FILE.pem", requires = "mqtt")]
+    mqtt_ca: Option<PathBuf>,
+    /// Serve /metrics for Prometheus, and /health. Where the network reaches them, --token-file is needed, and Prometheus sends the
+    /// token as authorization: credentials_file
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    metrics: Option<SocketAddr>,
+    #[command(flatten)]
+    keep: keep::Arguments,
+}
+
+/// Longest time to close connections.
+const FAREWELL: Duration = Duration::from_secs(4);
+/// A board that gives no frame for so many intervals, and this long, counts as gone.
+const SILENT_FRAMES: f64 = 20.0;
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// Connections to other programs for as long as the run lasts.
+pub struct Integrations {
+    sinks: Vec<Box<dyn Sink>>,
+    stop: watch::Sender<bool>,
+    tasks: Vec<JoinHandle<()>>,
+    runtime: Option<Runtime>,
+    /// Behind the runtime, whose tasks hold the way to it.
+    saver: Option<Saver>,
+}
+
+impl Integrations {
+    /// Opens what is wanted; `header` says of what, `access` who may use the metrics' port.
+    ///
+    /// # Errors
+    /// A port cannot be opened or is not protected, the broker's options are not valid, or a signal cannot be caught.
+    pub fn open(
+        arguments: &Arguments,
+        access: &access::Arguments,
+        header: &RecordingHeader,
+        started: Instant,
+    ) -> anyhow::Result<Self> {
+        let (stop, stopped) = watch::channel(false);
+        let mut integrations = Integrations { sinks: Vec::new(), stop, tasks: Vec::new(), runtime: None, saver: None };
+        let is_notified = systemd::is_wanted();
+        let keeps = arguments.keep.is_wanted();
+        if arguments.broker.url().is_none() && arguments.metrics.is_none() && !keeps && !is_notified {
+            return Ok(integrations);
+        }
+        let silence = Duration::from_secs_f64(SILENT_FRAMES * header.waveform.frame_interval_s()).max(SILENCE);
+        let latest = Latest::new(started, silence);
+        integrations.sinks.push(Box::new(LatestSink(latest.clone())));
+        let mut reports = None;
+        if let Some((keeper, way, saver)) = Keeper::open(&arguments.keep, header, latest.clone())? {
+            integrations.sinks.push(Box::new(keeper));
+            integrations.saver = Some(saver);
+            reports = Some(way);
+        }
+
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .thread_name("integrations")
+            .enable_all()
+            .build()?;
+        let _inside = runtime.enter();
+        if let Some(address) = arguments.metrics {
+            let token = access.token()?;
+            if token.is_none() && !address.ip().is_loopback() {
+                bail!(
+                    "metrics on {address} are reached from the network, and say whether somebody is here\n\nhint: --token-file FILE \
+                     protects them, and Prometheus is given the file as authorization: credentials_file"
+                );
+            }
+            let listener = runtime.block_on(tokio::net::TcpListener::bind(address)).with_context(|| {
+                format!("cannot serve metrics on {address}\n\nhint: choose another with --metrics 127.0.0.1:PORT")
+            })?;
+            let address = listener.local_addr()?;
+            eprintln!("metrics: http://{address}/metrics");
+            let access = Access::new(address, access, token.as_ref());
+            tokio::spawn(http::serve(listener, access, latest.clone(), reports.clone()));
+        }
+        if let Some(broker) = arguments.broker.broker()? {
+            let name = arguments.mqtt_name.as_deref();
+            let device = Device::new(header.board.as_ref(), name, &arguments.mqtt_discovery_prefix, reports.is_some());
+            let options = broker.options(&device.client_id(), arguments.mqtt_ca.as_deref())?;
+            let mqtt = mqtt::Mqtt { broker, options, device, latest: latest.clone(), reports: reports.clone() };
+            integrations.tasks.push(tokio::spawn(mqtt.run(stopped.clone())));
+        }
+        if is_notified {
+            integrations.tasks.push(tokio::spawn(systemd::run(latest.clone(), stopped.clone())));
+        }
+        if let Some(reports) = reports {
+            let mut signals = signal(SignalKind::user_defined1()).context("cannot catch SIGUSR1")?;
+            tokio::spawn(async move {
+                while signals.recv().await.is_some() {
+                    report_false_alarm(&reports)
+                }
+            });
+        }
+        drop(_inside);
+        integrations.runtime = Some(runtime);
+        Ok(integrations)
+    }
+
+    /// Sinks for the classifier's thread.
+    pub fn take_sinks(&mut self) -> Vec<Box<dyn Sink>> {
+        std::mem::take(&mut self.sinks)
+    }
+}
+
+fn report_false_alarm(reports: &Reports) {
+    if !reports.send(Report { truth: Occupancy::Empty, by: "signal" }) {
+        tracing::warn!("another report is being saved; this one is lost");
+    }
+}
+
+impl Drop for Integrations {
+    fn drop(&mut self) {
+        let _ = self.stop.send(true);
+        let Some(runtime) = self.runtime.take() else { return };
+        let tasks = std::mem::take(&mut self.tasks);
+        runtime.block_on(async {
+            let end = async {
+                for task in tasks {
+                    let _ = task.await;
+                }
+            };
+            let _ = tokio::time::timeout(FAREWELL, end).await;
+        });
+        runtime.shutdown_timeout(Duration::from_secs(1));
+        self.sinks.clear();
+        // What is being saved is saved.
+        self.saver.take();
+    }
+}

@@ -1,0 +1,315 @@
+//! MQTT: tells a broker what is said, and announces the radar to Home Assistant. Wherever the broker is, frames are judged.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use radome_dsp::Occupancy;
+use rumqttc::Outgoing;
+use rumqttc::v5::mqttbytes::QoS;
+use rumqttc::v5::mqttbytes::v5::{LastWill, Packet, Publish};
+use rumqttc::v5::{AsyncClient, ConnectionError, Event, EventLoop, MqttOptions, StateError};
+use tokio::sync::{mpsc, watch};
+
+use super::broker::Broker;
+use super::discovery::{Device, state};
+use super::keep::{Report, Reports};
+use super::latest::{Latest, count};
+
+/// Between two messages that say the same; a third of what the hub waits for.
+const HEARTBEAT: Duration = Duration::from_secs(10);
+/// Between two looks at whether frames still come, and at most so often the hub is told who we are.
+const LOOK: Duration = Duration::from_secs(1);
+/// First and longest time before the broker is tried again.
+const WAITS: [Duration; 2] = [Duration::from_secs(1), Duration::from_secs(15)];
+/// A connection that lasted so long was a good one.
+const GOOD_CONNECTION: Duration = Duration::from_secs(30);
+/// Longest time that the broker may take to close.
+const FAREWELL: Duration = Duration::from_secs(2);
+
+/// Options of a connection.
+pub struct Mqtt {
+    /// For messages.
+    pub broker: Broker,
+    /// Address, login, limits.
+    pub options: MqttOptions,
+    /// Device that is announced.
+    pub device: Device,
+    /// Newest answer.
+    pub latest: Arc<Latest>,
+    /// Destination of reports of wrong answers.
+    pub reports: Option<Reports>,
+}
+
+/// Events of the connection.
+#[derive(Clone, Copy)]
+enum Heard {
+    /// The broker listens.
+    Connected,
+    /// It no longer does.
+    Lost,
+    /// The hub has started.
+    HubOnline,
+    /// The hub stops; what it knows of us is retained.
+    HubOffline,
+    /// Somebody says that the answer is wrong.
+    Report(Occupancy),
+}
+
+impl Mqtt {
+    /// Tells until `stop` says so, whatever happens to the connection.
+    pub async fn run(mut self, mut stop: watch::Receiver<bool>) {
+        let will = LastWill::new(self.device.availability_topic(), "offline", QoS::AtLeastOnce, true, None);
+        self.options.set_last_will(will);
+        while !*stop.borrow() {
+            let (client, events) = AsyncClient::new(self.options.clone(), 64);
+            let (hears, mut heard) = mpsc::channel(16);
+            let listener = Listener {
+                broker: self.broker.clone(),
+                hub_topic: self.device.hub_topic(),
+                report_topic: self.device.report_topic(),
+                latest: self.latest.clone(),
+                hears,
+            };
+            // A task of its own: whatever a broker sends that the protocol's library does not survive ends that task only.
+            let mut connection = tokio::spawn(listener.listen(events));
+            let mut teller = Teller { mqtt: &self, client, told_online: None, announced: None, wants_hello: false };
+            tokio::select! {
+                () = teller.tell(&mut heard, &mut stop) => {}
+                _ = &mut connection => {
+                    tracing::error!("the connection to the MQTT broker {} ended unexpectedly; trying again", self.broker);
+                    tokio::time::sleep(WAITS[1]).await;
+                    continue;
+                }
+            }
+            if self.latest.counters.mqtt_connected.swap(false, Ordering::Relaxed) {
+                let _ = tokio::time::timeout(FAREWELL, &mut connection).await;
+            }
+            connection.abort();
+        }
+    }
+}
+
+/// Drives the connection and picks out what is meant for us.
+struct Listener {
+    broker: Broker,
+    hub_topic: String,
+    report_topic: Option<String>,
+    latest: Arc<Latest>,
+    hears: mpsc::Sender<Heard>,
+}
+
+impl Listener {
+    async fn listen(self, mut events: EventLoop) {
+        let counters = &self.latest.counters;
+        let [first_wait, longest_wait] = WAITS;
+        let mut wait = first_wait;
+        let mut since: Option<Instant> = None;
+        let mut last_words = String::new();
+        loop {
+            match events.poll().await {
+                Ok(Event::Incoming(Packet::ConnAck(_))) => {
+                    since = Some(Instant::now());
+                    last_words.clear();
+                    counters.mqtt_connected.store(true, Ordering::Relaxed);
+                    count(&counters.mqtt_connections);
+                    tracing::info!("MQTT broker {} listens", self.broker);
+                    let _ = self.hears.send(Heard::Connected).await;
+                }
+                Ok(Event::Incoming(Packet::Publish(message))) => match self.understand(&message) {
+                    Some(heard) if self.hears.try_send(heard).is_ok() => {}
+                    _ => count(&counters.mqtt_refused),
+                },
+                Ok(Event::Outgoing(Outgoing::Disconnect)) => return,
+                Ok(_) => {}
+                Err(error) => {
+                    counters.mqtt_connected.store(false, Ordering::Relaxed);
+                    if since.take().is_some_and(|since| since.elapsed() > GOOD_CONNECTION) {
+                        wait = first_wait;
+                    }
+                    if matches!(&error, ConnectionError::MqttState(StateError::Deserialization(_))) {
+                        count(&counters.mqtt_refused);
+                    }
+                    let words = in_words(&error);
+                    // Once for each kind of trouble.
+                    if words != last_words {
+                        tracing::warn!(
+                            "MQTT broker {}: {words}; trying again, frames are judged meanwhile",
+                            self.broker
+                        );
+                        last_words = words;
+                    }
+                    let _ = self.hears.send(Heard::Lost).await;
+                    tokio::time::sleep(wait).await;
+                    wait = (2 * wait).min(longest_wait);
+                }
+            }
+        }
+    }
+
+    /// Meaning of a message; `None` if it is malformed.
+    fn understand(&self, message: &Publish) -> Option<Heard> {
+        let topic = message.topic.as_ref();
+        let text = std::str::from_utf8(&message.payload).ok()?.trim();
+        if topic == self.hub_topic.as_bytes() {
+            return match text {
+                "online" => Some(Heard::HubOnline),
+                "offline" => Some(Heard::HubOffline),
+                _ => None,
+            };
+        }
+        let is_report = self.report_topic.as_ref().is_some_and(|report| topic == report.as_bytes());
+        // A report that the broker has kept is about another night.
+        (is_report && !message.retain).then(|| Occupancy::from_name(text).map(Heard::Report)).flatten()
+    }
+}
+
+/// Cause of a failed connection and what to do about it. What the broker sent is never shown: one that sends back what it
+/// received sends the password.
+fn in_words(error: &ConnectionError) -> String {
+    use rumqttc::v5::mqttbytes::v5::ConnectReturnCode as Code;
+    match error {
+        ConnectionError::Io(error) | ConnectionError::MqttState(StateError::Io(error)) => error.to_string(),
+        ConnectionError::Timeout(_) => "no answer".into(),
+        ConnectionError::ConnectionRefused(Code::BadUserNamePassword | Code::NotAuthorized) => {
+            "it refuses the login (user in the URL or in RADOME_MQTT_USER; password in --mqtt-password-file or in \
+             RADOME_MQTT_PASSWORD)"
+                .into()
+        }
+        ConnectionError::ConnectionRefused(code) => format!("it refuses the connection: {code:?}"),
+        ConnectionError::Tls(error) => format!("TLS: {error}"),
+        ConnectionError::NotConnAck(_) | ConnectionError::MqttState(StateError::Deserialization(_)) => {
+            "it does not answer in MQTT version 5".into()
+        }
+        ConnectionError::MqttState(StateError::ServerDisconnect { reason_code, .. }) => {
+            format!("it ends the connection: {reason_code:?}")
+        }
+        ConnectionError::MqttState(error) => error.to_string(),
+        ConnectionError::RequestsDone => "there is nothing more to send".into(),
+    }
+}
+
+/// Says what there is to say.
+struct Teller<'a> {
+    mqtt: &'a Mqtt,
+    client: AsyncClient,
+    /// Availability that the broker was last told on this connection.
+    told_online: Option<bool>,
+    /// When the hub was last told who we are.
+    announced: Option<Instant>,
+    wants_hello: bool,
+}
+
+impl Teller<'_> {
+    async fn tell(&mut self, heard: &mut mpsc::Receiver<Heard>, stop: &mut watch::Receiver<bool>) {
+        let mut changes = self.mqtt.latest.changes();
+        let mut look = tokio::time::interval(LOOK);
+        let mut last_beat = Instant::now();
+        let mut is_connected = false;
+        loop {
+            tokio::select! {
+                biased;
+                _ = stop.changed() => break,
+                event = heard.recv() => match event {
+                    Some(Heard::Connected) => {
+                        is_connected = true;
+                        self.told_online = None;
+                        self.announced = None;
+                        self.wants_hello = true;
+                        self.subscribe();
+                    }
+                    Some(Heard::Lost) => is_connected = false,
+                    Some(Heard::HubOnline) => self.wants_hello = true,
+                    Some(Heard::HubOffline) => {}
+                    Some(Heard::Report(truth)) => {
+                        let report = Report { truth, by: "mqtt" };
+                        if !self.mqtt.reports.as_ref().is_some_and(|reports| reports.send(report)) {
+                            count(&self.mqtt.latest.counters.reports_refused);
+                        }
+                    }
+                    None => std::future::pending().await,
+                },
+                _ = changes.changed() => {
+                    if is_connected {
+                        self.beat(true);
+                        last_beat = Instant::now();
+                    }
+                }
+                _ = look.tick() => {}
+            }
+            if !is_connected {
+                continue;
+            }
+            if self.wants_hello && self.announced.is_none_or(|at| at.elapsed() >= LOOK) {
+                self.announce();
+                last_beat = Instant::now();
+            }
+            let is_online = self.mqtt.latest.said().is_some();
+            let is_due = last_beat.elapsed() >= HEARTBEAT;
+            if is_due || self.told_online != Some(is_online) {
+                self.beat(is_due || is_online);
+                last_beat = Instant::now();
+            }
+        }
+        if is_connected {
+            self.publish(&self.mqtt.device.availability_topic(), "offline".into());
+            let _ = self.client.try_disconnect();
+        }
+    }
+
+    fn subscribe(&self) {
+        let topics = [Some(self.mqtt.device.hub_topic()), self.mqtt.device.report_topic()];
+        for topic in topics.into_iter().flatten() {
+            // The queue is as good as empty: nothing else is sent before.
+            let _ = self.client.try_subscribe(topic, QoS::AtLeastOnce);
+        }
+    }
+
+    /// Publishes the device, its availability and its state.
+    fn announce(&mut self) {
+        let device = &self.mqtt.device;
+        self.publish(&device.discovery_topic(), device.discovery().to_string());
+        self.wants_hello = false;
+        self.announced = Some(Instant::now());
+        self.beat(true);
+    }
+
+    /// Whether we are there, and, if so, what we say.
+    fn beat(&mut self, with_state: bool) {
+        let latest = &self.mqtt.latest;
+        let said = latest.said();
+        if let Some(said) = said.filter(|_| with_state) {
+            let (_, dropped) = latest.frames();
+            self.publish(&self.mqtt.device.state_topic(), state(&said, dropped).to_string());
+        }
+        let availability = if said.is_some() { "online" } else { "offline" };
+        // Also when it is no news: the last will of a connection that died unseen may have said otherwise.
+        self.publish(&self.mqtt.device.availability_topic(), availability.into());
+        self.told_online = Some(said.is_some());
+    }
+
+    /// Retained, so that who comes later knows too. A queue that is full belongs to a broker that takes nothing; the next
+    /// beat says it again.
+    fn publish(&self, topic: &str, message: String) {
+        if self.client.try_publish(topic, QoS::AtLeastOnce, true, message).is_ok() {
+            count(&self.mqtt.latest.counters.mqtt_published);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use rumqttc::v5::mqttbytes::v5::{Connect, Login};
+
+    use super::*;
+
+    /// A server that sends back whatever it receives: the connection's first packet holds the login.
+    #[test]
+    fn a_login_that_comes_back_is_not_shown() {
+        let connect = Connect { keep_alive: 15, client_id: "radome-1".into(), clean_start: true, properties: None };
+        let login = Login { username: "radar".into(), password: "hunter2".into() };
+        let error = ConnectionError::NotConnAck(Box::new(Packet::Connect(connect, None, Some(login))));
+        assert!(error.to_string().contains("hunter2"), "the library shows it");
+        assert!(!in_words(&error).contains("hunter2"));
+    }
+}

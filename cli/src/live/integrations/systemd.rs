@@ -1,0 +1,72 @@
+//! Notifications for systemd, where it has started us (`Type=notify`): when we are ready, that frames still come, when we stop.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use sd_notify::NotifyState;
+use tokio::sync::watch;
+
+use super::latest::Latest;
+
+/// Between two looks, unless the watchdog wants more.
+const LOOK: Duration = Duration::from_millis(500);
+/// Between two lines of status.
+const STATUS_INTERVAL: Duration = Duration::from_secs(5);
+
+/// Whether anybody listens.
+pub fn is_wanted() -> bool {
+    std::env::var_os("NOTIFY_SOCKET").is_some()
+}
+
+/// Tells until `stop` says so.
+pub async fn run(latest: Arc<Latest>, mut stop: watch::Receiver<bool>) {
+    let watchdog = sd_notify::watchdog_enabled();
+    let mut look = tokio::time::interval(watchdog.map_or(LOOK, |period| (period / 4).min(LOOK)));
+    let mut is_ready = false;
+    let mut told: Option<Instant> = None;
+    let mut frames_before = 0;
+    loop {
+        tokio::select! {
+            _ = stop.changed() => break,
+            _ = look.tick() => {}
+        }
+        let (frames, _) = latest.frames();
+        let flows = frames > std::mem::replace(&mut frames_before, frames);
+        if !is_ready && latest.said().is_some() {
+            is_ready = true;
+            tell(&[NotifyState::Ready]);
+        }
+        // A watchdog that barks while nothing comes from the board would be content with a dead one.
+        if flows && watchdog.is_some() {
+            tell(&[NotifyState::Watchdog]);
+        }
+        if told.is_none_or(|told| told.elapsed() >= STATUS_INTERVAL) {
+            told = Some(Instant::now());
+            tell(&[NotifyState::Status(&status(&latest))]);
+        }
+    }
+    tell(&[NotifyState::Stopping]);
+}
+
+fn status(latest: &Latest) -> String {
+    let newest = latest.newest();
+    let health = &newest.health;
+    let room = match latest.said() {
+        Some(said) if said.people > 0 => format!("occupied, {} people", said.people),
+        Some(_) => "empty".to_owned(),
+        None => "no answer".to_owned(),
+    };
+    format!(
+        "{room}; {} frames, {:.1}/s, {} dropped, label after {:.1} ms",
+        health.frames,
+        health.frames_per_s(),
+        health.dropped_total(),
+        health.latency.quantile_s(0.5) * 1e3
+    )
+}
+
+fn tell(state: &[NotifyState]) {
+    if let Err(error) = sd_notify::notify(state) {
+        tracing::debug!("systemd does not listen: {error}");
+    }
+}

@@ -1,0 +1,93 @@
+//! Access policy, limits and refusals of the page.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use tokio::sync::Semaphore;
+
+use crate::live::access::{self, Access, Token};
+
+/// Pages at a time.
+const MOST_PAGES: usize = 16;
+
+/// Reason for refusing a connection, a request, a page or a message.
+#[derive(Debug, Clone, Copy)]
+pub enum Refusal {
+    Connection,
+    Unanswered,
+    Host,
+    Origin,
+    NoToken,
+    WrongToken,
+    Method,
+    Body,
+    Path,
+    Page,
+    Message,
+    Oversized,
+    Flood,
+}
+
+/// Names of the refusals, in their order.
+const REFUSALS: [&str; 13] = [
+    "connections",
+    "unanswered",
+    "host",
+    "origin",
+    "no_token",
+    "wrong_token",
+    "method",
+    "body",
+    "path",
+    "pages",
+    "messages",
+    "oversized",
+    "flood",
+];
+
+impl From<access::Refusal> for Refusal {
+    fn from(refusal: access::Refusal) -> Self {
+        match refusal {
+            access::Refusal::Host => Refusal::Host,
+            access::Refusal::Origin => Refusal::Origin,
+            access::Refusal::NoToken => Refusal::NoToken,
+            access::Refusal::WrongToken => Refusal::WrongToken,
+            access::Refusal::Body => Refusal::Body,
+        }
+    }
+}
+
+/// Access policy of the page, limit of pages, and counters of refusals.
+pub struct Policy {
+    /// Access policy.
+    pub access: Access,
+    /// Permits of pages.
+    pub pages: Arc<Semaphore>,
+    refused: [AtomicU64; REFUSALS.len()],
+}
+
+impl Policy {
+    /// Policy of a page that is served at `address`; with a token only for those who bring it.
+    pub fn new(address: SocketAddr, arguments: &access::Arguments, token: Option<&Token>) -> Self {
+        Policy {
+            access: Access::new(address, arguments, token),
+            pages: Arc::new(Semaphore::new(MOST_PAGES)),
+            refused: Default::default(),
+        }
+    }
+
+    /// Counts a refusal.
+    pub fn count(&self, refusal: Refusal) {
+        if let Some(counter) = self.refused.get(refusal as usize) {
+            counter.fetch_add(1, Ordering::Relaxed);
+        }
+    }
+
+    /// Refusals by name.
+    pub fn refused(&self) -> serde_json::Value {
+        let refused =
+            REFUSALS.iter().zip(&self.refused).map(|(name, n)| ((*name).to_owned(), n.load(Ordering::Relaxed).into()));
+        refused.collect::<serde_json::Map<String, serde_json::Value>>().into()
+    }
+}

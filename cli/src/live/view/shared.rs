@@ -1,0 +1,70 @@
+//! State that pages, server and pipeline share.
+
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use radome_driver::BoardIdentity;
+use radome_dsp::Waveform;
+use serde_json::json;
+
+use super::feed::Feed;
+use super::labels::Keeper;
+use super::policy::Policy;
+use crate::source::Playback;
+
+/// Description of the run for pages.
+pub struct About {
+    pub description: String,
+    pub model: String,
+    pub waveform: Waveform,
+    pub board: Option<BoardIdentity>,
+    pub playback: Option<Playback>,
+    pub has_partner: bool,
+    pub read_only_labels: bool,
+}
+
+impl About {
+    /// First message to a page.
+    pub fn hello(&self) -> serde_json::Value {
+        let shape = self.waveform.shape();
+        let playback = self.playback.as_ref().map(|playback| {
+            let extent = playback.extent;
+            json!({
+                "first_s": extent.first.time_s(),
+                "last_s": extent.last.time_s(),
+                "first_sequence": extent.first.sequence,
+                "last_sequence": extent.last.sequence,
+            })
+        });
+        json!({ "hello": {
+            "version": env!("CARGO_PKG_VERSION"),
+            "source": self.description,
+            "model": self.model,
+            "rx": shape.rx,
+            "chirps": shape.chirps,
+            "samples": shape.samples,
+            "sample_interval_s": 1.0 / self.waveform.request.sample_rate_hz,
+            "frame_interval_s": self.waveform.frame_interval_s(),
+            "board": self.board.as_ref().map(|b| json!({ "name": b.name, "firmware": b.firmware_version, "chip": b.chip })),
+            "tape": playback,
+            "partner": self.has_partner,
+            "read_only_labels": self.read_only_labels,
+        } })
+    }
+}
+
+/// State that the server's tasks share.
+pub struct Shared {
+    pub about: About,
+    pub feed: Feed,
+    pub labels: Keeper,
+    pub policy: Policy,
+    /// Summary of the run, once it is over.
+    pub over: Mutex<Option<serde_json::Value>>,
+}
+
+impl Shared {
+    /// Summary of the run, once it is over.
+    pub fn over(&self) -> MutexGuard<'_, Option<serde_json::Value>> {
+        self.over.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

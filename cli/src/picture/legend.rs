@@ -1,0 +1,89 @@
+//! Legend of the picture of a scene: signs and their names.
+
+use radome_sim::Scene;
+
+use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
+use super::palette::{BEAM, GREY, INK, LEFT, PEOPLE, UNSAID, material_ink, ring};
+
+/// Sign in the legend.
+pub(super) enum Sign {
+    Area(Ink),
+    Open,
+    Beam,
+    Radar,
+    Way(Ink),
+    Rest,
+}
+
+/// Signs of a picture with their names. `people` has the colour and the height, m, of each person.
+pub(super) fn legend(scene: &Scene, people: &[(Ink, f64)]) -> Vec<(Sign, String)> {
+    let file = scene.file();
+    let room = &file.room;
+    let walls = [&room.x_low, &room.x_high, &room.y_low, &room.y_high, &room.floor, &room.ceiling];
+    let mut names: Vec<&str> = walls.iter().map(|s| s.material.as_str()).collect();
+    names.extend(file.furniture.iter().filter_map(|f| f.material.as_deref()));
+    names.extend(scene.outlines().iter().map(|o| o.material.as_str()));
+    names.sort_unstable();
+    names.dedup();
+    let mut all = vec![(Sign::Radar, "radar".to_owned()), (Sign::Beam, "its beam to -3 dB, one way".to_owned())];
+    for name in names {
+        let sign = if name == "open" { Sign::Open } else { Sign::Area(material_ink(scene, name)) };
+        all.push((sign, name.replace('_', " ")));
+    }
+    if file.furniture.iter().any(|f| f.material.is_none()) {
+        all.push((Sign::Area(UNSAID), "furniture by its cross-section".to_owned()));
+    }
+    if !(file.seat.is_empty() && file.bed.is_empty()) {
+        all.push((Sign::Rest, "place to sit or lie".to_owned()));
+    }
+    for (number, (ink, height_m)) in people.iter().enumerate().take(PEOPLE.len()) {
+        all.push((Sign::Way(*ink), format!("person {}, {height_m:.2} m tall", number + 1)));
+    }
+    all
+}
+
+/// The same in rows of a width, pixels.
+pub(super) fn legend_rows(legend: &[(Sign, String)], width: f64) -> Vec<Vec<(&Sign, &str)>> {
+    let mut rows: Vec<Vec<(&Sign, &str)>> = vec![Vec::new()];
+    let mut x = LEFT;
+    for (sign, name) in legend {
+        let needed = 30.0 + Letters::Small.size(name)[0] + 26.0;
+        if x + needed > width && rows.last().is_some_and(|row| !row.is_empty()) {
+            rows.push(Vec::new());
+            x = LEFT;
+        }
+        if let Some(row) = rows.last_mut() {
+            row.push((sign, name.as_str()));
+        }
+        x += needed;
+    }
+    rows
+}
+
+/// Draws a sign with its upper left corner there.
+pub(super) fn draw_sign(canvas: &mut Canvas, [x, y]: Pixel, sign: &Sign) {
+    let area = vec![[x, y + 2.0], [x + 22.0, y + 2.0], [x + 22.0, y + 14.0], [x, y + 14.0]];
+    let line = |ink: Ink, width: f64, is_dashed: bool| Line { ink, width, is_dashed };
+    match sign {
+        Sign::Area(ink) => canvas.fill(&[area], *ink),
+        Sign::Open => canvas.around(&[area], &line(GREY, 1.0, true)),
+        Sign::Beam => {
+            canvas.fill(&[vec![[x, y + 8.0], [x + 22.0, y + 1.0], [x + 22.0, y + 15.0]]], BEAM.faint(0.35));
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 1.0]], &line(BEAM.darker(0.15), 1.4, true));
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 15.0]], &line(BEAM.darker(0.15), 1.4, true));
+        }
+        Sign::Radar => {
+            let arrow = vec![[x + 20.0, y + 8.0], [x + 4.0, y + 1.0], [x + 4.0, y + 15.0]];
+            canvas.fill(std::slice::from_ref(&arrow), BEAM);
+            canvas.around(&[arrow], &line(INK, 1.6, false));
+        }
+        Sign::Way(ink) => {
+            canvas.line(&[[x, y + 8.0], [x + 22.0, y + 8.0]], &line(*ink, 2.0, false));
+            canvas.fill(&[vec![[x + 18.0, y + 8.0], [x + 8.0, y + 3.0], [x + 8.0, y + 13.0]]], *ink);
+        }
+        Sign::Rest => {
+            canvas.around(&[ring([x + 6.0, y + 8.0], 4.0)], &line(INK, 1.6, false));
+            canvas.line(&[[x + 6.0, y + 8.0], [x + 20.0, y + 8.0]], &line(INK, 1.6, false));
+        }
+    }
+}

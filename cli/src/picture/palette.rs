@@ -1,0 +1,57 @@
+//! Colours and shapes that a picture of a scene and its legend share.
+
+use radome_sim::Scene;
+
+use super::canvas::{Ink, Pixel};
+
+/// Colour of text and outlines.
+pub(super) const INK: Ink = Ink::solid([40, 44, 52]);
+/// Colour of notes and axes.
+pub(super) const GREY: Ink = Ink::solid([120, 126, 136]);
+/// Colour of the radar and its beam.
+pub(super) const BEAM: Ink = Ink::solid([240, 180, 30]);
+/// A colour for each person in turn.
+pub(super) const PEOPLE: [Ink; 4] =
+    [Ink::solid([31, 90, 180]), Ink::solid([196, 58, 58]), Ink::solid([34, 128, 84]), Ink::solid([132, 70, 160])];
+/// Colours of paths that people change, and of others.
+pub(super) const MOVING: Ink = Ink::solid([200, 30, 90]);
+pub(super) const STATIC: Ink = Ink::solid([60, 70, 90]);
+/// Colour of furniture that has no material.
+pub(super) const UNSAID: Ink = Ink::solid([176, 180, 188]);
+
+/// Colours of the built-in materials.
+const MATERIALS: [(&str, [u8; 3]); 11] = [
+    ("concrete", [128, 132, 138]),
+    ("brick", [178, 84, 62]),
+    ("plasterboard", [214, 200, 172]),
+    ("wood", [166, 112, 58]),
+    ("glass", [98, 184, 222]),
+    ("ceiling_board", [190, 178, 222]),
+    ("chipboard", [204, 158, 92]),
+    ("plywood", [224, 186, 120]),
+    ("marble", [160, 196, 186]),
+    ("floorboard", [126, 84, 44]),
+    ("metal", [62, 78, 104]),
+];
+/// Colours of materials that a scene defines.
+const OWN: [[u8; 3]; 5] = [[134, 180, 92], [222, 128, 160], [110, 190, 180], [230, 160, 70], [150, 130, 210]];
+
+/// Room to the left of each view, for numbers, pixels.
+pub(super) const LEFT: f64 = 66.0;
+
+/// Colour of a material of a scene.
+pub(super) fn material_ink(scene: &Scene, material: &str) -> Ink {
+    if let Some((_, rgb)) = MATERIALS.iter().find(|(name, _)| *name == material) {
+        return Ink::solid(*rgb);
+    }
+    let own = scene.file().materials.keys().position(|name| name == material).unwrap_or(0);
+    Ink::solid(OWN[own % OWN.len()])
+}
+
+/// Circle as a polygon, pixels.
+pub(super) fn ring([x, y]: Pixel, radius: f64) -> Vec<Pixel> {
+    (0..24)
+        .map(|i| (f64::from(i) * std::f64::consts::TAU / 24.0).sin_cos())
+        .map(|(s, c)| [x + radius * c, y + radius * s])
+        .collect()
+}

@@ -1,0 +1,251 @@
+//! Plots: maps, points and lines on axes.
+
+use std::path::Path;
+
+use radome_dsp::Rdm;
+
+use super::canvas::{Canvas, Ink, Letters, Line, Pixel};
+use super::palette::INK;
+
+/// Room around a plot, pixels: for numbers to the left and below, and for the names of axes.
+const MARGIN_LEFT: f64 = 72.0;
+const MARGIN_RIGHT: f64 = 92.0;
+const MARGIN_TOP: f64 = 32.0;
+const MARGIN_BOTTOM: f64 = 52.0;
+/// Size of a plot of series, pixels.
+const WIDTH: f64 = 640.0;
+const HEIGHT: f64 = 400.0;
+/// Colour of cells that are not numbers.
+const NOT_A_NUMBER: Ink = Ink::solid([255, 0, 255]);
+/// Length of a tick, pixels.
+const TICK: f64 = 5.0;
+
+/// Writes one channel of a map: range to the right in metres, velocity upwards in m/s (receding above), colour in dB from
+/// 10 dB under the median to the peak.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn map(path: &Path, map: &Rdm, rx: usize) -> anyhow::Result<()> {
+    let (doppler, range) = (map.shape.doppler, map.shape.range);
+    let (cell_x, cell_y) = ((768 / range).max(1) as f64, (512 / doppler).max(1) as f64);
+    let (width, height) = (range as f64 * cell_x, doppler as f64 * cell_y);
+    let mut canvas = Canvas::new(width + MARGIN_LEFT + MARGIN_RIGHT, height + MARGIN_TOP + MARGIN_BOTTOM)?;
+    let (low, high) = levels(map);
+    for d in 0..doppler {
+        let y = MARGIN_TOP + (doppler - 1 - d) as f64 * cell_y;
+        for r in 0..range {
+            let value = map.at(rx, d, r);
+            let ink = if value.is_finite() { viridis((value - low) / (high - low)) } else { NOT_A_NUMBER };
+            canvas.rectangle([MARGIN_LEFT + r as f64 * cell_x, y], [cell_x, cell_y], ink);
+        }
+    }
+    let max_range_m = map.range_m(range);
+    for tick in ticks(0.0, max_range_m) {
+        let x = MARGIN_LEFT + (tick / map.range_step_m + 0.5) * cell_x;
+        tick_below(&mut canvas, [x, MARGIN_TOP + height], 0.0, &label(tick, max_range_m));
+    }
+    let max_velocity = map.velocity_m_per_s(doppler);
+    for tick in ticks(-max_velocity, max_velocity) {
+        let row = tick / map.velocity_step_m_per_s + (doppler / 2) as f64;
+        let y = MARGIN_TOP + height - (row + 0.5) * cell_y;
+        if (MARGIN_TOP..=MARGIN_TOP + height).contains(&y) {
+            tick_beside(&mut canvas, [MARGIN_LEFT, y], 0.0, &label(tick, max_velocity));
+        }
+    }
+    axis_names(&mut canvas, [width, height], ("range / m", "velocity / (m/s), receding up"));
+    let bar_x = MARGIN_LEFT + width + 16.0;
+    for row in 0..height as u32 {
+        let ink = viridis(1.0 - row as f32 / height as f32);
+        canvas.rectangle([bar_x, MARGIN_TOP + f64::from(row)], [12.0, 1.0], ink);
+    }
+    for tick in ticks(f64::from(low), f64::from(high)) {
+        let y = MARGIN_TOP + (f64::from(high) - tick) / f64::from(high - low) * height;
+        canvas.text([bar_x + 18.0, y - 8.0], &label(tick, 100.0), Letters::Small, INK);
+    }
+    canvas.text([bar_x, MARGIN_TOP - 24.0], "dB", Letters::Small, INK);
+    canvas.save(path)
+}
+
+/// Levels of the first and the last colour, dB: 10 dB under the median, and the peak or 20 dB over the median.
+fn levels(map: &Rdm) -> (f32, f32) {
+    let mut finite: Vec<f32> = map.db.iter().copied().filter(|v| v.is_finite()).collect();
+    finite.sort_by(f32::total_cmp);
+    let median = finite.get(finite.len() / 2).copied().unwrap_or(-200.0);
+    (median - 10.0, finite.last().copied().unwrap_or(0.0).max(median + 20.0))
+}
+
+/// Series of a plot: name and points.
+type Series<'a> = (&'a str, Vec<(f64, f64)>);
+
+/// Writes points of several series on logarithmic axes, a colour a series.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn scatter(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::Result<()> {
+    let mut canvas = series_canvas(series)?;
+    let points = || series.iter().flat_map(|s| &s.1).filter(|p| p.0 > 0.0 && p.1 > 0.0);
+    // Whole decades around all points.
+    let decades = |values: Vec<f64>| {
+        let low = values.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let low = if low.is_finite() { low.floor() } else { 0.0 };
+        (low, if high.is_finite() { high.ceil().max(low + 1.0) } else { low + 1.0 })
+    };
+    let (x_low, x_high) = decades(points().map(|p| p.0.log10()).collect());
+    let (y_low, y_high) = decades(points().map(|p| p.1.log10()).collect());
+    let at = |x: f64, y: f64| -> Pixel {
+        [MARGIN_LEFT + (x - x_low) / (x_high - x_low) * WIDTH, MARGIN_TOP + (y_high - y) / (y_high - y_low) * HEIGHT]
+    };
+    for decade in x_low as i32..=x_high as i32 {
+        tick_below(&mut canvas, at(f64::from(decade), y_low), HEIGHT, &power(decade));
+    }
+    for decade in y_low as i32..=y_high as i32 {
+        tick_beside(&mut canvas, at(x_low, f64::from(decade)), WIDTH, &power(decade));
+    }
+    axis_names(&mut canvas, [WIDTH, HEIGHT], names);
+    for (i, (name, points)) in series.iter().enumerate() {
+        for (x, y) in points.iter().filter(|p| p.0 > 0.0 && p.1 > 0.0) {
+            dot(&mut canvas, at(x.log10(), y.log10()), series_ink(i));
+        }
+        legend(&mut canvas, i, name);
+    }
+    canvas.save(path)
+}
+
+/// Text of a power of ten.
+fn power(decade: i32) -> String {
+    match decade {
+        -3..=4 => format!("{}", 10f64.powi(decade)),
+        _ => format!("1e{decade}"),
+    }
+}
+
+/// Writes lines through points of several series, a colour a series, on linear axes; what is up is a share, drawn
+/// from the tenth below the lowest point to 1.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn lines(path: &Path, names: (&str, &str), series: &[Series]) -> anyhow::Result<()> {
+    let mut canvas = series_canvas(series)?;
+    let across_values = || series.iter().flat_map(|s| &s.1).map(|p| p.0).filter(|x| x.is_finite());
+    let low = across_values().fold(f64::INFINITY, f64::min);
+    let high = across_values().fold(f64::NEG_INFINITY, f64::max);
+    let (low, high) = if high > low { (low, high) } else { (low.min(0.0), low.max(0.0) + 1.0) };
+    let lowest = series.iter().flat_map(|s| &s.1).map(|p| p.1).filter(|y| y.is_finite()).fold(1.0, f64::min);
+    let floor = ((10.0 * lowest).floor() / 10.0).clamp(0.0, 0.9);
+    let at = |x: f64, y: f64| -> Pixel {
+        [
+            MARGIN_LEFT + (x - low) / (high - low) * WIDTH,
+            MARGIN_TOP + (1.0 - y.clamp(floor, 1.0)) / (1.0 - floor) * HEIGHT,
+        ]
+    };
+    for tick in ticks(low, high) {
+        tick_below(&mut canvas, at(tick, floor), 0.0, &label(tick, high - low));
+    }
+    for share in ticks(floor, 1.0) {
+        tick_beside(&mut canvas, at(low, share), WIDTH, &format!("{share:.2}"));
+    }
+    canvas.line(&[at(low, floor), at(low, 1.0)], &axis());
+    axis_names(&mut canvas, [WIDTH, HEIGHT], names);
+    for (i, (name, points)) in series.iter().enumerate() {
+        let ink = series_ink(i);
+        // A point without a value has no place.
+        let places: Vec<Pixel> =
+            points.iter().map(|(x, y)| at(*x, *y)).filter(|place| place.iter().all(|v| v.is_finite())).collect();
+        canvas.line(&places, &Line { ink, width: 3.0, is_dashed: false });
+        places.iter().for_each(|place| dot(&mut canvas, *place, ink));
+        legend(&mut canvas, i, name);
+    }
+    canvas.save(path)
+}
+
+/// Canvas for series with room for their names.
+fn series_canvas(series: &[Series]) -> anyhow::Result<Canvas> {
+    let longest = series.iter().map(|(name, _)| Letters::Small.size(name)[0]).fold(0.0, f64::max);
+    Canvas::new(MARGIN_LEFT + WIDTH + 40.0 + longest, MARGIN_TOP + HEIGHT + MARGIN_BOTTOM)
+}
+
+fn axis() -> Line {
+    Line { ink: INK, width: 1.0, is_dashed: false }
+}
+
+/// Tick under an axis, a grid line of `length` above it, and its number.
+fn tick_below(canvas: &mut Canvas, [x, y]: Pixel, length: f64, number: &str) {
+    canvas.line(&[[x, y - length], [x, y + TICK]], &axis());
+    canvas.text([x - 0.5 * Letters::Small.size(number)[0], y + 8.0], number, Letters::Small, INK);
+}
+
+/// Tick to the left of an axis, a grid line of `length` to its right, and its number.
+fn tick_beside(canvas: &mut Canvas, [x, y]: Pixel, length: f64, number: &str) {
+    canvas.line(&[[x - TICK, y], [x + length, y]], &axis());
+    canvas.text([x - 8.0 - Letters::Small.size(number)[0], y - 8.0], number, Letters::Small, INK);
+}
+
+/// Names of the axes of a plot of this size: below its middle, and above its upper left corner.
+fn axis_names(canvas: &mut Canvas, [width, height]: [f64; 2], (across, up): (&str, &str)) {
+    let middle = MARGIN_LEFT + 0.5 * (width - Letters::Small.size(across)[0]);
+    canvas.text([middle, MARGIN_TOP + height + 28.0], across, Letters::Small, INK);
+    canvas.text([4.0, 8.0], up, Letters::Small, INK);
+}
+
+/// Name of a series with its colour.
+fn legend(canvas: &mut Canvas, index: usize, name: &str) {
+    let y = MARGIN_TOP + 10.0 + 20.0 * index as f64;
+    dot(canvas, [MARGIN_LEFT + WIDTH + 16.0, y], series_ink(index));
+    canvas.text([MARGIN_LEFT + WIDTH + 26.0, y - 8.0], name, Letters::Small, INK);
+}
+
+fn dot(canvas: &mut Canvas, [x, y]: Pixel, ink: Ink) {
+    canvas.rectangle([x.round() - 3.0, y.round() - 3.0], [7.0, 7.0], ink);
+}
+
+/// Colours that are told apart side by side: ColorBrewer's Set1 and Dark2, less the yellows.
+fn series_ink(index: usize) -> Ink {
+    const COLOURS: [[u8; 3]; 12] = [
+        [228, 26, 28],
+        [55, 126, 184],
+        [77, 175, 74],
+        [152, 78, 163],
+        [255, 127, 0],
+        [166, 86, 40],
+        [247, 129, 191],
+        [102, 102, 102],
+        [27, 158, 119],
+        [0, 0, 0],
+        [117, 112, 179],
+        [102, 166, 30],
+    ];
+    Ink::solid(COLOURS[index % COLOURS.len()])
+}
+
+/// Round values between two ends, about seven of them.
+fn ticks(from: f64, to: f64) -> Vec<f64> {
+    let raw = (to - from) / 7.0;
+    let magnitude = 10f64.powf(raw.log10().floor());
+    let step = [1.0, 2.0, 5.0, 10.0].iter().map(|s| s * magnitude).find(|s| *s >= raw).unwrap_or(raw);
+    let first = (from / step).ceil() as i64;
+    (first..).map(|i| i as f64 * step).take_while(|t| *t <= to).collect()
+}
+
+fn label(value: f64, scale: f64) -> String {
+    let digits = (2.0 - scale.abs().max(1e-9).log10()).clamp(0.0, 4.0) as usize;
+    format!("{value:.digits$}")
+}
+
+/// The viridis map by interpolation of nine of its colours.
+fn viridis(t: f32) -> Ink {
+    const COLOURS: [[f32; 3]; 9] = [
+        [68.0, 1.0, 84.0],
+        [71.0, 44.0, 122.0],
+        [59.0, 81.0, 139.0],
+        [44.0, 113.0, 142.0],
+        [33.0, 144.0, 141.0],
+        [39.0, 173.0, 129.0],
+        [92.0, 200.0, 99.0],
+        [170.0, 220.0, 50.0],
+        [253.0, 231.0, 37.0],
+    ];
+    let position = t.clamp(0.0, 1.0) * 8.0;
+    let (i, f) = ((position as usize).min(7), position - (position as usize).min(7) as f32);
+    Ink::solid([0, 1, 2].map(|c| (COLOURS[i][c] + f * (COLOURS[i + 1][c] - COLOURS[i][c])).round() as u8))
+}

@@ -1,0 +1,620 @@
+//! A picture of a scene before anything is simulated: from above and from the side, with what stands in it, what the radar
+//! looks at, and who goes where.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec3;
+use radome_sim::Scene;
+use radome_sim::actor::body::PELVIS;
+use radome_sim::actor::motion::Motion;
+use radome_sim::actor::program::Program;
+use radome_sim::actor::skin::{EDGE_M, WalkingMesh};
+use radome_sim::field::highlight::Ellipsoid;
+use radome_sim::scene::file::{BodyFile, SurfaceFile};
+
+use super::canvas::{Canvas, Ink, Labels, Letters, Line, Pixel};
+use super::legend::{draw_sign, legend, legend_rows};
+use super::palette::{BEAM, GREY, INK, LEFT, MOVING, PEOPLE, STATIC, UNSAID, material_ink, ring};
+
+/// Room below each view, above it, and to the right of it, pixels; below there are numbers and the axis's name.
+const BELOW: f64 = 62.0;
+const TOP: f64 = 64.0;
+const RIGHT: f64 = 30.0;
+/// Thickness of walls, pixels.
+const WALL: f64 = 9.0;
+/// Pixels of a metre: no more than this, and so many that views fill this width, or one of them this height.
+const MOST_PER_M: f64 = 200.0;
+const WIDTH: f64 = 1480.0;
+const HEIGHT: f64 = 860.0;
+/// Rooms this many times as long as wide have their views one above the other.
+const LONG: f64 = 2.2;
+/// Ways are looked at so often, s.
+const STEP_S: f64 = 0.05;
+/// Between times that are written on ways, pixels and s, and between arrows, pixels.
+const BETWEEN_TIMES: f64 = 130.0;
+const BETWEEN_TIMES_S: f64 = 1.2;
+const BETWEEN_ARROWS: f64 = 100.0;
+/// Ways are drawn this far out of the room, m.
+const OUTSIDE_M: f64 = 0.15;
+/// Bodies drawn of everybody after the first.
+const LATER: usize = 3;
+
+/// Scene and options of its picture.
+pub struct Preview<'a> {
+    /// The scene as its seed drew it.
+    pub scene: &'a Scene,
+    /// The seed.
+    pub seed: u64,
+    /// Number of people; the scene's own number if `None`.
+    pub people: Option<usize>,
+    /// Ways are drawn up to here, s.
+    pub until_s: f64,
+    /// Ways of waves.
+    pub paths: &'a [DrawnPath],
+}
+
+/// The way of a wave.
+pub struct DrawnPath {
+    /// Its corners, m.
+    pub points: Vec<DVec3>,
+    /// Whether it changes: it is drawn in another colour.
+    pub is_moving: bool,
+    /// From 0, as faint as lines get, to 1.
+    pub strength: f64,
+}
+
+/// One of the views: which axes of the room are to the right and up, and where.
+struct View {
+    across: usize,
+    up: usize,
+    /// Upper left corner of the room, pixels.
+    corner: Pixel,
+    per_m: f64,
+    size_m: DVec3,
+}
+
+impl View {
+    fn at(&self, p: DVec3) -> Pixel {
+        [
+            self.corner[0] + p[self.across] * self.per_m,
+            self.corner[1] + (self.size_m[self.up] - p[self.up]) * self.per_m,
+        ]
+    }
+
+    fn width(&self) -> f64 {
+        self.size_m[self.across] * self.per_m
+    }
+
+    fn height(&self) -> f64 {
+        self.size_m[self.up] * self.per_m
+    }
+
+    fn is_plan(&self) -> bool {
+        self.up == 1
+    }
+
+    fn frame(&self) -> [Pixel; 2] {
+        [self.corner, [self.corner[0] + self.width(), self.corner[1] + self.height()]]
+    }
+
+    fn rectangle(&self, low: DVec3, high: DVec3) -> Vec<Pixel> {
+        let ([x0, y1], [x1, y0]) = (self.at(low), self.at(high));
+        vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+    }
+}
+
+/// Somebody's way while they are there.
+struct Way {
+    motion: Arc<Motion>,
+    ink: Ink,
+    /// Times, s, and places of the hips.
+    places: Vec<(f64, DVec3)>,
+    /// Times at which the body is drawn, s.
+    bodies: Vec<f64>,
+}
+
+/// Draws a scene.
+///
+/// # Errors
+/// The picture is too large, or the file cannot be written.
+pub fn draw(preview: &Preview, path: &Path) -> anyhow::Result<()> {
+    let scene = preview.scene;
+    let size_m = scene.room().size_m;
+    // Seen along the horizontal axis that is across the boresight.
+    let ahead = scene.radar_from_world().transpose() * DVec3::X;
+    let across = if ahead.x.abs() >= ahead.y.abs() { 0 } else { 1 };
+    let is_long = size_m.x > LONG * size_m.y;
+    let widths_m = if is_long { size_m.x.max(size_m[across]) } else { size_m.x + size_m[across] };
+    let views = if is_long { 1.0 } else { 2.0 };
+    let per_m = ((WIDTH - views * (LEFT + RIGHT)) / widths_m).min(HEIGHT / size_m.y.max(size_m.z)).min(MOST_PER_M);
+    let plan = View { across: 0, up: 1, corner: [LEFT, TOP], per_m, size_m };
+    let beside = if is_long {
+        [LEFT, TOP + plan.height() + BELOW + 12.0]
+    } else {
+        // Floors are level with the plan's lower edge.
+        [LEFT + plan.width() + RIGHT + LEFT, TOP + (size_m.y - size_m.z).max(0.0) * per_m]
+    };
+    let plan =
+        if is_long { plan } else { View { corner: [LEFT, TOP + (size_m.z - size_m.y).max(0.0) * per_m], ..plan } };
+    let side = View { across, up: 2, corner: beside, per_m, size_m };
+    let ways = ways(preview);
+    let people: Vec<(Ink, f64)> = ways.iter().map(|way| (way.ink, way.motion.person.build.height_m)).collect();
+    let legend = legend(scene, &people);
+    let width = (plan.frame()[1][0].max(side.frame()[1][0]) + RIGHT).max(900.0);
+    let rows = legend_rows(&legend, width);
+    let below = plan.frame()[1][1].max(side.frame()[1][1]) + BELOW;
+    let mut canvas = Canvas::new(width, below + 22.0 * rows.len() as f64 + 12.0)?;
+
+    let title = format!("{}, seed {}", scene.name(), preview.seed);
+    canvas.text([LEFT - WALL, 10.0], &title, Letters::Title, INK);
+    let note = format!("0 to {:.0} s", preview.until_s);
+    let note_x = LEFT - WALL + Letters::Title.size(&title)[0] + 24.0;
+    canvas.text([note_x, 16.0], &note, Letters::Small, GREY);
+    for view in [&plan, &side] {
+        let mut labels = Labels::default();
+        draw_room(&mut canvas, view, scene);
+        draw_beam(&mut canvas, view, scene);
+        draw_furniture(&mut canvas, view, scene);
+        for way in &ways {
+            draw_bodies(&mut canvas, view, scene, way);
+        }
+        for way in &ways {
+            draw_way(&mut canvas, view, way);
+        }
+        for path in preview.paths {
+            draw_path(&mut canvas, view, path);
+        }
+        draw_radar(&mut canvas, view, scene, &mut labels);
+        for way in &ways {
+            label_times(&mut canvas, view, way, &mut labels);
+        }
+        // Names of furniture keep off bodies too.
+        for (way, &time_s) in ways.iter().filter_map(|way| Some((way, way.bodies.first()?))) {
+            for part in way.motion.body(time_s) {
+                let (low, high) = bounds(&silhouette(view, &part));
+                labels.take(low, high);
+            }
+        }
+        label_furniture(&mut canvas, view, scene, &mut labels);
+        draw_axes(&mut canvas, view);
+    }
+    let mut y = below;
+    for row in rows {
+        let mut x = LEFT - WALL;
+        for (sign, name) in row {
+            draw_sign(&mut canvas, [x, y], sign);
+            canvas.text([x + 30.0, y], name, Letters::Small, INK);
+            x += 30.0 + Letters::Small.size(name)[0] + 26.0;
+        }
+        y += 22.0;
+    }
+    canvas.save(path)
+}
+
+/// Everybody who is there up to the end.
+fn ways(preview: &Preview) -> Vec<Way> {
+    let program = Program::new(preview.scene, preview.seed, preview.people);
+    let mut all = program.between(0.0, preview.until_s);
+    all.sort_by(|a, b| a.1.start_s.total_cmp(&b.1.start_s).then(a.0.cmp(&b.0)));
+    let one = |(number, (_, motion)): (usize, (usize, Arc<Motion>))| {
+        let (begin, end) = (motion.start_s.max(0.0), motion.end_s.min(preview.until_s));
+        let steps = ((end - begin) / STEP_S).ceil().max(1.0) as usize;
+        let at = |i: usize| begin + (end - begin) * i as f64 / steps as f64;
+        let places: Vec<(f64, DVec3)> = (0..=steps).map(|i| (at(i), motion.body(at(i))[PELVIS].centre)).collect();
+        let bodies = body_times(preview.scene, &places);
+        Way { motion, ink: PEOPLE[number % PEOPLE.len()], places, bodies }
+    };
+    all.into_iter().enumerate().map(one).collect()
+}
+
+/// When somebody is first in the room, and a few times after that at which they are elsewhere or otherwise.
+fn body_times(scene: &Scene, places: &[(f64, DVec3)]) -> Vec<f64> {
+    let size = scene.room().size_m;
+    let in_room = |p: DVec3| p.x > 0.2 && p.y > 0.2 && p.x < size.x - 0.2 && p.y < size.y - 0.2;
+    let there: Vec<&(f64, DVec3)> = places.iter().filter(|(_, p)| in_room(*p)).collect();
+    let Some(&&(first_s, first)) = there.first() else { return Vec::new() };
+    // By how far they have moved, up and down too, so that who sits for long is not drawn again and again.
+    let mut moved = 0.0;
+    let mut last = first;
+    let lengths: Vec<(f64, f64)> = there
+        .iter()
+        .map(|(t, p)| {
+            moved += p.distance(last);
+            last = *p;
+            (*t, moved)
+        })
+        .collect();
+    let mut times = vec![first_s];
+    for i in 1..=LATER {
+        let wanted = moved * i as f64 / LATER as f64;
+        if moved > 0.3
+            && let Some((t, _)) = lengths.iter().find(|(_, length)| *length >= wanted - 1e-9)
+        {
+            times.push(*t);
+        }
+    }
+    times
+}
+
+/// The four surfaces around a view, in the order lower end across, higher end across, lower end up, higher end up.
+fn surfaces<'a>(view: &View, scene: &'a Scene) -> [&'a SurfaceFile; 4] {
+    let room = &scene.file().room;
+    let ends = |axis: usize| match axis {
+        0 => [&room.x_low, &room.x_high],
+        1 => [&room.y_low, &room.y_high],
+        _ => [&room.floor, &room.ceiling],
+    };
+    let ([a, b], [c, d]) = (ends(view.across), ends(view.up));
+    [a, b, c, d]
+}
+
+fn draw_room(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    let [[x0, y0], [x1, y1]] = view.frame();
+    let area = vec![[x0, y0], [x1, y0], [x1, y1], [x0, y1]];
+    let back = if view.is_plan() {
+        material_ink(scene, &scene.file().room.floor.material).faint(0.10)
+    } else {
+        GREY.faint(0.05)
+    };
+    canvas.fill(&[area], back);
+    let w = WALL;
+    let walls = [
+        [[x0 - w, y0 - w], [x0, y1 + w]],
+        [[x1, y0 - w], [x1 + w, y1 + w]],
+        [[x0 - w, y1], [x1 + w, y1 + w]],
+        [[x0 - w, y0 - w], [x1 + w, y0]],
+    ];
+    for (surface, [low, high]) in surfaces(view, scene).into_iter().zip(walls) {
+        let wall = vec![low, [high[0], low[1]], high, [low[0], high[1]]];
+        if surface.material == "open" {
+            canvas.around(&[wall], &Line { ink: GREY.faint(0.7), width: 1.0, is_dashed: true });
+        } else {
+            canvas.fill(&[wall], material_ink(scene, &surface.material));
+        }
+    }
+    for outline in scene.outlines() {
+        let line = Line { ink: material_ink(scene, &outline.material).darker(0.35), width: 1.4, is_dashed: false };
+        for edge in &outline.edges {
+            canvas.line(&edge.map(|p| view.at(p)), &line);
+        }
+    }
+    for door in &scene.file().door {
+        draw_door(canvas, view, door.position_m, door.width_m);
+    }
+}
+
+fn draw_door(canvas: &mut Canvas, view: &View, [x, y]: [f64; 2], width_m: f64) {
+    /// Height of a door, m.
+    const HEIGHT_M: f64 = 2.0;
+    let in_x_wall = x < 1e-6 || x > view.size_m.x - 1e-6;
+    let half = 0.5 * width_m;
+    let along = if in_x_wall { DVec3::Y } else { DVec3::X } * half;
+    let middle = DVec3::new(x, y, 0.0);
+    if view.is_plan() {
+        // A gap in the wall, with both leaves' ends.
+        let outward =
+            if in_x_wall { [if x < 1e-6 { -1.0 } else { 1.0 }, 0.0] } else { [0.0, if y < 1e-6 { 1.0 } else { -1.0 }] };
+        let (a, b) = (view.at(middle - along), view.at(middle + along));
+        let out = |[x, y]: Pixel| [x + outward[0] * (WALL + 1.0), y + outward[1] * (WALL + 1.0)];
+        canvas.fill(&[vec![a, b, out(b), out(a)]], Ink::solid([255, 255, 255]));
+        for end in [a, b] {
+            canvas.line(&[end, out(end)], &Line { ink: INK, width: 2.0, is_dashed: false });
+        }
+    } else if in_x_wall == (view.across == 1) {
+        let high = middle + along + DVec3::Z * HEIGHT_M.min(view.size_m.z);
+        let door = view.rectangle(middle - along, high);
+        canvas.around(&[door], &Line { ink: GREY.faint(0.6), width: 1.2, is_dashed: true });
+    }
+}
+
+/// Directions of the beam's cut through the boresight in which the pattern is at least half as strong, in the room.
+fn beam(view: &View, scene: &Scene) -> Vec<DVec3> {
+    /// Steps of the angle, rad.
+    const STEP_RAD: f64 = 0.005;
+    let (transmitter, _) = scene.elements();
+    let cut = |angle: f64| {
+        let (sine, cosine) = angle.sin_cos();
+        if view.is_plan() { DVec3::new(cosine, sine, 0.0) } else { DVec3::new(cosine, 0.0, sine) }
+    };
+    let is_strong = |angle: &f64| transmitter.pattern.field(cut(*angle)).powi(2) >= 0.5;
+    let half = (0..).map(|i| f64::from(i) * STEP_RAD).take_while(|a| *a < 1.55 && is_strong(a)).last().unwrap_or(0.0);
+    let world_from_radar = scene.radar_from_world().transpose();
+    let steps = 400;
+    (0..=steps).map(|i| world_from_radar * cut(half * (2.0 * f64::from(i) / f64::from(steps) - 1.0))).collect()
+}
+
+/// Point where a ray from a place in the room meets a wall.
+fn to_wall(from: DVec3, direction: DVec3, size: DVec3) -> DVec3 {
+    let length = (0..3)
+        .filter(|&i| direction[i].abs() > 1e-9)
+        .map(|i| (if direction[i] > 0.0 { size[i] - from[i] } else { -from[i] }) / direction[i])
+        .fold(f64::INFINITY, f64::min);
+    from + direction * length.clamp(0.0, 200.0)
+}
+
+fn draw_beam(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    let radar = scene.radar_position();
+    let directions = beam(view, scene);
+    let mut fan = vec![view.at(radar)];
+    fan.extend(directions.iter().map(|&d| view.at(to_wall(radar, d, view.size_m))));
+    let edge = Line { ink: BEAM.darker(0.15), width: 1.4, is_dashed: true };
+    for end in [fan.get(1), fan.last()].into_iter().flatten() {
+        canvas.line(&[fan[0], *end], &edge);
+    }
+    canvas.fill(&[fan], BEAM.faint(0.20));
+}
+
+fn draw_path(canvas: &mut Canvas, view: &View, path: &DrawnPath) {
+    let ink = if path.is_moving { MOVING } else { STATIC };
+    let line = Line { ink: ink.faint(0.15 + 0.75 * path.strength), width: 1.2, is_dashed: false };
+    let places: Vec<Pixel> = path.points.iter().map(|p| view.at(*p)).collect();
+    canvas.line(&places, &line);
+}
+
+fn draw_radar(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
+    /// Size of the sign, pixels.
+    const SIZE: f64 = 11.0;
+    let ahead = scene.radar_from_world().transpose() * DVec3::X;
+    let at = view.at(scene.radar_position());
+    let (dx, dy) = (ahead[view.across], -ahead[view.up]);
+    let length = dx.hypot(dy);
+    let (dx, dy) = if length > 0.05 { (dx / length, dy / length) } else { (0.0, 1.0) };
+    let place = |along: f64, across: f64| [at[0] + along * dx - across * dy, at[1] + along * dy + across * dx];
+    let arrow = vec![place(SIZE, 0.0), place(-0.6 * SIZE, 0.75 * SIZE), place(-0.6 * SIZE, -0.75 * SIZE)];
+    canvas.fill(std::slice::from_ref(&arrow), BEAM);
+    canvas.around(&[arrow], &Line { ink: INK, width: 1.6, is_dashed: false });
+    labels.take([at[0] - SIZE, at[1] - SIZE], [at[0] + SIZE, at[1] + SIZE]);
+}
+
+fn draw_furniture(canvas: &mut Canvas, view: &View, scene: &Scene) {
+    // What is nearer to who looks hides the rest a little.
+    let mut all: Vec<_> = scene.file().furniture.iter().collect();
+    let depth = if view.is_plan() { 2 } else { 1 - view.across };
+    let sign = if view.is_plan() || view.across == 1 { 1.0 } else { -1.0 };
+    all.sort_by(|a, b| {
+        (sign * (a.position_m[depth] + a.size_m[depth])).total_cmp(&(sign * (b.position_m[depth] + b.size_m[depth])))
+    });
+    for furniture in all {
+        let low = DVec3::from_array(furniture.position_m);
+        let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
+        let ink = furniture.material.as_deref().map_or(UNSAID, |material| material_ink(scene, material));
+        canvas.fill(std::slice::from_ref(&area), ink.faint(0.45));
+        canvas.around(&[area], &Line { ink: ink.darker(0.35), width: 1.6, is_dashed: false });
+    }
+    let places = scene.file().seat.iter().map(|s| (s.position_m, s.heading_deg, s.height_m));
+    let places = places.chain(scene.file().bed.iter().map(|b| (b.position_m, b.heading_deg, b.height_m)));
+    for ([x, y], heading_deg, height_m) in places {
+        // Where hips rest, and where one looks or feet point.
+        let (sine, cosine) = heading_deg.to_radians().sin_cos();
+        let hips = DVec3::new(x, y, height_m);
+        let mark = Line { ink: INK.faint(0.75), width: 1.6, is_dashed: false };
+        canvas.around(&[ring(view.at(hips), 4.0)], &mark);
+        canvas.line(&[view.at(hips), view.at(hips + DVec3::new(cosine, sine, 0.0) * 0.22)], &mark);
+    }
+}
+
+fn label_furniture(canvas: &mut Canvas, view: &View, scene: &Scene, labels: &mut Labels) {
+    for furniture in &scene.file().furniture {
+        let low = DVec3::from_array(furniture.position_m);
+        let area = view.rectangle(low, low + DVec3::from_array(furniture.size_m));
+        let ([x0, y0], [x1, y1]) = (area[0], area[2]);
+        let [width, height] = Letters::Small.size(&furniture.name);
+        let (x, y) = (0.5 * (x0 + x1 - width), 0.5 * (y0 + y1 - height));
+        let mut places = vec![[x, y], [x, y0 + 2.0], [x, y1 - height - 2.0]];
+        // Words that are wider than their thing go beside it.
+        if width > x1 - x0 - 4.0 || height > y1 - y0 {
+            places =
+                vec![[x1 + 4.0, y], [x0 - width - 4.0, y], [x, y1 + 3.0], [x, y0 - height - 3.0], [x1 + 4.0, y0 + 3.0]];
+        }
+        if let Some(at) = labels.find([width, height], &places, view.frame()) {
+            canvas.text(at, &furniture.name, Letters::Small, INK);
+        }
+    }
+}
+
+fn bounds(area: &[Pixel]) -> (Pixel, Pixel) {
+    area.iter().fold(([f64::INFINITY; 2], [f64::NEG_INFINITY; 2]), |(low, high), p| {
+        ([low[0].min(p[0]), low[1].min(p[1])], [high[0].max(p[0]), high[1].max(p[1])])
+    })
+}
+
+/// An ellipsoid seen from far away.
+fn silhouette(view: &View, e: &Ellipsoid) -> Vec<Pixel> {
+    let columns = [e.axes.x_axis * e.semi_axes_m.x, e.axes.y_axis * e.semi_axes_m.y, e.axes.z_axis * e.semi_axes_m.z];
+    let covariance = |i: usize, j: usize| columns.iter().map(|c| c[i] * c[j]).sum::<f64>();
+    // Its shadow is the ellipse of a square root of that.
+    let a = covariance(view.across, view.across).sqrt();
+    let b = covariance(view.across, view.up) / a.max(1e-12);
+    let c = (covariance(view.up, view.up) - b * b).max(0.0).sqrt();
+    let centre = view.at(e.centre);
+    let place = |(sine, cosine): (f64, f64)| {
+        [centre[0] + a * cosine * view.per_m, centre[1] - (b * cosine + c * sine) * view.per_m]
+    };
+    (0..40).map(|i| place((f64::from(i) * std::f64::consts::TAU / 40.0).sin_cos())).collect()
+}
+
+fn draw_bodies(canvas: &mut Canvas, view: &View, scene: &Scene, way: &Way) {
+    let is_mesh = scene.file().people.body == BodyFile::Mesh;
+    let mesh = is_mesh.then(|| WalkingMesh::new(Arc::clone(&way.motion), 1.5 * EDGE_M));
+    for (i, &time_s) in way.bodies.iter().enumerate().rev() {
+        let opacity = if i == 0 { 0.80 } else { 0.26 };
+        if let Some(mesh) = &mesh {
+            let mesh = mesh.mesh_at(time_s);
+            let corners = |t: usize| mesh.corners(t).map(|c| c.map(|p| view.at(p)).to_vec());
+            let triangles: Vec<Vec<Pixel>> = (0..mesh.triangles.len()).filter_map(corners).collect();
+            canvas.fill(&triangles, way.ink.faint(opacity));
+        } else {
+            let parts: Vec<Vec<Pixel>> = way.motion.body(time_s).iter().map(|e| silhouette(view, e)).collect();
+            canvas.fill(&parts, way.ink.faint(opacity));
+            let line =
+                Line { ink: way.ink.darker(0.4).faint(if i == 0 { 0.55 } else { 0.2 }), width: 1.0, is_dashed: false };
+            canvas.around(&parts, &line);
+        }
+    }
+}
+
+/// Whether a place is in the room, or just out of it.
+fn is_about(view: &View, p: DVec3) -> bool {
+    p.min_element() > -OUTSIDE_M && p.x < view.size_m.x + OUTSIDE_M && p.y < view.size_m.y + OUTSIDE_M
+}
+
+fn draw_way(canvas: &mut Canvas, view: &View, way: &Way) {
+    for piece in way.places.split(|(_, p)| !is_about(view, *p)).filter(|piece| piece.len() > 1) {
+        let places: Vec<Pixel> = piece.iter().map(|(_, p)| view.at(*p)).collect();
+        canvas.line(&places, &Line { ink: Ink::solid([255, 255, 255]).faint(0.8), width: 4.0, is_dashed: false });
+        canvas.line(&places, &Line { ink: way.ink, width: 2.0, is_dashed: false });
+        let mut since = 0.6 * BETWEEN_ARROWS;
+        for pair in places.windows(2) {
+            let &[a, b] = pair else { continue };
+            let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
+            let length = dx.hypot(dy);
+            since += length;
+            // Who hardly moves has no direction.
+            if since < BETWEEN_ARROWS || length < 0.2 * view.per_m * STEP_S {
+                continue;
+            }
+            since = 0.0;
+            let (dx, dy) = (dx / length, dy / length);
+            let place = |along: f64, across: f64| [b[0] + along * dx - across * dy, b[1] + along * dy + across * dx];
+            canvas.fill(&[vec![place(7.0, 0.0), place(-4.0, 5.0), place(-4.0, -5.0)]], way.ink);
+        }
+    }
+}
+
+/// Writes when somebody is where: at bodies, and from above also at other places.
+fn label_times(canvas: &mut Canvas, view: &View, way: &Way, labels: &mut Labels) {
+    let at = |t: f64| way.places.iter().min_by(|a, b| (a.0 - t).abs().total_cmp(&(b.0 - t).abs())).map(|(_, p)| *p);
+    let (begin, end) = (way.places.first().map_or(0.0, |p| p.0), way.places.last().map_or(0.0, |p| p.0));
+    let seconds = begin.ceil() as i64..=end.floor() as i64;
+    let seconds = seconds.filter(|_| view.is_plan()).map(|t| (t as f64, false));
+    let mut written: Vec<(f64, Pixel)> = Vec::new();
+    for (time_s, is_body) in way.bodies.iter().map(|&t| (t, true)).chain(seconds) {
+        let Some(place) = at(time_s).filter(|p| is_about(view, *p)) else { continue };
+        let [x, y] = view.at(place);
+        let near = |of: &&(f64, Pixel)| {
+            let apart = (of.1[0] - x).hypot(of.1[1] - y);
+            let other_pass = (of.0 - time_s).abs() > 4.0 * BETWEEN_TIMES_S && apart > 0.3 * BETWEEN_TIMES;
+            apart < BETWEEN_TIMES && !other_pass || (of.0 - time_s).abs() < BETWEEN_TIMES_S
+        };
+        if !is_body && written.iter().any(|of| near(&of)) {
+            continue;
+        }
+        let text = if time_s.fract().abs() < 0.05 { format!("{time_s:.0} s") } else { format!("{time_s:.1} s") };
+        let size = Letters::Small.size(&text);
+        let places = [
+            [x + 8.0, y - size[1] - 3.0],
+            [x + 8.0, y + 4.0],
+            [x - size[0] - 8.0, y - size[1] - 3.0],
+            [x - size[0] - 8.0, y + 4.0],
+        ];
+        if let Some(found) = labels.find(size, &places, view.frame()) {
+            canvas.fill(&[ring([x, y], 3.4)], Ink::solid([255, 255, 255]));
+            canvas.around(&[ring([x, y], 3.4)], &Line { ink: way.ink, width: 1.6, is_dashed: false });
+            let [left, top] = found;
+            let (right, bottom) = (left + size[0] + 2.0, top + size[1]);
+            let back = vec![[left - 2.0, top], [right, top], [right, bottom], [left - 2.0, bottom]];
+            canvas.fill(&[back], Ink::solid([255, 255, 255]).faint(0.65));
+            canvas.text(found, &text, Letters::Small, way.ink.darker(0.2));
+            written.push((time_s, [x, y]));
+        }
+    }
+}
+
+fn draw_axes(canvas: &mut Canvas, view: &View) {
+    let [[x0, _], [_, y1]] = view.frame();
+    let line = Line { ink: INK, width: 1.2, is_dashed: false };
+    let step = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0].into_iter().find(|step| step * view.per_m >= 48.0).unwrap_or(50.0);
+    let digits = usize::from(step < 1.0);
+    let ticks = |length: f64| (0..=(length / step + 1e-9) as usize).map(move |i| i as f64 * step);
+    for tick in ticks(view.size_m[view.across]) {
+        let x = x0 + tick * view.per_m;
+        canvas.line(&[[x, y1 + WALL], [x, y1 + WALL + 5.0]], &line);
+        let text = format!("{tick:.digits$}");
+        canvas.text([x - 0.5 * Letters::Small.size(&text)[0], y1 + WALL + 7.0], &text, Letters::Small, INK);
+    }
+    for tick in ticks(view.size_m[view.up]) {
+        let y = y1 - tick * view.per_m;
+        canvas.line(&[[x0 - WALL - 5.0, y], [x0 - WALL, y]], &line);
+        let text = format!("{tick:.digits$}");
+        let [width, height] = Letters::Small.size(&text);
+        canvas.text([x0 - WALL - 8.0 - width, y - 0.5 * height], &text, Letters::Small, INK);
+    }
+    let name = |axis: usize| ["x / m", "y / m", "z / m"][axis];
+    let (across, up) = (name(view.across), name(view.up));
+    let middle = x0 + 0.5 * (view.width() - Letters::Small.size(across)[0]);
+    canvas.text([middle, y1 + WALL + 25.0], across, Letters::Small, INK);
+    let what = if view.is_plan() { "from above" } else { "from the side" };
+    let top = view.corner[1] - WALL - 20.0;
+    canvas.text([x0 - WALL - 50.0, top], up, Letters::Small, INK);
+    canvas.text([x0 + 12.0, top], what, Letters::Small, GREY);
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DMat3;
+
+    use super::*;
+
+    fn view() -> View {
+        View { across: 0, up: 2, corner: [10.0, 20.0], per_m: 50.0, size_m: DVec3::new(4.0, 3.0, 2.5) }
+    }
+
+    /// A metre is as long across as up, and up is up.
+    #[test]
+    fn metres_are_as_long_either_way() {
+        let view = view();
+        let [x, y] = view.at(DVec3::ZERO);
+        assert_eq!((x, y), (10.0, 20.0 + 125.0));
+        assert_eq!(view.at(DVec3::new(1.0, 9.0, 1.0)), [x + 50.0, y - 50.0]);
+    }
+
+    /// An ellipsoid's outline reaches as far as it does, however it is turned.
+    #[test]
+    fn outlines_of_ellipsoids_are_their_shadows() {
+        let axes = DMat3::from_rotation_y(0.7) * DMat3::from_rotation_z(0.4) * DMat3::from_rotation_x(1.1);
+        let e = Ellipsoid { centre: DVec3::new(2.0, 1.0, 1.2), axes, semi_axes_m: DVec3::new(0.1, 0.2, 0.6) };
+        let half = radome_sim::actor::program::half_extent(&e) * 50.0;
+        let (low, high) = bounds(&silhouette(&view(), &e));
+        assert!((high[0] - low[0] - 2.0 * half.x).abs() < 0.02 * half.x, "{} {}", high[0] - low[0], half.x);
+        assert!((high[1] - low[1] - 2.0 * half.z).abs() < 0.02 * half.z, "{} {}", high[1] - low[1], half.z);
+    }
+
+    /// Every shipped scene has a picture, with something in it.
+    #[test]
+    fn every_shipped_scene_is_drawn() {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes");
+        let file = std::env::temp_dir().join(format!("radome-preview-{}.png", std::process::id()));
+        let mut drawn = 0;
+        for entry in std::fs::read_dir(folder).expect("folder") {
+            let path = entry.expect("entry").path();
+            if path.extension().is_none_or(|e| e != "toml") {
+                continue;
+            }
+            let scene = Scene::load(&path).and_then(|scene| scene.drawn(3)).expect("a scene");
+            let preview = Preview { scene: &scene, seed: 3, people: None, until_s: 20.0, paths: &[] };
+            draw(&preview, &file).expect("a picture");
+            let image = image::open(&file).expect("a PNG").to_rgb8();
+            let inked = image.pixels().filter(|p| p.0 != [255; 3]).count();
+            assert!(inked as f64 > 0.1 * f64::from(image.width() * image.height()), "{}", path.display());
+            drawn += 1;
+        }
+        std::fs::remove_file(&file).expect("the picture");
+        assert!(drawn >= 8);
+    }
+
+    /// The beam ends where the pattern has lost half its power.
+    #[test]
+    fn beams_are_as_wide_as_the_antenna_says() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fixtures/scenes/corridor.toml");
+        let scene = Scene::load(&path).expect("a scene");
+        for (view, width_deg) in [
+            (View { up: 1, ..view() }, scene.receiver().antenna.azimuth_beamwidth_deg),
+            (view(), scene.receiver().antenna.elevation_beamwidth_deg),
+        ] {
+            let all = beam(&view, &scene);
+            let (first, last) = (all[0], all[all.len() - 1]);
+            assert!((first.angle_between(last).to_degrees() - width_deg).abs() < 1.0, "{width_deg} degrees");
+        }
+    }
+}
