@@ -1,5 +1,5 @@
-//! Boards: a Radar Baseboard MCU7 ([`Board`]) on its serial port or its USB endpoints, a PSoC 6 kit with DEEPCRAFT firmware
-//! ([`DeepcraftBoard`]), and one that only prints ([`LineStream`]).
+//! Boards: a Radar Baseboard MCU7 ([`Board`]) on its serial port or its USB endpoints, a PSoC 6 kit with DEEPCRAFT
+//! firmware ([`DeepcraftBoard`]), and one that only prints ([`LineStream`]).
 
 mod address;
 mod assembler;
@@ -32,115 +32,115 @@ use link::Link;
 pub use reconnect::Reconnect;
 pub use stream::BoardStream;
 
-/// Who a board says it is. Written into recordings with these names.
+/// Identity that a board reports. Recordings hold it under these field names.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoardIdentity {
     /// Name of the board.
     pub name: String,
-    /// USB vendor.
+    /// USB vendor id.
     pub vendor_id: u16,
-    /// USB product.
+    /// USB product id.
     pub product_id: u16,
-    /// Firmware: major, minor, patch.
+    /// Version of the firmware: major, minor, patch.
     pub firmware_version: String,
-    /// What the firmware says of itself beyond that.
+    /// Text in which the firmware describes itself further.
     pub extended_version: String,
-    /// Protocol: major, minor.
+    /// Version of the protocol: major, minor.
     pub protocol_version: String,
-    /// Identity of this very board, 32 hexadecimal digits; all zero where it has none.
+    /// Unique identifier of the board, 32 hexadecimal digits; all zero where it has none.
     pub uuid: String,
-    /// Radar chip.
+    /// Name of the radar chip.
     pub chip: String,
     /// Content of the chip's CHIP_ID register.
     pub chip_id: u32,
 }
 
-/// What can go wrong with a board.
+/// Errors of a board and its connection.
 #[derive(Debug, Error)]
 pub enum BoardError {
     /// The port cannot be opened.
     #[error("{path}: cannot be opened", path = path.display())]
     Open {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// No such board is attached.
+    /// No board of this address is attached.
     #[error(
         "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome devices lists what is attached; boards with \
          the vendor's shipped firmware answer on serial:/dev/ttyACM0",
         path = path.display()
     )]
     Absent {
-        /// What was asked for.
+        /// Address that was asked for.
         path: PathBuf,
     },
-    /// More than one board would do.
+    /// More than one board matches the address.
     #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "), path = path.display())]
     Ambiguous {
-        /// What was asked for.
+        /// Address that was asked for.
         path: PathBuf,
-        /// Those that are there.
+        /// Addresses of the boards that match.
         found: Vec<String>,
     },
-    /// Another program has it.
+    /// Another program holds the port.
     #[error("{path}: another program has this port open; close it and try again", path = path.display())]
     Busy {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
     },
-    /// This user may not.
+    /// The user may not open the port.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         path = path.display(),
         remedy = crate::discover::PERMISSION_REMEDY
     )]
     PermissionDenied {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
     },
-    /// The port has gone.
+    /// The connection broke.
     #[error("{path}: the connection broke; was the board unplugged?", path = path.display())]
     Disconnected {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// Nothing came back.
+    /// The board did not answer a request.
     #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?", path = path.display())]
     NoAnswer {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Request.
+        /// Name of the request.
         command: &'static str,
     },
-    /// The board said no.
+    /// The board answered a request with an error status.
     #[error("{path}: the board answered {status} to the request for {command}", path = path.display())]
     Refused {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Request.
+        /// Name of the request.
         command: &'static str,
-        /// Its answer.
+        /// Status that it answered.
         status: Status,
     },
-    /// The answer makes no sense.
+    /// An answer does not have the form of its kind.
     #[error("{path}: the answer is malformed", path = path.display())]
     Malformed {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// How.
+        /// Difference from the expected form.
         source: PayloadError,
     },
-    /// The firmware speaks another protocol.
+    /// The firmware speaks another version of the protocol.
     #[error(
         "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware",
         path = path.display()
     )]
     Protocol {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
         /// Major version.
         major: u16,
@@ -150,109 +150,122 @@ pub enum BoardError {
     /// The board has no radar chip that answers.
     #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated", path = path.display())]
     ChipSilent {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// What its register reads.
+        /// Content of its CHIP_ID register.
         chip_id: u32,
     },
     /// The board has another radar chip.
     #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C", path = path.display())]
     OtherChip {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Its name.
+        /// Name of the chip.
         chip: &'static str,
-        /// What its register reads.
+        /// Content of its CHIP_ID register.
         chip_id: u32,
     },
-    /// Another board has taken the place of the one that measured.
+    /// Another board is on the port of the one that measured.
     #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it", path = path.display())]
     OtherBoard {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
         /// UUID of the board that measured.
         expected: String,
         /// UUID of the board that is there now.
         found: String,
     },
-    /// The waveform does not fit the chip.
+    /// The chip cannot hold the waveform.
     #[error(transparent)]
     Chip(#[from] ChipError),
-    /// The board gave up measuring.
+    /// The board stopped measuring by itself.
     #[error("{path}: the board stopped measuring with error code {code}", path = path.display())]
     Acquisition {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// Its code.
+        /// Error code of the board.
         code: u32,
     },
-    /// Frames ceased to come.
+    /// No frame came within the deadline.
     #[error("{path}: no frame for {waited:.1?}; the board has stalled", path = path.display())]
     Stalled {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// How long was waited.
+        /// Time since the last frame.
         waited: Duration,
     },
-    /// Lines come, but none that is a frame of the waveform.
+    /// The board sends lines, but none is a frame of the waveform.
     #[error("{path}: no frame among its lines", path = path.display())]
     Line {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// What was wrong with the last one.
+        /// Error of the last line.
         source: LineError,
     },
-    /// Nobody says what is measured.
+    /// The board does not state its waveform, and the caller gave none.
     #[error(
         "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml",
         path = path.display()
     )]
     WaveformUntold {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
     },
-    /// What only DEEPCRAFT boards do.
+    /// An error that only DEEPCRAFT boards have.
     #[error("{path}: {source}", path = path.display())]
     Deepcraft {
-        /// Port.
+        /// Name of the port or USB device.
         path: PathBuf,
-        /// What it is.
+        /// The error.
         source: DeepcraftError,
     },
-    /// The acquisition has ended.
+    /// The stream was stopped before.
     #[error("the acquisition has been stopped")]
     Stopped,
 }
 
-/// A board that has been identified and does not measure.
+/// Radar Baseboard MCU7 that has been identified and does not measure.
 pub struct Board {
     link: Link,
     identity: BoardIdentity,
 }
 
 impl Board {
-    /// Asks a board who it is and leaves its chip as it is: whoever opens the board next still finds what the chip was
-    /// programmed with. Only a chip that cannot be read before its SPI is set up is written to, the one register of the SPI and
-    /// the FIFO. A board that measures is stopped from sending.
+    /// Reads the identity of a board and leaves the registers of its chip as they are, so that the next client still
+    /// finds the programmed waveform. Only a chip that cannot be read before its SPI is set up is written to: register
+    /// SFCTL alone. A board that measures stops sending.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the port cannot be opened, if the board does not answer or answers with an error, or if its
+    /// firmware or chip is not supported.
     pub fn identity_at(address: &Address) -> Result<BoardIdentity, BoardError> {
         let mut link = Link::open(address)?;
         Greeting::exchange(&mut link)?.identity(&mut link, identify::read_chip_id)
     }
 
-    /// Opens a serial port, asks what is there and resets the chip, as the vendor's client does.
+    /// Opens a serial port, reads the identity of the board and resets the chip, as the vendor's client does.
+    ///
+    /// # Errors
+    /// Those of [`Board::identity_at`].
     pub fn open(path: &Path) -> Result<Board, BoardError> {
         Board::open_at(&Address::Serial(path.into()))
     }
 
-    /// Like [`Board::open`], wherever the board is.
+    /// Opens a board like [`Board::open`], on a serial port or on USB.
+    ///
+    /// # Errors
+    /// Those of [`Board::identity_at`].
     pub fn open_at(address: &Address) -> Result<Board, BoardError> {
         let mut link = Link::open(address)?;
         let greeting = Greeting::exchange(&mut link)?;
         Board::reset(link, greeting)
     }
 
-    /// Like [`Board::open_at`], and reads from the chip what it was programmed with before: nothing since it has power, or
-    /// the waveform of the program that used it last.
+    /// Opens a board like [`Board::open_at`], and reads the waveform that the chip was programmed with before; `None`
+    /// if it has not been programmed since it has power.
+    ///
+    /// # Errors
+    /// Those of [`Board::identity_at`].
     pub fn open_as_left(address: &Address) -> Result<(Board, Option<Waveform>), BoardError> {
         let mut link = Link::open(address)?;
         let greeting = Greeting::exchange(&mut link)?;
@@ -267,33 +280,42 @@ impl Board {
         Ok(Board { link, identity })
     }
 
-    /// Who the board says it is.
+    /// Identity that the board reports.
     pub fn identity(&self) -> &BoardIdentity {
         &self.identity
     }
 
-    /// Port that it is on, or what names it on USB.
+    /// Path of the serial port, or name of the USB device in messages.
     pub fn path(&self) -> &Path {
         &self.link.path
     }
 
-    /// Where it is to be looked for when it has been plugged in anew.
+    /// Address under which the board is found when it has been plugged in anew.
     pub fn address(&self) -> &Address {
         &self.link.address
     }
 
-    /// Programs the chip and starts measuring. The stream's waveform has the chirp interval that the registers realise.
+    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
+    ///
+    /// # Errors
+    /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
     pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
         BoardStream::start(self, waveform, false)
     }
 
-    /// Like [`Board::start`], but the chip sends its [test pattern](crate::chip::test_pattern) as the samples of RX1,
-    /// which the waveform must have.
+    /// Starts frames like [`Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
+    /// samples of RX1, which the waveform must have.
+    ///
+    /// # Errors
+    /// Those of [`Board::start`].
     pub fn start_test_pattern(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
         BoardStream::start(self, waveform, true)
     }
 
-    /// Contents of registers, read one by one.
+    /// Reads registers one by one; returns 24-bit contents in the order of `addresses`.
+    ///
+    /// # Errors
+    /// An error of the connection, or [`BoardError::Refused`].
     pub fn read_registers(&mut self, addresses: &[u8]) -> Result<Vec<u32>, BoardError> {
         let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
         let answer = self.link.demand(&Command::Execute { words, answer: true })?;

@@ -1,8 +1,8 @@
-//! When the chip samples which code.
+//! Times at which the chip samples its codes.
 
 use radome_dsp::{ADC_START_DELAY_S, Waveform};
 
-/// From the start of a chirp to the transmitter's: the PA delay of the captured configuration, s.
+/// Delay from the start of a chirp to the transmitter's: the PA delay of the captured configuration, s.
 const TX_ON_S: f64 = 3e-6;
 
 /// Times of codes in FIFO order, from the start of their acquisition.
@@ -29,7 +29,7 @@ impl SampleTiming {
         }
     }
 
-    /// From the start of one frame to that of the next, s.
+    /// Interval between the starts of frames, s.
     pub fn frame_interval_s(&self) -> f64 {
         self.frame_interval_s
     }
@@ -47,18 +47,18 @@ impl SampleTiming {
         frame as f64 * self.frame_interval_s + self.in_frame_s(code % self.codes_per_frame)
     }
 
-    /// How many codes have been sampled this long after the start of the first frame, at the nominal frame interval.
+    /// Number of codes sampled this long after the start of the first frame, at the nominal frame interval.
     pub fn sampled_in_stream(&self, elapsed_s: f64) -> u64 {
         let frame = (elapsed_s / self.frame_interval_s).floor().max(0.0);
         frame as u64 * self.codes_per_frame + self.sampled_after(elapsed_s - frame * self.frame_interval_s)
     }
 
-    /// How many chirps of a frame have been sampled as a whole this long after its start.
+    /// Number of whole chirps of a frame sampled this long after its start.
     pub fn chirps_after(&self, elapsed_s: f64) -> u64 {
         self.sampled_after(elapsed_s) / self.codes_per_chirp
     }
 
-    /// How many codes of a frame have been sampled this long after its start.
+    /// Number of codes of a frame sampled this long after its start.
     pub fn sampled_after(&self, elapsed_s: f64) -> u64 {
         let since_first = elapsed_s - TX_ON_S - ADC_START_DELAY_S;
         if since_first < 0.0 {

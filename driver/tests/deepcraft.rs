@@ -84,8 +84,7 @@ fn hex(text: &str) -> Vec<u8> {
 }
 
 /// The messages below were written by hand from the rules of protobuf (key = field << 3 | wire type; varints seven bits at a
-/// time, lowest first; sint32 zig-zag; int32 negative as 64 bits; zeros left out) and the fields of the hardware notes,
-/// section 3.1.
+/// time, lowest first; sint32 zig-zag; int32 negative as 64 bits; zeros left out) and the fields of the captured messages.
 mod by_hand {
     use super::*;
 

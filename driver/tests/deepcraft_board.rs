@@ -117,7 +117,7 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
     }
 }
 
-/// Request and answer written by hand from the rules of protobuf and the hardware notes, section 3.1: client, emulated board
+/// Request and answer written by hand from the rules of protobuf and the captured messages: client, emulated board
 /// and codec cannot agree on a common error.
 #[test]
 fn the_emulated_board_answers_as_written_by_hand() {

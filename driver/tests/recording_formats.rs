@@ -180,7 +180,7 @@ fn text_is_laid_out_as_the_vendor_lays_it_out() {
     assert!(folder.path().join("session.txt_config.json").exists());
 }
 
-/// The keys of a real file (hardware notes, section 5.1), in its order.
+/// The keys of a real file, in its order.
 #[test]
 fn the_folder_has_the_vendors_files_and_keys() {
     let folder = tempfile::tempdir().expect("folder");

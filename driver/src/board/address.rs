@@ -1,21 +1,21 @@
-//! Where a board is.
+//! Addresses of boards.
 
 use std::fmt;
 use std::path::PathBuf;
 
 use crate::usb::UsbAddress;
 
-/// Where a board is, and so what carries its requests and packets.
+/// Address of a board, which also selects the transport.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Address {
-    /// On a serial port.
+    /// Serial port.
     Serial(PathBuf),
-    /// A USB device with the firmware's bulk variant.
+    /// USB device with the bulk variant of the firmware.
     Usb(UsbAddress),
 }
 
 impl Address {
-    /// As it stands in messages.
+    /// Name of the address in messages.
     pub(crate) fn name(&self) -> PathBuf {
         match self {
             Address::Serial(port) => port.clone(),

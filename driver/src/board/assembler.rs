@@ -1,11 +1,12 @@
-//! Frames out of data packets. Pure: packets in, frames and gaps out.
+//! Assembler of frames from data packets. Pure: packets in, frames and gaps out.
 //!
 //! Slices carry no mark of where a radar frame begins: alignment is kept by counting from the start. Since the slice
 //! and so the size of every packet is fixed, a packet's counter says exactly which bytes of the stream it carries. Lost
 //! packets therefore cost the frames that they belong to and no others: the next whole frame is known.
 //!
-//! A counter can be wrong without a byte being lost, or right although the firmware has left slices out. After each jump the
-//! slices' time stamps must therefore agree with their places, until a whole frame has been seen: else alignment is lost.
+//! A counter can be wrong without a byte being lost, or right although the firmware has left slices out. After each
+//! jump the slices' time stamps must therefore agree with their positions until a whole frame has been seen; otherwise
+//! alignment is lost.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -16,7 +17,7 @@ use crate::protocol::strata::{DataError, Packet, SliceLayout};
 use crate::protocol::{fifo, packed12};
 use crate::timing::SampleTiming;
 
-/// What a packet meant.
+/// Result of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Outcome {
     /// Taken, or ignored as a duplicate.
@@ -32,7 +33,7 @@ enum Ready {
     Gap(Gap),
 }
 
-/// So many packets in a row from the past are no duplicates: the counter has been set back.
+/// Most duplicate packets in a row. More packets from the past mean that the counter has been set back.
 const MOST_DUPLICATES: u32 = 8;
 
 pub(super) struct Assembler {
@@ -40,11 +41,11 @@ pub(super) struct Assembler {
     shape: FrameShape,
     timing: SampleTiming,
     frame_interval_us: f64,
-    /// Packets since the start, the counter unwrapped: the next one expected.
+    /// Number of the next packet since the start: the counter, unwrapped.
     next_packet: u64,
-    /// Bytes of the stream up to here have been received or given up.
+    /// Offset in the stream up to which bytes have been received or given up.
     received: u64,
-    /// Bytes of the stream from `buffer_start` on, without hole.
+    /// Contiguous bytes of the stream from `buffer_start` on.
     buffer: Vec<u8>,
     buffer_start: u64,
     /// Next frame of this stream to complete.
@@ -52,17 +53,17 @@ pub(super) struct Assembler {
     /// Sequence number of this stream's frame 0, modulo 2^64; unknown after a restart until the board's clock tells.
     base: Option<u64>,
     next_sequence: u64,
-    /// Frames given up since the last whole one. Not told before the next one: only then it is sure where that stands.
+    /// Frames lost since the last whole one. Reported with the next one, whose sequence number it needs.
     gap: Option<Gap>,
     /// Board time of sequence number 0, microseconds.
     origin_us: Option<f64>,
     last_time_us: f64,
     /// Set after a reconnection, when the board's clock says nothing: host time since the last frame, microseconds.
     host_elapsed_us: Option<f64>,
-    /// Slices and the board's clock when they were complete, oldest first.
+    /// Slices and the board's time at which they were complete, oldest first.
     stamps: VecDeque<(u64, u64)>,
     last_stamp: Option<(u64, u64)>,
-    /// After a jump of the counter: slices before this one must come when their place says.
+    /// After a jump of the counter: slices before this one must come at the times of their positions.
     check_until: u64,
     /// Packets from the past in a row.
     duplicates: u32,
@@ -76,7 +77,7 @@ pub(super) struct Assembler {
 impl Assembler {
     pub fn new(waveform: &Waveform, slice: SliceLayout) -> Self {
         let shape = waveform.shape();
-        // What a slice can complete, so that nothing is allocated while frames come.
+        // Frames that a slice can complete, allocated in advance.
         let at_once = slice.samples / shape.codes().max(1) + 2;
         let frame_bytes = packed12::packed_length(shape.codes()) + 3;
         Assembler {
@@ -107,12 +108,12 @@ impl Assembler {
         }
     }
 
-    /// Bytes were damaged on the way: packets missing now are missing for that reason.
+    /// Notes that bytes were damaged on the way: the next missing packets have that reason.
     pub fn damaged(&mut self) {
         self.damaged = true;
     }
 
-    /// The board starts again from packet 0; how many frames were lost its clock will tell.
+    /// Restarts the stream from packet 0; the board's clock will tell the number of lost frames.
     pub fn restart(&mut self, reason: GapReason) {
         (self.next_packet, self.received, self.buffer_start, self.next_frame) = (0, 0, 0, 0);
         self.buffer.clear();
@@ -121,28 +122,29 @@ impl Assembler {
         self.damaged = false;
         // The gap of the restart begins where this one would have.
         self.gap = None;
-        // Of several restarts without a frame between them the first is what the gap is for.
+        // The first of several restarts without a frame between them is the reason of the gap.
         if self.base.take().is_some() {
             self.restart_reason = reason;
         }
     }
 
-    /// The board may have been without power: how many frames were lost the host's clock must tell, unless the board's has
-    /// run on.
+    /// Notes that the board may have been without power: the host's clock tells the number of lost frames unless the
+    /// board's has run on.
     pub fn reconnected(&mut self) {
         self.restart(GapReason::Disconnected);
         self.restart_reason = GapReason::Disconnected;
         self.host_elapsed_us = Some(0.0);
     }
 
-    /// Host time since the last frame was handed out.
+    /// Sets the host time since the last frame was handed out.
     pub fn host_elapsed(&mut self, since_last_frame: Duration) {
         if let Some(elapsed_us) = &mut self.host_elapsed_us {
             *elapsed_us = since_last_frame.as_secs_f64() * 1e6;
         }
     }
 
-    /// First byte of the stream that holds codes of this frame. With an odd number of codes it holds its neighbour's too.
+    /// First byte of the stream that holds codes of this frame. With an odd number of codes it holds its neighbour's
+    /// too.
     fn start_byte(&self, frame: u64) -> u64 {
         frame * self.shape.codes() as u64 / 2 * 3
     }
@@ -151,25 +153,25 @@ impl Assembler {
         ((frame + 1) * self.shape.codes() as u64).div_ceil(2) * 3
     }
 
-    /// The slice in which the last code of a frame comes.
+    /// Slice that holds the last code of a frame.
     fn end_slice(&self, frame: u64) -> u64 {
         ((frame + 1) * self.shape.codes() as u64 - 1) / self.slice.samples.max(1) as u64
     }
 
-    /// Time of a slice's last code by its place, microseconds.
+    /// Time of a slice's last code by its position, microseconds.
     fn nominal_us(&self, slice: u64) -> f64 {
         self.timing.in_stream_s((slice + 1) * self.slice.samples as u64 - 1) * 1e6
     }
 
-    /// Whether a slice has come as long after the one before it as their places say, to half the time between slices: the
-    /// two clocks differ by far less.
+    /// Returns whether a slice has come as long after its predecessor as their positions say, to half the time between
+    /// slices. The two clocks differ by far less.
     fn is_on_time(&self, slice: u64, time_us: u64) -> bool {
         let Some((before, before_us)) = self.last_stamp else { return true };
         let nominal_us = self.nominal_us(slice) - self.nominal_us(before);
         let to_previous_us = self.nominal_us(slice) - self.nominal_us(slice.saturating_sub(1).max(before));
         let to_next_us = self.nominal_us(slice + 1) - self.nominal_us(slice);
         let measured_us = time_us as f64 - before_us as f64;
-        // Over a long gap the frame interval counts, which the registers hold to a thousandth at least.
+        // Over a long gap the error of the frame interval adds up, which the registers hold to a thousandth.
         let tolerance_us = 0.5 * to_previous_us.min(to_next_us) + 1e-3 * nominal_us;
         let agrees = (measured_us - nominal_us).abs() <= tolerance_us;
         if !agrees {
@@ -184,13 +186,13 @@ impl Assembler {
         }
         let ahead = packet.counter.wrapping_sub(self.next_packet as u16);
         if ahead >= 0x8000 {
-            // From before the start, where nothing was: the counter has been set back.
+            // Before the first packet: the counter has been set back.
             if u64::from(ahead.wrapping_neg()) > self.next_packet {
                 return Outcome::Misaligned;
             }
             tracing::debug!(counter = packet.counter, "a packet came twice");
             self.duplicates += 1;
-            // Or the counter was set back, and this was another.
+            // The packet may also be another one after the counter was set back.
             self.check_until = self.end_slice(self.next_frame) + 1;
             return if self.duplicates > MOST_DUPLICATES { Outcome::Misaligned } else { Outcome::Taken };
         }
@@ -211,7 +213,8 @@ impl Assembler {
         let offset = self.slice.offset(index);
         let position = slice * bytes as u64 + offset as u64;
         if position != self.received {
-            // Nothing to compare with: where frames begin in these slices only the count from the start says.
+            // There is no stamp to compare with: only the count from the start tells where frames begin in these
+            // slices.
             if self.last_stamp.is_none() && !self.slice.samples.is_multiple_of(self.shape.codes().max(1)) {
                 return Outcome::Misaligned;
             }
@@ -221,7 +224,7 @@ impl Assembler {
         }
         self.damaged = false;
         let data = packet.payload.get(..bytes - offset).unwrap_or(packet.payload);
-        // After a loss everything up to the next whole frame is passed over.
+        // After a loss everything up to the next whole frame is discarded.
         let skip = self.buffer_start.saturating_sub(position).min(data.len() as u64) as usize;
         self.buffer.extend_from_slice(data.get(skip..).unwrap_or(&[]));
         self.received = position + data.len() as u64;
@@ -238,7 +241,7 @@ impl Assembler {
         Outcome::Taken
     }
 
-    /// The stream goes on at this byte; what lies between is lost, and with it the frames that reach into it.
+    /// Continues the stream at this byte; frames that reach into the skipped bytes are lost.
     fn lose_until(&mut self, position: u64) {
         self.complete();
         let codes = self.shape.codes() as u64;
@@ -259,12 +262,12 @@ impl Assembler {
         self.buffer_start = self.start_byte(self.next_frame);
     }
 
-    /// Unpacks the frames that are there as a whole.
+    /// Unpacks the complete frames.
     fn complete(&mut self) {
         let mut used = 0;
         while self.end_byte(self.next_frame) <= self.buffer_start + self.buffer.len() as u64 {
             let frame = self.next_frame;
-            // Without a time nobody knows which frame it is, or when the first one was: it is given up.
+            // Without a time the sequence number is unknown: the frame is given up.
             let Some(start_us) = self.start_us(frame) else { break };
             let start = (self.start_byte(frame) - self.buffer_start) as usize;
             let end = (self.end_byte(frame) - self.buffer_start) as usize;
@@ -295,9 +298,9 @@ impl Assembler {
         }
     }
 
-    /// Board time of a frame's start, from the stamp of the slice that it begins in, or of the next that has come; that stamp
-    /// was taken when the slice's last code had been sampled. Where the packet with the stamp is lost, frames of its slice that
-    /// are whole have come at their interval, if there are others to count from.
+    /// Board time of a frame's start, from the stamp of the slice that it begins in, or of the next one received. A
+    /// stamp is taken when the slice's last code has been sampled. If the packet with the stamp is lost, whole frames
+    /// of its slice are taken to have come at their interval, if there are others to count from.
     fn start_us(&self, frame: u64) -> Option<f64> {
         let first_slice = frame * self.shape.codes() as u64 / self.slice.samples as u64;
         if let Some((slice, stamp_us)) = self.stamps.iter().find(|(slice, _)| *slice >= first_slice) {
@@ -308,14 +311,14 @@ impl Assembler {
         self.origin_us.map(|_| self.last_time_us + since_last as f64 * self.frame_interval_us)
     }
 
-    /// Sequence number of a frame of this stream; after a restart by the board's clock, and the gap is noted.
+    /// Sequence number of a frame of this stream. After a restart the board's clock gives it, and the gap is noted.
     fn sequence(&mut self, frame: u64, start_us: f64) -> u64 {
         if let Some(base) = self.base {
             return base.wrapping_add(frame);
         }
         let intervals = |elapsed_us: f64| (elapsed_us / self.frame_interval_us).round().max(0.0) as u64;
-        // A clock that agrees with the host's to a frame has run on; otherwise the board was without power. So it was where
-        // this frame would not be later than the last one, however short it was away.
+        // A clock that agrees with the host's to a frame has run on; otherwise the board was without power. It was also
+        // without power if this frame would not be later than the last one.
         let by_board_us = start_us - self.last_time_us;
         let has_run_on = |host_us: f64| {
             by_board_us > 0.5 * self.frame_interval_us && (by_board_us - host_us).abs() < self.frame_interval_us
@@ -327,7 +330,7 @@ impl Assembler {
             }
             None => self.origin_us.map(|origin| intervals(start_us - origin)),
         };
-        // The frame that was cut short is lost at least.
+        // At least the frame that was cut short is lost.
         let sequence = by_clock.map_or(self.next_sequence, |s| s.max(self.next_sequence + 1));
         let gap = Gap {
             first_sequence: self.next_sequence,
@@ -335,17 +338,17 @@ impl Assembler {
             reason: self.restart_reason,
         };
         self.ready.push_back(Ready::Gap(gap));
-        // Below zero where the counter has jumped by more frames than were ever sent.
+        // The difference wraps if the counter has jumped by more frames than were ever sent.
         self.base = Some(sequence.wrapping_sub(frame));
         sequence
     }
 
-    /// Whether [`Self::pop`] has something to give.
+    /// Returns whether [`Self::pop`] has an event.
     pub fn is_ready(&self) -> bool {
         !self.ready.is_empty()
     }
 
-    /// The next frame or gap. The frame's former memory is used again.
+    /// Pops the next frame or gap into `frame`, whose memory is reused.
     pub fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
         match self.ready.pop_front()? {
             Ready::Gap(gap) => Some(SourceEvent::Gap(gap)),
@@ -397,8 +400,8 @@ mod tests {
         Assembler::new(&waveform, slice)
     }
 
-    /// A slice, complete at this time by the board's clock, of which only these packets come: what comes out. Frames as their
-    /// sequence number and time.
+    /// A slice, complete at this time by the board's clock, of which only these packets come: what comes out. Frames as
+    /// their sequence number and time.
     fn packets(assembler: &mut Assembler, slice: u64, indices: &[usize], time_us: u64) -> Vec<Result<(u64, u64), Gap>> {
         let layout = assembler.slice;
         let bytes = [vec![0; layout.data_bytes()], time_us.to_le_bytes().to_vec()].concat();
@@ -439,8 +442,8 @@ mod tests {
         /// An hour after it was switched on.
         const HOUR_US: u64 = 3_600_000_000;
 
-        /// A frame that came whole while its slice's stamp was lost stood for the board's clock: the time of every later frame
-        /// was an hour off, and so were the frames counted at the next overflow.
+        /// A frame that came whole while its slice's stamp was lost stood for the board's clock: the time of every
+        /// later frame was an hour off, and so were the frames counted at the next overflow.
         #[test]
         fn a_first_frame_without_time_does_not_set_the_clock() {
             let mut assembler = two_frames_a_slice();
@@ -479,8 +482,9 @@ mod tests {
             assert_eq!(found, expected);
         }
 
-        /// Found by the campaign: twice without power, and each time measuring at once. The second time the clock stood where
-        /// it had stood the first time, which passed for a clock that had run on; every later count was one short.
+        /// Found by the campaign: twice without power, and each time measuring at once. The second time the clock stood
+        /// where it had stood the first time, which passed for a clock that had run on; every later count was one
+        /// short.
         #[test]
         fn a_clock_that_stands_where_it_stood_has_not_run_on() {
             let mut assembler = assembler();

@@ -1,4 +1,4 @@
-//! A PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]).
+//! PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]).
 
 mod error;
 mod link;
@@ -21,42 +21,43 @@ pub use error::DeepcraftError;
 use link::Link;
 pub use stream::DeepcraftStream;
 
-/// Identifiers of the firmware's USB device; the protocol does not tell them.
+/// Vendor and product id of the firmware's USB device, which the protocol does not report.
 const USB_ID: (u16, u16) = (0x058B, 0x027D);
-/// Name of the device that is a radar.
+/// Name of the radar among the devices of a board.
 const RADAR: &str = "Radar";
 
-/// A board that has been identified and does not measure.
+/// PSoC 6 kit that has been identified and does not measure.
 pub struct DeepcraftBoard {
     link: Link,
     identity: BoardIdentity,
-    /// Number of the radar among the board's devices.
+    /// Id of the radar among the board's devices.
     device: i32,
-    /// Items of its use cases, and what is set.
+    /// Items of the option "use case".
     items: Vec<String>,
     configured: Option<Waveform>,
     watchdog: Option<Duration>,
 }
 
-/// A waveform, and what sets the radar to it.
+/// Waveform with the registers and options that set the radar to it.
 struct Setting {
     waveform: Waveform,
     registers: RegisterList,
     options: Vec<OptionValue>,
 }
 
-/// The radar's stream, as set.
+/// Stream of the radar, as configured.
 struct Stream {
     index: i32,
     next_number: u32,
 }
 
 impl DeepcraftBoard {
-    /// Opens a port and asks what is there. A board that speaks another protocol is not disturbed, and is given up after
-    /// about a second.
+    /// Opens a port and reads the capabilities of the board. A board that speaks another protocol is not disturbed;
+    /// opening then fails after about a second.
     ///
     /// # Errors
-    /// The port cannot be had; nobody answers; the firmware speaks another version; the board has no radar.
+    /// [`BoardError`] if the port cannot be opened, nothing answers, the firmware speaks another version, or the board
+    /// has no radar.
     pub fn open(path: &Path) -> Result<Self, BoardError> {
         let mut link = Link::open(path)?;
         let answer = link.capabilities()?;
@@ -85,24 +86,28 @@ impl DeepcraftBoard {
         })
     }
 
-    /// Who the board says it is.
+    /// Identity that the board reports.
     pub fn identity(&self) -> &BoardIdentity {
         &self.identity
     }
 
-    /// Port that it is on.
+    /// Path of the serial port.
     pub fn path(&self) -> &Path {
         &self.link.path
     }
 
-    /// Waveform that the radar is set to: one built into the firmware, or one that it was given. `None` if what it was given
-    /// is none.
+    /// Waveform that the radar is configured for: a preset of the firmware, or a custom one. `None` if the custom data
+    /// are not a waveform.
     pub fn configured_waveform(&self) -> Option<Waveform> {
         self.configured.clone()
     }
 
-    /// Sets the radar and starts measuring: with a waveform of the firmware's own if it is one exactly, else with the
-    /// chip's registers; the stream's waveform then has the chirp interval that they realise.
+    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset; any
+    /// other is sent as registers, and the stream's waveform then has the chirp interval that they realise.
+    ///
+    /// # Errors
+    /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
+    /// the waveform; else an error of the connection or of the board.
     pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
         let codes = waveform.shape().codes();
         if codes > RING_CODES || !codes.is_multiple_of(2) {
@@ -129,7 +134,7 @@ impl DeepcraftBoard {
         Ok(Setting { waveform: custom.waveform, registers: custom.registers, options: vec![blob, use_case] })
     }
 
-    /// Sets the radar, which is stopped for it, and checks what it makes of it.
+    /// Stops and configures the radar, and checks the stream that it states.
     fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
         let device = self.device;
         let answer = self
@@ -161,7 +166,7 @@ fn identity(board: &Board, radar: &Device) -> BoardIdentity {
         extended_version: radar.description.clone(),
         protocol_version: dotted(&board.protocol_version),
         uuid: (0..16).map(|i| format!("{:02x}", uuid.get(i).unwrap_or(&0))).collect(),
-        // The kits that this firmware is for have this one; the protocol does not tell.
+        // The kits of this firmware have this chip; the protocol does not report it.
         chip: chip_name(CHIP_ID_BGT60TR13C).to_owned(),
         chip_id: CHIP_ID_BGT60TR13C,
     }
@@ -178,7 +183,7 @@ fn configured(radar: &Device) -> Option<Waveform> {
     custom.inspect_err(|error| tracing::warn!(%error, "the radar's custom data")).ok().map(|custom| custom.waveform)
 }
 
-/// Finds the radar's stream and holds it against the waveform.
+/// Finds the radar's stream and compares it with the waveform.
 fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, DeepcraftError> {
     let differ = |what, expected: String, got: String| Err(DeepcraftError::Stream { what, expected, got });
     let Some((index, stream)) = (0..).zip(streams).find(|(_, s)| s.direction == direction::OUTPUT) else {
@@ -194,7 +199,7 @@ fn check(streams: &[StreamConfig], waveform: &Waveform) -> Result<Stream, Deepcr
     if got != expected {
         return differ("shape", format!("{expected:?}"), format!("{got:?}"));
     }
-    // It is rounded to a whole number; what lies in the middle may fall to either side.
+    // The firmware rounds it to a whole number, halves to either side.
     let rate_hz = 1.0 / waveform.frame_interval_s();
     if (f64::from(stream.frequency) - rate_hz).abs() > 0.5 + 1e-3 * rate_hz {
         let expected = stated_frequency_hz(waveform);

@@ -1,4 +1,4 @@
-//! Who a board is: what its firmware says of itself, and what its chip says of itself, with or without a reset.
+//! Handshake with a Radar Baseboard MCU7: identities of its firmware and of its chip, with or without a reset.
 
 use super::link::Link;
 use super::{BoardError, BoardIdentity, wire};
@@ -8,13 +8,13 @@ use crate::protocol::strata::{
     Status, text,
 };
 
-/// Digital and RF id of the BGT60TR13C.
+/// Content of CHIP_ID of the BGT60TR13C: digital id and RF id.
 pub(crate) const CHIP_ID_BGT60TR13C: u32 = 0x0303;
-/// SFCTL as the vendor's client sets it before it reads anything. A reset sets `MISO_HF_READ`, which moves the edge on which
-/// the chip answers.
+/// SFCTL as the vendor's client sets it before the first read. A reset sets `MISO_HF_READ`, which moves the edge on
+/// which the chip answers.
 const SFCTL_READABLE: u32 = 0x10_0000;
 
-/// Name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
+/// Returns the name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
 pub(super) fn chip_name(chip_id: u32) -> &'static str {
     match (chip_id >> 8, chip_id & 0xFF) {
         (3, 3) => "BGT60TR13C",
@@ -25,14 +25,15 @@ pub(super) fn chip_name(chip_id: u32) -> &'static str {
     }
 }
 
-/// What a board's firmware says of itself. The board has a radar chip and sends no data; that chip has not been touched.
+/// Answers of a board's firmware to the handshake. The board has a radar chip, which has not been accessed, and sends
+/// no data.
 pub(super) struct Greeting {
     info: BoardInfo,
     version: FirmwareVersion,
 }
 
 impl Greeting {
-    /// Finds the protocol that the board speaks, and stops its data.
+    /// Finds the version of the protocol that the board speaks, and stops its data.
     pub fn exchange(link: &mut Link) -> Result<Self, BoardError> {
         let path = link.path.clone();
         let malformed = |source| BoardError::Malformed { path: path.clone(), source };
@@ -51,7 +52,7 @@ impl Greeting {
         if major != link.protocol.major() {
             return Err(BoardError::Protocol { path, major, minor });
         }
-        // Left over from a program that ended without stopping the board.
+        // A program that ended without stopping the board has left it measuring.
         link.request(&Command::StopData)?;
         let has_chip = match link.protocol {
             Protocol::V4 => {
@@ -69,7 +70,7 @@ impl Greeting {
         Ok(Greeting { info, version })
     }
 
-    /// The whole identity: asks for the board's further names, then for its chip's in the way given.
+    /// Reads the whole identity: the board's further names, then CHIP_ID by the function given.
     pub fn identity(
         self,
         link: &mut Link,
@@ -104,13 +105,14 @@ impl Greeting {
     }
 }
 
-/// What the answer to a read of one register says.
+/// Content in the answer to a read of one register.
 fn content(answer: &[u8]) -> u32 {
     answer.first_chunk().map_or(0, |word| u32::from_le_bytes(*word) & 0xFF_FFFF)
 }
 
-/// CHIP_ID of a chip that is left as it is. A chip that nobody has programmed may not be understood at once; it has nothing
-/// to lose by the setting that the vendor's client makes first, nor does a waveform stand in that register.
+/// Reads CHIP_ID and leaves the chip as it is. A chip that has not been programmed may answer on another edge; the
+/// setting of SFCTL that the vendor's client makes first then loses nothing, since the register holds no part of a
+/// waveform.
 pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     let read = Command::ReadRegisters { address: register::CHIP_ID, count: 1 };
     match link.request(&read)? {
@@ -122,7 +124,7 @@ pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     }
 }
 
-/// CHIP_ID of a chip all of whose registers are put back.
+/// Resets all registers of the chip and reads CHIP_ID.
 pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
     link.demand(&Command::HardwareReset)?;
     let words = vec![SpiWord::write(register::SFCTL, SFCTL_READABLE)];
@@ -131,13 +133,14 @@ pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError>
     Ok(content(&link.demand(&Command::Execute { words, answer: true })?))
 }
 
-/// Has the chip answer as the firmware reads. After a stale FIFO overflow the board says that it failed, though it has not.
+/// Sets the edge on which the chip answers. After a stale FIFO overflow the board reports a failure although the write
+/// has been done; its status is ignored.
 pub(super) fn set_up_spi(link: &mut Link) -> Result<(), BoardError> {
     link.request(&Command::WriteRegisters { address: register::SFCTL, values: vec![SFCTL_READABLE] })?;
     Ok(())
 }
 
-/// Every register, as the chip was left.
+/// Reads every register without changing the chip.
 pub(super) fn read_every_register(link: &mut Link) -> Result<RegisterFile, BoardError> {
     let mut registers = RegisterFile::default();
     let addresses = REGISTERS.iter().map(|register| register.address);

@@ -1,5 +1,5 @@
-//! A board with an ESP32 that prints its frames as lines ([`crate::protocol::ascii`]). It takes no requests: it measures what
-//! it was built for, and the user has to name that waveform unless the firmware says it.
+//! Board with an ESP32 that prints its frames as lines ([`crate::protocol::ascii`]). It takes no requests and measures
+//! the waveform that it was built for. The user has to name that waveform unless the firmware states it.
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read};
@@ -16,24 +16,24 @@ use crate::protocol::fifo;
 
 const BAUD_RATE: u32 = 921_600;
 const BUFFER: usize = 65_536;
-/// How long firmware may take to say what it measures.
+/// Longest wait for the line in which the firmware states its waveform.
 const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
-/// Bytes among which it must have said so.
+/// Most bytes that are searched for that line.
 const MOST_HEARD: usize = 1 << 22;
 
-/// Frames of such a board, from the next whole line on.
+/// Frame stream of a board that prints lines, from the next whole line on.
 ///
-/// Lines have no check sum: a digit of a code that becomes another digit is not noticed. A line that is lost, doubled, cut,
-/// out of order or wrongly numbered is: a number that does not follow its predecessor is believed when the next line bears it
-/// out.
+/// Lines have no check sum: a digit of a code that becomes another digit is not detected. Lines that are lost, doubled,
+/// cut, out of order or wrongly numbered are detected: a number that does not follow its predecessor counts when the
+/// next line confirms it.
 pub struct LineStream {
     path: PathBuf,
-    /// `None` while the board is away.
+    /// `None` while the board is disconnected.
     port: Option<TTYPort>,
     parser: LineParser,
     buffer: Vec<u8>,
     order: Order,
-    /// Longest silence, by the frame interval and by how long a line takes.
+    /// Longest silence, from the frame interval and the duration of a line.
     deadline: Duration,
     waveform: Waveform,
     reconnect: Option<Reconnect>,
@@ -41,20 +41,20 @@ pub struct LineStream {
     losses: Losses,
 }
 
-/// From the firmware's numbers to frames and gaps in order.
+/// Resequencer of lines: numbered lines in, frames and gaps in order out.
 struct Order {
     waveform: Waveform,
-    /// Frames handed out or given up.
+    /// Sequence number of the next frame.
     next_sequence: u64,
-    /// Number that the next line should have; unknown before the first line.
+    /// Number expected of the next line; unknown before the first line.
     next_number: Option<u64>,
-    /// Of the codes taken last: by it a line that comes twice is known.
+    /// Digest of the codes taken last, by which a doubled line is detected.
     last_codes: u64,
-    /// A line whose number was not the next one, and when it came.
+    /// Line whose number was not the expected one, and its time of arrival.
     unconfirmed: Option<(u64, Vec<u16>, Instant)>,
     /// Whether a damaged line came since the last good one.
     damaged: bool,
-    /// The port was opened anew: the firmware may have, too.
+    /// The port was opened anew: the firmware may have started anew too.
     reopened: bool,
     ready: VecDeque<Ready>,
     spare: Vec<Vec<u16>>,
@@ -68,15 +68,16 @@ enum Ready {
 }
 
 impl LineStream {
-    /// Opens the port and listens. Without a waveform the firmware has to say what it measures.
+    /// Opens the port and listens. Without a waveform the firmware has to state its own.
     ///
     /// # Errors
-    /// The port cannot be opened, is busy, or may not be opened by this user; no waveform is given and none is heard.
+    /// [`BoardError::Open`], [`BoardError::Busy`] or [`BoardError::PermissionDenied`] if the port cannot be opened;
+    /// [`BoardError::WaveformUntold`] if no waveform is given and the firmware states none.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
         LineStream::listen(path, link::open_port(path, BAUD_RATE)?, Vec::new(), waveform)
     }
 
-    /// Goes on with a port that has been listened to, and what was heard.
+    /// Starts a stream on an open port; `heard` are the bytes read from it so far.
     pub(super) fn listen(
         path: &Path,
         mut port: TTYPort,
@@ -106,20 +107,21 @@ impl LineStream {
         })
     }
 
-    /// Lets the stream come back by itself after the board was unplugged or fell silent. What was lost meanwhile is a gap
+    /// Makes the stream reconnect after the board was unplugged or fell silent. The frames lost meanwhile become a gap,
     /// counted by the host's clock.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.reconnect = Some(policy);
         self
     }
 
-    /// Frames lost so far for this reason.
+    /// Number of frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
         self.losses.frames(reason)
     }
 
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
-        // Bytes alone are no sign of life: lines of another waveform would be waited on for good.
+        // The deadline is not extended by bytes alone: lines of another waveform would keep the stream waiting for
+        // ever.
         let began = Instant::now();
         let mut unfit = None;
         loop {
@@ -143,7 +145,7 @@ impl LineStream {
                 }
                 None => {}
             }
-            // What has come was looked at first: whoever was kept from reading for so long has not lost the board.
+            // Received lines were parsed first: a caller that did not read for so long has not lost the board.
             if began.elapsed() > self.deadline {
                 let path = self.path.clone();
                 return Err(match unfit {
@@ -166,9 +168,9 @@ impl LineStream {
         }
     }
 
-    /// Opens the port again until that works; gives the error that led here if it does not.
+    /// Opens the port again until that works; returns `error` if it does not.
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be had.
+        // The old port must be closed before the new one can be opened.
         self.port = None;
         policy.until_back(self.outage.noticed(self.order.last_frame), error, || {
             self.port = Some(link::open_port(&self.path, BAUD_RATE)?);
@@ -179,7 +181,7 @@ impl LineStream {
     }
 }
 
-/// Listens until the firmware says what it measures; everything heard is kept.
+/// Listens until the firmware states its waveform; appends all bytes to `heard`.
 fn hear_waveform(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
     let untold = || BoardError::WaveformUntold { path: path.to_owned() };
     let began = Instant::now();
@@ -217,13 +219,13 @@ impl Order {
         }
     }
 
-    /// What came before the port was opened again says nothing of what comes now.
+    /// Notes that the port was opened again: earlier lines tell nothing about the next ones.
     fn reopened(&mut self) {
         self.unconfirmed = None;
         self.reopened = true;
     }
 
-    /// A line by the firmware's number, that came just now.
+    /// Takes a line with the firmware's number, which came at `now`.
     fn take(&mut self, number: u64, codes: &[u16], now: Instant) {
         if self.reopened {
             self.reopened = false;
@@ -233,13 +235,14 @@ impl Order {
         let follows = |number: u64, other: u64| number == other.wrapping_add(1);
         if number == next {
             match self.unconfirmed.take() {
-                // The last number with other codes, and on from there: the firmware has begun anew right where it began.
+                // The last number with other codes and its successor: the firmware has started anew at its first
+                // number.
                 Some((before, other, came)) if follows(next, before) => {
                     self.begin_anew(before, came);
                     self.accept(&other, came);
                     self.accept(codes, now);
                 }
-                // A line that has overtaken this one.
+                // The line before has overtaken this one.
                 Some((later, other, _)) if follows(later, number) => {
                     self.accept(codes, now);
                     self.accept(&other, now);
@@ -250,7 +253,7 @@ impl Order {
             tracing::debug!(number, "a line came twice");
         } else {
             match self.unconfirmed.take() {
-                // Two lines with one number: one of them is wrong, and nobody knows which.
+                // Two lines with one number: one of them is wrong, and it is unknown which.
                 Some((before, other, came)) if before == number => {
                     if other == codes {
                         self.unconfirmed = Some((before, other, came));
@@ -258,7 +261,7 @@ impl Order {
                         self.damaged = true;
                     }
                 }
-                // Either both lie ahead, with perhaps more lost between them, or the firmware counts from its beginning.
+                // Either both are ahead, perhaps with losses between them, or the firmware counts from its start.
                 Some((before, other, came))
                     if follows(number, before) || (is_ahead(before, next) && is_ahead(number, before)) =>
                 {
@@ -300,9 +303,9 @@ impl Order {
         self.ready.push_back(Ready::Gap(Gap { first_sequence: 0, frames, reason }));
     }
 
-    /// The firmware has started anew and counts from its own beginning: only the host's clock knows how long it was away. One
-    /// that has run on knows itself: its number is ahead, by no more than that clock allows and further than it could have
-    /// counted from its beginning.
+    /// Notes a gap after a restart of the firmware. Firmware that has started anew counts from its start, so that only
+    /// the host's clock tells the length of the gap. Firmware that has run on has a number ahead: by no more than that
+    /// clock allows, and further than it could have counted from its start.
     fn begin_anew(&mut self, number: u64, came: Instant) {
         let Some(next) = self.next_number.replace(number) else { return };
         let intervals =
@@ -310,12 +313,12 @@ impl Order {
         let by_host = (intervals.round() as u64).saturating_sub(1);
         let has_run_on = |ahead: &u64| ahead.abs_diff(by_host) <= 1 || (*ahead <= by_host && number > by_host);
         let frames = Some(number.wrapping_sub(next)).filter(has_run_on).unwrap_or(by_host);
-        // The line that was cut short is lost at least.
+        // At least the line that was cut short is lost.
         let gap = Gap { first_sequence: 0, frames: frames.max(1), reason: GapReason::Disconnected };
         self.ready.push_back(Ready::Gap(gap));
     }
 
-    /// The next frame or gap.
+    /// Pops the next frame or gap.
     fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
         match self.ready.pop_front()? {
             Ready::Gap(gap) => {
@@ -337,7 +340,7 @@ impl Order {
         frame.codes.resize(shape.codes(), 0);
         fifo::deinterleave(codes, shape, &mut frame.codes);
         frame.sequence = self.next_sequence;
-        // Lines carry no time: frames come at their interval.
+        // Lines carry no time: frames are taken to come at their interval.
         frame.time_ns = (self.next_sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
         frame.host_time_ns = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |d| d.as_nanos() as u64);
         frame.truth = None;
@@ -374,7 +377,7 @@ fn digest(codes: &[u16]) -> u64 {
     codes.iter().fold(0xCBF2_9CE4_8422_2325, |hash, code| (hash ^ u64::from(*code)).wrapping_mul(0x100_0000_01B3))
 }
 
-/// Whether a number comes after another, by no more than boards lose.
+/// Returns whether a number comes after another, by no more than boards lose.
 fn is_ahead(number: u64, of: u64) -> bool {
     (1..=u64::from(u32::MAX)).contains(&number.wrapping_sub(of))
 }
@@ -389,8 +392,8 @@ mod tests {
         Order::new(&Waveform::realise(request).expect("valid"))
     }
 
-    /// Numbers of lines as they come; each line's codes are all as its number, or as told. Gives the numbers that the frames'
-    /// codes tell, and the gaps.
+    /// Numbers of lines as they come; each line's codes are all as its number, or as told. Gives the numbers that the
+    /// frames' codes tell, and the gaps.
     fn ordered(order: &mut Order, lines: &[(u64, u16)]) -> Vec<Result<u16, (u64, GapReason)>> {
         let mut frame = Frame::zeroed(order.waveform.shape());
         let (mut found, mut next) = (Vec::new(), order.next_sequence);
@@ -457,8 +460,8 @@ mod tests {
             assert_eq!(ordered(&mut order(), &lines(&[1, 3, 2, 4])), [Ok(1), Ok(2), Ok(3), Ok(4)]);
         }
 
-        /// 12 as 92, as 8, as 13 and as 11, each a flipped bit or two: the line is lost and no other, and no frame has another's
-        /// number.
+        /// 12 as 92, as 8, as 13 and as 11, each a flipped bit or two: the line is lost and no other, and no frame has
+        /// another's number.
         #[test]
         fn a_wrong_number_costs_its_line() {
             let lost = |frames| Err((frames, GapReason::Crc));
@@ -485,11 +488,12 @@ mod tests {
             }
         }
 
-        /// Whether it has begun anew only its second line says; it began with the first.
+        /// Returns whether it has begun anew only its second line says; it began with the first.
         #[test]
         fn what_was_lost_before_a_new_beginning_ends_with_its_first_line() {
             let began = Instant::now();
-            // Numbers and when they come, in frame intervals: one that begins at another number, and one at the last again.
+            // Numbers and when they come, in frame intervals: one that begins at another number, and one at the last
+            // again.
             for lines in [&[(10, 0), (11, 1), (0, 6), (1, 7)][..], &[(0, 0), (0, 5), (1, 6)]] {
                 let mut order = order();
                 let interval_s = order.waveform.frame_interval_s();

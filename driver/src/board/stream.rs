@@ -1,4 +1,4 @@
-//! Frames as a board sends them.
+//! Frame stream of a Radar Baseboard MCU7.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -22,7 +22,7 @@ pub struct BoardStream {
     registers: RegisterList,
     slice: SliceLayout,
     assembler: Assembler,
-    /// Longest silence between two packets, by the frame interval.
+    /// Longest silence between two packets, from the frame interval.
     deadline: Duration,
     restart: Option<GapReason>,
     path: PathBuf,
@@ -30,7 +30,7 @@ pub struct BoardStream {
     uuid: String,
     reconnect: Option<Reconnect>,
     outage: Outage,
-    /// When the last frame was handed out, or the stream began.
+    /// Time at which the last frame was handed out, or the stream began.
     last_frame: Instant,
     losses: Losses,
 }
@@ -85,22 +85,22 @@ impl BoardStream {
         Ok(())
     }
 
-    /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
-    /// then waits for it, and what was lost meanwhile is a gap: counted by the board's clock where that has run on, otherwise by the
-    /// host's, which knows it to a frame or so.
+    /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
+    /// for it. The frames lost meanwhile become a gap, counted by the board's clock where that has run on, otherwise by
+    /// the host's clock to about one frame.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.reconnect = Some(policy);
         self
     }
 
-    /// Frames lost so far for this reason.
+    /// Number of frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
         self.losses.frames(reason)
     }
 
-    /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
+    /// Opens the port again until the board answers and measures; returns `error` if it does not.
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be had.
+        // The old port must be closed before the new one can be opened.
         self.board = None;
         self.restart = None;
         policy.until_back(self.outage.noticed(self.last_frame), error, || {
@@ -117,18 +117,22 @@ impl BoardStream {
         })
     }
 
-    /// The next frame or gap, or an error after the deadline.
+    /// Reads the next frame or gap; fails after the deadline.
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         let waited = self.deadline;
         self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
 
-    /// Register list that the board was given.
+    /// Register list that was written to the chip.
     pub fn registers(&self) -> &RegisterList {
         &self.registers
     }
 
-    /// The next frame or gap, or `None` if it is not there within `timeout`.
+    /// Reads the next frame or gap; `None` if none is there within `timeout`.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the connection breaks, the board refuses to start again or stops by itself, or the stream was
+    /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let end = Instant::now() + timeout;
         let mut tried = false;
@@ -170,7 +174,7 @@ impl BoardStream {
                     }
                     Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
                 }
-                // What has come first goes out first, before anything else is looked at.
+                // Completed frames are handed out before later packets are parsed.
                 if self.restart.is_some() || self.assembler.is_ready() {
                     continue 'next;
                 }
@@ -184,7 +188,10 @@ impl BoardStream {
         }
     }
 
-    /// Stops the acquisition and gives the board back.
+    /// Stops the acquisition and returns the board.
+    ///
+    /// # Errors
+    /// An error of the connection or of the board, or [`BoardError::Stopped`] if it has been stopped before.
     pub fn stop(mut self) -> Result<Board, BoardError> {
         let mut board = self.board.take().ok_or(BoardError::Stopped)?;
         halt(&mut board)?;

@@ -1,43 +1,43 @@
-//! What is said to a board and by it, for bug reports: events of [`TARGET`] at the level trace, one a message. They cost a
-//! comparison where nobody listens.
+//! Protocol trace for bug reports: events of [`TARGET`] at the level trace, one for each message to or from a board.
+//! They cost one comparison when no subscriber listens.
 
 use std::fmt;
 
 use crate::protocol::strata::{BoardEvent, Packet, Response};
 
-/// Target of the events. Each has one field: `opened` names what carries the bytes, `sent` and `received` show them, as they are
-/// on the wire but without check sums. Of measurements they show headers. `identity` tells this board from all others; whoever
-/// passes a trace on removes its bytes.
+/// Target of the events. Each has one field: `opened` names the port or device; `sent` and `received` show bytes as on
+/// the wire but without check sums, and headers alone of measurements. `identity` is the unique identifier of the
+/// board; remove its bytes before a trace is published.
 pub const TARGET: &str = "radome_driver::wire";
-/// Bytes shown of a message: few are longer.
+/// Most bytes shown of a message.
 const MOST_SHOWN: usize = 96;
 
-/// A connection is made.
+/// Traces that a connection is opened.
 pub(super) fn opened(carrier: &dyn fmt::Display) {
     tracing::trace!(target: TARGET, opened = %carrier);
 }
 
-/// Identifier of this board, in hexadecimal.
+/// Traces the unique identifier of the board, in hexadecimal.
 pub(super) fn identity(uuid: &str) {
     tracing::trace!(target: TARGET, identity = %uuid);
 }
 
-/// A message to the board.
+/// Traces a message to the board.
 pub(super) fn sent(bytes: &[u8]) {
     tracing::trace!(target: TARGET, sent = %Shown { bytes, most: MOST_SHOWN });
 }
 
-/// A message from the board that holds no measurement.
+/// Traces a message from the board that holds no measurement.
 pub(super) fn received(bytes: &[u8]) {
     tracing::trace!(target: TARGET, received = %Shown { bytes, most: MOST_SHOWN });
 }
 
-/// Bytes of a measurement, in a protocol whose headers are not looked at here.
+/// Traces the number of bytes of a measurement, in a protocol whose headers are not parsed here.
 pub(super) fn measured(bytes: usize) {
     tracing::trace!(target: TARGET, received = %format_args!("{bytes} bytes"));
 }
 
-/// What a board said in the vendor's protocol.
+/// Traces a message of the MCU7 protocol from the board.
 pub(super) fn event(event: &BoardEvent<'_>) {
     match event {
         BoardEvent::Response(Response { kind_code, status, payload }) => {
@@ -52,23 +52,23 @@ pub(super) fn event(event: &BoardEvent<'_>) {
     }
 }
 
-/// A piece of a measurement.
+/// Traces a data packet.
 pub(super) fn packet(packet: &Packet<'_>) {
     let (header, more) = (packet.header_bytes(), packet.payload.len());
     tracing::trace!(target: TARGET, received = %format_args!("{} and {more} bytes", Shown::header(&header)));
 }
 
-/// Bytes that are no message.
+/// Traces bytes that are not a message.
 pub(super) fn damaged() {
     tracing::trace!(target: TARGET, received = "what is no message");
 }
 
-/// Nothing came, and why.
+/// Traces a read that failed.
 pub(super) fn failed(why: &dyn fmt::Debug) {
     tracing::trace!(target: TARGET, received = %format_args!("nothing: {why:?}"));
 }
 
-/// The first bytes in hexadecimal, and how many there are beyond them.
+/// Displays the first bytes in hexadecimal and the number of further bytes.
 struct Shown<'a> {
     bytes: &'a [u8],
     most: usize,

@@ -1,4 +1,4 @@
-//! The BGT60TR13C: its registers, and what a waveform makes of them.
+//! Registers of the BGT60TR13C, and their contents for a waveform.
 
 mod configuration;
 mod register;

@@ -1,8 +1,8 @@
-//! Boards and probes on this machine, including those that this user may not open.
+//! Boards and probes on this machine, including those that the user may not open.
 //!
-//! Looking ([`candidates`]) opens nothing and sends nothing: it reads what the kernel says of its devices. Asking ([`ask`])
-//! sends requests, which is how the vendor's client finds boards, too; do it to devices whose USB ids are a board's, or
-//! where the user wants it.
+//! [`candidates`] opens nothing and sends nothing: it reads the kernel's list of devices. [`ask`] sends requests, as
+//! the vendor's client does to find boards; call it for devices whose USB ids are a board's, or when the user asks for
+//! it.
 
 mod ask;
 mod sysfs;
@@ -17,17 +17,17 @@ use crate::usb::UsbAddress;
 pub use ask::{Identity, State, ask};
 pub use watch::{Change, Watch};
 
-/// The udev rules that give every user access to the boards and probes: a file below `/etc/udev/rules.d`.
+/// Udev rules that give every user access to the boards and probes: content of a file below `/etc/udev/rules.d`.
 pub const UDEV_RULES: &str = include_str!("../../udev/70-radome.rules");
 
-/// What to do about a device that this user may not open.
+/// Commands that give the user access to a device.
 pub const PERMISSION_REMEDY: &str = "radome devices --udev-rules | sudo tee /etc/udev/rules.d/70-radome.rules && \
                                      sudo udevadm control --reload && sudo udevadm trigger";
 
 const INFINEON: u16 = 0x058B;
 const CYPRESS: u16 = 0x04B4;
 
-/// What a device is believed to be, by its USB ids.
+/// Kind of a device, by its USB ids.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Belief {
@@ -41,7 +41,7 @@ pub enum Belief {
     KitProg3,
     /// Another CMSIS-DAP debug probe.
     DebugProbe,
-    /// A serial port of which nothing is known: a board answers only when asked.
+    /// Serial port of an unknown device: a board answers only when asked.
     SerialPort,
 }
 
@@ -56,7 +56,7 @@ impl Belief {
         }
     }
 
-    /// In words.
+    /// Description for lists.
     pub fn description(self) -> &'static str {
         match self {
             Belief::Mcu7Serial => "Radar Baseboard MCU7",
@@ -69,18 +69,18 @@ impl Belief {
     }
 }
 
-/// Whether this user may open a device's node.
+/// Access of the user to a device node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Access {
-    /// It may be read and written.
+    /// The node may be read and written.
     Granted,
-    /// It may not.
+    /// The node may not be read and written.
     Denied,
-    /// There is no node.
+    /// The node does not exist.
     Absent,
 }
 
-/// How a device is attached.
+/// Transport by which a device is attached.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Transport {
@@ -92,12 +92,12 @@ pub enum Transport {
     Usb,
 }
 
-/// What a USB device says of itself.
+/// Descriptors of a USB device.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct UsbIdentity {
-    /// Vendor.
+    /// Vendor id.
     pub vendor_id: u16,
-    /// Product.
+    /// Product id.
     pub product_id: u16,
     /// Name of the vendor.
     pub manufacturer: Option<String>,
@@ -105,34 +105,34 @@ pub struct UsbIdentity {
     pub product: Option<String>,
     /// Serial number.
     pub serial_number: Option<String>,
-    /// Bus.
+    /// Number of the bus.
     pub bus: u8,
-    /// Address on the bus: another one each time it is plugged in.
+    /// Address on the bus, which changes each time the device is plugged in.
     pub address: u8,
-    /// Socket that it is plugged into, as the kernel names it: `1-1.2` is bus 1, port 1, port 2 of the hub there.
+    /// Socket of the device, as the kernel names it: `1-1.2` is bus 1, port 1, port 2 of the hub there.
     pub socket: String,
 }
 
-/// Something that may be a board or its probe.
+/// Device that may be a board or its probe.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Candidate {
     /// Device node.
     pub path: PathBuf,
-    /// How it is attached.
+    /// Transport by which it is attached.
     pub transport: Transport,
-    /// What it is believed to be.
+    /// Kind of the device by its ids.
     pub belief: Belief,
-    /// The USB device that it belongs to, if it does.
+    /// USB device that it belongs to, if any.
     pub usb: Option<UsbIdentity>,
-    /// Debug probe of the same kit, by which it can be reset: the node of a candidate.
+    /// Device node of the debug probe of the same kit, which can reset it.
     pub debug_probe: Option<PathBuf>,
-    /// Whether this user may open it.
+    /// Access of the user to it.
     #[serde(skip)]
     pub access: Access,
 }
 
 impl Candidate {
-    /// Where it is, if it is a board that this program drives.
+    /// Address of the board; `None` if the device is not a supported board.
     pub fn address(&self) -> Option<Address> {
         match (self.belief, self.transport, &self.usb) {
             (Belief::Mcu7Serial | Belief::Deepcraft, Transport::Serial, _) => Some(Address::Serial(self.path.clone())),
@@ -143,7 +143,7 @@ impl Candidate {
         }
     }
 
-    /// Whether it is a debug probe itself, and not the serial port beside one.
+    /// Returns whether it is a debug probe itself, and not the serial port beside one.
     pub fn is_probe(&self) -> bool {
         matches!(self.belief, Belief::KitProg3 | Belief::DebugProbe) && self.transport != Transport::Serial
     }
@@ -152,19 +152,19 @@ impl Candidate {
         self.usb.as_ref().zip(other.usb.as_ref()).is_some_and(|(a, b)| a.socket == b.socket)
     }
 
-    /// Whether both belong to one kit: one USB device, or two with one serial number.
+    /// Returns whether both belong to one kit: one USB device, or two with one serial number.
     fn is_beside(&self, other: &Candidate) -> bool {
         let serial_number = |c: &Candidate| c.usb.as_ref().and_then(|usb| usb.serial_number.clone());
         self.is_of_device(other) || serial_number(self).is_some_and(|serial| Some(serial) == serial_number(other))
     }
 }
 
-/// Where the kernel shows its devices.
+/// Folders in which the kernel lists its devices.
 #[derive(Debug, Clone)]
 pub struct Roots {
-    /// sysfs.
+    /// Mount point of sysfs.
     pub sys: PathBuf,
-    /// Device nodes.
+    /// Folder of the device nodes.
     pub dev: PathBuf,
 }
 
@@ -174,16 +174,16 @@ impl Default for Roots {
     }
 }
 
-/// All candidates of this machine. Nothing is opened, and nothing is sent. A machine without USB has none.
+/// Lists all candidates of this machine. Nothing is opened, and nothing is sent. A machine without USB has none.
 pub fn candidates() -> Vec<Candidate> {
     candidates_in(&Roots::default())
 }
 
-/// All candidates below these roots, in the order of their paths.
+/// Lists all candidates below these roots, in the order of their paths.
 pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     let mut found = sysfs::serial_ports(roots);
     found.extend(sysfs::hid_devices(roots));
-    // The USB device itself is of interest where it is what is opened, or where no driver has made anything of it.
+    // The USB device itself is listed if it is opened directly, or if no driver has made a node of it.
     let is_of_interest = |(device, is_probe): &(Candidate, bool)| {
         let mut nodes = found.iter().filter(|other| other.is_of_device(device));
         match device.belief {
@@ -203,7 +203,7 @@ pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     found
 }
 
-/// Whether this user may read and write a device node; nothing is opened.
+/// Returns the access of the user to a device node; nothing is opened.
 fn node_access(path: &Path) -> Access {
     use rustix::fs::{Access as Mode, access};
     match access(path, Mode::READ_OK | Mode::WRITE_OK) {

@@ -1,14 +1,14 @@
-//! A board on a pseudo-terminal, or behind sockets that stand for USB endpoints, measuring whatever a
-//! [`FrameSource`](radome_dsp::FrameSource) provides, or what is made for the waveform that a client programs ([`Feed`]).
+//! Emulated board on a pseudo-terminal, or behind sockets that stand for USB endpoints. It measures the frames of a
+//! [`FrameSource`](radome_dsp::FrameSource), or frames made for the waveform that a client programs ([`Feed`]).
 //!
-//! It answers what the firmware answers and sends what it sends, so that any client of the board can be pointed at
-//! [`EmulatedBoard::path`] ([`Board::open_at`](crate::Board::open_at) at [`EmulatedBoard::address`]). Differences: of a waveform that the
-//! source does not have no frame comes ([`EmulatedBoard::refusal`] says why), and a slice that would
-//! trip a known firmware bug is refused. Frames that the source itself lacks appear as packets lost. How much the board buffers
+//! It answers and sends as the firmware does, so that any client of the board can open [`EmulatedBoard::path`]
+//! ([`Board::open_at`](crate::Board::open_at) at [`EmulatedBoard::address`]). Differences: no frames come of a waveform
+//! that the source does not have ([`EmulatedBoard::refusal`] holds the reason), and a slice that would trigger a known
+//! firmware bug is refused. Frames that the source itself lacks appear as lost packets. The size of the board's buffer
 //! beyond the chip's FIFO is assumed from its memory (192 KiB).
 //!
-//! On a pseudo-terminal the board learns when its last client has closed the port, or was killed: it stops, forgets half a
-//! request, and throws away what nobody has read, so that the next client finds a board that waits for it.
+//! On a pseudo-terminal the board detects that its last client has closed the port or was killed: it stops, and
+//! discards half a request and unread data, so that the next client finds an idle board.
 
 mod chip;
 mod deepcraft;
@@ -51,16 +51,16 @@ use wire::{Firmware, Wire};
 /// Round-trip time of a request to a board on USB.
 const LATENCY: Duration = Duration::from_micros(1500);
 
-/// How fast the emulated world goes.
+/// Pace of the emulation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Pace {
-    /// By the source's time stamps, this many times as fast as they say.
+    /// The source's time stamps, this many times as fast.
     RealTime(f64),
-    /// As fast as the host reads: the pseudo-terminal's back-pressure sets the pace, nothing overflows.
+    /// As fast as the host reads: the back-pressure of the pseudo-terminal sets the pace, and nothing overflows.
     AsFastAsRead,
 }
 
-/// What the emulated board is, and so what it speaks.
+/// Kind of the emulated board, which decides its protocol.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Kind {
     /// Radar Baseboard MCU7 with protocol 4.
@@ -76,29 +76,29 @@ pub enum Kind {
     Esp32,
 }
 
-/// How the emulated board behaves.
+/// Options of the emulated board.
 #[derive(Debug, Clone)]
 pub struct EmulatorOptions {
-    /// How fast its world goes.
+    /// Pace of the frames.
     pub pace: Pace,
-    /// What it is.
+    /// Kind of the board.
     pub kind: Kind,
-    /// What goes wrong.
+    /// Faults to inject.
     pub faults: Vec<Fault>,
     /// Delay of a request to the firmware over the serial port: no answer comes sooner after the request's last byte.
-    /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that come
-    /// within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
+    /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that
+    /// come within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
     pub latency: Duration,
-    /// Whether a source that ends is begun again, where it [can be](Feed::that_begins_again). Counters and time go on.
+    /// Whether a source that ends is opened again, if it [can be](Feed::that_begins_again). Counters and time go on.
     pub repeat: bool,
-    /// Seed of what chance does to the board: its temperature.
+    /// Seed of the random properties of the board: its temperature.
     pub seed: u64,
-    /// Symbolic link to the pseudo-terminal, to be made anew each time the board is plugged in: the terminal itself has
-    /// another name then. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is made. One emulated board has it at a
-    /// time.
+    /// Symbolic link to the pseudo-terminal, which is made anew each time the board is plugged in, since the terminal
+    /// then has another name. For [`Kind::Mcu7Bulk`] the folder of its endpoints, which is created. Only one emulated
+    /// board can have it.
     pub link: Option<PathBuf>,
-    /// Terminal to serve on instead of a pseudo-terminal: the board's end of a line that is there already, such as
-    /// `/dev/ttyGS0` of a USB gadget. When it is hung up the board has been unplugged.
+    /// Terminal to serve on instead of a pseudo-terminal: the board's end of an existing line, such as `/dev/ttyGS0` of
+    /// a USB gadget. A hang-up counts as unplugging.
     pub terminal: Option<PathBuf>,
 }
 
@@ -117,18 +117,18 @@ impl Default for EmulatorOptions {
     }
 }
 
-/// The emulated board cannot be set up.
+/// Error of starting an emulated board.
 #[derive(Debug, Error)]
 pub enum EmulatorError {
-    /// No line to the host.
+    /// The line to the host cannot be opened.
     #[error("emulator: cannot make {what}")]
     Line {
-        /// What the line was to be.
+        /// Description of the line.
         what: String,
-        /// Why.
+        /// Error of the operating system.
         source: std::io::Error,
     },
-    /// The link is another board's.
+    /// Another emulated board has the link.
     #[error(
         "emulator: another emulated board has the link {link}\n\nhint: stop that board, or give this one another link",
         link = link.display()
@@ -137,7 +137,7 @@ pub enum EmulatorError {
         /// The link.
         link: PathBuf,
     },
-    /// There is something at the link's place that no emulated board has left there.
+    /// The path of the link exists and is not the remains of an emulated board.
     #[error(
         "emulator: {link} exists and is no link that an emulated board has left behind\n\nhint: remove it, or give the board another link",
         link = link.display()
@@ -146,27 +146,27 @@ pub enum EmulatorError {
         /// The link.
         link: PathBuf,
     },
-    /// A board with endpoints has no use for a terminal.
+    /// A board with USB endpoints cannot use a terminal.
     #[error("emulator: a board with bulk transfers cannot be on the terminal {path}", path = path.display())]
     NoTerminal {
-        /// Where it was to be.
+        /// Path of the terminal.
         path: PathBuf,
     },
-    /// No thread.
+    /// The thread cannot be started.
     #[error("emulator: cannot start a thread")]
     Thread(#[source] std::io::Error),
-    /// The chip cannot be set to the waveform of the source.
+    /// The chip cannot hold the waveform of the source.
     #[error(transparent)]
     Chip(#[from] ChipError),
-    /// The speed makes no sense.
+    /// The speed is not a positive number.
     #[error("emulator: speed is {speed}, it must be a positive number")]
     Speed {
-        /// What was given.
+        /// Speed that was given.
         speed: f64,
     },
 }
 
-/// What the emulated board has done so far.
+/// Counts of an emulated board.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct EmulatorCounts {
     /// Slices sent.
@@ -196,7 +196,7 @@ struct Shared {
 }
 
 impl Shared {
-    /// Something that a client asks for cannot be.
+    /// Sets the refusal: a client's request cannot be served.
     fn refuse(&self, reason: &str) {
         tracing::warn!("the emulated board sends no frames: {reason}");
         *self.refusal.lock().unwrap_or_else(PoisonError::into_inner) = Some(reason.to_owned());
@@ -211,13 +211,13 @@ impl Shared {
         self.refusal.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
-    /// Something is wrong with the board itself; what was first counts.
+    /// Sets the failure of the board itself; the first one counts.
     fn fail(&self, reason: String) {
         self.failure.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
     }
 }
 
-/// A running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
+/// Running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
 pub struct EmulatedBoard {
     path: PathBuf,
     address: Address,
@@ -246,7 +246,7 @@ fn firmware(
     })
 }
 
-/// A folder that nothing else of this process has.
+/// Path of a folder that nothing else in this process uses.
 fn folder() -> PathBuf {
     static NEXT: AtomicU64 = AtomicU64::new(0);
     let next = NEXT.fetch_add(1, Ordering::Relaxed);
@@ -266,8 +266,8 @@ impl EmulatedBoard {
     /// Opens the board's line to the host and serves it in a thread.
     ///
     /// # Errors
-    /// The options make no sense, the link is another's, the line cannot be had, or the chip cannot measure the source's
-    /// waveform.
+    /// [`EmulatorError`] if an option is invalid, another board has the link, the line cannot be opened, or the chip
+    /// cannot hold the source's waveform.
     pub fn spawn(feed: impl Into<Feed>, options: EmulatorOptions) -> Result<EmulatedBoard, EmulatorError> {
         let feed = feed.into();
         if let Pace::RealTime(speed) = options.pace
@@ -308,17 +308,17 @@ impl EmulatedBoard {
         &self.path
     }
 
-    /// Where a client finds it.
+    /// Address for clients.
     pub fn address(&self) -> &Address {
         &self.address
     }
 
-    /// Waveform of the source: the one that the board is left with.
+    /// Waveform of the source, with which the board is programmed at the start.
     pub fn waveform(&self) -> &Waveform {
         &self.waveform
     }
 
-    /// Whether the source has ended and all of it has been handed to the port.
+    /// Returns whether the source has ended and all of it has been handed to the port.
     pub fn finished(&self) -> bool {
         self.shared.finished.load(Ordering::Acquire)
     }
@@ -335,12 +335,12 @@ impl EmulatedBoard {
         failure.or_else(|| has_panicked.then(|| "the emulated board panicked".to_owned()))
     }
 
-    /// Whether it serves no longer.
+    /// Returns whether the board has stopped serving.
     fn is_over(&self) -> bool {
         self.thread.as_ref().is_some_and(JoinHandle::is_finished)
     }
 
-    /// What it has done so far.
+    /// Returns the counts so far.
     pub fn counts(&self) -> EmulatorCounts {
         let load = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         let Shared { slices, packets, overflows, frames, departures, .. } = &*self.shared;
@@ -353,14 +353,14 @@ impl EmulatedBoard {
         }
     }
 
-    /// Waits until the source has been sent to its end, or the board has stopped. It goes on answering.
+    /// Waits until the source has been sent to its end, or the board has stopped. The board goes on answering.
     pub fn wait(&self) {
         while !self.finished() && !self.is_over() {
             thread::sleep(Duration::from_millis(10));
         }
     }
 
-    /// Ends it. A host that reads is given what is under way to the end of its slice; the link goes.
+    /// Stops the board. A host that reads gets the rest of the current slice; the link is removed.
     pub fn stop(&mut self) {
         self.shared.stop.store(true, Ordering::Release);
         if let Some(thread) = self.thread.take()

@@ -1,4 +1,4 @@
-//! What the emulated chip samples: codes of a frame source in FIFO order, and when.
+//! Sample source of the emulated chip: codes of a frame source in FIFO order, and their times.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,7 +14,7 @@ use crate::chip::{ChipConfiguration, test_pattern};
 use crate::protocol::fifo;
 use crate::timing::SampleTiming;
 
-/// Frames that the source may be ahead.
+/// Most frames that the source may be ahead.
 const FRAMES_AHEAD: usize = 2;
 
 enum Message {
@@ -23,36 +23,36 @@ enum Message {
         frames: u64,
     },
     End,
-    /// The source gave up.
+    /// The source has failed.
     Failed(String),
     /// Frames of this waveform cannot be had.
     Refused(String),
 }
 
-/// What there is to send.
+/// State of the next slice.
 pub(super) enum Slice {
-    /// So many codes, complete at this board time.
+    /// The codes are complete, at this board time.
     Ready { time_us: u64 },
     /// Frames are missing in the source.
     Missing { frames: u64 },
-    /// Not yet.
+    /// The codes are not sampled yet.
     Wait,
-    /// Nothing will come any more.
+    /// The source has ended.
     End,
 }
 
 pub(super) struct World {
     incoming: Receiver<Message>,
     spare: Sender<Frame>,
-    /// Runs the source.
+    /// Thread that runs the source.
     producer: Option<JoinHandle<()>>,
     maker: Arc<Mutex<Maker>>,
     makes_any_waveform: bool,
-    /// Whether a source that has ended is begun again.
+    /// Whether a source that has ended is opened again.
     repeat: bool,
     /// Waveform of the source's frames.
     source: Waveform,
-    /// Frames of that waveform could not be had.
+    /// Set if frames of that waveform cannot be made.
     is_refused: bool,
     /// The chip was started with a waveform that the source does not have.
     is_silent: bool,
@@ -62,14 +62,14 @@ pub(super) struct World {
     /// Indices of the source's receivers that the chip has switched on.
     channels: Vec<usize>,
     codes_per_frame: u64,
-    /// Place of RX1 among the channels, and the next word of the test pattern, if the chip sends that.
+    /// Position of RX1 among the channels, and the next word of the test pattern, if the chip sends it.
     test_pattern: Option<(usize, u16)>,
     pace: Pace,
-    /// A frame whose time has not come.
+    /// Frame that is not due yet.
     upcoming: Option<Frame>,
-    /// When the source's next frame begins, ns.
+    /// Start of the source's next frame, ns.
     next_ns: u64,
-    /// Codes of frames not yet sent, FIFO order; those before `sent` have been.
+    /// Codes of frames in FIFO order; those before `sent` have been sent.
     codes: Vec<u16>,
     sent: usize,
     /// Codes taken out, and codes put in, since the frames started.
@@ -83,14 +83,14 @@ pub(super) struct World {
     ended: bool,
     /// Wall-clock time at which the source's time was this many nanoseconds.
     clock: Option<(Instant, u64)>,
-    /// When the chip started again, ns: frames before that are passed over.
+    /// Time at which the chip started again, ns: earlier frames are discarded.
     started_ns: Option<u64>,
-    /// When it was last reset, ns.
+    /// Time of the last reset, ns.
     stopped_ns: Option<u64>,
 }
 
 impl World {
-    /// Takes frames from the source in a thread of their own: a slow source must not keep the firmware from answering.
+    /// Starts a thread that takes frames from the source, so that a slow source does not delay the firmware's answers.
     pub fn new(feed: Feed, pace: Pace, repeat: bool, shared: Arc<Shared>) -> std::io::Result<Self> {
         let Feed { source, maker } = feed;
         let waveform = source.waveform().clone();
@@ -131,7 +131,7 @@ impl World {
         })
     }
 
-    /// Whether frames of this waveform can be had, or why not.
+    /// Checks that frames of this waveform are available; the error is the reason if not.
     pub fn check(&self, waveform: &Waveform) -> Result<(), String> {
         match self.makes_any_waveform {
             true => Ok(()),
@@ -139,21 +139,22 @@ impl World {
         }
     }
 
-    /// Whether the source's frames are those of this waveform. Where others can be made, they are those of the same registers.
+    /// Returns whether the source's frames are those of this waveform. If others can be made, the registers have to be
+    /// the same.
     fn has(&self, waveform: &Waveform) -> bool {
         !self.is_refused
             && compare(&self.source, waveform).is_ok()
             && (!self.makes_any_waveform || is_same_but_for_receivers(&self.source, waveform))
     }
 
-    /// The client has asked for what cannot be: says why, and nothing is sampled.
+    /// Sets the refusal of a client's request; nothing is sampled then.
     pub fn refuse(&mut self, reason: &str) {
         self.is_silent = true;
         self.shared.refuse(reason);
     }
 
-    /// The chip starts frames with this waveform, and sends its test pattern as RX1 if that is switched on. If the source
-    /// has no such frames it says so, and none come.
+    /// Starts frames with this waveform, with the test pattern as RX1 if it is switched on. If the source has no such
+    /// frames, sets the refusal, and none come.
     pub fn restart(&mut self, waveform: &Waveform, has_test_pattern: bool) {
         self.is_silent = false;
         self.shared.accept();
@@ -174,14 +175,15 @@ impl World {
         self.sent = 0;
         self.frames.clear();
         (self.taken, self.put, self.missing) = (0, 0, 0);
-        // Who resets and starts at once loses no frame in between.
+        // A reset directly followed by a start loses no frame.
         let at_once = |now: u64, stopped: u64| (now - stopped) as f64 * 1e-9 < self.timing.frame_interval_s();
         let stopped = self.stopped_ns.take();
         self.started_ns = self.now_ns().map(|now| stopped.filter(|s| *s <= now && at_once(now, *s)).unwrap_or(now));
         self.has_begun = true;
     }
 
-    /// Has frames of another waveform made, from the time that it is on. The clock stands still until the first is there.
+    /// Makes frames of another waveform, from the current time on. The clock stands still until the first frame is
+    /// there.
     fn remake(&mut self, waveform: &Waveform) {
         let from_ns = self.now_ns().unwrap_or(self.next_ns);
         let beginning = Beginning::Made { from: Duration::from_nanos(from_ns) };
@@ -198,7 +200,7 @@ impl World {
         }
     }
 
-    /// The chip is about to be reset: nothing is sampled any more.
+    /// Stops sampling before a reset of the chip.
     pub fn stop(&mut self) {
         self.stopped_ns = self.stopped_ns.or(self.now_ns());
     }
@@ -210,7 +212,7 @@ impl World {
         Some(time_ns + (instant.elapsed().as_nanos() as f64 * speed) as u64)
     }
 
-    /// Lets the world go on while the host reads nothing: frames are sampled when their time has come.
+    /// Samples the frames that are due, while the host reads nothing.
     pub fn advance(&mut self) {
         let Some(now) = self.now_ns() else {
             // The first frame sets the clock.
@@ -229,7 +231,7 @@ impl World {
         }
     }
 
-    /// How much faster than real this world goes, as far as it can be told.
+    /// Speed as a multiple of real time, as far as it is known.
     pub fn speed(&self) -> f64 {
         match self.pace {
             Pace::RealTime(speed) => speed.clamp(1.0, 100.0),
@@ -237,7 +239,7 @@ impl World {
         }
     }
 
-    /// Whether the world waits for whoever reads it: nothing overflows then.
+    /// Returns whether sampling waits for the reader: nothing overflows then.
     pub fn waits(&self) -> bool {
         self.pace == Pace::AsFastAsRead
     }
@@ -254,7 +256,7 @@ impl World {
             self.upcoming = Some(frame);
             return;
         }
-        // One that has a chirp is counted as measured; it ended with the start.
+        // A frame with one chirp counts as measured; the start ended it.
         let had_begun =
             |started: u64| self.timing.chirps_after(started.saturating_sub(frame.time_ns) as f64 * 1e-9) > 0;
         if self.started_ns.is_some_and(had_begun) {
@@ -275,7 +277,7 @@ impl World {
         let _ = self.spare.try_send(frame);
     }
 
-    /// The source's next frame, if it is there.
+    /// Receives the source's next frame, if it is there.
     fn receive(&mut self) -> Option<Frame> {
         let frame = match self.incoming.try_recv() {
             Ok(Message::Frame(frame)) => frame,
@@ -306,7 +308,7 @@ impl World {
             Err(TryRecvError::Empty) => return None,
         };
         self.next_ns = frame.time_ns.saturating_add((self.source.frame_interval_s() * 1e9) as u64);
-        // A source that is late makes the world late; it does not make the host slow.
+        // A late source delays the clock; the host does not count as slow.
         let is_late = self.now_ns().is_none_or(|now| now > frame.time_ns) && self.started_ns.is_none();
         if is_late && matches!(self.pace, Pace::RealTime(_)) {
             self.clock = Some((Instant::now(), frame.time_ns));
@@ -321,7 +323,7 @@ impl World {
         time_ns + (self.timing.in_frame_s(code - first) * 1e9) as u64
     }
 
-    /// Whether a slice of this many codes is there.
+    /// Returns the state of a slice of this many codes.
     pub fn slice(&mut self, samples: u64) -> Slice {
         self.advance();
         if self.put < self.taken + samples {
@@ -344,19 +346,19 @@ impl World {
         Slice::Ready { time_us: ready_ns / 1000 }
     }
 
-    /// Whether more has been sampled than the FIFO holds.
+    /// Returns whether more has been sampled than the FIFO holds.
     pub fn overflows(&self) -> bool {
         !self.waits() && self.in_fifo() > self.fifo_limit()
     }
 
-    /// Codes that the FIFO holds before it overflows. A world that goes faster than real gives the chip as much more
-    /// memory: the host, whose delays do not shrink, may be late by the same time.
+    /// Codes that the FIFO holds before it overflows. Faster than real time the FIFO is larger by the speed, since the
+    /// delays of the host do not shrink.
     fn fifo_limit(&self) -> u64 {
         (FIFO_SAMPLES as f64 * self.speed()) as u64
     }
 
-    /// Codes sampled since the frames started, those not yet taken from the source too. A world that waits has sampled what is
-    /// there.
+    /// Codes sampled since the frames started, including those not yet taken from the source. If sampling waits for the
+    /// reader, all codes that are there are sampled.
     pub fn sampled(&self) -> u64 {
         let Some(now) = self.stopped_ns.or(self.now_ns()) else { return self.put };
         let sampled = |(first, time_ns): &(u64, u64)| {
@@ -392,7 +394,7 @@ impl World {
     /// Removes codes, and the frames that were sent with them.
     pub fn take(&mut self, samples: usize) {
         self.sent = (self.sent + samples).min(self.codes.len());
-        // Moved together now and then only: moving everything for each slice would cost more than sending it.
+        // Compacted rarely: moving all codes for each slice would cost more than sending it.
         if 2 * self.sent >= self.codes.len() {
             self.codes.drain(..self.sent);
             self.sent = 0;
@@ -403,7 +405,7 @@ impl World {
         }
     }
 
-    /// Whether slices end where frames do: the codes taken so far are whole frames.
+    /// Returns whether slices end where frames do: the codes taken so far are whole frames.
     pub fn at_frame_boundary(&self) -> bool {
         self.taken.is_multiple_of(self.codes_per_frame.max(1))
     }
@@ -417,7 +419,7 @@ fn panic_message(thread: JoinHandle<()>) -> String {
     format!("the source panicked: {}", words.unwrap_or("without a word"))
 }
 
-/// Whether frames of a source can stand for those of a waveform, or in which quantity they differ.
+/// Checks that frames of a source can stand for those of a waveform; the error names the quantity that differs.
 fn compare(source: &Waveform, wanted: &Waveform) -> Result<(), String> {
     source.check_compatible(wanted).map_err(|mismatch| {
         let (what, expected, got) = (mismatch.what, mismatch.expected, mismatch.got);
@@ -425,7 +427,7 @@ fn compare(source: &Waveform, wanted: &Waveform) -> Result<(), String> {
     })
 }
 
-/// Whether the registers of a waveform stand for another, receivers aside.
+/// Returns whether the registers of two waveforms are equal except for the receivers.
 fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
     let is_wanted = |mut waveform: Waveform| {
         waveform.request.rx_antennas = wanted.request.rx_antennas;
@@ -438,13 +440,13 @@ fn is_same_but_for_receivers(source: &Waveform, wanted: &Waveform) -> bool {
 /// Origin of a producer's first source.
 enum Beginning {
     With(Box<dyn FrameSource>),
-    /// One has to be made, whose first frame is at this time.
+    /// The source has to be made; its first frame is at this time.
     Made {
         from: Duration,
     },
 }
 
-/// A thread that runs a source.
+/// Thread that runs a source.
 struct Producer {
     waveform: Waveform,
     maker: Arc<Mutex<Maker>>,
@@ -460,7 +462,7 @@ struct Pass {
 }
 
 impl Producer {
-    /// Starts one. It ends with its source or with the world's end of the channel.
+    /// Starts a thread. It ends with its source or with the receiving end of the channel.
     fn start(
         waveform: Waveform,
         maker: Arc<Mutex<Maker>>,
@@ -484,9 +486,9 @@ impl Producer {
         };
         let mut seam_ns = None;
         loop {
-            // Nobody takes frames any more, or it has been said why there are no more.
+            // The channel is closed, or the reason of the end has been sent.
             let Some(pass) = self.pass_on(source.as_mut(), seam_ns) else { return };
-            // A source without a frame would begin again for ever.
+            // A source without a frame would be opened again for ever.
             if !self.repeat || pass.frames == 0 {
                 return self.send(Message::End);
             }
@@ -499,12 +501,12 @@ impl Producer {
         }
     }
 
-    /// Hands the message to the world, if it is still there.
+    /// Sends the message, if the channel is open.
     fn send(&self, message: Message) {
         let _ = self.to_world.send(message);
     }
 
-    /// Passes on all that a source has. If there was one before it, its first frame begins at the seam.
+    /// Passes on all frames of a source. If there was one before it, its first frame begins at `seam_ns`.
     fn pass_on(&self, source: &mut dyn FrameSource, seam_ns: Option<u64>) -> Option<Pass> {
         let shape = self.waveform.shape();
         let interval_ns = (self.waveform.frame_interval_s() * 1e9) as u64;
@@ -538,7 +540,7 @@ impl Producer {
         }
     }
 
-    /// Frames of the waveform, from this time on.
+    /// Makes frames of the waveform, from this time on.
     fn make(&self, from: Duration) -> Result<Box<dyn FrameSource>, String> {
         let mut maker = self.maker.lock().unwrap_or_else(PoisonError::into_inner);
         let Maker::Waveforms(make) = &mut *maker else { return Err("the source has frames of one waveform".into()) };
@@ -547,7 +549,7 @@ impl Producer {
         Ok(source)
     }
 
-    /// The source that has ended, from its beginning; `None` where that cannot be had.
+    /// Opens the source that has ended again; `None` if that is not possible.
     fn begin_again(&self) -> Result<Option<Box<dyn FrameSource>>, String> {
         match &mut *self.maker.lock().unwrap_or_else(PoisonError::into_inner) {
             Maker::Again(open) => open().map(Some).map_err(|error| in_words(error.as_ref())),
@@ -556,7 +558,7 @@ impl Producer {
     }
 }
 
-/// An error with its causes.
+/// Message of an error with its causes.
 fn in_words(error: &(dyn std::error::Error + Send + Sync + 'static)) -> String {
     let mut words = error.to_string();
     let mut cause = error.source();

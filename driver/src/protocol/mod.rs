@@ -1,4 +1,5 @@
-//! What boards say and hear, as pure functions over bytes. Each decoder stands beside its encoder; nothing here does I/O.
+//! Messages of boards and probes as pure functions over bytes. Each decoder stands beside its encoder; nothing here
+//! does I/O.
 
 pub mod ascii;
 pub mod cmsis_dap;

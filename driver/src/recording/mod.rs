@@ -1,6 +1,6 @@
 //! Recordings on disk: the native MCAP file, the vendor's folder and the vendor's text file. [`open`] and
-//! [`Recording::open`] read them all, [`RecordingWriter`] writes them. One writer at a time has a recording: others get
-//! [`RecordingError::Locked`].
+//! [`Recording::open`] read all of them, [`RecordingWriter`] writes them. A recording is locked by its writer: other
+//! writers get [`RecordingError::Locked`].
 
 mod disk;
 pub mod infineon;
@@ -26,41 +26,41 @@ pub use writer::{Format, RecordingWriter, WriteReport};
 use radome_dsp::{FrameSource, WaveformError};
 use thiserror::Error;
 
-/// Whether an output may take the place of a file that exists.
+/// Policy for an output whose file exists already.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Existing {
-    /// It may not: [`RecordingError::Occupied`].
+    /// The file is kept: [`RecordingError::Occupied`].
     Refuse,
-    /// It may, once it is whole.
+    /// The file is replaced once the output is complete.
     Replace,
 }
 
-/// Where a frame stands in its recording.
+/// Position of a frame in its recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Position {
-    /// Its sequence number.
+    /// Sequence number of the frame.
     pub sequence: u64,
-    /// Its time on the frames' own clock, ns.
+    /// Time on the frames' own clock, ns.
     pub time_ns: u64,
 }
 
 impl Position {
-    /// Its time on the frames' own clock, s.
+    /// Time on the frames' own clock, s.
     pub fn time_s(self) -> f64 {
         self.time_ns as f64 * 1e-9
     }
 }
 
-/// From where to where a recording goes.
+/// First and last frame of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Extent {
-    /// Its first frame.
+    /// First frame.
     pub first: Position,
-    /// Its last frame.
+    /// Last frame.
     pub last: Position,
 }
 
-/// What can be wrong with a recording.
+/// Errors of recordings.
 #[derive(Debug, Error)]
 pub enum RecordingError {
     /// A file cannot be read or written.
@@ -68,7 +68,7 @@ pub enum RecordingError {
     Io {
         /// File.
         path: PathBuf,
-        /// What was being done.
+        /// Operation that failed.
         what: &'static str,
         /// Why it failed.
         source: std::io::Error,
@@ -86,7 +86,7 @@ pub enum RecordingError {
         and = if path.is_dir() { " and is not empty" } else { "" }
     )]
     Occupied {
-        /// What exists.
+        /// File or folder that exists.
         path: PathBuf,
     },
     /// Another writer has the file.
@@ -98,7 +98,7 @@ pub enum RecordingError {
         /// File.
         path: PathBuf,
     },
-    /// The disk takes what is written but does not store it.
+    /// The disk accepts data but does not store them.
     #[error(
         "{path}: the disk has not stored any of it for {waited_s:.0} s\n\nhint: record to a faster disk, and see the system's log for \
          errors of this one",
@@ -107,17 +107,17 @@ pub enum RecordingError {
     Stalled {
         /// File.
         path: PathBuf,
-        /// How long it was waited for, s.
+        /// Time waited, s.
         waited_s: f64,
     },
-    /// No kind of recording.
+    /// The path is not a recording.
     #[error(
         "{path}: not a recording: expected an MCAP file, a folder with RadarIfxAvian_00 or radar.npy in it, or the \
          vendor's text file with its _config.json beside it",
         path = path.display()
     )]
     Unknown {
-        /// What was given.
+        /// Path that was given.
         path: PathBuf,
     },
     /// The content breaks the format's rules.
@@ -125,9 +125,9 @@ pub enum RecordingError {
     Corrupt {
         /// File.
         path: PathBuf,
-        /// Where.
+        /// Offset in the file, bytes.
         offset: u64,
-        /// What is wrong and what was expected.
+        /// Description of the error and of the expected content.
         reason: String,
     },
     /// A field of a JSON file is absent or of the wrong kind.
@@ -137,7 +137,7 @@ pub enum RecordingError {
         path: PathBuf,
         /// Field.
         field: String,
-        /// What is wrong and what was expected.
+        /// Description of the error and of the expected content.
         reason: String,
     },
     /// Configuration and data disagree.
@@ -179,7 +179,7 @@ pub enum RecordingError {
         /// End of what can be read.
         offset: u64,
     },
-    /// Written by a newer program.
+    /// The file was written by a newer program.
     #[error("{path}: format version {got}, this program reads up to {supported}; update it", path = path.display())]
     Newer {
         /// File.
@@ -194,11 +194,11 @@ pub enum RecordingError {
     Code {
         /// File.
         path: PathBuf,
-        /// Where.
+        /// Offset in the file, bytes.
         offset: u64,
         /// Frame.
         frame: u64,
-        /// What is there.
+        /// Value of the sample.
         code: u16,
     },
     /// The waveform is impossible.
@@ -206,10 +206,10 @@ pub enum RecordingError {
     Waveform {
         /// File.
         path: PathBuf,
-        /// Why.
+        /// Error of the waveform.
         source: WaveformError,
     },
-    /// A frame given to a recorder does not belong there.
+    /// A frame has another shape than the recording.
     #[error("{path}: frame {sequence} is {got}, the recording holds {expected}", path = path.display())]
     FrameShape {
         /// File.
@@ -238,16 +238,19 @@ impl RecordingError {
     }
 }
 
-/// Gives a file another name in the same file system, in place of one that has it, and waits until that is on the disk. Its content
-/// must be there already.
+/// Renames a file in the same file system, replaces a file of that name, and waits until the name is on the disk. The
+/// content of the file must be there already.
 ///
 /// # Errors
-/// An input/output error.
+/// [`RecordingError::Io`].
 pub fn rename_synced(from: &Path, to: &Path) -> Result<(), RecordingError> {
     disk::rename(from, to).and_then(|()| disk::sync_folder(to)).map_err(RecordingError::cannot_write(to))
 }
 
-/// Opens a recording of any kind.
+/// Opens a recording of any kind as a source of frames.
+///
+/// # Errors
+/// [`RecordingError`] if the path cannot be read or is not a recording.
 pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
     Ok(match Recording::open(path)? {
         Recording::Mcap(reader) => reader,
@@ -256,7 +259,7 @@ pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
     })
 }
 
-/// A small text file.
+/// Reads a small text file.
 fn read_text(path: &Path) -> Result<String, RecordingError> {
     let bytes = std::fs::read(path).map_err(RecordingError::io(path, "cannot be read"))?;
     String::from_utf8(bytes).map_err(|e| RecordingError::Corrupt {
@@ -266,12 +269,13 @@ fn read_text(path: &Path) -> Result<String, RecordingError> {
     })
 }
 
-/// A time in nanoseconds; zero for what is none.
+/// Converts a time to nanoseconds; 0 if it is negative or not a number.
 fn time_ns(time_s: f64) -> u64 {
     (time_s * 1e9).round() as u64
 }
 
-/// The first of `count` indices for which something holds that then holds for all that follow; `count` if there is none.
+/// Finds by bisection the first of `count` indices for which `holds` is true; `count` if there is none. It must hold
+/// for all indices behind one for which it holds.
 fn first_index(count: u64, mut holds: impl FnMut(u64) -> bool) -> u64 {
     let (mut low, mut high) = (0, count);
     while low < high {

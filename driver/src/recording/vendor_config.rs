@@ -1,6 +1,7 @@
 //! `config.json` as the vendor's tools write it, beside folders and text files alike.
 //!
-//! Most state a waveform (`fmcw_single_shape`); some state what it is to achieve (`fmcw_scene`: [`super::vendor_scene`]).
+//! Most state a waveform (`fmcw_single_shape`); some state the metrics that it has to reach (`fmcw_scene`:
+//! [`super::vendor_scene`]).
 
 use std::io::Write;
 use std::path::Path;
@@ -66,7 +67,7 @@ impl Fields<'_> {
     }
 }
 
-/// Reads a configuration; `data` is the shape of the frames beside it, where that is known.
+/// Reads a configuration; `data` is the shape of the frames beside it, if known.
 pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Waveform, RecordingError> {
     let text = read_text(path)?;
     let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
@@ -103,12 +104,12 @@ pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Wav
     })
 }
 
-/// A number as the vendor writes it: without a fraction where it has none.
+/// Formats a number as the vendor does: without a fraction if it is whole.
 fn number(value: f64) -> Value {
     if value.fract() == 0.0 && value.abs() < 9e15 { json!(value as i64) } else { json!(value) }
 }
 
-/// The configuration of a recording with this waveform: what was asked for, so that reading it gives the same waveform.
+/// Writes the configuration of a recording: the request of the waveform, from which reading restores the same waveform.
 pub(super) fn write_waveform(waveform: &Waveform, path: &Path) -> Result<(), RecordingError> {
     let r = &waveform.request;
     write_json(
@@ -142,7 +143,7 @@ pub(super) fn write_json(path: &Path, value: &Value) -> Result<(), RecordingErro
     write_file(path, &bytes)
 }
 
-/// Writes a small file down to the disk.
+/// Writes a small file and waits until it is on the disk.
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
     let write = || {
         let mut file = std::fs::File::create(path)?;

@@ -1,4 +1,4 @@
-//! A new recording of any kind, and what its format could not hold.
+//! Writer of recordings of any kind, and its report of information that the format cannot hold.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The kind that an output's name asks for: `.mcap`, `.txt`, or a folder: one that exists, or a name without
+    /// Chooses the format by the name of an output: `.mcap`, `.txt`, or a folder: one that exists, or a name without
     /// extension or with a slash at its end.
     pub fn of_output(path: &Path) -> Option<Self> {
         let is_folder = path.is_dir() || path.as_os_str().to_string_lossy().ends_with('/');
@@ -36,22 +36,22 @@ impl Format {
     }
 }
 
-/// What has been written, and what the format has no place for.
+/// Report of a written recording.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct WriteReport {
     /// Frames written.
     pub frames: u64,
-    /// Gaps that were there, whether the format holds them or not.
+    /// Gaps given to the writer, whether the format holds them or not.
     pub gaps: u64,
-    /// Frames that the gaps are known to stand for.
+    /// Frames known to be lost in the gaps.
     pub frames_lost: u64,
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
-    /// What the format could not hold, in words; empty if all is there.
+    /// Descriptions of the information that the format could not hold; empty if none.
     pub unheld: Vec<String>,
 }
 
-/// Counts what passes a writer whose format holds frames alone.
+/// Counts of a writer whose format holds frames alone.
 #[derive(Debug, Default)]
 pub(crate) struct Tally {
     frames: u64,
@@ -84,12 +84,14 @@ impl Tally {
         Ok(())
     }
 
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) {
         self.gaps += 1;
         self.frames_lost = self.frames_lost.saturating_add(gap.frames);
     }
 
-    /// What the vendor's formats have no place for.
+    /// Descriptions of the information that the vendor's formats cannot hold.
     pub fn unheld(&self) -> Vec<String> {
         let mut unheld = Vec::new();
         if self.gaps > 0 {
@@ -122,8 +124,8 @@ enum Writer {
     Text(Box<TextWriter>),
 }
 
-/// Writes a recording of any kind. It appears under its name when [`RecordingWriter::finish`] has made it whole, and not
-/// at all otherwise.
+/// Writer of a recording of any kind. The recording appears under its name when [`RecordingWriter::finish`] has
+/// completed it, and not at all otherwise.
 pub struct RecordingWriter {
     writer: Writer,
 }
@@ -137,11 +139,12 @@ impl RecordingWriter {
         Self::create_with(path, format, header, Existing::Replace)
     }
 
-    /// Starts a recording; `existing` says whether a file that exists may be replaced at the end. A folder must be empty.
+    /// Starts a recording; `existing` decides whether a file that exists is replaced at the end. A folder must be
+    /// empty.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if there is something of that name which must not be replaced, [`RecordingError::Locked`] if
-    /// another writer has it, and an input/output error.
+    /// [`RecordingError::Occupied`] if the name exists and must not be replaced, [`RecordingError::Locked`] if another
+    /// writer has it, and [`RecordingError::Io`].
     pub fn create_with(
         path: &Path,
         format: Format,
@@ -160,6 +163,10 @@ impl RecordingWriter {
     }
 
     /// Adds a frame.
+    ///
+    /// # Errors
+    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
+    /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.frame(frame),
@@ -179,6 +186,9 @@ impl RecordingWriter {
     }
 
     /// Adds a label.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.label(label)?,
@@ -188,7 +198,10 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Adds what was said about a frame; the header must name who said it.
+    /// Adds the result of a classifier for a frame; the header must name the classifier.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.result(result)?,
@@ -198,17 +211,18 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Completes the recording and brings it to the disk.
+    /// Completes the recording and waits until it is on the disk.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if there is a file of that name by now which must not be replaced, and an input/output error.
+    /// [`RecordingError::Occupied`] if a file has taken the name meanwhile and must not be replaced, and
+    /// [`RecordingError::Io`].
     pub fn finish(self) -> Result<WriteReport, RecordingError> {
         match self.writer {
             Writer::Mcap(recorder, partial) => {
                 let path = partial.target().to_owned();
                 let summary = recorder.finish()?;
                 partial.finish()?;
-                // Those of a recording that had this name before.
+                // Labels of a recording that had this name before.
                 remove_staged_labels(&path)?;
                 let (frames, gaps, frames_lost, bytes) =
                     (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);

@@ -1,4 +1,4 @@
-//! Which USB device is meant.
+//! Addresses of USB devices.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -6,8 +6,8 @@ use std::str::FromStr;
 
 use thiserror::Error;
 
-/// Which of the attached devices is meant. As text: nothing (the only one), `1-4` (bus and address, as `lsusb` has them),
-/// a serial number, or the folder of an emulated board, which has a slash in it.
+/// Address of an attached device. As text: empty (the only one), `1-4` (bus and address, as `lsusb` shows them), a
+/// serial number, or the folder of an emulated board, which contains a slash.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum UsbAddress {
     /// The only one.
@@ -32,7 +32,7 @@ pub enum UsbAddress {
     Emulated(PathBuf),
 }
 
-/// Text that names no device.
+/// Error of a text that is not an address.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
     "usb:{text}: {what}\n\nhint: usb: is the only board, usb:1-4 is bus 1, address 4 (lsusb), usb:SERIAL goes by serial number"
@@ -68,7 +68,7 @@ impl FromStr for UsbAddress {
 }
 
 impl UsbAddress {
-    /// As it stands in messages, where a colon may follow.
+    /// Name of the address in messages, where a colon may follow.
     pub(crate) fn name(&self) -> PathBuf {
         match self {
             UsbAddress::Any => "usb".into(),

@@ -1,4 +1,4 @@
-//! Real devices, through libusb.
+//! Real devices through libusb.
 
 use std::io;
 use std::time::Duration;
@@ -16,8 +16,9 @@ struct LibusbDevice {
     bulk_in: u8,
 }
 
-/// Opens the device meant among those with these ids. Also gives how to find this very device when it has been plugged in
-/// anew: by its serial number if it has one, else by its socket if it was chosen by bus and address.
+/// Opens the device of this address among those with these ids. Also returns the address under which the same device is
+/// found when it has been plugged in anew: its serial number if it has one, else its socket if it was chosen by bus and
+/// address.
 pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn Endpoints>, UsbAddress), OpenError> {
     if let UsbAddress::Emulated(folder) = address {
         let sockets = HostSockets::connect(folder).map_err(|e| match e.kind() {
@@ -34,7 +35,7 @@ pub(crate) fn open(usb_id: (u16, u16), address: &UsbAddress) -> Result<(Box<dyn 
     let devices: Vec<Device<Context>> = devices.iter().filter(has_ids).collect();
     let mut found = devices.iter().filter(|device| is_meant(device, address));
     let Some(device) = found.next() else {
-        // A serial number cannot be read without permission: then it may well be this one.
+        // A serial number cannot be read without permission: the device may be the one that is asked for.
         let is_closed = |device: &Device<Context>| matches!(device.open(), Err(rusb::Error::Access));
         let is_hidden = matches!(address, UsbAddress::Serial(_)) && devices.iter().any(is_closed);
         return Err(if is_hidden { OpenError::PermissionDenied } else { OpenError::Absent });
@@ -82,7 +83,7 @@ fn serial_number(device: &Device<Context>, handle: &DeviceHandle<Context>) -> Op
     handle.read_serial_number_string_ascii(&descriptor).ok().filter(|serial| !serial.is_empty())
 }
 
-/// Endpoint 1 on the vendor's firmware; asked of the device all the same.
+/// Bulk IN endpoint of the device; endpoint 1 on the vendor's firmware.
 fn bulk_in_endpoint(device: &Device<Context>) -> rusb::Result<u8> {
     let configuration = device.active_config_descriptor()?;
     let endpoints = configuration

@@ -1,5 +1,5 @@
-//! An emulated board or probe as a real USB device: its endpoints served through Linux's FunctionFS, on a machine (or virtual machine)
-//! with a USB device controller. Layouts are those of the kernel's `linux/usb/functionfs.h`.
+//! An emulated board or probe as a real USB device: its endpoints served through Linux's FunctionFS, on a machine (or
+//! virtual machine) with a USB device controller. Layouts are those of the kernel's `linux/usb/functionfs.h`.
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -59,7 +59,7 @@ fn strings(interface: &str) -> Vec<u8> {
     bytes
 }
 
-/// Opens the control endpoint of the FunctionFS mounted at `mount`, and says what the function is.
+/// Opens the control endpoint of the FunctionFS mounted at `mount`, and writes the descriptors of the function.
 fn describe(mount: &Path, endpoints: &[u8], interface: &str) -> io::Result<File> {
     let mut control = OpenOptions::new().read(true).write(true).open(mount.join("ep0"))?;
     control.write_all(&descriptors(endpoints))?;
@@ -67,8 +67,8 @@ fn describe(mount: &Path, endpoints: &[u8], interface: &str) -> io::Result<File>
     Ok(control)
 }
 
-/// Serves a debug probe by bulk transfers as the function whose FunctionFS is mounted at `mount`, until it fails. `ready` is
-/// called when the gadget may be bound.
+/// Serves a debug probe by bulk transfers as the function whose FunctionFS is mounted at `mount`, until it fails.
+/// `ready` is called when the gadget may be bound.
 ///
 /// # Errors
 /// No FunctionFS is mounted there, or another program serves it.
@@ -85,9 +85,9 @@ pub fn serve_probe(mount: &Path, probe: &mut EmulatedProbe, ready: impl FnOnce()
     }
 }
 
-/// Serves the emulated board whose endpoints are in `folder` as the function whose FunctionFS is mounted at `mount`; the
-/// gadget may be bound when this returns. Its threads live as long as the process: nothing wakes a write to an endpoint
-/// that no host reads.
+/// Serves the emulated board whose endpoints are in `folder` as the function whose FunctionFS is mounted at `mount`;
+/// the gadget may be bound when this returns. Its threads live as long as the process: nothing wakes a write to an
+/// endpoint that no host reads.
 ///
 /// # Errors
 /// No FunctionFS is mounted there, or another program serves it.
@@ -105,7 +105,7 @@ pub fn serve(mount: &Path, folder: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Until the board is unplugged from its sockets.
+/// Serves the board until it is unplugged from its sockets.
 fn serve_board(control: &mut File, endpoint: &Path, folder: &Path) -> io::Result<()> {
     let mut board = HostSockets::connect(folder)?;
     let (data, endpoint) = (board.data.try_clone()?, endpoint.to_owned());
@@ -137,7 +137,7 @@ fn transfer(control: &mut File, board: &mut HostSockets, setup: &Setup) -> io::R
     let answered = board.transfer(setup, &data);
     let done = match answered {
         Ok(answer) if is_in(setup) => control.write(answer.get(..length).unwrap_or(answer)),
-        // Reading where the host wants to read stalls the endpoint.
+        // A read where the host wants to read stalls the endpoint.
         Err(TransferError::Stall | TransferError::Timeout) if is_in(setup) => control.read(&mut []),
         Ok(_) | Err(TransferError::Stall | TransferError::Timeout) => Ok(0),
         Err(TransferError::Lost(error)) => return Err(error),
@@ -157,7 +157,7 @@ fn pass_on(board: &std::os::fd::OwnedFd, endpoint: &PathBuf) -> io::Result<()> {
         if count == 0 {
             return Ok(());
         }
-        // While no host is there its packets are lost.
+        // Packets are lost while no host is attached.
         if let Err(error) = endpoint.write(message.get(..count).unwrap_or(&[])) {
             tracing::debug!(%error, "bulk transfer");
         }

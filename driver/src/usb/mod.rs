@@ -18,39 +18,39 @@ pub(crate) type Setup = [u8; 8];
 
 /// The endpoints of a device with one bulk IN endpoint.
 pub(crate) trait Endpoints: Send {
-    /// A control transfer with data to the device.
+    /// Makes a control transfer with data to the device.
     fn control_out(&mut self, setup: &Setup, data: &[u8]) -> Result<(), TransferError>;
-    /// A control transfer with data from the device; how many bytes came.
+    /// Makes a control transfer with data from the device; returns the number of bytes.
     fn control_in(&mut self, setup: &Setup, buffer: &mut [u8]) -> Result<usize, TransferError>;
-    /// Reads from the bulk endpoint, at most so long; how many bytes came, 0 if none.
+    /// Reads from the bulk endpoint, waiting at most `timeout`; returns the number of bytes, 0 if none came.
     fn read_bulk(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, TransferError>;
 }
 
-/// A transfer that was not made.
+/// Error of a transfer.
 #[derive(Debug)]
 pub(crate) enum TransferError {
     /// The device refused it.
     Stall,
     /// The device did not answer in time.
     Timeout,
-    /// The device has gone.
+    /// The connection broke.
     Lost(io::Error),
 }
 
-/// A device that cannot be opened.
+/// Error of opening a device.
 #[derive(Debug)]
 pub(crate) enum OpenError {
-    /// None such is attached.
+    /// No such device is attached.
     Absent,
-    /// More than one is attached: these.
+    /// More than one device matches: these.
     Ambiguous(Vec<UsbAddress>),
-    /// Another program has it.
+    /// Another program holds the device.
     Busy,
-    /// This user may not.
+    /// The user may not open the device.
     PermissionDenied,
-    /// Anything else.
+    /// Any other error of the system.
     Other(io::Error),
 }
 
-/// Longest that a device takes to answer a control transfer.
+/// Longest time that a device takes to answer a control transfer.
 const CONTROL_TIMEOUT: Duration = Duration::from_secs(1);

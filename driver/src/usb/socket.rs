@@ -1,8 +1,8 @@
-//! The endpoints of an emulated device as two sockets in a folder, `ep0` and `ep1`, for machines without USB. Every message is
-//! one transfer; a bulk transfer waits in the socket until the host reads it, as it waits in a device.
+//! The endpoints of an emulated device as two sockets in a folder, `ep0` and `ep1`, for machines without USB. Every
+//! message is one transfer; a bulk transfer waits in the socket until the host reads it, as it waits in a device.
 //!
-//! Control: the host sends a setup packet and the data of an OUT transfer, the device answers with a byte (0 done, 1 stall)
-//! and the data of an IN transfer. Bulk: the device sends.
+//! Control: the host sends a setup packet and the data of an OUT transfer, the device answers with a byte (0 done, 1
+//! stall) and the data of an IN transfer. Bulk: the device sends.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -26,7 +26,7 @@ fn socket(flags: SocketFlags) -> io::Result<OwnedFd> {
     Ok(socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags | SocketFlags::CLOEXEC, None)?)
 }
 
-/// Waits until something can be received, at most so long; whether it can.
+/// Waits until something can be received, at most `timeout`; returns whether it can.
 fn can_receive(socket: &OwnedFd, timeout: Duration) -> io::Result<bool> {
     let end = Instant::now() + timeout;
     loop {
@@ -60,7 +60,7 @@ impl HostSockets {
         Ok(HostSockets { control: to(control)?, data: to(data)?, message: vec![0; 1 + usize::from(u16::MAX)] })
     }
 
-    /// A control transfer; the data of an IN transfer.
+    /// Makes a control transfer; returns the data of an IN transfer.
     pub fn transfer(&mut self, setup: &Setup, data: &[u8]) -> Result<&[u8], TransferError> {
         let lost = TransferError::Lost;
         let request = [setup, data].concat();
@@ -101,18 +101,18 @@ impl Endpoints for HostSockets {
     }
 }
 
-/// The device's side. The folder is made with it and goes with it.
+/// The device's side. The folder is created and removed with it.
 pub(crate) struct DeviceSockets {
     folder: PathBuf,
     listeners: [OwnedFd; 2],
     /// The host's control and bulk connections.
     host: [Option<OwnedFd>; 2],
-    /// A host has gone, and nobody has been told yet.
+    /// A host has disconnected, which [`DeviceSockets::was_abandoned`] has not reported yet.
     was_abandoned: bool,
 }
 
 impl DeviceSockets {
-    /// Makes the folder, in the place of one that an emulated device has left.
+    /// Creates the folder, in place of one that an emulated device has left.
     pub fn bind(folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
         let at = |name| -> io::Result<OwnedFd> {
@@ -135,12 +135,13 @@ impl DeviceSockets {
         })
     }
 
-    /// Where the host finds it.
+    /// Folder to which the host connects.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Waits until there is a control transfer or a new host, or room for a bulk transfer if `write` is set, at most so long.
+    /// Waits until there is a control transfer or a new host, or room for a bulk transfer if `write` is set, at most
+    /// `timeout`.
     pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         let [control, data] = &self.host;
         let vacant = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
@@ -155,7 +156,7 @@ impl DeviceSockets {
         }
     }
 
-    /// Reads a control transfer, setup packet and data; 0 if there is none.
+    /// Reads a control transfer, setup packet and data; returns 0 if there is none.
     pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         for (listener, host) in self.listeners.iter().zip(&mut self.host) {
             if host.is_none() {
@@ -169,7 +170,7 @@ impl DeviceSockets {
         let Some(control) = &self.host[0] else { return Ok(0) };
         match recv(control, buffer, RecvFlags::empty()) {
             Err(Errno::AGAIN | Errno::INTR) => Ok(0),
-            // The host has gone.
+            // The host has disconnected.
             Ok((0, _)) | Err(Errno::CONNRESET) => {
                 (self.host, self.was_abandoned) = ([None, None], true);
                 Ok(0)
@@ -179,12 +180,12 @@ impl DeviceSockets {
         }
     }
 
-    /// Whether the host has gone since this was last asked.
+    /// Returns whether the host has disconnected since the last call.
     pub fn was_abandoned(&mut self) -> bool {
         std::mem::take(&mut self.was_abandoned)
     }
 
-    /// Answers the control transfer: with the data of an IN transfer, or none of an OUT transfer, or by a stall.
+    /// Answers the control transfer: with the data of an IN transfer, with nothing for an OUT transfer, or by a stall.
     pub fn answer(&mut self, data: Option<&[u8]>) -> io::Result<()> {
         let message = match data {
             Some(data) => [&[DONE], data].concat(),
@@ -192,13 +193,13 @@ impl DeviceSockets {
         };
         let Some(control) = &self.host[0] else { return Ok(()) };
         match send(control, &message, SendFlags::NOSIGNAL) {
-            // A host that has gone or does not listen misses it.
+            // A host that has disconnected or does not read loses it.
             Ok(_) | Err(Errno::AGAIN | Errno::INTR | Errno::PIPE | Errno::CONNRESET) => Ok(()),
             Err(e) => Err(e.into()),
         }
     }
 
-    /// Hands over a bulk transfer; 0 if the host has not taken the ones before.
+    /// Sends a bulk transfer; returns 0 if the host has not read the earlier ones.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         let Some(data) = &self.host[1] else { return Ok(0) };
         match send(data, bytes, SendFlags::NOSIGNAL) {
@@ -213,7 +214,7 @@ impl Drop for DeviceSockets {
         for name in NAMES {
             let _ = std::fs::remove_file(self.folder.join(name));
         }
-        // Somebody else's files keep it.
+        // A folder that holds other files stays.
         let _ = std::fs::remove_dir(&self.folder);
     }
 }

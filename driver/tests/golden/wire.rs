@@ -38,7 +38,7 @@ fn requests_mean_what_they_meant() {
             }
         }
     }
-    // As the vendor's client sends them (hardware notes, section 2.9).
+    // As the vendor's client sends them.
     let requests = messages("wire-mcu7-4.txt", "H");
     assert_eq!(requests[0], [0x43, 0x80, 0, 0, 0, 0, 0, 0, 0xA4, 0x62]);
     assert_eq!(requests[2], [0xC0, 0x80, 1, 0, 0, 0, 0x10, 0, 0xD7, 0x45]);

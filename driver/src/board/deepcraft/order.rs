@@ -1,4 +1,4 @@
-//! From chunks to frames and gaps in order. Pure: chunks and the host's clock in, frames and gaps out.
+//! Resequencer of DEEPCRAFT streams. Pure: chunks and the host's clock in, frames and gaps in order out.
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -10,24 +10,24 @@ use crate::protocol::fifo;
 
 pub(super) struct Order {
     waveform: Waveform,
-    /// Frames handed out or given up, and those that wait.
+    /// Sequence number of the next frame: frames handed out, lost or queued before it.
     next_sequence: u64,
-    /// Number of the frame with that sequence number, modulo 2^32.
+    /// Firmware's number of that frame, modulo 2^32.
     next_number: u32,
-    /// The stream has begun anew: how many frames were lost only the host's clock knows.
+    /// Set after a restart of the stream: only the host's clock tells how many frames were lost.
     restarted: Option<GapReason>,
     damaged: bool,
-    /// Gaps that come before the frames that wait.
+    /// Gaps that come before the queued frames.
     gaps: VecDeque<Gap>,
-    /// Frames that the device has dropped since it was set, as far as gaps have been put down to that.
+    /// Frames that the device has dropped since it was configured, as far as gaps account for them.
     dropped: u64,
-    /// Codes of the frames that wait, each in FIFO order, and how many of them have gone.
+    /// Codes of the queued frames, each in FIFO order; the first ones have been handed out.
     codes: Vec<u16>,
     gone: usize,
 }
 
 impl Order {
-    /// A stream whose first frame has this number.
+    /// Resequencer of a stream whose first frame has this number.
     pub fn new(waveform: &Waveform, next_number: u32) -> Self {
         Order {
             waveform: waveform.clone(),
@@ -43,25 +43,25 @@ impl Order {
         }
     }
 
-    /// A chunk was passed over: frames missing now are missing for that reason.
+    /// Notes that a chunk was discarded: the next missing frames have that reason.
     pub fn damaged(&mut self) {
         self.damaged = true;
     }
 
-    /// The stream begins anew.
+    /// Notes that the stream has been restarted.
     pub fn restart(&mut self, reason: GapReason) {
         self.restarted = Some(reason);
         self.damaged = false;
         self.dropped = 0;
     }
 
-    /// Takes a chunk when all before it has been popped. `elapsed` is the host's time since the chunk before.
+    /// Takes a chunk; all before it must have been popped. `elapsed` is the host's time since the chunk before.
     pub fn take(&mut self, frame_number: u32, frame_count: usize, codes: &[[u8; 2]], elapsed: Duration) {
         let missing = match self.restarted.take() {
             Some(reason) => {
                 // Both chunks came when their last frames were complete.
                 let intervals = elapsed.as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
-                // What was cut short is lost at least.
+                // At least the frame that was cut short is lost.
                 let missing = (intervals.round() as u64).saturating_sub(frame_count as u64).max(1);
                 Some((missing, reason))
             }
@@ -86,19 +86,19 @@ impl Order {
         self.gone = 0;
     }
 
-    /// Whether the numbers of the frames that wait have jumped, and nothing else says why.
+    /// Returns whether the numbers of the queued frames have jumped for an unknown reason.
     pub fn wants_to_know(&self) -> bool {
         self.gaps.back().is_some_and(|gap| gap.reason == GapReason::PacketLost)
     }
 
-    /// The device says how many frames it has dropped since it was set: they were not lost on the line.
+    /// Takes the number of frames that the device has dropped since it was configured: those were not lost on the line.
     pub fn explain(&mut self, dropped: u64) {
         let by_device = dropped.saturating_sub(self.dropped);
         let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
             return;
         };
         let frames = by_device.min(gap.frames);
-        // Those beyond it are missing later on the line.
+        // Dropped frames beyond this gap are missing later on the line.
         self.dropped += frames;
         let rest = Gap { first_sequence: gap.first_sequence + frames, frames: gap.frames - frames, ..*gap };
         *gap = Gap { frames, reason: GapReason::FifoOverflow, ..*gap };
@@ -107,7 +107,7 @@ impl Order {
         }
     }
 
-    /// The next frame or gap. The frame's memory is used again.
+    /// Pops the next frame or gap into `frame`, whose memory is reused.
     pub fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
         if let Some(gap) = self.gaps.pop_front() {
             return Some(SourceEvent::Gap(gap));
@@ -204,8 +204,8 @@ mod tests {
         assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
     }
 
-    /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the new
-    /// one holds two.
+    /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the
+    /// new one holds two.
     #[test]
     fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
         let (mut order, mut frame) = order();

@@ -1,4 +1,4 @@
-//! Frames as a DEEPCRAFT board sends them.
+//! Frame stream of a DEEPCRAFT board.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
@@ -16,23 +16,23 @@ use crate::protocol::deepcraft::{
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
 const SILENCE: Duration = Duration::from_millis(5);
-/// After so long without a byte the rest of a message will not come. What comes later still is told from it by its form.
+/// Silence after which the rest of a message will not come. Later bytes are told from it by their form.
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
-/// Longest wait for a board to say how many frames it has dropped.
+/// Longest wait for the number of frames that the board has dropped.
 const EXPLANATION: Duration = Duration::from_millis(300);
 
 /// A running acquisition. It ends with [`DeepcraftStream::stop`] or when dropped.
 ///
-/// A board with a watchdog stops by itself unless it hears from the host. It is told that the host is alive whenever the
-/// stream is polled and a third of the watchdog's time has passed; who does not poll for longer than that time finds the
-/// stream started anew, and what was not measured meanwhile as a gap.
+/// A board with a watchdog stops by itself unless it hears from the host. The stream resets the watchdog when it is
+/// polled and a third of the watchdog's time has passed. If it is not polled for longer than the whole time, the stream
+/// is started anew and reports a gap.
 ///
 /// When frame numbers jump, the board is asked how many frames it has dropped itself, so that the gap has its reason.
 pub struct DeepcraftStream {
     board: Option<DeepcraftBoard>,
     setting: Setting,
-    /// Place of the stream among those of the radar.
+    /// Index of the stream among those of the radar.
     stream_index: usize,
     parser: ChunkParser,
     order: Order,
@@ -41,14 +41,14 @@ pub struct DeepcraftStream {
     watchdog: Option<Duration>,
     watchdog_reset: Instant,
     restart: Option<GapReason>,
-    /// The board has been asked why frame numbers jumped, and may answer until then.
+    /// Deadline for the board's answer about dropped frames, while one is awaited.
     asked_until: Option<Instant>,
     path: PathBuf,
     uuid: String,
     reconnect: Option<Reconnect>,
     outage: Outage,
     last_byte: Instant,
-    /// When the last chunk came, or the stream began.
+    /// Time at which the last chunk came, or the stream began.
     last_chunk: Instant,
     losses: Losses,
 }
@@ -59,7 +59,7 @@ impl DeepcraftStream {
         let stream = board.set(&setting)?;
         let layout = ChunkLayout { device: board.device, stream: stream.index, frame_codes: shape.codes() };
         let parser = ChunkParser::new(layout, stream.next_number);
-        // Small frames come together, when they fill what the firmware reads at once.
+        // Small frames come together when they fill one read of the firmware.
         let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
         let now = Instant::now();
         let mut stream = DeepcraftStream {
@@ -106,26 +106,26 @@ impl DeepcraftStream {
         self.begin()
     }
 
-    /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
-    /// then waits for it, and what was lost meanwhile is a gap counted by the host's clock.
+    /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
+    /// for it. The frames lost meanwhile become a gap, counted by the host's clock.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
         self.reconnect = Some(policy);
         self
     }
 
-    /// Frames lost so far for this reason.
+    /// Number of frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
         self.losses.frames(reason)
     }
 
-    /// Registers that the board was given; none where it has them built in.
+    /// Register list that was sent to the board; empty for a preset of the firmware.
     pub fn registers(&self) -> &RegisterList {
         &self.setting.registers
     }
 
-    /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
+    /// Opens the port again until the board answers and measures; returns `error` if it does not.
     fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be had.
+        // The old port must be closed before the new one can be opened.
         self.board = None;
         self.restart = None;
         policy.until_back(self.outage.noticed(self.last_chunk), error, || {
@@ -142,7 +142,11 @@ impl DeepcraftStream {
         })
     }
 
-    /// The next frame or gap, or `None` if it is not there within `timeout`.
+    /// Reads the next frame or gap; `None` if none is there within `timeout`.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the connection breaks, the board reports an error or refuses to start again, or the stream was
+    /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let end = Instant::now() + timeout;
         let mut tried = false;
@@ -164,7 +168,7 @@ impl DeepcraftStream {
                 self.order.restart(reason);
                 self.begin_anew()?;
             }
-            // What has come is handed out before more is taken.
+            // Queued frames are handed out before the next chunk is parsed.
             let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
             match event {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
@@ -203,7 +207,7 @@ impl DeepcraftStream {
         if self.asked_until.is_some() { None } else { self.order.pop(frame) }
     }
 
-    /// Asks how many frames the device has dropped.
+    /// Asks the device for the number of frames that it has dropped.
     fn ask(&mut self) -> Result<(), BoardError> {
         let board = self.board()?;
         let (device, tag) = (board.device, board.link.next_tag());
@@ -213,7 +217,7 @@ impl DeepcraftStream {
         Ok(())
     }
 
-    /// Takes the answer to that, or gives up waiting for it.
+    /// Takes the answer about dropped frames, or gives up after its deadline.
     fn hear_explanation(&mut self) {
         let Some(until) = self.asked_until else { return };
         if let Some(answer) = self.parser.expected() {
@@ -228,7 +232,7 @@ impl DeepcraftStream {
         }
     }
 
-    /// Waits for bytes, at most so long, and notes silence.
+    /// Reads bytes, waiting at most `timeout`, and notes silence.
     fn receive(&mut self, timeout: Duration) -> Result<(), BoardError> {
         let longest = if self.parser.is_waiting() { SILENCE } else { Duration::from_millis(50) };
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
@@ -261,13 +265,16 @@ impl DeepcraftStream {
         Ok(())
     }
 
-    /// The next frame or gap, or an error after the deadline.
+    /// Reads the next frame or gap; fails after the deadline.
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         let waited = self.deadline;
         self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
 
-    /// Stops the acquisition and gives the board back.
+    /// Stops the acquisition and returns the board.
+    ///
+    /// # Errors
+    /// An error of the connection, or [`BoardError::Stopped`] if it has been stopped before.
     pub fn stop(mut self) -> Result<DeepcraftBoard, BoardError> {
         let mut board = self.board.take().ok_or(BoardError::Stopped)?;
         board.link.stop()?;

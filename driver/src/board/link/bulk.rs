@@ -8,9 +8,9 @@ use crate::protocol::strata::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL
 use crate::protocol::strata::{BoardEvent, Request, RequestKind, Status};
 use crate::usb::{self, Endpoints, OpenError, Setup, TransferError, UsbAddress};
 
-/// Ids of a board whose firmware was built for this.
+/// Vendor and product id of firmware built for bulk transfers.
 const USB_ID: (u16, u16) = (0x058B, 0x0252);
-/// After so long without a transfer a board that was stopped has no more to send.
+/// Silence after which a stopped board sends nothing more.
 const DRAINED: Duration = Duration::from_millis(50);
 
 pub(super) struct Bulk {
@@ -18,7 +18,7 @@ pub(super) struct Bulk {
     parser: BulkParser,
     buffer: Vec<u8>,
     last_byte: Instant,
-    /// The rest of a packet did not come.
+    /// Set when the rest of a packet did not come.
     cut: bool,
 }
 
@@ -32,7 +32,7 @@ impl From<TransferError> for Failure {
 }
 
 impl Bulk {
-    /// Opens the device. Also gives how to find it when it has been plugged in anew.
+    /// Opens the device. Also returns the address under which it is found when it has been plugged in anew.
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
         let path = address.name();
         wire::opened(&path.display());
@@ -51,7 +51,7 @@ impl Bulk {
 
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
         let count = match self.endpoints.read_bulk(&mut self.buffer, timeout) {
-            // The endpoint is halted: as good as gone.
+            // A halted endpoint counts as a lost board.
             Err(TransferError::Stall) => {
                 return Err(Failure::Lost(std::io::Error::other("the data endpoint is halted")));
             }
@@ -95,7 +95,7 @@ impl Bulk {
                 payload.truncate(count);
                 Ok((Status::Ok, payload))
             }
-            // It cannot have gone well: the firmware has nothing to say against it then.
+            // The firmware stalled and reports no error: the request failed all the same.
             Err(TransferError::Stall) => match self.last_error()? {
                 Status::Ok => Ok((Status::Failed, Vec::new())),
                 status => Ok((status, Vec::new())),
@@ -124,7 +124,8 @@ impl Bulk {
         Ok(error.status)
     }
 
-    /// Takes what a stopped board has left in its endpoint: it would be mistaken for what comes after the next start.
+    /// Discards the packets that a stopped board has left in its endpoint: they would be taken for those after the next
+    /// start.
     pub fn drain(&mut self) -> Result<(), Failure> {
         let end = Instant::now() + ANSWER_TIMEOUT;
         while Instant::now() < end && self.endpoints.read_bulk(&mut self.buffer, DRAINED)? > 0 {}

@@ -1,4 +1,4 @@
-//! Requests and packets, whatever carries them.
+//! Requests and packets of the MCU7 protocol over a serial port or USB.
 
 mod bulk;
 mod serial;
@@ -12,22 +12,22 @@ use bulk::Bulk;
 use serial::Serial;
 pub(super) use serial::{open_port, read_more, read_within};
 
-/// Longest that a board takes to answer.
+/// Longest time that a board takes to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
-/// After so long without a byte the rest of a message will not come.
+/// Silence after which the rest of a message will not come.
 const SILENCE: Duration = Duration::from_millis(200);
 
-/// What came over the line.
+/// Received data.
 pub(super) enum Incoming<'a> {
     Packet(Packet<'a>),
     Damaged,
 }
 
-/// Why a carrier failed.
+/// Failure of a carrier.
 enum Failure {
-    /// Nothing came back.
+    /// No answer came.
     NoAnswer,
-    /// The board has gone.
+    /// The connection broke.
     Lost(std::io::Error),
 }
 
@@ -36,11 +36,11 @@ enum Carrier {
     Bulk(Bulk),
 }
 
-/// A board's line.
+/// Connection to a board.
 pub(super) struct Link {
-    /// Where the board is, for messages.
+    /// Name of the board's address in messages.
     pub path: PathBuf,
-    /// Where it will be when it has been plugged in anew.
+    /// Address under which the board is found when it has been plugged in anew.
     pub address: Address,
     /// Version that requests are sent in.
     pub protocol: Protocol,
@@ -60,7 +60,7 @@ impl Link {
         Ok(Link { path, address, protocol: Protocol::default(), carrier })
     }
 
-    /// How data packets travel.
+    /// Framing of data packets on this transport.
     pub fn framing(&self) -> Framing {
         match self.carrier {
             Carrier::Serial(_) => Framing::Serial,
@@ -76,7 +76,7 @@ impl Link {
         }
     }
 
-    /// Waits for data, at most so long; whether any came.
+    /// Waits for data, at most `timeout`; returns whether any came.
     pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
         let received = match &mut self.carrier {
             Carrier::Serial(serial) => serial.receive(timeout),
@@ -85,7 +85,7 @@ impl Link {
         received.map_err(|failure| self.error(failure, "data"))
     }
 
-    /// The next packet among the bytes received; answers that nobody waits for are passed over.
+    /// Returns the next packet among the bytes received; answers to earlier requests are discarded.
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
         let incoming = match &mut self.carrier {
             Carrier::Serial(serial) => serial.next_incoming(),
@@ -99,7 +99,7 @@ impl Link {
         incoming
     }
 
-    /// Sends a request and waits for its answer. When this returns from stopping the data, no packet sent before is left.
+    /// Sends a request and waits for its answer. After [`Command::StopData`] no packet sent before is left.
     pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
         let request: Request = command.to_request(self.protocol);
         let answered = match &mut self.carrier {
@@ -114,7 +114,7 @@ impl Link {
         answered.map_err(|failure| self.error(failure, name(command)))
     }
 
-    /// Sends a request that must succeed and gives the answer's payload.
+    /// Sends a request that must succeed; returns the payload of the answer.
     pub fn demand(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
         match self.request(command)? {
             (Status::Ok, payload) => Ok(payload),
@@ -123,7 +123,7 @@ impl Link {
     }
 }
 
-/// What a command is for, in words.
+/// Name of a command in messages.
 fn name(command: &Command) -> &'static str {
     match command {
         Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",

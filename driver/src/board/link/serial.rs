@@ -23,12 +23,12 @@ pub(super) struct Serial {
     last_byte: Instant,
 }
 
-/// Opens a serial port for this program alone.
+/// Opens a serial port for exclusive use.
 pub(in crate::board) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort, BoardError> {
     let name = path.to_string_lossy();
     wire::opened(&path.display());
     serialport::new(name, baud_rate).timeout(Duration::from_millis(20)).open_native().map_err(|e| {
-        // The crate says so of a port that another program holds; one that is not there is an `Io` error.
+        // The crate reports `NoDevice` for a port that another program holds, and `Io` for one that does not exist.
         let is_held = e.kind() == serialport::ErrorKind::NoDevice;
         let source = std::io::Error::from(e);
         match source.kind() {
@@ -39,8 +39,8 @@ pub(in crate::board) fn open_port(path: &Path, baud_rate: u32) -> Result<TTYPort
     })
 }
 
-/// Reads what comes, waiting for it at most so long. A read of the port by itself waits as well, but makes an error each time
-/// that nothing comes, which allocates.
+/// Reads bytes, waiting at most `timeout`. A plain read of the port waits too, but makes an error each time that
+/// nothing comes, which allocates.
 pub(in crate::board) fn read_within(
     port: &mut TTYPort,
     timeout: Duration,
@@ -56,7 +56,7 @@ pub(in crate::board) fn read_within(
     }
 }
 
-/// Appends what comes within some milliseconds.
+/// Appends the bytes that come within some milliseconds.
 pub(in crate::board) fn read_more(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<(), BoardError> {
     let mut buffer = [0; 4096];
     let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
@@ -103,7 +103,7 @@ impl Serial {
 
     pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
         loop {
-            // Looking at a message and keeping it are two steps for the borrow checker's sake.
+            // Peeking and taking are two steps because the borrow checker asks for it.
             match self.parser.peek_is_response()? {
                 true => {
                     self.parser.next_event();

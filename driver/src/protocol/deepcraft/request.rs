@@ -1,4 +1,4 @@
-//! What a host asks, as protobuf defines it. Fields that are absent are zero.
+//! Requests of a host, as protobuf defines them. Absent fields are zero.
 
 use prost::{Message, Oneof};
 
@@ -8,7 +8,7 @@ use super::response::DataChunk;
 /// Device number that stands for all of them where a request allows it.
 pub const ALL_DEVICES: i32 = -1;
 
-/// What the host asks.
+/// Request of the host.
 #[derive(Clone, PartialEq, Message)]
 pub struct Request {
     /// The request proper.
@@ -19,7 +19,7 @@ pub struct Request {
 /// Kinds of request. Start, stop and the resets have no answer unless something is wrong with them.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Command {
-    /// Who are you?
+    /// Request for the capabilities.
     #[prost(message, tag = "1")]
     Capabilities(CapabilitiesRequest),
     /// Sets options of a device that is not active.

@@ -1,19 +1,20 @@
-//! The same requests and packets over USB control and bulk transfers, as firmware built with `COMMUNICATION_LIBUSB` and the
-//! vendor's host library have it. No shipped firmware is: nothing here has met a board.
+//! Requests and packets over USB control and bulk transfers, as in firmware built with `COMMUNICATION_LIBUSB` and in
+//! the vendor's host library. No shipped firmware is built so: nothing here has been tested with a board.
 //!
 //! A request's header is a control transfer's setup packet, bit for bit.
 //!
-//! - *write* (0x40): one OUT transfer. The device always acknowledges it; how it went, [`LastError`] tells.
-//! - *read* (0xC0): one IN transfer. A failure stalls the endpoint; why, [`LastError`] tells.
+//! - *write* (0x40): one OUT transfer. The device always acknowledges it; [`LastError`] tells its status.
+//! - *read* (0xC0): one IN transfer. A failure stalls the endpoint; [`LastError`] tells the reason.
 //! - *transfer* (0x43): an OUT transfer with the payload, which the firmware acts upon, then an IN transfer of kind
 //!   [`ANSWER`] with the same request, value and index, which fetches the answer or stalls.
 //!
-//! Data packets come on bulk endpoint [`DATA_ENDPOINT`], each a transfer of its own: the six-byte header, then the payload,
-//! no CRC. USB itself checks every packet on the cable and repeats it where it must, so what a CRC would add is a check of the
-//! software at both ends. Without it these go unseen: bits that turn in the board's memory or the host's, and a payload
-//! that was replaced by another of its length. A flag that turns may make a data packet the report that the board has given
-//! up; it is then opened again. These are seen: a header that is none, a length that is not what came, packets
-//! that are lost, doubled or out of order (by their counter), and packets that are not as long as the slice has them.
+//! Data packets come on bulk endpoint [`DATA_ENDPOINT`], each a transfer of its own: the six-byte header, then the
+//! payload, no CRC. USB itself checks every packet on the cable and repeats it if necessary, so that a CRC would add a
+//! check of the software at both ends only. Without it these errors are not detected: inverted bits in the memory of
+//! the board or the host, and a payload replaced by another of its length. An inverted flag may turn a data packet into
+//! an error packet; the board is then opened again. These errors are detected: an invalid header, a length that differs
+//! from the transfer's, packets that are lost, doubled or out of order (by their counter), and packets of another
+//! length than the slice's.
 
 use super::{BoardEvent, Framing, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Status};
 
@@ -26,12 +27,12 @@ pub const MAX_BULK: usize = Packet::HEADER_LENGTH + Framing::Bulk.max_packet_pay
 /// Number of the bulk IN endpoint.
 pub const DATA_ENDPOINT: u8 = 1;
 
-/// How the last request went, which a control transfer cannot say by itself.
+/// Status of the last request, which a control transfer cannot report.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LastError {
     /// bmRequestType of that request.
     pub kind_code: u8,
-    /// How it went.
+    /// Status of that request.
     pub status: Status,
 }
 
@@ -39,7 +40,7 @@ impl LastError {
     /// Bytes of the answer.
     pub const LENGTH: usize = 4;
 
-    /// Asks for it. The firmware answers this in any state, and the question leaves it as it is.
+    /// Returns the request for it, which the firmware answers in any state and which does not change it.
     pub fn request() -> Request {
         Request {
             protocol: Protocol::V4,
@@ -52,37 +53,37 @@ impl LastError {
         }
     }
 
-    /// The four bytes; the last two are a length that is not used.
+    /// Encodes the four bytes; the last two are a length that is not used.
     pub fn encode(self) -> [u8; Self::LENGTH] {
         [self.kind_code, self.status.code(), 0, 0]
     }
 
-    /// From the four bytes.
+    /// Decodes the four bytes.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let &[kind_code, status, _, _] = bytes else { return None };
         Some(LastError { kind_code, status: Status::from_code(status) })
     }
 }
 
-/// What a control transfer asks of the firmware.
+/// Decoded control transfer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Control {
     /// A request, with its payload.
     Request(Request),
-    /// The answer to the *transfer* before.
+    /// Fetch of the answer to the *transfer* before.
     Answer {
-        /// Longest answer wanted.
+        /// Longest answer that the host takes, bytes.
         length: u16,
     },
-    /// A kind that the firmware does not know.
+    /// Kind that the firmware does not know.
     Unknown {
-        /// It.
+        /// Byte of the kind.
         kind_code: u8,
     },
 }
 
 impl Control {
-    /// From the setup packet and the data of an OUT transfer.
+    /// Decodes the setup packet and the data of an OUT transfer.
     pub fn decode(setup: &[u8; REQUEST_HEADER_LENGTH], data: &[u8]) -> Self {
         let &[kind_code, .., l0, l1] = setup;
         match RequestKind::from_code(kind_code) {
@@ -93,20 +94,20 @@ impl Control {
     }
 }
 
-/// The setup packet that fetches the answer to a *transfer*.
+/// Returns the setup packet that fetches the answer to a *transfer*.
 pub fn answer_setup(request: &Request) -> [u8; REQUEST_HEADER_LENGTH] {
     let [_, request, v0, v1, i0, i1, ..] = request.header();
     let [l0, l1] = (MAX_CONTROL as u16).to_le_bytes();
     [ANSWER, request, v0, v1, i0, i1, l0, l1]
 }
 
-/// Whether the data stage of a control transfer goes to the host.
+/// Returns whether the data stage of a control transfer goes to the host.
 pub fn is_in(setup: &[u8; REQUEST_HEADER_LENGTH]) -> bool {
     setup[0] & 0x80 != 0
 }
 
-/// Finds data packets in what was read from the bulk endpoint. A transfer holds one packet, and ends with a USB packet that is
-/// not full; a read that ran out of time has got whole USB packets only, and the next read gets the rest.
+/// Parser of data packets from the bulk endpoint. A transfer holds one packet and ends with a USB packet that is not
+/// full. A read that timed out holds whole USB packets only; the next read gets the rest.
 #[derive(Debug, Default)]
 pub struct BulkParser {
     buffer: Vec<u8>,
@@ -116,7 +117,7 @@ pub struct BulkParser {
 }
 
 impl BulkParser {
-    /// An empty parser that allocates nothing as long as packets are taken out between pushes.
+    /// Creates an empty parser that allocates nothing as long as packets are taken out between pushes.
     pub fn new() -> Self {
         BulkParser { buffer: Vec::with_capacity(2 * MAX_BULK), used: 0, ended: false }
     }
@@ -129,14 +130,13 @@ impl BulkParser {
         self.ended = !bytes.len().is_multiple_of(Framing::USB_PACKET);
     }
 
-    /// The next packet; `None` until more bytes come. Where no header stands, or its packet is longer than its transfer,
-    /// everything received is given up: the next transfer begins with a header again, and nothing tells one within garbage
-    /// from chance.
+    /// Returns the next packet; `None` until more bytes come. If the bytes do not begin with a header, or the packet is
+    /// longer than its transfer, everything received is discarded: the next transfer begins with a header again.
     pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
         let rest = self.buffer.get(self.used..).filter(|rest| !rest.is_empty())?;
         let header = rest.first_chunk::<{ Packet::HEADER_LENGTH }>();
         let packet = header.map(|header| Packet::header(Framing::Bulk, header));
-        // Behind a packet that fills whole USB packets nothing ends its transfer: others may follow, as whole as it is.
+        // A packet that fills whole USB packets does not end its transfer: further whole packets may follow.
         let is_whole = |length: usize| match rest.get(Packet::HEADER_LENGTH + length..) {
             Some([]) => true,
             Some(more) => {
@@ -148,7 +148,8 @@ impl BulkParser {
         };
         let length = match packet {
             Some(Some((_, length))) if is_whole(length) => length,
-            // Any other ends where its transfer does: what goes on behind it was cut, and completed by another.
+            // Any other packet ends with its transfer: one with bytes behind it was cut and completed by another
+            // transfer.
             Some(Some((_, length))) if rest.len() > Packet::HEADER_LENGTH + length => {
                 return Some(BoardEvent::Damaged { bytes: self.give_up() });
             }
@@ -163,12 +164,12 @@ impl BulkParser {
         Some(BoardEvent::Packet(Packet { flags, channel: header[1], counter, payload }))
     }
 
-    /// Whether a packet waits for its rest.
+    /// Returns whether a packet waits for its rest.
     pub fn is_waiting(&self) -> bool {
         self.used < self.buffer.len()
     }
 
-    /// Gives up on the packet whose rest has not come; how many bytes of it there were.
+    /// Discards the packet whose rest has not come; returns the number of its bytes.
     pub fn give_up(&mut self) -> usize {
         let given_up = self.buffer.len() - self.used.min(self.buffer.len());
         self.used = self.buffer.len();

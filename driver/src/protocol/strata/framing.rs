@@ -1,8 +1,8 @@
-//! The two ways that packets travel.
+//! Framing of data packets.
 
 use super::{MAX_MESSAGE, Packet};
 
-/// How data packets travel, which decides how long they may be and what guards them.
+/// Framing of data packets, which decides their longest payload and whether they have a CRC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Framing {
     /// One after another on the serial port, each with a CRC.

@@ -1,10 +1,9 @@
-//! The wire protocol of the Radar Baseboard MCU7, versions 4 and 3, on its CDC serial port (reference: hardware notes
-//! section 2).
+//! Protocol of the Radar Baseboard MCU7 (vendor's name: Strata), versions 4 and 3, on its CDC serial port.
 //!
 //! The host sends a [`Request`], the board answers with a [`Response`]. While data runs, the board also sends
-//! [`Packet`]s on its own account; a response may come between two packets but never within one. A *slice* of the chip's
-//! FIFO is cut into packets; it is not a radar frame. All integers are little-endian but the CRC, which is big-endian.
-//! Firmware built for it says the same over USB's control and bulk transfers ([`bulk`]).
+//! [`Packet`]s on its own account; a response may come between two packets but never within one. A *slice* of the
+//! chip's FIFO is cut into packets; it is not a radar frame. All integers are little-endian but the CRC, which is
+//! big-endian. Firmware built for it uses USB's control and bulk transfers instead ([`bulk`]).
 
 pub mod bulk;
 mod framing;
@@ -30,7 +29,7 @@ pub const MAX_MESSAGE: usize = 4095;
 pub const COMPONENT_AVIAN: u16 = 0x0103;
 /// Component type of all radar chips, version 3.
 pub const COMPONENT_RADAR: u16 = 0x0001;
-/// What version 3 answers for the implementation of a radar component that is a BGT60TRxx chip.
+/// Implementation that version 3 reports for a radar component that is a BGT60TRxx chip.
 pub const IMPLEMENTATION_AVIAN: u8 = 3;
 /// Register address that stands for the FIFO in a data configuration.
 pub const FIFO_ADDRESS: u16 = 0x60;

@@ -36,7 +36,7 @@ impl PacketFlags {
 /// A piece of a slice, its payload borrowed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'a> {
-    /// What it is.
+    /// Number of the reason.
     pub flags: PacketFlags,
     /// Data index.
     pub channel: u8,
@@ -107,7 +107,7 @@ impl<'a> Packet<'a> {
         }
     }
 
-    /// What an error packet reports.
+    /// Decodes the error of an error packet.
     pub fn error(&self) -> Option<DataError> {
         let code = self.payload.first_chunk().filter(|_| self.flags.error).map(|c| u32::from_le_bytes(*c))?;
         Some(if code == 7 { DataError::FifoOverflow } else { DataError::Other(code) })

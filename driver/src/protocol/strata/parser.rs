@@ -1,16 +1,16 @@
-//! Messages out of a stream of bytes that may hold garbage.
+//! Parsers of messages in a stream of bytes that may hold garbage.
 
 use super::{Framing, MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
 use crate::protocol::crc::crc16;
 
-/// What a board sent.
+/// Message of a board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BoardEvent<'a> {
     /// An answer.
     Response(Response<'a>),
     /// A piece of data.
     Packet(Packet<'a>),
-    /// Bytes that are no message were skipped, or a message whose CRC is wrong.
+    /// Skipped bytes that are not a message, or a message whose CRC is wrong.
     Damaged {
         /// Bytes skipped.
         bytes: usize,
@@ -18,7 +18,7 @@ pub enum BoardEvent<'a> {
 }
 
 enum Candidate {
-    /// Needs this many bytes to decide.
+    /// More bytes are needed to decide.
     Incomplete,
     /// No message begins here.
     No,
@@ -54,8 +54,8 @@ fn candidate(bytes: &[u8]) -> Candidate {
     }
 }
 
-/// Finds the messages of a board in what the host received. A message counts only if its CRC is right; after a wrong
-/// one the search goes on at the next byte, so that a message cut short does not take its successor with it.
+/// Parser of the messages of a board. A message counts only if its CRC is right; after a wrong CRC the search continues
+/// at the next byte, so that a message that was cut short does not hide its successor.
 #[derive(Debug, Default)]
 pub struct BoardParser {
     buffer: Vec<u8>,
@@ -66,13 +66,13 @@ pub struct BoardParser {
 }
 
 impl BoardParser {
-    /// An empty parser.
+    /// Creates an empty parser.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// An empty parser that allocates nothing as long as at most so many bytes at a time are pushed, and taken out as
-    /// far as they are whole.
+    /// Creates an empty parser that allocates nothing as long as at most so many bytes at a time are pushed, and taken
+    /// out as far as they are whole.
     pub fn with_capacity(bytes: usize) -> Self {
         BoardParser { buffer: Vec::with_capacity(bytes + MAX_MESSAGE), ..Self::default() }
     }
@@ -86,7 +86,7 @@ impl BoardParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next message or stretch of garbage; `None` until more bytes come.
+    /// Returns the next message or stretch of garbage; `None` until more bytes come.
     pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
         let start = self.used;
         if let Some(length) = self.checked.take() {
@@ -111,7 +111,7 @@ impl BoardParser {
         }
     }
 
-    /// Whether the next event is an answer; `None` until more bytes come.
+    /// Returns whether the next event is an answer; `None` until more bytes come.
     pub fn peek_is_response(&mut self) -> Option<bool> {
         let rest = self.buffer.get(self.used..).unwrap_or(&[]);
         let candidate = match self.checked {
@@ -128,14 +128,14 @@ impl BoardParser {
         }
     }
 
-    /// To be called when the line has been silent: a message that is still incomplete will not come any more, and its
-    /// header may have been garbage that hides a real message. Gives up on one byte; ask [`Self::next_event`] again.
+    /// Notes that the line has been silent: the rest of an incomplete message will not come, and its header may have
+    /// been garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
     pub fn on_silence(&mut self) {
         self.checked = None;
         self.used = (self.used + 1).min(self.buffer.len());
     }
 
-    /// Whether the start of a message waits for the rest.
+    /// Returns whether the start of a message waits for the rest.
     pub fn is_waiting(&self) -> bool {
         self.used < self.buffer.len()
     }
@@ -161,21 +161,21 @@ fn decode(message: &[u8]) -> Option<BoardEvent<'_>> {
     Some(BoardEvent::Response(Response { kind_code, status: Status::from_code(status), payload }))
 }
 
-/// What a host sent, as the firmware sees it.
+/// Message of a host, as the firmware parses it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum HostEvent {
     /// A request.
     Request(Request),
-    /// Something that the firmware refuses with this status; the first byte is echoed.
+    /// Bytes that the firmware refuses with this status; its answer repeats the first byte.
     Refused {
-        /// First byte of what came.
+        /// First byte of the refused bytes.
         kind_code: u8,
         /// Why.
         status: Status,
     },
 }
 
-/// Finds requests in what a board received, refusing what the firmware refuses.
+/// Parser of requests to a board, which refuses what the firmware refuses.
 #[derive(Debug, Default)]
 pub struct HostParser {
     protocol: Protocol,
@@ -183,7 +183,7 @@ pub struct HostParser {
 }
 
 impl HostParser {
-    /// An empty parser of firmware that speaks this version.
+    /// Creates an empty parser of firmware that speaks this version.
     pub fn new(protocol: Protocol) -> Self {
         HostParser { protocol, buffer: Vec::new() }
     }
@@ -198,8 +198,8 @@ impl HostParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next request; `None` until more bytes come. What is refused empties the buffer, as the firmware flushes
-    /// its input then.
+    /// Returns the next request; `None` until more bytes come. What is refused empties the buffer, as the firmware
+    /// flushes its input then.
     pub fn next_event(&mut self) -> Option<HostEvent> {
         let header: &[u8; REQUEST_HEADER_LENGTH] = self.buffer.first_chunk()?;
         let kind_code = header[0];

@@ -51,7 +51,7 @@ impl SpiWord {
 pub enum RequestKind {
     /// Payload to the board.
     Write,
-    /// Payload from the board; the header's length is what is wanted.
+    /// Payload from the board; the header's length is the length wanted.
     Read,
     /// Payload both ways.
     Transfer,
@@ -60,7 +60,7 @@ pub enum RequestKind {
 impl RequestKind {
     const ALL: [RequestKind; 3] = [RequestKind::Write, RequestKind::Read, RequestKind::Transfer];
 
-    /// Byte on the wire.
+    /// Returns the byte on the wire.
     pub fn code(self, protocol: Protocol) -> u8 {
         match (self, protocol) {
             (RequestKind::Write, Protocol::V4) => 0x40,
@@ -72,14 +72,14 @@ impl RequestKind {
         }
     }
 
-    /// From the byte on the wire, which also tells the version.
+    /// Decodes the byte on the wire, which also tells the version.
     pub fn from_code(code: u8) -> Option<(Self, Protocol)> {
         let pairs = Protocol::ALL.into_iter().flat_map(|p| RequestKind::ALL.into_iter().map(move |k| (k, p)));
         pairs.into_iter().find(|(kind, protocol)| kind.code(*protocol) == code)
     }
 }
 
-/// A request as it stands on the wire.
+/// Request as on the wire.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Request {
     /// Version whose codes it has.
@@ -94,7 +94,7 @@ pub struct Request {
     pub index: u16,
     /// Bytes of payload sent, or wanted by a read (wLength).
     pub length: u16,
-    /// What is sent.
+    /// Payload.
     pub payload: Vec<u8>,
 }
 
@@ -124,7 +124,10 @@ impl Request {
         RequestKind::from_code(header[0]).map(|(kind, _)| if kind == RequestKind::Read { 0 } else { length })
     }
 
-    /// From one whole message.
+    /// Decodes one whole message.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the length, the type or the CRC is wrong.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         let short = DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + 2 };
         let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>().ok_or(short)?;
@@ -139,7 +142,7 @@ impl Request {
         Ok(Request::new(kind, protocol, header, rest.get(..payload).unwrap_or(&[])))
     }
 
-    /// From its header, whose kind has been told, and its payload.
+    /// Creates a request from its header, whose kind is decoded already, and its payload.
     pub(super) fn new(
         kind: RequestKind,
         protocol: Protocol,
@@ -152,7 +155,7 @@ impl Request {
     }
 }
 
-/// Bytes that are no request.
+/// Error of bytes that are not a request.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum DecodeError {
     /// Too few or too many bytes.
@@ -168,7 +171,7 @@ pub enum DecodeError {
         "strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer), in version 3 0x41, 0xc1 or 0xe1"
     )]
     Kind {
-        /// What was given.
+        /// First byte.
         got: u8,
     },
     /// The CRC disagrees.
@@ -176,7 +179,7 @@ pub enum DecodeError {
     Crc,
 }
 
-/// How the board packs samples.
+/// Packing of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataFormat {
     /// Two codes in three bytes.
@@ -194,7 +197,7 @@ impl DataFormat {
     }
 }
 
-/// What a request means: the part of the protocol that this program uses.
+/// Meaning of a request: the part of the protocol that this program uses.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Command {
     /// USB ids and name.
@@ -210,12 +213,12 @@ pub enum Command {
     Uuid,
     /// Free text about the firmware.
     ExtendedVersion,
-    /// How many components of a type the board has.
+    /// Number of components of a type that the board has.
     ComponentCount {
         /// Type, such as [`COMPONENT_AVIAN`](super::COMPONENT_AVIAN).
         component: u16,
     },
-    /// Which implementation of a component type the board has (version 3 only).
+    /// Implementation of a component type that the board has (version 3 only).
     ComponentImplementation {
         /// Type, such as [`COMPONENT_RADAR`].
         component: u16,
@@ -233,7 +236,7 @@ pub enum Command {
     ReadRegisters {
         /// First register.
         address: u8,
-        /// How many.
+        /// Number of registers.
         count: u8,
     },
     /// Sets bits of a register and leaves its others as they are.
@@ -251,10 +254,10 @@ pub enum Command {
     Execute {
         /// The words.
         words: Vec<SpiWord>,
-        /// Whether what the chip answers comes back.
+        /// Whether the response holds the answers of the chip.
         answer: bool,
     },
-    /// Says how the FIFO is to be read. Stops a running acquisition.
+    /// Configures how the FIFO is read. Stops a running acquisition.
     ConfigureData {
         /// Packing of samples.
         format: DataFormat,
@@ -285,7 +288,8 @@ const SET_BITS: u16 = function(3, 2);
 const DATA_INDEX_V3: u16 = function(0, 7);
 
 impl Command {
-    /// As a request. What a version does not know is encoded as in the other: the board will refuse it.
+    /// Encodes the command as a request. A command that the version lacks is encoded as in the other one: the board
+    /// refuses it.
     pub fn to_request(&self, protocol: Protocol) -> Request {
         use RequestKind::{Read, Transfer, Write};
         let write = |request, value, index, payload: Vec<u8>| Request {
@@ -347,7 +351,10 @@ impl Command {
         }
     }
 
-    /// From a request, or the status that the board answers to one that it does not know.
+    /// Decodes a request.
+    ///
+    /// # Errors
+    /// Status that the board answers to a request that it does not know.
     pub fn from_request(request: &Request) -> Result<Self, Status> {
         use RequestKind::{Read, Transfer, Write};
         let Request { protocol, kind, payload, .. } = request;

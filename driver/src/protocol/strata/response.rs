@@ -6,7 +6,7 @@ use crate::protocol::crc::crc16;
 
 macro_rules! statuses {
     ($($(#[$doc:meta])* $variant:ident = $code:literal, $name:literal;)*) => {
-        /// How a request went.
+        /// Status of a request.
         #[derive(Debug, Clone, Copy, PartialEq, Eq)]
         pub enum Status {
             $($(#[$doc])* $variant,)*
@@ -15,17 +15,17 @@ macro_rules! statuses {
         }
 
         impl Status {
-            /// Byte on the wire.
+            /// Returns the byte on the wire.
             pub fn code(self) -> u8 {
                 match self { $(Status::$variant => $code,)* Status::Unknown(code) => code }
             }
 
-            /// From the byte on the wire.
+            /// Decodes the byte on the wire.
             pub fn from_code(code: u8) -> Self {
                 match code { $($code => Status::$variant,)* _ => Status::Unknown(code) }
             }
 
-            /// Name as the firmware spells it.
+            /// Returns the name as the firmware spells it.
             pub fn name(self) -> &'static str {
                 match self { $(Status::$variant => $name,)* Status::Unknown(_) => "unknown status" }
             }
@@ -47,7 +47,7 @@ statuses! {
     InvalidParameter = 0x03, "INVALID_PARAMETER";
     /// A parameter is absent.
     MissingParameter = 0x04, "MISSING_PARAMETER";
-    /// Something is not as it should be: a stale FIFO overflow, after power-up.
+    /// A value is unexpected, such as a stale FIFO overflow after power-up.
     UnexpectedValue = 0x05, "UNEXPECTED_VALUE";
     /// Out of bounds.
     OutOfBounds = 0x06, "OUT_OF_BOUNDS";
@@ -105,7 +105,7 @@ statuses! {
     RequestIndexInvalid = 0x8A, "REQUEST_WINDEX_INVALID";
     /// The payload is wrong.
     RequestPayloadInvalid = 0x8B, "REQUEST_PAYLOAD_INVALID";
-    /// What the request is for is not there.
+    /// The object of the request is not available.
     RequestNotAvailable = 0x8C, "REQUEST_NOT_AVAILABLE";
     /// No such component.
     RequestIdInvalid = 0x8D, "REQUEST_COMMAND_ID_INVALID";
@@ -128,9 +128,9 @@ impl std::fmt::Display for Status {
 pub struct Response<'a> {
     /// Byte that the request began with.
     pub kind_code: u8,
-    /// How it went.
+    /// Status of the request.
     pub status: Status,
-    /// What was asked for; empty on error.
+    /// Payload of the answer; empty on error.
     pub payload: &'a [u8],
 }
 
@@ -138,7 +138,7 @@ impl Response<'_> {
     /// Bytes before the payload.
     pub const HEADER_LENGTH: usize = 4;
 
-    /// Appends the bytes on the wire. Payloads longer than a message allows are the caller's fault and are cut.
+    /// Appends the bytes on the wire. A payload longer than a message allows is cut.
     pub fn encode(&self, out: &mut Vec<u8>) {
         let payload = self.payload.get(..super::MAX_MESSAGE - 6).unwrap_or(self.payload);
         let start = out.len();
@@ -150,7 +150,7 @@ impl Response<'_> {
     }
 }
 
-/// A payload that is not what was asked for.
+/// Error of a payload that does not have the form of its request.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("strata: the answer to {what} has {got} bytes, expected {expected}")]
 pub struct PayloadError {
@@ -158,7 +158,7 @@ pub struct PayloadError {
     pub what: &'static str,
     /// Bytes received.
     pub got: usize,
-    /// What there should be.
+    /// Description of the expected payload.
     pub expected: &'static str,
 }
 
@@ -174,7 +174,7 @@ pub struct BoardInfo {
 }
 
 impl BoardInfo {
-    /// The payload: ids, name, NUL.
+    /// Encodes the payload: ids, name, NUL.
     pub fn encode(&self) -> Vec<u8> {
         let mut bytes = Vec::new();
         bytes.extend(self.vendor_id.to_le_bytes());
@@ -184,7 +184,10 @@ impl BoardInfo {
         bytes
     }
 
-    /// From the payload.
+    /// Decodes the payload.
+    ///
+    /// # Errors
+    /// [`PayloadError`] if the payload is too short.
     pub fn decode(payload: &[u8]) -> Result<Self, PayloadError> {
         let error = PayloadError { what: "board info", got: payload.len(), expected: "5 or more" };
         let &[v0, v1, p0, p1, ref name @ ..] = payload else { return Err(error) };
@@ -211,14 +214,17 @@ pub struct FirmwareVersion {
 }
 
 impl FirmwareVersion {
-    /// The 16 bytes.
+    /// Encodes the 16 bytes.
     pub fn encode(&self) -> Vec<u8> {
         let [a, b, c, d] = self.firmware;
         let [e, f] = self.protocol;
         [a, b, c, d, e, f, 0, 0].into_iter().flat_map(u16::to_le_bytes).collect()
     }
 
-    /// From the 16 bytes.
+    /// Decodes the 16 bytes.
+    ///
+    /// # Errors
+    /// [`PayloadError`] if the payload is too short.
     pub fn decode(payload: &[u8]) -> Result<Self, PayloadError> {
         let error = PayloadError { what: "firmware version", got: payload.len(), expected: "16" };
         if payload.len() != 16 {

@@ -1,4 +1,4 @@
-//! How a slice of the FIFO is cut into packets, and which slice to ask for.
+//! Slices of the FIFO: their packets, and the slice to request for a frame.
 
 use radome_dsp::FIFO_SAMPLES;
 
@@ -13,19 +13,19 @@ pub const TIMESTAMP_LENGTH: usize = 8;
 pub struct SliceLayout {
     /// Codes in a slice, even.
     pub samples: usize,
-    /// How its packets travel.
+    /// Framing of its packets.
     pub framing: Framing,
 }
 
 impl SliceLayout {
-    /// The slice to ask for on the serial port, as [`Self::for_frame_as`].
+    /// Chooses the slice to request on the serial port: see [`Self::for_frame_as`].
     pub fn for_frame(codes: usize) -> Self {
         SliceLayout::for_frame_as(codes, Framing::Serial)
     }
 
-    /// The slice to ask for so that frames of this many codes come with as little delay as the link allows:
-    /// as few equal parts of a frame as fit half the FIFO. Slices that would trip the firmware (see [`Self::is_safe`])
-    /// are passed over. Frames with an odd number of codes cannot be cut so and share slices with their neighbours.
+    /// Chooses the slice with which frames of this many codes come with the least delay: as few equal parts of a frame
+    /// as fit half the FIFO. Slices that the firmware cannot send (see [`Self::is_safe`]) are skipped. Frames with an
+    /// odd number of codes cannot be divided so and share slices with their neighbours.
     pub fn for_frame_as(codes: usize, framing: Framing) -> Self {
         let slice = |samples| SliceLayout { samples, framing };
         let half = FIFO_SAMPLES / 2;
@@ -42,9 +42,9 @@ impl SliceLayout {
             .unwrap_or(slice(6144))
     }
 
-    /// Whether the firmware can send it: an even count of at most half the FIFO, and not one whose last packet would
-    /// hold less than the timestamp, for which firmware 2.x computes a negative length and sends 64 KiB of garbage; in
-    /// bulk transfers also not one whose packet fills USB packets exactly, since nothing then ends the transfer.
+    /// Returns whether the firmware can send it: an even count of at most half the FIFO. The last packet must hold the
+    /// whole timestamp: otherwise firmware 2.x computes a negative length and sends 64 KiB of garbage. In bulk
+    /// transfers no packet may fill USB packets exactly, since nothing then ends the transfer.
     pub fn is_safe(self) -> bool {
         let tail = (self.data_bytes() + TIMESTAMP_LENGTH) % self.framing.max_packet_payload();
         let last = self.payload_length(self.packets().saturating_sub(1)) + Packet::HEADER_LENGTH;
@@ -60,12 +60,12 @@ impl SliceLayout {
         packed_length(self.samples)
     }
 
-    /// Packets that the slice comes in.
+    /// Number of packets of the slice.
     pub fn packets(self) -> usize {
         (self.data_bytes() + TIMESTAMP_LENGTH).div_ceil(self.framing.max_packet_payload())
     }
 
-    /// Where the data of one of its packets begins, bytes from the start of the slice.
+    /// Offset of the data of one of its packets, bytes from the start of the slice.
     pub fn offset(self, packet: usize) -> usize {
         (packet * self.framing.max_packet_payload()).min(self.data_bytes())
     }
@@ -103,11 +103,13 @@ mod tests {
                 assert!(slice.is_safe(), "{codes} -> {slice:?}");
             }
         }
-        // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6, half of it 4087 + 7: three equal parts are taken.
+        // A whole frame of 5448 samples would be 8172 + 8 bytes = 2 * 4087 + 6, half of it 4087 + 7: three equal parts
+        // are taken.
         assert!(!SliceLayout { samples: 5448, framing: Framing::Serial }.is_safe());
         assert_eq!(SliceLayout::for_frame(5448).samples, 1816);
     }
-    /// 338 samples are 507 bytes and 14 more of header and timestamp: none of that is a multiple of 512, 332 are 498 + 14 = 512.
+    /// 338 samples are 507 bytes and 14 more of header and timestamp: none of that is a multiple of 512, 332 are 498 +
+    /// 14 = 512.
     #[test]
     fn a_bulk_slice_is_one_packet_that_a_short_usb_packet_ends() {
         assert!(!SliceLayout { samples: 332, framing: Framing::Bulk }.is_safe());

@@ -11,7 +11,7 @@ pub enum Protocol {
 }
 
 impl Protocol {
-    /// All that this module speaks, newest first: the order in which a client tries them.
+    /// All supported versions, newest first: the order in which a client tries them.
     pub const ALL: [Protocol; 2] = [Protocol::V4, Protocol::V3];
 
     /// Major number, as the firmware reports it.
