@@ -79,7 +79,7 @@ impl RecordingHeader {
     }
 }
 
-/// Someone's word on a stretch of time.
+/// Label of a span of time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LabelSpan {

@@ -84,8 +84,6 @@ impl Tally {
         Ok(())
     }
 
-    /// # Errors
-    /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) {
         self.gaps += 1;
         self.frames_lost = self.frames_lost.saturating_add(gap.frames);
@@ -176,6 +174,9 @@ impl RecordingWriter {
     }
 
     /// Adds a gap.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.gap(gap)?,

@@ -36,7 +36,7 @@ impl PacketFlags {
 /// A piece of a slice, its payload borrowed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Packet<'a> {
-    /// Number of the reason.
+    /// Flags of the packet.
     pub flags: PacketFlags,
     /// Data index.
     pub channel: u8,
@@ -46,7 +46,7 @@ pub struct Packet<'a> {
     pub payload: &'a [u8],
 }
 
-/// Why the board stopped by itself.
+/// Reason for which the board stopped by itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DataError {
     /// The chip's FIFO overflowed.
