@@ -19,14 +19,13 @@ use radome_dsp::Waveform;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError};
+use crate::chip::{ChipConfiguration, ChipError, SpiWord};
 use crate::protocol::ascii::LineError;
-use crate::protocol::strata::{Command, PayloadError, SpiWord, Status};
+use crate::protocol::mcu7::{Command, PayloadError, Status};
 pub use address::Address;
 pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
 pub use detect::Detected;
-pub(crate) use identify::CHIP_ID_BGT60TR13C;
-use identify::{Greeting, chip_name};
+use identify::Greeting;
 pub use lines::LineStream;
 use link::Link;
 pub use reconnect::Reconnect;

@@ -15,7 +15,6 @@ pub mod probe;
 pub mod protocol;
 pub mod recording;
 pub mod replay;
-mod timing;
 pub mod usb;
 
 pub use board::{

@@ -156,7 +156,7 @@ impl Probe {
     }
 
     fn text(&mut self, info: Info) -> Result<String, ProbeError> {
-        self.info(info).map(|bytes| crate::protocol::strata::text(&bytes))
+        self.info(info).map(|bytes| crate::protocol::mcu7::text(&bytes))
     }
 
     /// Reads the identity of the probe.

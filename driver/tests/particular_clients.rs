@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use common::{Pattern, waveform};
 use radome_driver::chip::{ChipConfiguration, address, field};
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardEvent, BoardParser, COMPONENT_AVIAN, Command, DataFormat, Protocol, SliceLayout, SpiWord, Status,
 };
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};

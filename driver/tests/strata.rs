@@ -4,8 +4,8 @@ mod common;
 
 use proptest::prelude::*;
 use radome_driver::chip::ChipConfiguration;
+use radome_driver::protocol::mcu7::*;
 use radome_driver::protocol::packed12;
-use radome_driver::protocol::strata::*;
 use radome_dsp::{Waveform, WaveformRequest};
 
 /// Messages of `protocol4.txt`: whether the host sent it, and its bytes.

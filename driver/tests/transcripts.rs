@@ -12,7 +12,7 @@ use std::time::Duration;
 use common::shared;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
-use radome_driver::protocol::strata::{Command, Protocol, Request, SpiWord};
+use radome_driver::protocol::mcu7::{Command, Protocol, Request, SpiWord};
 use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Kind, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::{SerialPort, TTYPort};

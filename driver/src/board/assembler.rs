@@ -13,9 +13,9 @@ use std::time::Duration;
 
 use radome_dsp::{Frame, FrameShape, Gap, GapReason, SourceEvent, Waveform};
 
-use crate::protocol::strata::{DataError, Packet, SliceLayout};
+use crate::chip::SampleTiming;
+use crate::protocol::mcu7::{DataError, Packet, SliceLayout};
 use crate::protocol::{fifo, packed12};
-use crate::timing::SampleTiming;
 
 /// Result of a packet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -368,7 +368,7 @@ mod tests {
     use radome_dsp::{RxMask, WaveformRequest};
 
     use super::*;
-    use crate::protocol::strata::PacketFlags;
+    use crate::protocol::mcu7::PacketFlags;
 
     const FRAME_US: u64 = 37_000;
 

@@ -10,8 +10,8 @@ use std::time::Duration;
 
 use radome_dsp::Waveform;
 
-use super::{BoardError, BoardIdentity, CHIP_ID_BGT60TR13C, chip_name, wire};
-use crate::chip::RegisterList;
+use super::{BoardError, BoardIdentity, wire};
+use crate::chip::{CHIP_ID_BGT60TR13C, RegisterList, chip_name};
 use crate::protocol::deepcraft::{
     Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,
     Preset, RING_CODES, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,

@@ -2,28 +2,14 @@
 
 use super::link::Link;
 use super::{BoardError, BoardIdentity, wire};
-use crate::chip::{REGISTERS, RegisterFile, address as register};
-use crate::protocol::strata::{
-    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, Protocol, SpiWord,
-    Status, text,
+use crate::chip::{CHIP_ID_BGT60TR13C, REGISTERS, RegisterFile, SpiWord, address as register, chip_name};
+use crate::protocol::mcu7::{
+    BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, Protocol, Status, text,
 };
 
-/// Content of CHIP_ID of the BGT60TR13C: digital id and RF id.
-pub(crate) const CHIP_ID_BGT60TR13C: u32 = 0x0303;
 /// SFCTL as the vendor's client sets it before the first read. A reset sets `MISO_HF_READ`, which moves the edge on
 /// which the chip answers.
 const SFCTL_READABLE: u32 = 0x10_0000;
-
-/// Returns the name of a chip by its CHIP_ID: digital id in bits 23:8, RF id in bits 7:0.
-pub(super) fn chip_name(chip_id: u32) -> &'static str {
-    match (chip_id >> 8, chip_id & 0xFF) {
-        (3, 3) => "BGT60TR13C",
-        (5, 4) => "BGT60ATR24C",
-        (6, 6 | 11) => "BGT60UTR13D",
-        (7, 7 | 9 | 12) | (8, 12) => "BGT60UTR11AIP",
-        _ => "unknown",
-    }
-}
 
 /// Answers of a board's firmware to the handshake. The board has a radar chip, which has not been accessed, and sends
 /// no data.

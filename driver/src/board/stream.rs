@@ -9,8 +9,8 @@ use super::assembler::{Assembler, Outcome};
 use super::link::Incoming;
 use super::reconnect::{Losses, Outage, Reconnect};
 use super::{Address, Board, BoardError};
-use crate::chip::{ChipConfiguration, RegisterList, field};
-use crate::protocol::strata::{Command, DataError, DataFormat, SliceLayout, SpiWord};
+use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
+use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
 const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };

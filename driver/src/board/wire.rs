@@ -3,7 +3,7 @@
 
 use std::fmt;
 
-use crate::protocol::strata::{BoardEvent, Packet, Response};
+use crate::protocol::mcu7::{BoardEvent, Packet, Response};
 
 /// Target of the events. Each has one field: `opened` names the port or device; `sent` and `received` show bytes as on
 /// the wire but without check sums, and headers alone of measurements. `identity` is the unique identifier of the

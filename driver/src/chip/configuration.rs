@@ -39,8 +39,7 @@ use thiserror::Error;
 
 use super::address::*;
 use super::field::*;
-use super::{Field, RegisterFile, register};
-use crate::protocol::strata::SpiWord;
+use super::{Field, RegisterFile, SpiWord, register};
 
 /// One step of FSU, Hz: `640 MHz / 2^20`.
 const FREQUENCY_STEP_HZ: f64 = 640e6 / 1_048_576.0;

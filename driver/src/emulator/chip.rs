@@ -22,9 +22,7 @@ use radome_dsp::{FIFO_SAMPLES, Waveform};
 use super::thermometer::Thermometer;
 use super::world::{Slice, World};
 use super::{EmulatorOptions, Fault, Feed, Shared};
-use crate::board::CHIP_ID_BGT60TR13C;
-use crate::chip::{ChipConfiguration, Field, RegisterFile, address, field, main_bits};
-use crate::protocol::strata::SpiWord;
+use crate::chip::{CHIP_ID_BGT60TR13C, ChipConfiguration, Field, RegisterFile, SpiWord, address, field, main_bits};
 
 /// Upper half of GSR0, which always reads so.
 const GSR0_IDLE: u32 = 0xF0;

@@ -14,7 +14,7 @@ use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
 use crate::chip::{ChipConfiguration, RegisterList, address, field};
 use crate::protocol::ascii;
-use crate::protocol::strata::SliceLayout;
+use crate::protocol::mcu7::SliceLayout;
 
 const BANNER: &[u8] = b"I (312) main: radar started\r\n";
 /// Frames that the board's memory holds.

@@ -37,7 +37,7 @@ use thiserror::Error;
 
 use crate::board::Address;
 use crate::chip::ChipError;
-use crate::protocol::strata::{Framing, Protocol};
+use crate::protocol::mcu7::{Framing, Protocol};
 use crate::usb::UsbAddress;
 use deepcraft::Deepcraft;
 use esp32::Esp32;

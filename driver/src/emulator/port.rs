@@ -16,7 +16,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
 
 use super::EmulatorError;
-use crate::protocol::strata::bulk::MAX_BULK;
+use crate::protocol::mcu7::bulk::MAX_BULK;
 use crate::usb::DeviceSockets;
 
 /// Most bytes of clients that are read at once while the port checks for clients.

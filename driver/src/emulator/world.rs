@@ -10,9 +10,9 @@ use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Wave
 
 use super::feed::Maker;
 use super::{Feed, Pace, Shared};
+use crate::chip::SampleTiming;
 use crate::chip::{ChipConfiguration, test_pattern};
 use crate::protocol::fifo;
-use crate::timing::SampleTiming;
 
 /// Most frames that the source may be ahead.
 const FRAMES_AHEAD: usize = 2;

@@ -6,5 +6,5 @@ pub mod cmsis_dap;
 pub mod crc;
 pub mod deepcraft;
 pub mod fifo;
+pub mod mcu7;
 pub mod packed12;
-pub mod strata;

@@ -13,8 +13,8 @@ use super::socket::HostSockets;
 use super::{Setup, TransferError};
 use crate::emulator::probe::EmulatedProbe;
 use crate::protocol::cmsis_dap::MAX_PACKET;
-use crate::protocol::strata::Framing;
-use crate::protocol::strata::bulk::{DATA_ENDPOINT, MAX_BULK, is_in};
+use crate::protocol::mcu7::Framing;
+use crate::protocol::mcu7::bulk::{DATA_ENDPOINT, MAX_BULK, is_in};
 
 const DESCRIPTORS_MAGIC: u32 = 3;
 const STRINGS_MAGIC: u32 = 2;

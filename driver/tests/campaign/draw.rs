@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use radome_driver::protocol::deepcraft::FIFO_LEVEL_CODES;
-use radome_driver::protocol::strata::{Framing, SliceLayout};
+use radome_driver::protocol::mcu7::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use radome_driver::board::BoardIdentity;
 use radome_driver::chip::ChipConfiguration;
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataError, DataFormat, FirmwareVersion, Packet, PacketFlags,
     Protocol, Response, SpiWord, Status,
 };

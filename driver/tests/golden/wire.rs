@@ -1,7 +1,7 @@
 //! The bytes of each protocol: what they mean is written here, not computed.
 
 use radome_driver::protocol::ascii::{Line, LineParser, decode_waveform};
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardEvent, BoardInfo, BoardParser, Command, DataError, FirmwareVersion, HostEvent, HostParser, Protocol, Status,
 };
 

@@ -1,11 +1,11 @@
-//! Requests as control transfers, packets as bulk transfers ([`crate::protocol::strata::bulk`]).
+//! Requests as control transfers, packets as bulk transfers ([`crate::protocol::mcu7::bulk`]).
 
 use std::time::{Duration, Instant};
 
 use super::super::{BoardError, wire};
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
-use crate::protocol::strata::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
-use crate::protocol::strata::{BoardEvent, Request, RequestKind, Status};
+use crate::protocol::mcu7::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
+use crate::protocol::mcu7::{BoardEvent, Request, RequestKind, Status};
 use crate::usb::{self, Endpoints, OpenError, Setup, TransferError, UsbAddress};
 
 /// Vendor and product id of firmware built for bulk transfers.

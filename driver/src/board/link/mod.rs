@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use super::{Address, BoardError, wire};
-use crate::protocol::strata::{Command, Framing, Packet, Protocol, Request, Status};
+use crate::protocol::mcu7::{Command, Framing, Packet, Protocol, Request, Status};
 use bulk::Bulk;
 use serial::Serial;
 pub(super) use serial::{open_port, read_more, read_within};

@@ -10,7 +10,7 @@ use serialport::{SerialPort, TTYPort};
 
 use super::super::{BoardError, wire};
 use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
-use crate::protocol::strata::{BoardEvent, BoardParser, Request, Status};
+use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, Status};
 
 const BAUD_RATE: u32 = 921_600;
 /// Bytes taken from the port at once.

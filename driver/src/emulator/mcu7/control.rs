@@ -1,8 +1,8 @@
 //! Requests as control transfers, and the state of the firmware between them.
 
 use super::firmware::Requests;
-use crate::protocol::strata::bulk::{Control, LastError, is_in};
-use crate::protocol::strata::{RequestKind, Status};
+use crate::protocol::mcu7::bulk::{Control, LastError, is_in};
+use crate::protocol::mcu7::{RequestKind, Status};
 use crate::usb::Setup;
 
 /// Control endpoint of firmware with bulk transfers.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use crate::chip::{address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{Fault, Shared};
-use crate::protocol::strata::{
+use crate::protocol::mcu7::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, Framing, HostEvent,
     IMPLEMENTATION_AVIAN, Protocol, Request, RequestKind, Response, SliceLayout, SpiWord, Status,
 };

@@ -8,8 +8,9 @@
 use radome_dsp::{Waveform, WaveformError, WaveformRequest};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError, RegisterFile, RegisterList, RegisterValue, address, main_bits};
-use crate::protocol::strata::SpiWord;
+use crate::chip::{
+    ChipConfiguration, ChipError, RegisterFile, RegisterList, RegisterValue, SpiWord, address, main_bits,
+};
 
 /// Index of the first register's word in the blobs of the vendor's tool.
 const FIRST_REGISTER: usize = 16;

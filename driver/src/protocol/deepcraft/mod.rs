@@ -20,6 +20,7 @@ mod chunk;
 mod custom;
 mod delimited;
 mod error;
+mod option;
 mod preset;
 mod request;
 mod response;
@@ -29,6 +30,7 @@ pub use chunk::{Beginning, ChunkEvent, ChunkHeader, ChunkLayout, ChunkParser, MA
 pub use custom::{Custom, CustomError, FIFO_LEVEL_CODES};
 pub use delimited::{MessageParser, TooLong};
 pub use error::ErrorCode;
+pub use option::{OptionValue, Value};
 pub use preset::{CUSTOM, ITEMS, Preset, stated_frequency_hz};
 pub use request::*;
 pub use response::*;

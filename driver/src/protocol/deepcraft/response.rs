@@ -5,7 +5,7 @@ use prost::{Message, Oneof};
 
 use super::capabilities::{Board, StreamConfig};
 use super::delimited;
-use super::request::OptionValue;
+use super::option::OptionValue;
 
 /// Response of a board.
 #[derive(Clone, PartialEq, Message)]

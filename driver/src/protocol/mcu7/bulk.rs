@@ -182,7 +182,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::protocol::strata::{Command, PacketFlags, SpiWord};
+    use crate::protocol::mcu7::{Command, PacketFlags, SpiWord};
 
     fn whole() -> PacketFlags {
         PacketFlags { first: true, last: true, timestamp: true, error: false }

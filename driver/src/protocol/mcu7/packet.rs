@@ -1,6 +1,6 @@
 //! Data packets: 6-byte header, payload, CRC.
 
-use super::Framing;
+use super::framing::{Framing, PACKET_HEADER_LENGTH};
 use crate::protocol::crc::crc16;
 
 /// Longest payload of a data packet on the serial port.
@@ -67,7 +67,7 @@ impl DataError {
 
 impl<'a> Packet<'a> {
     /// Bytes before the payload.
-    pub const HEADER_LENGTH: usize = 6;
+    pub const HEADER_LENGTH: usize = PACKET_HEADER_LENGTH;
 
     /// Appends the bytes on the serial port.
     pub fn encode(&self, out: &mut Vec<u8>) {

@@ -1,6 +1,9 @@
 //! Framing of data packets.
 
-use super::{MAX_MESSAGE, Packet};
+/// Longest message of either direction: header, payload and CRC.
+pub const MAX_MESSAGE: usize = 4095;
+/// Bytes of a data packet before its payload.
+pub(super) const PACKET_HEADER_LENGTH: usize = 6;
 
 /// Framing of data packets, which decides their longest payload and whether they have a CRC.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -20,8 +23,8 @@ impl Framing {
     /// many as one microframe carries.
     pub const fn max_packet_payload(self) -> usize {
         match self {
-            Framing::Serial => MAX_MESSAGE - 2 - Packet::HEADER_LENGTH,
-            Framing::Bulk => 31 * Self::USB_PACKET - Packet::HEADER_LENGTH,
+            Framing::Serial => MAX_MESSAGE - 2 - PACKET_HEADER_LENGTH,
+            Framing::Bulk => 31 * Self::USB_PACKET - PACKET_HEADER_LENGTH,
         }
     }
 }

@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 use super::{COMPONENT_RADAR, FIFO_ADDRESS, Protocol, Status};
+use crate::chip::SpiWord;
 use crate::protocol::crc::crc16;
 
 /// Bytes of a request before its payload.
@@ -11,40 +12,6 @@ pub const REQUEST_HEADER_LENGTH: usize = 8;
 const BOARD: u8 = 0x80;
 const COMPONENT: u8 = 0x20;
 const DATA: u8 = 0x0D;
-
-/// An SPI word as on the chip's MOSI line.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SpiWord {
-    /// Register address, 0..=0x7F.
-    pub address: u8,
-    /// Whether the word writes; otherwise it reads.
-    pub write: bool,
-    /// 24-bit content.
-    pub value: u32,
-}
-
-impl SpiWord {
-    /// A word that writes a register.
-    pub fn write(address: u8, value: u32) -> Self {
-        SpiWord { address, write: true, value }
-    }
-
-    /// A word that reads a register.
-    pub fn read(address: u8) -> Self {
-        SpiWord { address, write: false, value: 0 }
-    }
-
-    /// The four bytes, in the order of the line.
-    pub fn to_bytes(self) -> [u8; 4] {
-        let [_, a, b, c] = self.value.to_be_bytes();
-        [self.address << 1 | u8::from(self.write), a, b, c]
-    }
-
-    /// From four bytes in the order of the line.
-    pub fn from_bytes([command, a, b, c]: [u8; 4]) -> Self {
-        SpiWord { address: command >> 1, write: command & 1 != 0, value: u32::from_be_bytes([0, a, b, c]) }
-    }
-}
 
 /// Direction of a request's payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
