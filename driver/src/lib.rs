@@ -7,6 +7,7 @@
 //! reports errors and `tracing` events.
 
 pub mod board;
+mod candidate;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
@@ -15,10 +16,10 @@ pub mod probe;
 pub mod protocol;
 pub mod recording;
 pub mod replay;
-pub mod usb;
+pub mod transport;
 
 pub use board::{
-    Address, Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
+    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
     LineStream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
@@ -33,4 +34,4 @@ pub use recording::mcap::{
     SyncOptions,
 };
 pub use replay::RealTime;
-pub use usb::UsbAddress;
+pub use transport::{Address, UsbAddress};

@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::discover::{Candidate, Transport};
+use crate::candidate::{Candidate, Transport};
 use crate::protocol::cmsis_dap::{Answer, AnswerError, Command, Info, MAX_PACKET, NRESET};
 use packets::Packets;
 
@@ -40,7 +40,7 @@ pub enum ProbeError {
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         path = path.display(),
-        remedy = crate::discover::PERMISSION_REMEDY
+        remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied {
         /// Device node.
@@ -242,7 +242,7 @@ mod tests {
 
     mod hard_cases {
         use super::*;
-        use crate::discover::{Access, Belief, UsbIdentity};
+        use crate::candidate::{Access, Belief, UsbIdentity};
 
         /// A probe that answers every packet with these bytes.
         struct Stubborn(&'static [u8]);

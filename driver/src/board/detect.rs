@@ -6,7 +6,9 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Address, Board, BoardError, DeepcraftBoard, LineStream, link, wire};
+use super::{Board, BoardError, DeepcraftBoard, LineStream};
+use crate::transport::serial::{open_port, read_more};
+use crate::transport::{Address, trace};
 
 const BAUD_RATE: u32 = 921_600;
 /// Longest silence of a board that prints by itself.
@@ -32,17 +34,18 @@ impl Detected {
     /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
     /// The requests sent do not harm a board of another protocol.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
-        let mut port = link::open_port(path, BAUD_RATE)?;
+        let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         let mut heard = Vec::new();
         let began = Instant::now();
         while began.elapsed() < LISTEN && heard.len() < ENOUGH {
-            link::read_more(path, &mut port, &mut heard)?;
+            let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
+            read_more(&mut port, &mut heard).map_err(lost)?;
         }
         if is_text(&heard) {
-            wire::received(&heard);
+            trace::received(&heard);
             return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
         }
-        wire::measured(heard.len());
+        trace::measured(heard.len());
         drop(port);
         // To a DEEPCRAFT board the MCU7 request is the head of a longer one, whose rest it waits for; the DEEPCRAFT
         // client completes it.

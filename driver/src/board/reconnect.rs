@@ -3,7 +3,7 @@
 use std::thread;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Gap, GapReason};
+use radome_dsp::{Frame, Gap, GapReason, SourceEvent};
 
 use super::BoardError;
 
@@ -39,7 +39,7 @@ impl Reconnect {
     }
 
     /// Repeats `reopen` until it succeeds; returns `error` if the time since `noticed` runs out.
-    pub(super) fn until_back(
+    fn until_back(
         self,
         noticed: Instant,
         error: BoardError,
@@ -64,7 +64,7 @@ impl Reconnect {
 /// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no frame
 /// counts as lost.
 #[derive(Debug, Default)]
-pub(super) struct Outage(Option<(Instant, Instant)>);
+struct Outage(Option<(Instant, Instant)>);
 
 impl Outage {
     /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
@@ -73,6 +73,47 @@ impl Outage {
             Some((before, noticed)) if before == last_frame => noticed,
             _ => self.0.insert((last_frame, Instant::now())).1,
         }
+    }
+}
+
+/// Reconnection policy and state of a stream.
+#[derive(Debug, Default)]
+pub(super) struct Recovery {
+    /// `None` ends the stream at the first error.
+    pub policy: Option<Reconnect>,
+    outage: Outage,
+}
+
+/// Stream that can open the connection to its board again.
+pub(super) trait Reconnectable {
+    /// Reads the next frame or gap; fails after the deadline.
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError>;
+
+    /// Closes the connection: the old port must be closed before the new one can be opened.
+    fn close(&mut self);
+
+    /// Opens the connection again and starts frames.
+    fn reopen(&mut self) -> Result<(), BoardError>;
+
+    /// Time at which the last frame came.
+    fn last_frame(&self) -> Instant;
+
+    /// Policy and state of reconnection.
+    fn recovery(&mut self) -> &mut Recovery;
+}
+
+/// Reads the next frame or gap, and reconnects by the stream's policy after an error that may pass.
+pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    loop {
+        let error = match stream.wait(frame) {
+            Ok(event) => return Ok(event),
+            Err(error) => error,
+        };
+        let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
+        stream.close();
+        let last_frame = stream.last_frame();
+        let noticed = stream.recovery().outage.noticed(last_frame);
+        policy.until_back(noticed, error, || stream.reopen())?;
     }
 }
 
@@ -90,35 +131,6 @@ impl Losses {
 
     pub fn frames(&self, reason: GapReason) -> u64 {
         self.0.iter().filter(|(r, _)| *r == reason).map(|(_, frames)| frames).sum()
-    }
-}
-
-impl BoardError {
-    /// Returns whether opening the port again may remove the error. A port that has just come back may lack its
-    /// permissions for a moment, so that [`BoardError::PermissionDenied`] counts too.
-    pub fn is_passing(&self) -> bool {
-        match self {
-            BoardError::Open { .. }
-            | BoardError::Absent { .. }
-            | BoardError::Busy { .. }
-            | BoardError::PermissionDenied { .. }
-            | BoardError::Disconnected { .. }
-            | BoardError::NoAnswer { .. }
-            | BoardError::Refused { .. }
-            | BoardError::Malformed { .. }
-            | BoardError::ChipSilent { .. }
-            | BoardError::Acquisition { .. }
-            | BoardError::Stalled { .. } => true,
-            BoardError::Deepcraft { source, .. } => source.is_passing(),
-            BoardError::Protocol { .. }
-            | BoardError::OtherChip { .. }
-            | BoardError::OtherBoard { .. }
-            | BoardError::Ambiguous { .. }
-            | BoardError::Chip(_)
-            | BoardError::Line { .. }
-            | BoardError::WaveformUntold { .. }
-            | BoardError::Stopped => false,
-        }
     }
 }
 

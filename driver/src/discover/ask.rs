@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
-use super::{Access, Belief, Candidate, PERMISSION_REMEDY, Transport};
+use crate::board::{Board, BoardError, BoardIdentity, DeepcraftBoard};
+use crate::candidate::{Access, Belief, Candidate, Transport};
 use crate::probe::{Probe, ProbeError, ProbeIdentity};
-use crate::{Address, Board, BoardError, BoardIdentity, DeepcraftBoard};
+use crate::transport::{Address, PERMISSION_REMEDY};
 
 /// State of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

@@ -2,7 +2,22 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Belief, Candidate, Roots, Transport, UsbIdentity, node_access};
+use crate::candidate::{Access, Belief, Candidate, Transport, UsbIdentity};
+
+/// Folders in which the kernel lists its devices.
+#[derive(Debug, Clone)]
+pub struct Roots {
+    /// Mount point of sysfs.
+    pub sys: PathBuf,
+    /// Folder of the device nodes.
+    pub dev: PathBuf,
+}
+
+impl Default for Roots {
+    fn default() -> Self {
+        Roots { sys: "/sys".into(), dev: "/dev".into() }
+    }
+}
 
 /// Prefixes of the names of serial ports that a board can be on.
 const SERIAL_PORTS: [&str; 2] = ["ttyACM", "ttyUSB"];
@@ -10,6 +25,16 @@ const SERIAL_PORTS: [&str; 2] = ["ttyACM", "ttyUSB"];
 const CMSIS_DAP: &str = "CMSIS-DAP";
 /// bInterfaceClass of an interface for bulk transfers.
 const VENDOR_SPECIFIC: &str = "ff";
+
+/// Returns the access of the user to a device node; nothing is opened.
+pub(super) fn node_access(path: &Path) -> Access {
+    use rustix::fs::{Access as Mode, access};
+    match access(path, Mode::READ_OK | Mode::WRITE_OK) {
+        Ok(()) => Access::Granted,
+        Err(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM | rustix::io::Errno::ROFS) => Access::Denied,
+        Err(_) => Access::Absent,
+    }
+}
 
 /// Reads a file's text; `None` if it is absent, empty or not text.
 fn text(path: &Path) -> Option<String> {

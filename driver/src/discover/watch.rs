@@ -1,6 +1,8 @@
 //! Watch for devices that are plugged in and unplugged. It polls sysfs, which exists with or without a udev daemon.
 
-use super::{Candidate, Roots, candidates_in};
+use super::candidates_in;
+use super::sysfs::Roots;
+use crate::candidate::Candidate;
 
 /// Change since the last poll.
 #[derive(Debug, Clone, PartialEq, Eq)]

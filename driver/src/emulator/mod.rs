@@ -15,6 +15,8 @@ mod deepcraft;
 mod esp32;
 mod faults;
 mod feed;
+#[cfg(target_os = "linux")]
+pub mod function_fs;
 mod mcu7;
 mod port;
 pub mod probe;
@@ -35,10 +37,10 @@ use std::time::Duration;
 use radome_dsp::Waveform;
 use thiserror::Error;
 
-use crate::board::Address;
 use crate::chip::ChipError;
 use crate::protocol::mcu7::{Framing, Protocol};
-use crate::usb::UsbAddress;
+use crate::transport::Address;
+use crate::transport::UsbAddress;
 use deepcraft::Deepcraft;
 use esp32::Esp32;
 pub use faults::{Fault, FaultError};

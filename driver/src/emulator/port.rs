@@ -17,7 +17,7 @@ use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, t
 
 use super::EmulatorError;
 use crate::protocol::mcu7::bulk::MAX_BULK;
-use crate::usb::DeviceSockets;
+use crate::transport::usb::DeviceSockets;
 
 /// Most bytes of clients that are read at once while the port checks for clients.
 const MOST_RECEIVED: usize = 65_536;

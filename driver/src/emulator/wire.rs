@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use super::port::{Place, Port, link, unlink};
 use super::{EmulatorOptions, Fault, Shared};
-use crate::usb::Setup;
+use crate::transport::usb::Setup;
 
 /// Longest time in which a stopping board completes the slice that it is sending.
 const FINISH: Duration = Duration::from_millis(500);

@@ -7,13 +7,14 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use serialport::{SerialPort, TTYPort};
 
-use super::{BoardError, DeepcraftError};
-use crate::board::link::{open_port, read_within};
-use crate::board::wire;
+use super::error::DeepcraftError;
+use crate::board::BoardError;
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
 };
+use crate::transport::serial::{open_port, read_within};
+use crate::transport::trace;
 
 /// Baud rate of the port, which a CDC port ignores.
 const BAUD_RATE: u32 = 921_600;
@@ -49,7 +50,7 @@ pub(super) struct Link {
 
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let port = open_port(path, BAUD_RATE)?;
+        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         Ok(Link { path: path.into(), port, buffer: vec![0; BUFFER], tag: FIRST_TAG })
     }
 
@@ -74,7 +75,7 @@ impl Link {
     }
 
     fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
-        wire::sent(bytes);
+        trace::sent(bytes);
         self.port.set_timeout(ANSWER).map_err(|e| self.lost(e.into()))?;
         self.port.write_all(bytes).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
@@ -170,12 +171,12 @@ impl Link {
         loop {
             while let Some(message) = parser.next_message() {
                 let Some((message, response)) = message.ok().and_then(|m| Some((m, Response::decode(m).ok()?))) else {
-                    wire::damaged();
+                    trace::damaged();
                     return Ok(None);
                 };
                 match &response.answer {
-                    Some(Answer::Data(_)) => wire::measured(message.len()),
-                    _ => wire::received(message),
+                    Some(Answer::Data(_)) => trace::measured(message.len()),
+                    _ => trace::received(message),
                 }
                 if let Some(accepted) = response.answer.and_then(&mut accept) {
                     return Ok(Some(accepted));

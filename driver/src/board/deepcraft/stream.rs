@@ -5,14 +5,17 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
-use super::order::Order;
-use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
-use crate::board::reconnect::{Losses, Outage, Reconnect};
-use crate::board::wire;
+use super::board::{DeepcraftBoard, Setting};
+use super::error::DeepcraftError;
+use super::resequencer::Resequencer;
+use crate::board::BoardError;
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
-    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
+    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, RING_CODES,
+    StartRequest,
 };
+use crate::transport::trace;
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
 const SILENCE: Duration = Duration::from_millis(5);
@@ -35,7 +38,7 @@ pub struct DeepcraftStream {
     /// Index of the stream among those of the radar.
     stream_index: usize,
     parser: ChunkParser,
-    order: Order,
+    resequencer: Resequencer,
     /// Longest silence between two chunks.
     deadline: Duration,
     watchdog: Option<Duration>,
@@ -45,16 +48,32 @@ pub struct DeepcraftStream {
     asked_until: Option<Instant>,
     path: PathBuf,
     uuid: String,
-    reconnect: Option<Reconnect>,
-    outage: Outage,
+    recovery: Recovery,
     last_byte: Instant,
     /// Time at which the last chunk came, or the stream began.
     last_chunk: Instant,
     losses: Losses,
 }
 
+impl DeepcraftBoard {
+    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset; any
+    /// other is sent as registers, and the stream's waveform then has the chirp interval that they realise.
+    ///
+    /// # Errors
+    /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
+    /// the waveform; else an error of the connection or of the board.
+    pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
+        let codes = waveform.shape().codes();
+        if codes > RING_CODES || !codes.is_multiple_of(2) {
+            return Err(self.link.wrong(DeepcraftError::Frame { codes }));
+        }
+        let setting = self.setting(waveform)?;
+        DeepcraftStream::start(self, setting)
+    }
+}
+
 impl DeepcraftStream {
-    pub(super) fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
+    fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
         let shape = setting.waveform.shape();
         let stream = board.set(&setting)?;
         let layout = ChunkLayout { device: board.device, stream: stream.index, frame_codes: shape.codes() };
@@ -63,7 +82,7 @@ impl DeepcraftStream {
         let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
         let now = Instant::now();
         let mut stream = DeepcraftStream {
-            order: Order::new(&setting.waveform, stream.next_number),
+            resequencer: Resequencer::new(&setting.waveform, stream.next_number),
             stream_index: usize::try_from(stream.index).unwrap_or(0),
             parser,
             deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
@@ -74,8 +93,7 @@ impl DeepcraftStream {
             asked_until: None,
             path: board.link.path.clone(),
             uuid: board.identity.uuid.clone(),
-            reconnect: None,
-            outage: Outage::default(),
+            recovery: Recovery::default(),
             last_byte: now,
             last_chunk: now,
             losses: Losses::default(),
@@ -109,7 +127,7 @@ impl DeepcraftStream {
     /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
     /// for it. The frames lost meanwhile become a gap, counted by the host's clock.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
-        self.reconnect = Some(policy);
+        self.recovery.policy = Some(policy);
         self
     }
 
@@ -121,25 +139,6 @@ impl DeepcraftStream {
     /// Register list that was sent to the board; empty for a preset of the firmware.
     pub fn registers(&self) -> &RegisterList {
         &self.setting.registers
-    }
-
-    /// Opens the port again until the board answers and measures; returns `error` if it does not.
-    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be opened.
-        self.board = None;
-        self.restart = None;
-        policy.until_back(self.outage.noticed(self.last_chunk), error, || {
-            self.board = None;
-            let board = DeepcraftBoard::open(&self.path)?;
-            if board.identity.uuid != self.uuid {
-                let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
-                return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-            }
-            self.board = Some(board);
-            self.begin_anew()?;
-            self.order.restart(GapReason::Disconnected);
-            Ok(())
-        })
     }
 
     /// Reads the next frame or gap; `None` if none is there within `timeout`.
@@ -165,22 +164,22 @@ impl DeepcraftStream {
             }
             if let Some(reason) = self.restart.take() {
                 tracing::warn!(reason = reason.name(), "the board is started anew");
-                self.order.restart(reason);
+                self.resequencer.restart(reason);
                 self.begin_anew()?;
             }
             // Queued frames are handed out before the next chunk is parsed.
             let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
             match event {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
-                    self.order.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
+                    self.resequencer.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
                     self.last_chunk = Instant::now();
-                    if self.order.wants_to_know() {
+                    if self.resequencer.wants_to_know() {
                         self.ask()?;
                     }
                     continue;
                 }
                 Some(ChunkEvent::Misnumbered) => {
-                    self.order.damaged();
+                    self.resequencer.damaged();
                     continue;
                 }
                 Some(ChunkEvent::Damaged) => {
@@ -204,7 +203,7 @@ impl DeepcraftStream {
     }
 
     fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
-        if self.asked_until.is_some() { None } else { self.order.pop(frame) }
+        if self.asked_until.is_some() { None } else { self.resequencer.pop(frame) }
     }
 
     /// Asks the device for the number of frames that it has dropped.
@@ -225,7 +224,7 @@ impl DeepcraftStream {
             let device = self.board.as_ref().map(|board| board.device);
             let radar = devices.iter().find(|d| Some(d.device_id) == device);
             let stream = radar.and_then(|d| d.streams.get(self.stream_index));
-            self.order.explain(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
+            self.resequencer.explain(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
             self.asked_until = None;
         } else if Instant::now() >= until {
             self.asked_until = None;
@@ -238,7 +237,7 @@ impl DeepcraftStream {
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let bytes = board.link.receive(timeout.min(longest))?;
         if !bytes.is_empty() {
-            wire::measured(bytes.len());
+            trace::measured(bytes.len());
             self.last_byte = Instant::now();
             self.parser.push(bytes);
             return Ok(());
@@ -263,12 +262,6 @@ impl DeepcraftStream {
             self.watchdog_reset = Instant::now();
         }
         Ok(())
-    }
-
-    /// Reads the next frame or gap; fails after the deadline.
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
-        let waited = self.deadline;
-        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
 
     /// Stops the acquisition and returns the board.
@@ -298,15 +291,40 @@ impl FrameSource for DeepcraftStream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        loop {
-            let error = match self.wait(frame) {
-                Ok(event) => return Ok(event),
-                Err(error) => error,
-            };
-            match self.reconnect {
-                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
-                _ => return Err(error.into()),
-            }
+        Ok(next_event(self, frame)?)
+    }
+}
+
+impl Reconnectable for DeepcraftStream {
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
+    fn close(&mut self) {
+        self.board = None;
+        self.restart = None;
+    }
+
+    fn reopen(&mut self) -> Result<(), BoardError> {
+        // A former attempt may have opened the port and failed later.
+        self.board = None;
+        let board = DeepcraftBoard::open(&self.path)?;
+        if board.identity.uuid != self.uuid {
+            let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
+            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
         }
+        self.board = Some(board);
+        self.begin_anew()?;
+        self.resequencer.restart(GapReason::Disconnected);
+        Ok(())
+    }
+
+    fn last_frame(&self) -> Instant {
+        self.last_chunk
+    }
+
+    fn recovery(&mut self) -> &mut Recovery {
+        &mut self.recovery
     }
 }

@@ -3,7 +3,7 @@
 use super::firmware::Requests;
 use crate::protocol::mcu7::bulk::{Control, LastError, is_in};
 use crate::protocol::mcu7::{RequestKind, Status};
-use crate::usb::Setup;
+use crate::transport::usb::Setup;
 
 /// Control endpoint of firmware with bulk transfers.
 pub(super) struct ControlEndpoint {

@@ -13,7 +13,7 @@ use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
 use crate::protocol::mcu7::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
 use crate::protocol::packed12;
-use crate::usb::Setup;
+use crate::transport::usb::Setup;
 use control::ControlEndpoint;
 use firmware::Requests;
 

@@ -1,58 +1,16 @@
-//! Boards: a Radar Baseboard MCU7 ([`Board`]) on its serial port or its USB endpoints, a PSoC 6 kit with DEEPCRAFT
-//! firmware ([`DeepcraftBoard`]), and one that only prints ([`LineStream`]).
+//! Errors of boards.
 
-mod address;
-mod assembler;
-mod deepcraft;
-mod detect;
-mod identify;
-mod lines;
-mod link;
-mod reconnect;
-mod stream;
-pub mod wire;
-
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
-use radome_dsp::Waveform;
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError, SpiWord};
+use super::deepcraft::DeepcraftError;
+use crate::chip::ChipError;
 use crate::protocol::ascii::LineError;
-use crate::protocol::mcu7::{Command, PayloadError, Status};
-pub use address::Address;
-pub use deepcraft::{DeepcraftBoard, DeepcraftError, DeepcraftStream};
-pub use detect::Detected;
-use identify::Greeting;
-pub use lines::LineStream;
-use link::Link;
-pub use reconnect::Reconnect;
-pub use stream::BoardStream;
-
-/// Identity that a board reports. Recordings hold it under these field names.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BoardIdentity {
-    /// Name of the board.
-    pub name: String,
-    /// USB vendor id.
-    pub vendor_id: u16,
-    /// USB product id.
-    pub product_id: u16,
-    /// Version of the firmware: major, minor, patch.
-    pub firmware_version: String,
-    /// Text in which the firmware describes itself further.
-    pub extended_version: String,
-    /// Version of the protocol: major, minor.
-    pub protocol_version: String,
-    /// Unique identifier of the board, 32 hexadecimal digits; all zero where it has none.
-    pub uuid: String,
-    /// Name of the radar chip.
-    pub chip: String,
-    /// Content of the chip's CHIP_ID register.
-    pub chip_id: u32,
-}
+use crate::protocol::mcu7::{PayloadError, Status};
+use crate::transport::UsbAddress;
+use crate::transport::usb::OpenError;
 
 /// Errors of a board and its connection.
 #[derive(Debug, Error)]
@@ -93,7 +51,7 @@ pub enum BoardError {
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         path = path.display(),
-        remedy = crate::discover::PERMISSION_REMEDY
+        remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied {
         /// Name of the port or USB device.
@@ -223,109 +181,52 @@ pub enum BoardError {
     Stopped,
 }
 
-/// Radar Baseboard MCU7 that has been identified and does not measure.
-pub struct Board {
-    link: Link,
-    identity: BoardIdentity,
-}
-
-impl Board {
-    /// Reads the identity of a board and leaves the registers of its chip as they are, so that the next client still
-    /// finds the programmed waveform. Only a chip that cannot be read before its SPI is set up is written to: register
-    /// SFCTL alone. A board that measures stops sending.
-    ///
-    /// # Errors
-    /// [`BoardError`] if the port cannot be opened, if the board does not answer or answers with an error, or if its
-    /// firmware or chip is not supported.
-    pub fn identity_at(address: &Address) -> Result<BoardIdentity, BoardError> {
-        let mut link = Link::open(address)?;
-        Greeting::exchange(&mut link)?.identity(&mut link, identify::read_chip_id)
+impl BoardError {
+    /// Converts the error of opening the port or device `path`.
+    pub(super) fn opening(path: PathBuf, error: OpenError) -> BoardError {
+        match error {
+            OpenError::Absent => BoardError::Absent { path },
+            OpenError::Ambiguous(found) => {
+                BoardError::Ambiguous { path, found: found.iter().map(UsbAddress::to_string).collect() }
+            }
+            OpenError::Busy => BoardError::Busy { path },
+            OpenError::PermissionDenied => BoardError::PermissionDenied { path },
+            OpenError::Other(source) => BoardError::Open { path, source },
+        }
     }
 
-    /// Opens a serial port, reads the identity of the board and resets the chip, as the vendor's client does.
-    ///
-    /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open(path: &Path) -> Result<Board, BoardError> {
-        Board::open_at(&Address::Serial(path.into()))
-    }
-
-    /// Opens a board like [`Board::open`], on a serial port or on USB.
-    ///
-    /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open_at(address: &Address) -> Result<Board, BoardError> {
-        let mut link = Link::open(address)?;
-        let greeting = Greeting::exchange(&mut link)?;
-        Board::reset(link, greeting)
-    }
-
-    /// Opens a board like [`Board::open_at`], and reads the waveform that the chip was programmed with before; `None`
-    /// if it has not been programmed since it has power.
-    ///
-    /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open_as_left(address: &Address) -> Result<(Board, Option<Waveform>), BoardError> {
-        let mut link = Link::open(address)?;
-        let greeting = Greeting::exchange(&mut link)?;
-        let registers = identify::read_every_register(&mut link)?;
-        let waveform = ChipConfiguration::decode(&registers).ok().map(|configuration| configuration.waveform);
-        Ok((Board::reset(link, greeting)?, waveform))
-    }
-
-    fn reset(mut link: Link, greeting: Greeting) -> Result<Board, BoardError> {
-        identify::set_up_spi(&mut link)?;
-        let identity = greeting.identity(&mut link, identify::reset_and_read_chip_id)?;
-        Ok(Board { link, identity })
-    }
-
-    /// Identity that the board reports.
-    pub fn identity(&self) -> &BoardIdentity {
-        &self.identity
-    }
-
-    /// Path of the serial port, or name of the USB device in messages.
-    pub fn path(&self) -> &Path {
-        &self.link.path
-    }
-
-    /// Address under which the board is found when it has been plugged in anew.
-    pub fn address(&self) -> &Address {
-        &self.link.address
-    }
-
-    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
-    ///
-    /// # Errors
-    /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
-    pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
-        BoardStream::start(self, waveform, false)
-    }
-
-    /// Starts frames like [`Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
-    /// samples of RX1, which the waveform must have.
-    ///
-    /// # Errors
-    /// Those of [`Board::start`].
-    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
-        BoardStream::start(self, waveform, true)
-    }
-
-    /// Reads registers one by one; returns 24-bit contents in the order of `addresses`.
-    ///
-    /// # Errors
-    /// An error of the connection, or [`BoardError::Refused`].
-    pub fn read_registers(&mut self, addresses: &[u8]) -> Result<Vec<u32>, BoardError> {
-        let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
-        let answer = self.link.demand(&Command::Execute { words, answer: true })?;
-        Ok(answer.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w) & 0xFF_FFFF).collect())
+    /// Returns whether opening the port again may remove the error. A port that has just come back may lack its
+    /// permissions for a moment, so that [`BoardError::PermissionDenied`] counts too.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            BoardError::Open { .. }
+            | BoardError::Absent { .. }
+            | BoardError::Busy { .. }
+            | BoardError::PermissionDenied { .. }
+            | BoardError::Disconnected { .. }
+            | BoardError::NoAnswer { .. }
+            | BoardError::Refused { .. }
+            | BoardError::Malformed { .. }
+            | BoardError::ChipSilent { .. }
+            | BoardError::Acquisition { .. }
+            | BoardError::Stalled { .. } => true,
+            BoardError::Deepcraft { source, .. } => source.is_passing(),
+            BoardError::Protocol { .. }
+            | BoardError::OtherChip { .. }
+            | BoardError::OtherBoard { .. }
+            | BoardError::Ambiguous { .. }
+            | BoardError::Chip(_)
+            | BoardError::Line { .. }
+            | BoardError::WaveformUntold { .. }
+            | BoardError::Stopped => false,
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::usb::UsbAddress;
+    use crate::transport::Address;
 
     /// The address of the only board ends with a colon, and the addresses of others hold one.
     #[test]

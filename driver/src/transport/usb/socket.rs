@@ -16,7 +16,7 @@ use rustix::net::{
     recv, send, socket_with,
 };
 
-use super::{CONTROL_TIMEOUT, Endpoints, Setup, TransferError};
+use super::endpoints::{CONTROL_TIMEOUT, Endpoints, Setup, TransferError};
 
 const DONE: u8 = 0;
 const STALL: u8 = 1;
@@ -43,7 +43,7 @@ fn timespec(duration: Duration) -> Timespec {
 }
 
 /// The host's side.
-pub(super) struct HostSockets {
+pub(crate) struct HostSockets {
     pub control: OwnedFd,
     pub data: OwnedFd,
     message: Vec<u8>,

@@ -8,7 +8,7 @@ use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
 use crate::protocol::deepcraft::FIFO_LEVEL_CODES;
 use crate::protocol::fifo;
 
-pub(super) struct Order {
+pub(super) struct Resequencer {
     waveform: Waveform,
     /// Sequence number of the next frame: frames handed out, lost or queued before it.
     next_sequence: u64,
@@ -26,10 +26,10 @@ pub(super) struct Order {
     gone: usize,
 }
 
-impl Order {
+impl Resequencer {
     /// Resequencer of a stream whose first frame has this number.
     pub fn new(waveform: &Waveform, next_number: u32) -> Self {
-        Order {
+        Resequencer {
             waveform: waveform.clone(),
             next_sequence: 0,
             next_number,
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
     use radome_dsp::{RxMask, WaveformRequest};
 
-    fn order() -> (Order, Frame) {
+    fn resequencer() -> (Resequencer, Frame) {
         let request = WaveformRequest {
             samples_per_chirp: 8,
             chirps_per_frame: 2,
@@ -142,7 +142,7 @@ mod tests {
         };
         let waveform = Waveform::realise(request).expect("valid");
         let frame = Frame::zeroed(waveform.shape());
-        (Order::new(&waveform, 5), frame)
+        (Resequencer::new(&waveform, 5), frame)
     }
 
     /// Codes of so many frames, in FIFO order: the codes of the first receiver are even, those of the second odd.
@@ -158,69 +158,69 @@ mod tests {
 
     #[test]
     fn a_chunk_of_frames_comes_out_one_by_one_receiver_by_receiver() {
-        let (mut order, mut frame) = order();
-        order.take(5, 3, &codes(3), NOW);
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 3, &codes(3), NOW);
         for sequence in 0..3 {
-            assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+            assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
             assert_eq!((frame.sequence, frame.time_ns), (sequence, sequence * 100_000_000));
             let (first, second) = frame.codes.split_at(16);
             let start = sequence as u16 * 32;
             assert!(first.iter().zip((start..).step_by(2)).all(|(code, i)| *code == i));
             assert!(second.iter().zip((start + 1..).step_by(2)).all(|(code, i)| *code == i));
         }
-        assert_eq!(order.pop(&mut frame), None);
+        assert_eq!(resequencer.pop(&mut frame), None);
     }
 
     #[test]
     fn numbers_that_jump_are_a_gap_whose_reason_the_board_knows() {
-        let (mut order, mut frame) = order();
-        order.take(7, 1, &codes(1), NOW);
-        assert!(order.wants_to_know());
-        order.explain(0);
-        assert_eq!(order.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(7, 1, &codes(1), NOW);
+        assert!(resequencer.wants_to_know());
+        resequencer.explain(0);
+        assert_eq!(resequencer.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 2);
-        order.take(13, 1, &codes(1), NOW);
+        resequencer.take(13, 1, &codes(1), NOW);
         // Five are missing; of the six that the board has dropped by now some are missing only later.
-        order.explain(6);
-        assert_eq!(order.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
-        order.take(17, 1, &codes(1), NOW);
-        order.explain(6);
-        assert_eq!(order.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
-        assert_eq!(order.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
-        assert!(!order.wants_to_know());
+        resequencer.explain(6);
+        assert_eq!(resequencer.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.take(17, 1, &codes(1), NOW);
+        resequencer.explain(6);
+        assert_eq!(resequencer.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
+        assert_eq!(resequencer.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
+        assert!(!resequencer.wants_to_know());
     }
 
     #[test]
     fn frames_that_come_again_or_late_are_passed_over() {
-        let (mut order, mut frame) = order();
-        order.take(5, 2, &codes(2), NOW);
-        assert!(order.pop(&mut frame).is_some() && order.pop(&mut frame).is_some());
-        order.take(5, 2, &codes(2), NOW);
-        order.take(6, 1, &codes(1), NOW);
-        assert_eq!(order.pop(&mut frame), None);
-        order.take(7, 1, &codes(1), NOW);
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 2, &codes(2), NOW);
+        assert!(resequencer.pop(&mut frame).is_some() && resequencer.pop(&mut frame).is_some());
+        resequencer.take(5, 2, &codes(2), NOW);
+        resequencer.take(6, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), None);
+        resequencer.take(7, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
     }
 
     /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the
     /// new one holds two.
     #[test]
     fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
-        let (mut order, mut frame) = order();
-        order.take(5, 1, &codes(1), NOW);
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
-        order.restart(GapReason::Crc);
-        order.take(0, 2, &codes(2), Duration::from_millis(1210));
-        assert!(!order.wants_to_know());
-        assert_eq!(order.pop(&mut frame), gap(1, 10, GapReason::Crc));
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.restart(GapReason::Crc);
+        resequencer.take(0, 2, &codes(2), Duration::from_millis(1210));
+        assert!(!resequencer.wants_to_know());
+        assert_eq!(resequencer.pop(&mut frame), gap(1, 10, GapReason::Crc));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 11);
         // What led to the restart is missing at least.
-        assert_eq!(order.pop(&mut frame), Some(SourceEvent::Frame));
-        order.restart(GapReason::Disconnected);
-        order.take(0, 2, &codes(2), NOW);
-        assert_eq!(order.pop(&mut frame), gap(13, 1, GapReason::Disconnected));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.restart(GapReason::Disconnected);
+        resequencer.take(0, 2, &codes(2), NOW);
+        assert_eq!(resequencer.pop(&mut frame), gap(13, 1, GapReason::Disconnected));
     }
 }

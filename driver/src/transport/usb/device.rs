@@ -5,8 +5,9 @@ use std::time::Duration;
 
 use rusb::{Context, Device, DeviceHandle, Direction, TransferType, UsbContext};
 
+use super::address::UsbAddress;
+use super::endpoints::{CONTROL_TIMEOUT, Endpoints, OpenError, Setup, TransferError};
 use super::socket::HostSockets;
-use super::{CONTROL_TIMEOUT, Endpoints, OpenError, Setup, TransferError, UsbAddress};
 
 /// The interface that the vendor's firmware has.
 const INTERFACE: u8 = 0;

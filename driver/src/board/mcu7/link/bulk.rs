@@ -2,11 +2,12 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::{BoardError, wire};
-use super::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use super::carrier::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use crate::board::BoardError;
 use crate::protocol::mcu7::bulk::{BulkParser, LastError, MAX_BULK, MAX_CONTROL, answer_setup};
 use crate::protocol::mcu7::{BoardEvent, Request, RequestKind, Status};
-use crate::usb::{self, Endpoints, OpenError, Setup, TransferError, UsbAddress};
+use crate::transport::trace;
+use crate::transport::usb::{self, Endpoints, Setup, TransferError, UsbAddress};
 
 /// Vendor and product id of firmware built for bulk transfers.
 const USB_ID: (u16, u16) = (0x058B, 0x0252);
@@ -35,16 +36,8 @@ impl Bulk {
     /// Opens the device. Also returns the address under which it is found when it has been plugged in anew.
     pub fn open(address: &UsbAddress) -> Result<(Self, UsbAddress), BoardError> {
         let path = address.name();
-        wire::opened(&path.display());
-        let (endpoints, settled) = usb::open(USB_ID, address).map_err(|e| match e {
-            OpenError::Absent => BoardError::Absent { path },
-            OpenError::Ambiguous(found) => {
-                BoardError::Ambiguous { path, found: found.iter().map(UsbAddress::to_string).collect() }
-            }
-            OpenError::Busy => BoardError::Busy { path },
-            OpenError::PermissionDenied => BoardError::PermissionDenied { path },
-            OpenError::Other(source) => BoardError::Open { path, source },
-        })?;
+        trace::opened(&path.display());
+        let (endpoints, settled) = usb::open(USB_ID, address).map_err(|error| BoardError::opening(path, error))?;
         let (parser, buffer) = (BulkParser::new(), vec![0; MAX_BULK]);
         Ok((Bulk { endpoints, parser, buffer, last_byte: Instant::now(), cut: false }, settled))
     }
@@ -105,15 +98,15 @@ impl Bulk {
     }
 
     fn control_out(&mut self, setup: &Setup, data: &[u8]) -> Result<(), TransferError> {
-        wire::sent(setup);
-        wire::sent(data);
-        self.endpoints.control_out(setup, data).inspect_err(|error| wire::failed(error))
+        trace::sent(setup);
+        trace::sent(data);
+        self.endpoints.control_out(setup, data).inspect_err(|error| trace::failed(error))
     }
 
     fn control_in(&mut self, setup: &Setup, buffer: &mut [u8]) -> Result<usize, TransferError> {
-        wire::sent(setup);
-        let count = self.endpoints.control_in(setup, buffer).inspect_err(|error| wire::failed(error))?;
-        wire::received(buffer.get(..count).unwrap_or(&[]));
+        trace::sent(setup);
+        let count = self.endpoints.control_in(setup, buffer).inspect_err(|error| trace::failed(error))?;
+        trace::received(buffer.get(..count).unwrap_or(&[]));
         Ok(count)
     }
 

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use crate::usb::UsbAddress;
+use super::usb::UsbAddress;
 
 /// Address of a board, which also selects the transport.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -13,32 +13,32 @@ pub const TARGET: &str = "radome_driver::wire";
 const MOST_SHOWN: usize = 96;
 
 /// Traces that a connection is opened.
-pub(super) fn opened(carrier: &dyn fmt::Display) {
+pub(crate) fn opened(carrier: &dyn fmt::Display) {
     tracing::trace!(target: TARGET, opened = %carrier);
 }
 
 /// Traces the unique identifier of the board, in hexadecimal.
-pub(super) fn identity(uuid: &str) {
+pub(crate) fn identity(uuid: &str) {
     tracing::trace!(target: TARGET, identity = %uuid);
 }
 
 /// Traces a message to the board.
-pub(super) fn sent(bytes: &[u8]) {
+pub(crate) fn sent(bytes: &[u8]) {
     tracing::trace!(target: TARGET, sent = %Shown { bytes, most: MOST_SHOWN });
 }
 
 /// Traces a message from the board that holds no measurement.
-pub(super) fn received(bytes: &[u8]) {
+pub(crate) fn received(bytes: &[u8]) {
     tracing::trace!(target: TARGET, received = %Shown { bytes, most: MOST_SHOWN });
 }
 
 /// Traces the number of bytes of a measurement, in a protocol whose headers are not parsed here.
-pub(super) fn measured(bytes: usize) {
+pub(crate) fn measured(bytes: usize) {
     tracing::trace!(target: TARGET, received = %format_args!("{bytes} bytes"));
 }
 
 /// Traces a message of the MCU7 protocol from the board.
-pub(super) fn event(event: &BoardEvent<'_>) {
+pub(crate) fn event(event: &BoardEvent<'_>) {
     match event {
         BoardEvent::Response(Response { kind_code, status, payload }) => {
             let [l0, l1] = (payload.len() as u16).to_le_bytes();
@@ -53,18 +53,18 @@ pub(super) fn event(event: &BoardEvent<'_>) {
 }
 
 /// Traces a data packet.
-pub(super) fn packet(packet: &Packet<'_>) {
+pub(crate) fn packet(packet: &Packet<'_>) {
     let (header, more) = (packet.header_bytes(), packet.payload.len());
     tracing::trace!(target: TARGET, received = %format_args!("{} and {more} bytes", Shown::header(&header)));
 }
 
 /// Traces bytes that are not a message.
-pub(super) fn damaged() {
+pub(crate) fn damaged() {
     tracing::trace!(target: TARGET, received = "what is no message");
 }
 
 /// Traces a read that failed.
-pub(super) fn failed(why: &dyn fmt::Debug) {
+pub(crate) fn failed(why: &dyn fmt::Debug) {
     tracing::trace!(target: TARGET, received = %format_args!("nothing: {why:?}"));
 }
 

@@ -1,11 +1,12 @@
 //! Handshake with a Radar Baseboard MCU7: identities of its firmware and of its chip, with or without a reset.
 
 use super::link::Link;
-use super::{BoardError, BoardIdentity, wire};
+use crate::board::{BoardError, BoardIdentity};
 use crate::chip::{CHIP_ID_BGT60TR13C, REGISTERS, RegisterFile, SpiWord, address as register, chip_name};
 use crate::protocol::mcu7::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, FirmwareVersion, IMPLEMENTATION_AVIAN, Protocol, Status, text,
 };
+use crate::transport::trace;
 
 /// SFCTL as the vendor's client sets it before the first read. A reset sets `MISO_HF_READ`, which moves the edge on
 /// which the chip answers.
@@ -13,12 +14,12 @@ const SFCTL_READABLE: u32 = 0x10_0000;
 
 /// Answers of a board's firmware to the handshake. The board has a radar chip, which has not been accessed, and sends
 /// no data.
-pub(super) struct Greeting {
+pub(super) struct Handshake {
     info: BoardInfo,
     version: FirmwareVersion,
 }
 
-impl Greeting {
+impl Handshake {
     /// Finds the version of the protocol that the board speaks, and stops its data.
     pub fn exchange(link: &mut Link) -> Result<Self, BoardError> {
         let path = link.path.clone();
@@ -53,7 +54,7 @@ impl Greeting {
         if !has_chip {
             return Err(BoardError::ChipSilent { path, chip_id: 0 });
         }
-        Ok(Greeting { info, version })
+        Ok(Handshake { info, version })
     }
 
     /// Reads the whole identity: the board's further names, then CHIP_ID by the function given.
@@ -66,7 +67,7 @@ impl Greeting {
             (Status::Ok, uuid) => uuid.iter().map(|b| format!("{b:02x}")).collect(),
             _ => "0".repeat(32),
         };
-        wire::identity(&uuid);
+        trace::identity(&uuid);
         let extended = link.request(&Command::ExtendedVersion)?.1;
         let chip_id = chip_id(link)?;
         let path = link.path.clone();
@@ -75,7 +76,7 @@ impl Greeting {
             CHIP_ID_BGT60TR13C => {}
             _ => return Err(BoardError::OtherChip { path, chip: chip_name(chip_id), chip_id }),
         }
-        let Greeting { info, version } = self;
+        let Handshake { info, version } = self;
         let ([a, b, c, _], [major, minor]) = (version.firmware, version.protocol);
         Ok(BoardIdentity {
             name: info.name,

@@ -9,12 +9,11 @@ use std::time::Duration;
 
 use rustix::net::{RecvFlags, recv};
 
-use super::socket::HostSockets;
-use super::{Setup, TransferError};
-use crate::emulator::probe::EmulatedProbe;
+use super::probe::EmulatedProbe;
 use crate::protocol::cmsis_dap::MAX_PACKET;
 use crate::protocol::mcu7::Framing;
 use crate::protocol::mcu7::bulk::{DATA_ENDPOINT, MAX_BULK, is_in};
+use crate::transport::usb::{HostSockets, Setup, TransferError};
 
 const DESCRIPTORS_MAGIC: u32 = 3;
 const STRINGS_MAGIC: u32 = 2;

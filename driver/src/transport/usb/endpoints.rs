@@ -1,17 +1,9 @@
-//! USB devices by their endpoints: real ones through libusb, emulated ones through sockets.
-
-mod address;
-mod device;
-#[cfg(target_os = "linux")]
-pub mod function_fs;
-mod socket;
+//! Endpoints of USB devices, and the errors of opening and using them.
 
 use std::io;
 use std::time::Duration;
 
-pub use address::{UsbAddress, UsbAddressError};
-pub(crate) use device::open;
-pub(crate) use socket::DeviceSockets;
+use super::address::UsbAddress;
 
 /// A setup packet: bmRequestType, bRequest, wValue, wIndex, wLength.
 pub(crate) type Setup = [u8; 8];
@@ -37,7 +29,7 @@ pub(crate) enum TransferError {
     Lost(io::Error),
 }
 
-/// Error of opening a device.
+/// Error of opening a serial port or a USB device.
 #[derive(Debug)]
 pub(crate) enum OpenError {
     /// No such device is attached.
@@ -53,4 +45,4 @@ pub(crate) enum OpenError {
 }
 
 /// Longest time that a device takes to answer a control transfer.
-const CONTROL_TIMEOUT: Duration = Duration::from_secs(1);
+pub(super) const CONTROL_TIMEOUT: Duration = Duration::from_secs(1);

@@ -6,11 +6,13 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::assembler::{Assembler, Outcome};
+use super::board::Board;
 use super::link::Incoming;
-use super::reconnect::{Losses, Outage, Reconnect};
-use super::{Address, Board, BoardError};
+use crate::board::BoardError;
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
 use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
 use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
+use crate::transport::Address;
 
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
 const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
@@ -28,15 +30,33 @@ pub struct BoardStream {
     path: PathBuf,
     address: Address,
     uuid: String,
-    reconnect: Option<Reconnect>,
-    outage: Outage,
+    recovery: Recovery,
     /// Time at which the last frame was handed out, or the stream began.
     last_frame: Instant,
     losses: Losses,
 }
 
+impl Board {
+    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
+    ///
+    /// # Errors
+    /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
+    pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
+        BoardStream::start(self, waveform, false)
+    }
+
+    /// Starts frames like [`Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
+    /// samples of RX1, which the waveform must have.
+    ///
+    /// # Errors
+    /// Those of [`Board::start`].
+    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
+        BoardStream::start(self, waveform, true)
+    }
+}
+
 impl BoardStream {
-    pub(super) fn start(board: Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
+    fn start(board: Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
         let slice = SliceLayout::for_frame_as(waveform.shape().codes(), board.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
         let mut registers = configuration.compile()?;
@@ -53,8 +73,7 @@ impl BoardStream {
             path: board.path().to_owned(),
             address: board.address().clone(),
             uuid: board.identity().uuid.clone(),
-            reconnect: None,
-            outage: Outage::default(),
+            recovery: Recovery::default(),
             last_frame: Instant::now(),
             losses: Losses::default(),
             board: Some(board),
@@ -89,38 +108,13 @@ impl BoardStream {
     /// for it. The frames lost meanwhile become a gap, counted by the board's clock where that has run on, otherwise by
     /// the host's clock to about one frame.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
-        self.reconnect = Some(policy);
+        self.recovery.policy = Some(policy);
         self
     }
 
     /// Number of frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
         self.losses.frames(reason)
-    }
-
-    /// Opens the port again until the board answers and measures; returns `error` if it does not.
-    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be opened.
-        self.board = None;
-        self.restart = None;
-        policy.until_back(self.outage.noticed(self.last_frame), error, || {
-            self.board = None;
-            let board = Board::open_at(&self.address)?;
-            if board.identity().uuid != self.uuid {
-                let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
-                return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-            }
-            self.board = Some(board);
-            self.program()?;
-            self.assembler.reconnected();
-            Ok(())
-        })
-    }
-
-    /// Reads the next frame or gap; fails after the deadline.
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
-        let waited = self.deadline;
-        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
     }
 
     /// Register list that was written to the chip.
@@ -221,15 +215,40 @@ impl FrameSource for BoardStream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        loop {
-            let error = match self.wait(frame) {
-                Ok(event) => return Ok(event),
-                Err(error) => error,
-            };
-            match self.reconnect {
-                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
-                _ => return Err(error.into()),
-            }
+        Ok(next_event(self, frame)?)
+    }
+}
+
+impl Reconnectable for BoardStream {
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
+    fn close(&mut self) {
+        self.board = None;
+        self.restart = None;
+    }
+
+    fn reopen(&mut self) -> Result<(), BoardError> {
+        // A former attempt may have opened the port and failed later.
+        self.board = None;
+        let board = Board::open_at(&self.address)?;
+        if board.identity().uuid != self.uuid {
+            let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
+            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
         }
+        self.board = Some(board);
+        self.program()?;
+        self.assembler.reconnected();
+        Ok(())
+    }
+
+    fn last_frame(&self) -> Instant {
+        self.last_frame
+    }
+
+    fn recovery(&mut self) -> &mut Recovery {
+        &mut self.recovery
     }
 }

@@ -1,25 +1,20 @@
-//! PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]).
-
-mod error;
-mod link;
-mod order;
-mod stream;
+//! PSoC 6 kit with the DEEPCRAFT streaming firmware.
 
 use std::path::Path;
 use std::time::Duration;
 
 use radome_dsp::Waveform;
 
-use super::{BoardError, BoardIdentity, wire};
+use super::error::DeepcraftError;
+use super::link::Link;
+use crate::board::{BoardError, BoardIdentity};
 use crate::chip::{CHIP_ID_BGT60TR13C, RegisterList, chip_name};
 use crate::protocol::deepcraft::{
     Board, CUSTOM, CUSTOM_DATA, Command, ConfigureRequest, Custom, Device, OptionKind, OptionValue, PROTOCOL_VERSION,
-    Preset, RING_CODES, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,
+    Preset, StreamConfig, USE_CASE, Value, Version, data_type, device_status, device_type, direction,
     stated_frequency_hz,
 };
-pub use error::DeepcraftError;
-use link::Link;
-pub use stream::DeepcraftStream;
+use crate::transport::trace;
 
 /// Vendor and product id of the firmware's USB device, which the protocol does not report.
 const USB_ID: (u16, u16) = (0x058B, 0x027D);
@@ -28,27 +23,27 @@ const RADAR: &str = "Radar";
 
 /// PSoC 6 kit that has been identified and does not measure.
 pub struct DeepcraftBoard {
-    link: Link,
-    identity: BoardIdentity,
+    pub(super) link: Link,
+    pub(super) identity: BoardIdentity,
     /// Id of the radar among the board's devices.
-    device: i32,
+    pub(super) device: i32,
     /// Items of the option "use case".
     items: Vec<String>,
     configured: Option<Waveform>,
-    watchdog: Option<Duration>,
+    pub(super) watchdog: Option<Duration>,
 }
 
 /// Waveform with the registers and options that set the radar to it.
-struct Setting {
-    waveform: Waveform,
-    registers: RegisterList,
+pub(super) struct Setting {
+    pub(super) waveform: Waveform,
+    pub(super) registers: RegisterList,
     options: Vec<OptionValue>,
 }
 
 /// Stream of the radar, as configured.
-struct Stream {
-    index: i32,
-    next_number: u32,
+pub(super) struct Stream {
+    pub(super) index: i32,
+    pub(super) next_number: u32,
 }
 
 impl DeepcraftBoard {
@@ -102,22 +97,7 @@ impl DeepcraftBoard {
         self.configured.clone()
     }
 
-    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset; any
-    /// other is sent as registers, and the stream's waveform then has the chirp interval that they realise.
-    ///
-    /// # Errors
-    /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
-    /// the waveform; else an error of the connection or of the board.
-    pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
-        let codes = waveform.shape().codes();
-        if codes > RING_CODES || !codes.is_multiple_of(2) {
-            return Err(self.link.wrong(DeepcraftError::Frame { codes }));
-        }
-        let setting = self.setting(waveform)?;
-        DeepcraftStream::start(self, setting)
-    }
-
-    fn setting(&self, waveform: &Waveform) -> Result<Setting, BoardError> {
+    pub(super) fn setting(&self, waveform: &Waveform) -> Result<Setting, BoardError> {
         let item = |name: &str| {
             let index = self.items.iter().position(|item| item == name);
             index.map(|index| OptionValue { option_id: USE_CASE, value: Some(Value::OneOf(index as i32)) })
@@ -135,7 +115,7 @@ impl DeepcraftBoard {
     }
 
     /// Stops and configures the radar, and checks the stream that it states.
-    fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
+    pub(super) fn set(&mut self, setting: &Setting) -> Result<Stream, BoardError> {
         let device = self.device;
         let answer = self
             .link
@@ -157,7 +137,7 @@ fn identity(board: &Board, radar: &Device) -> BoardIdentity {
         format!("{}.{}.{}", version.major, version.minor, version.build)
     };
     let uuid = board.serial.as_ref().map_or(&[][..], |serial| &serial.uuid);
-    wire::identity(&uuid.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+    trace::identity(&uuid.iter().map(|byte| format!("{byte:02x}")).collect::<String>());
     BoardIdentity {
         name: board.name.clone(),
         vendor_id: USB_ID.0,
