@@ -14,7 +14,8 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
 use super::vendor_config::read_waveform;
-use super::{Extent, Position, RecordingError, first_index, read_text, time_ns};
+use super::vendor_fields::read_text;
+use super::{Extent, Position, RecordingError, first_index, time_ns};
 
 pub use writer::InfineonWriter;
 

@@ -145,3 +145,15 @@ impl FrameSource for Recording {
         }
     }
 }
+
+/// Opens a recording of any kind as a source of frames.
+///
+/// # Errors
+/// [`RecordingError`] if the path cannot be read or is not a recording.
+pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
+    Ok(match Recording::open(path)? {
+        Recording::Mcap(reader) => reader,
+        Recording::Infineon(reader) => reader,
+        Recording::Text(reader) => reader,
+    })
+}

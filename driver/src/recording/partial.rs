@@ -7,7 +7,16 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::lock::{Locked, lock};
-use super::{Existing, RecordingError, disk};
+use super::{RecordingError, disk};
+
+/// Policy for an output whose file exists already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// The file is kept: [`RecordingError::Occupied`].
+    Refuse,
+    /// The file is replaced once the output is complete.
+    Replace,
+}
 
 /// File or folder under a temporary name beside its own, `.NAME.partial`: renamed when complete, removed if dropped
 /// before. It is locked, so that two writers never share one. The remains of a killed writer are overwritten.
@@ -196,6 +205,15 @@ fn about(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
         }
         other => other,
     }
+}
+
+/// Renames a file in the same file system, replaces a file of that name, and waits until the name is on the disk. The
+/// content of the file must be there already.
+///
+/// # Errors
+/// [`RecordingError::Io`].
+pub fn rename_synced(from: &Path, to: &Path) -> Result<(), RecordingError> {
+    disk::rename(from, to).and_then(|()| disk::sync_folder(to)).map_err(RecordingError::cannot_write(to))
 }
 
 #[cfg(test)]

@@ -9,7 +9,7 @@
 use radome_dsp::{FrameShape, SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
 
 use super::RecordingError;
-use super::vendor_config::Fields;
+use super::vendor_fields::Fields;
 
 /// ADC rate of the SDK for metrics that state none, Hz.
 const SAMPLE_RATE_HZ: f64 = 1e6;
