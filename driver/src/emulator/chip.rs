@@ -19,8 +19,8 @@ use std::sync::Arc;
 
 use radome_dsp::{FIFO_SAMPLES, Waveform};
 
+use super::sample_source::{SampleSource, Slice};
 use super::thermometer::Thermometer;
-use super::world::{Slice, World};
 use super::{EmulatorOptions, Fault, Feed, Shared};
 use crate::chip::{CHIP_ID_BGT60TR13C, ChipConfiguration, Field, RegisterFile, SpiWord, address, field, main_bits};
 
@@ -41,7 +41,7 @@ enum Power {
 pub(super) struct Chip {
     registers: RegisterFile,
     chip_id: u32,
-    world: World,
+    source: SampleSource,
     /// Waveform of the running frames; `None` while none run.
     frames: Option<Waveform>,
     power: Power,
@@ -66,7 +66,7 @@ impl Chip {
         let mut chip = Chip {
             registers: RegisterFile::default(),
             chip_id: foreign.unwrap_or(CHIP_ID_BGT60TR13C),
-            world: World::new(feed, options.pace, options.repeat, shared.clone())?,
+            source: SampleSource::new(feed, options.pace, options.repeat, shared.clone())?,
             frames: None,
             power: Power::DeepSleep,
             thermometer: Thermometer::new(options.seed),
@@ -96,7 +96,7 @@ impl Chip {
         self.registers = RegisterFile::default();
         self.registers.set(address::CHIP_ID, self.chip_id);
         if self.frames.is_some() {
-            self.world.stop();
+            self.source.stop();
         }
         self.sleep();
         self.converted = 0;
@@ -154,7 +154,7 @@ impl Chip {
 
     /// Codes in the FIFO.
     fn fill(&self) -> u64 {
-        if self.frames.is_some() { self.world.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
+        if self.frames.is_some() { self.source.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
     }
 
     /// FIFO level of the interrupt, codes.
@@ -224,7 +224,7 @@ impl Chip {
     /// Chirps sampled since the frames were started.
     fn chirps(&self, waveform: &Waveform) -> u64 {
         let shape = waveform.shape();
-        self.world.sampled() / (shape.rx * shape.samples).max(1) as u64
+        self.source.sampled() / (shape.rx * shape.samples).max(1) as u64
     }
 
     /// Frames and chirps since the start.
@@ -283,10 +283,10 @@ impl Chip {
         self.sleep();
         let waveform = match ChipConfiguration::decode(&self.registers) {
             Ok(configuration) => configuration.waveform,
-            Err(error) => return self.world.refuse(&error.to_string()),
+            Err(error) => return self.source.refuse(&error.to_string()),
         };
         let has_test_pattern = self.registers.field(field::SFCTL::LFSR_EN) == 1;
-        self.world.restart(&waveform, has_test_pattern);
+        self.source.restart(&waveform, has_test_pattern);
         self.power = Power::Active;
         self.frames = Some(waveform);
         self.starts += 1;
@@ -294,7 +294,7 @@ impl Chip {
 
     /// Checks that the source has frames of this waveform; the error is the reason if not.
     pub fn check_source(&self, waveform: &Waveform) -> Result<(), String> {
-        self.world.check(waveform)
+        self.source.check(waveform)
     }
 
     /// Returns whether this many codes are ready for a burst read, which the interrupt line announces.
@@ -302,18 +302,18 @@ impl Chip {
         let Some(waveform) = &self.frames else { return Slice::Wait };
         let frames = self.registers.field(field::CCR2::MAX_FRAME_CNT);
         let last = u64::from(frames) * waveform.shape().codes() as u64;
-        if frames > 0 && self.world.taken() + codes > last {
+        if frames > 0 && self.source.taken() + codes > last {
             return Slice::Wait;
         }
         // The line rises at its own level; firmware that reads more than that reads past the end.
-        self.world.slice(codes.min(self.interrupt_level() + 2))
+        self.source.slice(codes.min(self.interrupt_level() + 2))
     }
 
     /// A burst read of the FIFO, appended.
     pub fn read_fifo(&mut self, codes: usize, out: &mut Vec<u16>) {
-        let there = codes.min(self.world.in_fifo() as usize).min(self.world.at_hand());
-        out.extend_from_slice(self.world.codes(there));
-        self.world.take(there);
+        let there = codes.min(self.source.in_fifo() as usize).min(self.source.at_hand());
+        out.extend_from_slice(self.source.codes(there));
+        self.source.take(there);
         let missing = codes - there;
         if missing > 0 {
             out.extend(std::iter::repeat_n(0xFFF, missing));
@@ -323,7 +323,7 @@ impl Chip {
 
     /// Sets the sticky overflow flag if more has been sampled than the FIFO holds.
     pub fn look_for_overflow(&mut self) {
-        self.overflowed |= self.frames.is_some() && self.world.overflows();
+        self.overflowed |= self.frames.is_some() && self.source.overflows();
     }
 
     /// Makes the FIFO overflow.
@@ -332,8 +332,8 @@ impl Chip {
     }
 
     /// Returns the sample source.
-    pub fn world(&mut self) -> &mut World {
-        &mut self.world
+    pub fn source(&mut self) -> &mut SampleSource {
+        &mut self.source
     }
 }
 
@@ -491,7 +491,7 @@ mod tests {
             let waveform = Waveform::realise(request).expect("valid");
             let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
-                chip.world().advance();
+                chip.source().advance();
                 chip.look_for_overflow();
                 if chip.fifo_failed() {
                     break;

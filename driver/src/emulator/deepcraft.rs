@@ -5,28 +5,24 @@ mod requests;
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorError, EmulatorOptions, Feed, Shared};
 use crate::chip::{address, field};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
-use requests::Requests;
+use requests::{DEVICE, Requests};
 
-/// Time without a watchdog reset after which the firmware stops, ms.
-const WATCHDOG_TIMEOUT_MS: i32 = 3000;
-/// Number of the radar among the board's devices, and of its stream.
-const DEVICE: i32 = 0;
+/// Id of the radar's stream.
 const STREAM: i32 = 0;
 
 /// Firmware, and the frames that it has read from the chip.
 ///
 /// It reads 6144 codes at a time and sends the frames that these complete as one chunk, however many, although the
-/// stream's
-/// `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the comment "Max
-/// frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
+/// stream's `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the
+/// comment "Max frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
 /// FIFO goes on filling. At a gap and at the end of the source it sends the frames that it has. The real firmware does
 /// not check for an overflow of the FIFO, so that its behaviour then is unknown; this one counts the frames as dropped
 /// and starts the chip again.
@@ -189,7 +185,7 @@ impl Firmware for Deepcraft {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.world().advance();
+        self.requests.chip.source().advance();
         self.requests.chip.look_for_overflow();
     }
 
@@ -200,9 +196,4 @@ impl Firmware for Deepcraft {
     fn abandon(&mut self) {
         self.requests.abandon();
     }
-}
-
-/// Time at which the watchdog stops the radar.
-fn watchdog() -> Instant {
-    Instant::now() + Duration::from_millis(WATCHDOG_TIMEOUT_MS as u64)
 }

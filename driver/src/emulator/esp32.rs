@@ -9,8 +9,8 @@ use std::sync::atomic::Ordering;
 use radome_dsp::WaveformRequest;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
 use crate::chip::{ChipConfiguration, RegisterList, address, field};
 use crate::protocol::ascii;
@@ -70,7 +70,7 @@ impl Esp32 {
     /// Resets the chip and starts frames. The content of its FIFO is lost; the chip's frame counter tells how many
     /// frames, so that frames keep their numbers.
     fn start(&mut self) {
-        self.chip.world().stop();
+        self.chip.source().stop();
         let status = self.chip.read(address::STAT1);
         let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
         let measured = u64::from(field::STAT1::FRAME_CNT.of(status)) + u64::from(is_cut);
@@ -87,7 +87,7 @@ impl Esp32 {
 
     /// Reads the chip's FIFO at each interrupt, as long as there is room for another frame.
     fn drain(&mut self) {
-        let frames = if self.chip.world().waits() { 1 } else { BUFFER_FRAMES };
+        let frames = if self.chip.source().waits() { 1 } else { BUFFER_FRAMES };
         while self.frames.len() < frames && !self.chip.fifo_failed() {
             match self.chip.poll(self.slice.samples as u64) {
                 Slice::Ready { .. } => {
@@ -177,7 +177,7 @@ impl Firmware for Esp32 {
     }
 
     fn advance(&mut self) {
-        self.chip.world().advance();
+        self.chip.source().advance();
         if self.is_up && !self.stalled {
             self.drain();
         }

@@ -1,12 +1,11 @@
 //! Requests to the emulated DEEPCRAFT firmware: requests in, answers out, and the state that they change.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use prost::Message;
 use radome_dsp::Waveform;
 
-use super::{DEVICE, WATCHDOG_TIMEOUT_MS, watchdog};
 use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{EmulatorError, Fault, Shared};
@@ -16,6 +15,16 @@ use crate::protocol::deepcraft::{
     OptionKind, OptionOneOf, OptionValue, PROTOCOL_VERSION, Preset, Request, Response, StreamConfig, USE_CASE, Value,
     Version, data_type, device_status, device_type, direction, stated_frequency_hz,
 };
+
+/// Time without a watchdog reset after which the firmware stops, ms.
+const WATCHDOG_TIMEOUT_MS: i32 = 3000;
+/// Id of the radar among the board's devices.
+pub(super) const DEVICE: i32 = 0;
+
+/// Time at which the watchdog stops the radar.
+fn watchdog() -> Instant {
+    Instant::now() + Duration::from_millis(WATCHDOG_TIMEOUT_MS as u64)
+}
 
 pub(super) struct Requests {
     parser: MessageParser,

@@ -8,8 +8,8 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
 use crate::protocol::mcu7::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
 use crate::protocol::packed12;
@@ -79,11 +79,11 @@ impl Mcu7 {
     }
 
     fn has_room(&mut self, slice: SliceLayout) -> bool {
-        let world = self.requests.chip.world();
-        match world.waits() {
+        let source = self.requests.chip.source();
+        match source.waits() {
             // Reading ahead gains nothing.
             true => self.buffer.is_empty(),
-            false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * world.speed()) as usize,
+            false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * source.speed()) as usize,
         }
     }
 
@@ -139,7 +139,7 @@ impl Mcu7 {
         let codes = frames * self.requests.chip.frames().map_or(0, |w| w.shape().codes() as u64);
         let samples = slice.samples as u64;
         let packets = codes / samples * slice.packets() as u64;
-        if codes.is_multiple_of(samples) && self.requests.chip.world().at_frame_boundary() && packets < 0x8000 {
+        if codes.is_multiple_of(samples) && self.requests.chip.source().at_frame_boundary() && packets < 0x8000 {
             self.buffer.push_back(Waiting::LostPackets(packets as u16));
         }
     }
@@ -234,7 +234,7 @@ impl Firmware for Mcu7 {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.world().advance();
+        self.requests.chip.source().advance();
         self.drain();
     }
 

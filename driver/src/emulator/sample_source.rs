@@ -41,7 +41,7 @@ pub(super) enum Slice {
     End,
 }
 
-pub(super) struct World {
+pub(super) struct SampleSource {
     incoming: Receiver<Message>,
     spare: Sender<Frame>,
     /// Thread that runs the source.
@@ -89,7 +89,7 @@ pub(super) struct World {
     stopped_ns: Option<u64>,
 }
 
-impl World {
+impl SampleSource {
     /// Starts a thread that takes frames from the source, so that a slow source does not delay the firmware's answers.
     pub fn new(feed: Feed, pace: Pace, repeat: bool, shared: Arc<Shared>) -> std::io::Result<Self> {
         let Feed { source, maker } = feed;
@@ -98,7 +98,7 @@ impl World {
         let maker = Arc::new(Mutex::new(maker));
         let (incoming, spare, producer) =
             Producer::start(waveform.clone(), maker.clone(), repeat, Beginning::With(source))?;
-        Ok(World {
+        Ok(SampleSource {
             incoming,
             spare,
             producer: Some(producer),
@@ -451,7 +451,7 @@ struct Producer {
     waveform: Waveform,
     maker: Arc<Mutex<Maker>>,
     repeat: bool,
-    to_world: Sender<Message>,
+    outgoing: Sender<Message>,
     spare: Receiver<Frame>,
 }
 
@@ -469,9 +469,9 @@ impl Producer {
         repeat: bool,
         beginning: Beginning,
     ) -> std::io::Result<(Receiver<Message>, Sender<Frame>, JoinHandle<()>)> {
-        let (to_world, incoming) = bounded(FRAMES_AHEAD);
+        let (outgoing, incoming) = bounded(FRAMES_AHEAD);
         let (to_producer, spare) = bounded(FRAMES_AHEAD + 2);
-        let producer = Producer { waveform, maker, repeat, to_world, spare };
+        let producer = Producer { waveform, maker, repeat, outgoing, spare };
         let thread = thread::Builder::new().name("emulator source".into()).spawn(move || producer.run(beginning))?;
         Ok((incoming, to_producer, thread))
     }
@@ -503,7 +503,7 @@ impl Producer {
 
     /// Sends the message, if the channel is open.
     fn send(&self, message: Message) {
-        let _ = self.to_world.send(message);
+        let _ = self.outgoing.send(message);
     }
 
     /// Passes on all frames of a source. If there was one before it, its first frame begins at `seam_ns`.
@@ -536,7 +536,7 @@ impl Producer {
                     return None;
                 }
             };
-            self.to_world.send(message).ok()?;
+            self.outgoing.send(message).ok()?;
         }
     }
 
