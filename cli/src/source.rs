@@ -17,8 +17,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording};
 use radome_driver::{
-    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace,
-    Player, RealTime, Reconnect, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Mcu7Board,
+    Pace, Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
@@ -205,7 +205,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
     let detected = match address {
         Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
         Address::Usb(_) => {
-            let (board, left) = Board::open_as_left(address)?;
+            let (board, left) = Mcu7Board::open_as_left(address)?;
             Detected::Mcu7(Box::new(board), left)
         }
     };
@@ -231,7 +231,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
-        Detected::Lines(stream) => {
+        Detected::Esp32(stream) => {
             let description = format!("ESP32 on {address}");
             let stream = Box::new(stream.with_reconnect(options.reconnect()));
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })

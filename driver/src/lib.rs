@@ -1,6 +1,6 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
 //!
-//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`BoardStream`], a recording
+//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`Mcu7Stream`], a recording
 //! ([`recording::open`]), either of them paced by [`RealTime`], a recording that can be paused and sought ([`Player`]),
 //! and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function over bytes beside its
 //! encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The library never prints: it
@@ -19,8 +19,8 @@ pub mod replay;
 pub mod transport;
 
 pub use board::{
-    Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
-    LineStream, Reconnect,
+    BoardError, BoardIdentity, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, Esp32Stream, Mcu7Board,
+    Mcu7Stream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{

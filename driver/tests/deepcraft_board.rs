@@ -452,11 +452,11 @@ mod hard_cases {
             assert!(matches!(error, BoardError::NoAnswer { command: "capabilities", .. }), "{kind:?}: {error}");
             match kind {
                 Kind::Esp32 => {
-                    let mut stream = radome_driver::LineStream::open(board.path(), Some(&w)).expect("opens");
+                    let mut stream = radome_driver::Esp32Stream::open(board.path(), Some(&w)).expect("opens");
                     let mut frame = Frame::zeroed(w.shape());
                     while stream.next_frame(&mut frame).expect("lines") != SourceEvent::Frame {}
                 }
-                _ => drop(radome_driver::Board::open(board.path()).expect("opens").start(&w).expect("starts")),
+                _ => drop(radome_driver::Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts")),
             }
         }
     }

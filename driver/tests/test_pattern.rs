@@ -4,7 +4,7 @@ mod common;
 
 use common::{Pattern, waveform};
 use radome_driver::chip::test_pattern::PatternCheck;
-use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Fault, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
 /// What the check says of so many frames, and the last of them.
@@ -12,7 +12,7 @@ fn check(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (PatternCheck, F
     let source = Pattern::new(waveform.clone(), u64::MAX);
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() };
     let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
-    let mut stream = Board::open(board.path()).expect("opens").start_test_pattern(waveform).expect("starts");
+    let mut stream = Mcu7Board::open(board.path()).expect("opens").start_test_pattern(waveform).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut check, mut received) = (PatternCheck::new(), 0);
     while received < frames {

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Board, BoardError, DeepcraftBoard, LineStream};
+use super::{BoardError, DeepcraftBoard, Esp32Stream, Mcu7Board};
 use crate::transport::serial::{open_port, read_more};
 use crate::transport::{Address, trace};
 
@@ -19,11 +19,11 @@ const ENOUGH: usize = 256;
 /// Board found on a serial port.
 pub enum Detected {
     /// Radar Baseboard MCU7, and the waveform that its chip was programmed with before.
-    Mcu7(Box<Board>, Option<Waveform>),
+    Mcu7(Box<Mcu7Board>, Option<Waveform>),
     /// PSoC 6 kit with DEEPCRAFT firmware, which reports its waveform.
     Deepcraft(Box<DeepcraftBoard>),
     /// Board that prints its frames.
-    Lines(Box<LineStream>),
+    Lines(Box<Esp32Stream>),
 }
 
 impl Detected {
@@ -43,13 +43,13 @@ impl Detected {
         }
         if is_text(&heard) {
             trace::received(&heard);
-            return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
+            return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
         trace::measured(heard.len());
         drop(port);
         // To a DEEPCRAFT board the MCU7 request is the head of a longer one, whose rest it waits for; the DEEPCRAFT
         // client completes it.
-        match Board::open_as_left(&Address::Serial(path.into())) {
+        match Mcu7Board::open_as_left(&Address::Serial(path.into())) {
             Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
             Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
                 Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),

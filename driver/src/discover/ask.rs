@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::board::{Board, BoardError, BoardIdentity, DeepcraftBoard};
+use crate::board::{BoardError, BoardIdentity, DeepcraftBoard, Mcu7Board};
 use crate::candidate::{Access, Belief, Candidate, Transport};
 use crate::probe::{Probe, ProbeError, ProbeIdentity};
 use crate::transport::{Address, PERMISSION_REMEDY};
@@ -90,7 +90,7 @@ fn in_words(error: &dyn std::error::Error) -> String {
 }
 
 /// Reads the identity of a device. Boards and probes are opened and sent requests, which stops a board that measures
-/// but leaves its chip [as it was programmed](Board::identity_at). Serial ports of unknown devices are opened only if
+/// but leaves its chip [as it was programmed](Mcu7Board::identity_at). Serial ports of unknown devices are opened only if
 /// `any_port` is set.
 pub fn ask(candidate: &Candidate, any_port: bool) -> State {
     match candidate.access {
@@ -98,7 +98,7 @@ pub fn ask(candidate: &Candidate, any_port: bool) -> State {
         Access::Absent => return State::NotAnswering { why: "it has no device node".into() },
         Access::Granted => {}
     }
-    let board = |address: &Address| match Board::identity_at(address) {
+    let board = |address: &Address| match Mcu7Board::identity_at(address) {
         Ok(identity) => State::Ready { identity: Identity::Board(identity) },
         Err(error) => error.into(),
     };

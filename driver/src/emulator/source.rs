@@ -7,13 +7,13 @@ use crossbeam::channel::{Receiver, Sender, unbounded};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 
 use super::{EmulatedBoard, EmulatorError, EmulatorOptions};
-use crate::board::{Board, BoardError, BoardIdentity, BoardStream};
+use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream};
 
 /// Emulated board with a client attached. It ends with its source. The ground truth of the source's frames, which the
 /// protocol cannot carry, bypasses the board and is put back by sequence number.
 pub struct EmulatedSource {
     // Fields are dropped in this order: the client stops the board before the board goes.
-    stream: BoardStream,
+    stream: Mcu7Stream,
     identity: BoardIdentity,
     board: EmulatedBoard,
     truths: Receiver<(u64, Truth)>,
@@ -62,7 +62,7 @@ impl EmulatedSource {
         let waveform = source.waveform().clone();
         let (sender, truths) = unbounded();
         let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
-        let client = Board::open_at(board.address())?;
+        let client = Mcu7Board::open_at(board.address())?;
         let identity = client.identity().clone();
         Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
     }
@@ -87,7 +87,7 @@ impl EmulatedSource {
     }
 
     /// Returns the stream of the client.
-    pub fn stream(&self) -> &BoardStream {
+    pub fn stream(&self) -> &Mcu7Stream {
         &self.stream
     }
 

@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant};
 
 use radome_driver::{
-    Board, BoardError, BoardStream, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, LineStream,
-    Pace, Reconnect,
+    BoardError, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Mcu7Board,
+    Mcu7Stream, Pace, Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
@@ -68,8 +68,8 @@ pub struct Outcome {
 }
 
 enum Client {
-    Board(Box<BoardStream>),
-    Lines(Box<LineStream>),
+    Board(Box<Mcu7Stream>),
+    Lines(Box<Esp32Stream>),
     Deepcraft(Box<DeepcraftStream>),
 }
 
@@ -77,14 +77,16 @@ impl Client {
     fn open(job: &Job, board: &EmulatedBoard) -> Result<Self, BoardError> {
         Ok(match job.protocol {
             Protocol::Esp32 => {
-                let stream = LineStream::open(board.path(), Some(&job.waveform))?;
+                let stream = Esp32Stream::open(board.path(), Some(&job.waveform))?;
                 Client::Lines(Box::new(stream.with_reconnect(POLICY)))
             }
             Protocol::Deepcraft => {
                 let stream = DeepcraftBoard::open(board.path())?.start(&job.waveform)?;
                 Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
             }
-            _ => Client::Board(Box::new(Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY))),
+            _ => Client::Board(Box::new(
+                Mcu7Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY),
+            )),
         })
     }
 

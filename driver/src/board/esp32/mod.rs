@@ -4,4 +4,4 @@
 mod resequencer;
 mod stream;
 
-pub use stream::LineStream;
+pub use stream::Esp32Stream;

@@ -26,7 +26,7 @@ const MOST_HEARD: usize = 1 << 22;
 /// Lines have no check sum: a digit of a code that becomes another digit is not detected. Lines that are lost, doubled,
 /// cut, out of order or wrongly numbered are detected: a number that does not follow its predecessor counts when the
 /// next line confirms it.
-pub struct LineStream {
+pub struct Esp32Stream {
     path: PathBuf,
     /// `None` while the board is disconnected.
     port: Option<TTYPort>,
@@ -40,7 +40,7 @@ pub struct LineStream {
     losses: Losses,
 }
 
-impl LineStream {
+impl Esp32Stream {
     /// Opens the port and listens. Without a waveform the firmware has to state its own.
     ///
     /// # Errors
@@ -48,7 +48,7 @@ impl LineStream {
     /// [`BoardError::WaveformUntold`] if no waveform is given and the firmware states none.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
         let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
-        LineStream::listen(path, port, Vec::new(), waveform)
+        Esp32Stream::listen(path, port, Vec::new(), waveform)
     }
 
     /// Starts a stream on an open port; `heard` are the bytes read from it so far.
@@ -67,7 +67,7 @@ impl LineStream {
         let line_s = codes as f64 * 60.0 / f64::from(BAUD_RATE);
         let mut parser = LineParser::new(codes);
         parser.push(&heard);
-        Ok(LineStream {
+        Ok(Esp32Stream {
             path: path.into(),
             port: Some(port),
             parser,
@@ -116,7 +116,7 @@ fn hear_waveform(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result
     }
 }
 
-impl FrameSource for LineStream {
+impl FrameSource for Esp32Stream {
     fn waveform(&self) -> &Waveform {
         &self.waveform
     }
@@ -130,7 +130,7 @@ impl FrameSource for LineStream {
     }
 }
 
-impl Reconnectable for LineStream {
+impl Reconnectable for Esp32Stream {
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         // The deadline is not extended by bytes alone: lines of another waveform would keep the stream waiting for
         // ever.

@@ -12,12 +12,12 @@ use crate::protocol::mcu7::Command;
 use crate::transport::Address;
 
 /// Radar Baseboard MCU7 that has been identified and does not measure.
-pub struct Board {
+pub struct Mcu7Board {
     pub(super) link: Link,
     identity: BoardIdentity,
 }
 
-impl Board {
+impl Mcu7Board {
     /// Reads the identity of a board and leaves the registers of its chip as they are, so that the next client still
     /// finds the programmed waveform. Only a chip that cannot be read before its SPI is set up is written to: register
     /// SFCTL alone. A board that measures stops sending.
@@ -33,38 +33,38 @@ impl Board {
     /// Opens a serial port, reads the identity of the board and resets the chip, as the vendor's client does.
     ///
     /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open(path: &Path) -> Result<Board, BoardError> {
-        Board::open_at(&Address::Serial(path.into()))
+    /// Those of [`Mcu7Board::identity_at`].
+    pub fn open(path: &Path) -> Result<Mcu7Board, BoardError> {
+        Mcu7Board::open_at(&Address::Serial(path.into()))
     }
 
-    /// Opens a board like [`Board::open`], on a serial port or on USB.
+    /// Opens a board like [`Mcu7Board::open`], on a serial port or on USB.
     ///
     /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open_at(address: &Address) -> Result<Board, BoardError> {
+    /// Those of [`Mcu7Board::identity_at`].
+    pub fn open_at(address: &Address) -> Result<Mcu7Board, BoardError> {
         let mut link = Link::open(address)?;
         let handshake = Handshake::exchange(&mut link)?;
-        Board::reset(link, handshake)
+        Mcu7Board::reset(link, handshake)
     }
 
-    /// Opens a board like [`Board::open_at`], and reads the waveform that the chip was programmed with before; `None`
+    /// Opens a board like [`Mcu7Board::open_at`], and reads the waveform that the chip was programmed with before; `None`
     /// if it has not been programmed since it has power.
     ///
     /// # Errors
-    /// Those of [`Board::identity_at`].
-    pub fn open_as_left(address: &Address) -> Result<(Board, Option<Waveform>), BoardError> {
+    /// Those of [`Mcu7Board::identity_at`].
+    pub fn open_as_left(address: &Address) -> Result<(Mcu7Board, Option<Waveform>), BoardError> {
         let mut link = Link::open(address)?;
         let handshake = Handshake::exchange(&mut link)?;
         let registers = handshake::read_every_register(&mut link)?;
         let waveform = ChipConfiguration::decode(&registers).ok().map(|configuration| configuration.waveform);
-        Ok((Board::reset(link, handshake)?, waveform))
+        Ok((Mcu7Board::reset(link, handshake)?, waveform))
     }
 
-    fn reset(mut link: Link, handshake: Handshake) -> Result<Board, BoardError> {
+    fn reset(mut link: Link, handshake: Handshake) -> Result<Mcu7Board, BoardError> {
         handshake::set_up_spi(&mut link)?;
         let identity = handshake.identity(&mut link, handshake::reset_and_read_chip_id)?;
-        Ok(Board { link, identity })
+        Ok(Mcu7Board { link, identity })
     }
 
     /// Identity that the board reports.

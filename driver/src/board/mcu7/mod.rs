@@ -6,5 +6,5 @@ mod handshake;
 mod link;
 mod stream;
 
-pub use board::Board;
-pub use stream::BoardStream;
+pub use board::Mcu7Board;
+pub use stream::Mcu7Stream;

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
 use super::assembler::{Assembler, Outcome};
-use super::board::Board;
+use super::board::Mcu7Board;
 use super::link::Incoming;
 use crate::board::BoardError;
 use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
@@ -17,9 +17,9 @@ use crate::transport::Address;
 /// MAIN with FIFO and state machine reset, as the vendor's client stops.
 const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
 
-/// A running acquisition. It ends with [`BoardStream::stop`] or when dropped.
-pub struct BoardStream {
-    board: Option<Board>,
+/// A running acquisition. It ends with [`Mcu7Stream::stop`] or when dropped.
+pub struct Mcu7Stream {
+    board: Option<Mcu7Board>,
     waveform: Waveform,
     registers: RegisterList,
     slice: SliceLayout,
@@ -36,27 +36,27 @@ pub struct BoardStream {
     losses: Losses,
 }
 
-impl Board {
+impl Mcu7Board {
     /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
     ///
     /// # Errors
     /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
-    pub fn start(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
-        BoardStream::start(self, waveform, false)
+    pub fn start(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
+        Mcu7Stream::start(self, waveform, false)
     }
 
-    /// Starts frames like [`Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
+    /// Starts frames like [`Mcu7Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
     /// samples of RX1, which the waveform must have.
     ///
     /// # Errors
-    /// Those of [`Board::start`].
-    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<BoardStream, BoardError> {
-        BoardStream::start(self, waveform, true)
+    /// Those of [`Mcu7Board::start`].
+    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
+        Mcu7Stream::start(self, waveform, true)
     }
 }
 
-impl BoardStream {
-    fn start(board: Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
+impl Mcu7Stream {
+    fn start(board: Mcu7Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
         let slice = SliceLayout::for_frame_as(waveform.shape().codes(), board.link.framing());
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
         let mut registers = configuration.compile()?;
@@ -69,7 +69,7 @@ impl BoardStream {
         realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
         let assembler = Assembler::new(&realised, slice);
         let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
-        let mut stream = BoardStream {
+        let mut stream = Mcu7Stream {
             path: board.path().to_owned(),
             address: board.address().clone(),
             uuid: board.identity().uuid.clone(),
@@ -88,7 +88,7 @@ impl BoardStream {
         Ok(stream)
     }
 
-    fn board(&mut self) -> Result<&mut Board, BoardError> {
+    fn board(&mut self) -> Result<&mut Mcu7Board, BoardError> {
         self.board.as_mut().ok_or(BoardError::Stopped)
     }
 
@@ -186,20 +186,20 @@ impl BoardStream {
     ///
     /// # Errors
     /// An error of the connection or of the board, or [`BoardError::Stopped`] if it has been stopped before.
-    pub fn stop(mut self) -> Result<Board, BoardError> {
+    pub fn stop(mut self) -> Result<Mcu7Board, BoardError> {
         let mut board = self.board.take().ok_or(BoardError::Stopped)?;
         halt(&mut board)?;
         Ok(board)
     }
 }
 
-fn halt(board: &mut Board) -> Result<(), BoardError> {
+fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
     board.link.demand(&Command::StopData)?;
     board.link.demand(&Command::Execute { words: vec![STOP], answer: false })?;
     Ok(())
 }
 
-impl Drop for BoardStream {
+impl Drop for Mcu7Stream {
     fn drop(&mut self) {
         if let Some(mut board) = self.board.take()
             && let Err(error) = halt(&mut board)
@@ -209,7 +209,7 @@ impl Drop for BoardStream {
     }
 }
 
-impl FrameSource for BoardStream {
+impl FrameSource for Mcu7Stream {
     fn waveform(&self) -> &Waveform {
         &self.waveform
     }
@@ -219,7 +219,7 @@ impl FrameSource for BoardStream {
     }
 }
 
-impl Reconnectable for BoardStream {
+impl Reconnectable for Mcu7Stream {
     fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
         let waited = self.deadline;
         self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
@@ -233,7 +233,7 @@ impl Reconnectable for BoardStream {
     fn reopen(&mut self) -> Result<(), BoardError> {
         // A former attempt may have opened the port and failed later.
         self.board = None;
-        let board = Board::open_at(&self.address)?;
+        let board = Mcu7Board::open_at(&self.address)?;
         if board.identity().uuid != self.uuid {
             let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
             return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
