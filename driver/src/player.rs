@@ -13,6 +13,25 @@ use crate::recording::{Extent, Position, Recording, RecordingError};
 /// Frames come when they are due, as from [`RealTime`](crate::RealTime). After a seek the frame sought comes at once,
 /// also while paused. If a preroll is set, the frames of that time before come first, for consumers that keep state
 /// from frame to frame.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::Player;
+/// use radome_driver::recording::Recording;
+/// use radome_dsp::{Frame, FrameSource};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let recording = Recording::open(Path::new("night.mcap"))?;
+/// if let Some(mut player) = Player::new(recording, 2.0)? {
+///     let transport = player.transport();
+///     transport.seek_time_s(60.0);
+///     let mut frame = Frame::zeroed(player.waveform().shape());
+///     player.next_frame(&mut frame)?;
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Player {
     recording: Recording,
     extent: Extent,

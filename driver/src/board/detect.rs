@@ -17,6 +17,21 @@ const LISTEN: Duration = Duration::from_millis(300);
 const ENOUGH: usize = 256;
 
 /// Board found on a serial port.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::Detected;
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// match Detected::open(Path::new("/dev/ttyACM0"), None)? {
+///     Detected::Mcu7(board, _) => println!("{}", board.identity().name),
+///     Detected::Deepcraft(board) => println!("{}", board.identity().name),
+///     Detected::Esp32(_) => println!("a board that prints its frames"),
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub enum Detected {
     /// Radar Baseboard MCU7, and the waveform that its chip was programmed with before.
     Mcu7(Box<Mcu7Board>, Option<Waveform>),

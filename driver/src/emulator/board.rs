@@ -23,6 +23,23 @@ use crate::protocol::mcu7::{Framing, Protocol};
 use crate::transport::{Address, UsbAddress};
 
 /// Running emulated board. It ends with [`EmulatedBoard::stop`] or when dropped.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, recording};
+/// use radome_dsp::{Frame, FrameSource};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let source = recording::open(Path::new("night.mcap"))?;
+/// let waveform = source.waveform().clone();
+/// let board = EmulatedBoard::spawn(source, EmulatorOptions::default())?;
+/// let mut stream = Mcu7Board::open_at(board.address())?.start(&waveform)?;
+/// let mut frame = Frame::zeroed(waveform.shape());
+/// stream.next_frame(&mut frame)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct EmulatedBoard {
     path: PathBuf,
     address: Address,

@@ -12,6 +12,22 @@ use super::text::TextReader;
 use super::{Extent, RecordingError};
 
 /// Open recording.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::recording::Recording;
+/// use radome_dsp::{Frame, FrameSource};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let mut recording = Recording::open(Path::new("night.mcap"))?;
+/// recording.seek_time_s(60.0)?;
+/// let mut frame = Frame::zeroed(recording.waveform().shape());
+/// recording.next_frame(&mut frame)?;
+/// println!("{} labels", recording.labels()?.len());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub enum Recording {
     /// The native MCAP file.

@@ -44,6 +44,24 @@ enum Writer {
 
 /// Writer of a recording of any kind. The recording appears under its name when [`RecordingWriter::finish`] has
 /// completed it, and not at all otherwise.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::RecordingHeader;
+/// use radome_driver::recording::{Format, RecordingWriter};
+/// use radome_dsp::{Frame, Waveform, WaveformRequest};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let waveform = Waveform::realise(WaveformRequest::paper())?;
+/// let frame = Frame::zeroed(waveform.shape());
+/// let mut writer = RecordingWriter::create(Path::new("room.mcap"), Format::Mcap, &RecordingHeader::new(waveform))?;
+/// writer.frame(&frame)?;
+/// let report = writer.finish()?;
+/// assert_eq!(report.frames, 1);
+/// # Ok(())
+/// # }
+/// ```
 pub struct RecordingWriter {
     writer: Writer,
 }

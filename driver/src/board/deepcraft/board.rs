@@ -22,6 +22,25 @@ const USB_ID: (u16, u16) = (0x058B, 0x027D);
 const RADAR: &str = "Radar";
 
 /// PSoC 6 kit that has been identified and does not measure.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::DeepcraftBoard;
+/// use radome_dsp::{Frame, FrameSource, Waveform, WaveformRequest};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let board = DeepcraftBoard::open(Path::new("/dev/ttyACM0"))?;
+/// let waveform = match board.configured_waveform() {
+///     Some(waveform) => waveform,
+///     None => Waveform::realise(WaveformRequest::paper())?,
+/// };
+/// let mut stream = board.start(&waveform)?;
+/// let mut frame = Frame::zeroed(stream.waveform().shape());
+/// stream.next_frame(&mut frame)?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct DeepcraftBoard {
     pub(super) link: Link,
     pub(super) identity: BoardIdentity,

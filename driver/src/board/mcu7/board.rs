@@ -12,6 +12,23 @@ use crate::protocol::mcu7::Command;
 use crate::transport::Address;
 
 /// Radar Baseboard MCU7 that has been identified and does not measure.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::{Mcu7Board, Reconnect};
+/// use radome_dsp::{Frame, FrameSource, Waveform, WaveformRequest};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let board = Mcu7Board::open(Path::new("/dev/ttyACM0"))?;
+/// let waveform = Waveform::realise(WaveformRequest::paper())?;
+/// let mut stream = board.start(&waveform)?.with_reconnect(Reconnect::default());
+/// let mut frame = Frame::zeroed(waveform.shape());
+/// stream.next_frame(&mut frame)?;
+/// stream.stop()?;
+/// # Ok(())
+/// # }
+/// ```
 pub struct Mcu7Board {
     pub(super) link: Link,
     identity: BoardIdentity,
