@@ -44,6 +44,7 @@ mod candidate;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
+mod error_text;
 pub mod player;
 pub mod probe;
 pub mod protocol;

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use crate::board::{BoardError, BoardIdentity, DeepcraftBoard, Mcu7Board};
 use crate::candidate::{Access, Belief, Candidate, Transport};
+use crate::error_text::with_causes;
 use crate::probe::{Probe, ProbeError, ProbeIdentity};
 use crate::transport::{Address, PERMISSION_REMEDY};
 
@@ -63,7 +64,7 @@ impl From<BoardError> for State {
                 ),
             },
             BoardError::NoAnswer { .. } => State::NotAnswering { why: "no answer to the vendor's protocol".into() },
-            error => State::NotAnswering { why: in_words(&error) },
+            error => State::NotAnswering { why: with_causes(&error) },
         }
     }
 }
@@ -73,20 +74,9 @@ impl From<ProbeError> for State {
         match error {
             ProbeError::Busy { .. } => State::Busy,
             ProbeError::PermissionDenied { .. } => State::PermissionDenied { remedy: PERMISSION_REMEDY },
-            error => State::NotAnswering { why: in_words(&error) },
+            error => State::NotAnswering { why: with_causes(&error) },
         }
     }
-}
-
-/// Message of an error with its causes.
-fn in_words(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text += &format!(": {error}");
-        cause = error.source();
-    }
-    text
 }
 
 /// Reads the identity of a device. Boards and probes are opened and sent requests, which stops a board that measures

@@ -12,6 +12,7 @@ use super::feed::Maker;
 use super::{Feed, Pace, Shared};
 use crate::chip::SampleTiming;
 use crate::chip::{ChipConfiguration, test_pattern};
+use crate::error_text::with_causes;
 use crate::protocol::fifo;
 
 /// Most frames that the source may be ahead.
@@ -532,7 +533,7 @@ impl Producer {
                 Ok(SourceEvent::Gap(gap)) => Message::Gap { frames: gap.frames },
                 Ok(SourceEvent::End) => return Some(pass),
                 Err(error) => {
-                    self.send(Message::Failed(in_words(error.as_ref())));
+                    self.send(Message::Failed(with_causes(&*error)));
                     return None;
                 }
             };
@@ -544,7 +545,7 @@ impl Producer {
     fn make(&self, from: Duration) -> Result<Box<dyn FrameSource>, String> {
         let mut maker = self.maker.lock().unwrap_or_else(PoisonError::into_inner);
         let Maker::Waveforms(make) = &mut *maker else { return Err("the source has frames of one waveform".into()) };
-        let source = make(&self.waveform, from).map_err(|error| in_words(error.as_ref()))?;
+        let source = make(&self.waveform, from).map_err(|error| with_causes(&*error))?;
         compare(source.waveform(), &self.waveform)?;
         Ok(source)
     }
@@ -552,19 +553,8 @@ impl Producer {
     /// Opens the source that has ended again; `None` if that is not possible.
     fn begin_again(&self) -> Result<Option<Box<dyn FrameSource>>, String> {
         match &mut *self.maker.lock().unwrap_or_else(PoisonError::into_inner) {
-            Maker::Again(open) => open().map(Some).map_err(|error| in_words(error.as_ref())),
+            Maker::Again(open) => open().map(Some).map_err(|error| with_causes(&*error)),
             Maker::Waveforms(_) | Maker::None => Ok(None),
         }
     }
-}
-
-/// Message of an error with its causes.
-fn in_words(error: &(dyn std::error::Error + Send + Sync + 'static)) -> String {
-    let mut words = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        words += &format!(": {error}");
-        cause = error.source();
-    }
-    words
 }
