@@ -137,8 +137,8 @@ mod hard_cases {
     fn a_board_that_is_plugged_in_again_or_stalls_goes_on() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let unplug = |packet| Fault::Unplug { packet, duration: Duration::from_millis(100) };
-        // The board is ahead of its host by what the socket holds, some ninety packets: the first fault comes after the start,
-        // however slow that is.
+        // The board is ahead of its host by what the socket holds, some ninety packets: the first fault comes after the
+        // start, however slow that is.
         let faults = [unplug(300), Fault::Stall(320), unplug(340)];
         let pattern = Pattern::new(waveform.clone(), u64::MAX);
         let board =

@@ -1,4 +1,4 @@
-//! What a serial port leads to is found out by listening and asking.
+//! Detection of the board on a serial port by listening and asking.
 
 mod common;
 

@@ -1,4 +1,4 @@
-//! What is found in a made-up /sys and /dev.
+//! Discovery in a synthetic /sys and /dev.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -214,7 +214,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
     }
 }
 
-/// What the next one to open a board finds in its chip.
+/// State of the chip for the next client.
 fn left(board: &EmulatedBoard) -> Option<Waveform> {
     let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
         panic!("another kind of board")

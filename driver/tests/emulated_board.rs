@@ -266,11 +266,12 @@ mod hard_cases {
         }
     }
 
-    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only the
-    /// board's clock tells. No frame is cut from the wrong codes, none gets another's number.
+    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only
+    /// the board's clock tells. No frame is cut from the wrong codes, none gets another's number.
     #[test]
     fn a_counter_that_jumps_by_whole_slices_is_seen_through() {
-        // What is on the line when the board is started anew is lost: 64 KiB in the kernel and as much that was just received.
+        // What is on the line when the board is started anew is lost: 64 KiB in the kernel and as much that was just
+        // received.
         const LINE_BYTES: u64 = 2 * 65_536;
         // 12 slices of 4 packets a frame; a slice a frame; slices that end anywhere in a frame.
         for (antennas, chirps, samples, packet) in
@@ -335,8 +336,8 @@ mod hard_cases {
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
     }
 
-    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a board that
-    /// is silent it asks for another waveform.
+    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a
+    /// board that is silent it asks for another waveform.
     #[test]
     fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);

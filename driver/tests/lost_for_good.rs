@@ -1,5 +1,5 @@
-//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an error that
-//! says why, never with an end, and never with a wait.
+//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an
+//! error that says why, never with an end, and never with a wait.
 
 mod common;
 

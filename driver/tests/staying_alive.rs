@@ -173,7 +173,7 @@ mod hard_cases {
         first_error(&mut stream, &waveform);
     }
 
-    /// Who has not asked for reconnection hears of it.
+    /// A stream without a reconnection policy ends with the error.
     #[test]
     fn without_leave_to_reconnect_the_error_comes_at_once() {
         let folder = tempfile::tempdir().expect("folder");

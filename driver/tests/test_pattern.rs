@@ -7,7 +7,7 @@ use radome_driver::chip::test_pattern::PatternCheck;
 use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
-/// What the check says of so many frames, and the last of them.
+/// Result of the check over a number of frames, and the last of them.
 fn check(waveform: &Waveform, frames: u64, faults: &[Fault]) -> (PatternCheck, Frame) {
     let source = Pattern::new(waveform.clone(), u64::MAX);
     let options = EmulatorOptions { pace: Pace::AsFastAsRead, faults: faults.to_vec(), ..EmulatorOptions::default() };

@@ -122,8 +122,8 @@ fn replay(protocol: Protocol) {
     let mut answers = transcript.iter().filter(|(host, bytes)| !host && !is_packet(bytes)).map(|(_, b)| b);
     for (line, (host, bytes)) in transcript.iter().enumerate() {
         if *host {
-            // Packets that the vendor's client got before its answer were on their way before the request: a stop must not
-            // overtake them here.
+            // Packets that the vendor's client got before its answer were on their way before the request: a stop must
+            // not overtake them here.
             let until_answer = transcript.iter().skip(line + 1).take_while(|(host, bytes)| *host || is_packet(bytes));
             let so_far = transcript.iter().take(line).chain(until_answer);
             let due = so_far.filter(|(host, bytes)| !host && is_packet(bytes)).count();

@@ -10,8 +10,7 @@ use radome_dsp::{FIFO_SAMPLES, Frame, FrameShape, FrameSource, SourceEvent, Wave
 
 use super::feed::Maker;
 use super::{Feed, Pace, Shared};
-use crate::chip::SampleTiming;
-use crate::chip::{ChipConfiguration, test_pattern};
+use crate::chip::{ChipConfiguration, SampleTiming, test_pattern};
 use crate::error_text::with_causes;
 use crate::protocol::fifo;
 

@@ -1,4 +1,5 @@
-//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be checked.
+//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be
+//! checked.
 
 use std::time::{Duration, Instant};
 
@@ -51,7 +52,7 @@ impl FrameSource for Source {
     }
 }
 
-/// What came of a job.
+/// Result of a job.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
     pub injected: u64,
@@ -63,7 +64,7 @@ pub struct Outcome {
     pub undetectable: u64,
     /// Faults after which nothing came any more.
     pub not_resumed: u64,
-    /// What should not be.
+    /// Violations.
     pub failures: Vec<String>,
 }
 
@@ -166,7 +167,7 @@ fn packet(fault: &Fault) -> u64 {
     }
 }
 
-/// What a client hands out, frame by frame.
+/// Events that a client hands out, frame by frame.
 struct Check<'a> {
     job: &'a Job,
     client: Client,

@@ -276,7 +276,7 @@ mod tests {
             }
         }
 
-        /// What no checksum guards: the packet is taken as it is.
+        /// A packet without a check sum is taken as it is.
         #[test]
         fn a_turned_bit_in_a_payload_goes_unseen_one_in_the_type_does_not() {
             let mut bytes = encoded(0, &[0; 30]);
@@ -287,7 +287,7 @@ mod tests {
             assert_eq!(parse(&[&bytes]), (vec![], 1));
         }
 
-        /// What a packet lacks must not be taken from the next.
+        /// The rest of a packet must not be taken from the next one.
         #[test]
         fn a_packet_cut_short_costs_itself_and_not_the_next() {
             let good = encoded(3, &[1; 40]);

@@ -22,7 +22,7 @@ fn transcript() -> Option<Vec<(bool, Vec<u8>)>> {
     Some(text.lines().map(line).collect())
 }
 
-/// What we send for the session of the transcript, in its order.
+/// Requests of the session of the transcript, in its order.
 fn session() -> Vec<Command> {
     let request = WaveformRequest {
         start_frequency_hz: 58e9,
@@ -71,7 +71,7 @@ fn requests_of_the_session_are_those_of_the_vendor_client() {
     }
 }
 
-/// What a version knows comes back as what it was; what only the other knows is refused.
+/// Requests of a version are decoded to the same command; those of the other version alone are refused.
 #[test]
 fn commands_round_trip_in_both_versions() {
     let both = session().into_iter().filter(|c| !matches!(c, Command::ComponentCount { .. }));
@@ -212,7 +212,7 @@ proptest! {
         let _ = Command::from_request(&Request { protocol, kind, request, value, index, length: 0, payload });
     }
 
-    /// What lies between garbage is found, whatever the garbage and however the bytes are delivered.
+    /// Messages between garbage are found, whatever the garbage and however the bytes are delivered.
     #[test]
     fn parser_finds_messages_after_garbage(
         garbage in prop::collection::vec(any::<u8>(), 0..200),
