@@ -171,7 +171,7 @@ pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String
         (true, true) => {
             Feed::of_any_waveform(frames, move |waveform, from| Ok(simulation_in(&path, waveform, from, &options)?))
         }
-        (true, false) => Feed::that_begins_again(frames, move || Ok(radome_driver::recording::open(&path)?)),
+        (true, false) => Feed::reopenable(frames, move || Ok(radome_driver::recording::open(&path)?)),
     };
     Ok((feed, description))
 }
@@ -205,7 +205,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
     let detected = match address {
         Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
         Address::Usb(_) => {
-            let (board, left) = Mcu7Board::open_as_left(address)?;
+            let (board, left) = Mcu7Board::open_with_waveform(address)?;
             Detected::Mcu7(Box::new(board), left)
         }
     };

@@ -75,10 +75,10 @@ fn the_board_says_that_it_is_the_bulk_variant() {
     drop(client.start(&waveform).expect("starts"));
     // Who only asks leaves the chip as it is; who opens the board has reset it.
     assert_eq!(Mcu7Board::identity_at(board.address()).expect("answers"), identity);
-    let (client, left) = Mcu7Board::open_as_left(board.address()).expect("opens again");
+    let (client, left) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");
     left.expect("programmed").check_compatible(&waveform).expect("the same");
     drop(client);
-    assert_eq!(Mcu7Board::open_as_left(board.address()).expect("opens again").1, None);
+    assert_eq!(Mcu7Board::open_with_waveform(board.address()).expect("opens again").1, None);
 }
 
 mod hard_cases {

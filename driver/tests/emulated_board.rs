@@ -176,7 +176,7 @@ fn a_source_that_is_repeated_begins_again() {
     let w = waveform(&[1, 2, 3], 8, 64, 0.1);
     let pattern = Pattern::new(w.clone(), 7);
     let (source, again) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
-    let feed = Feed::that_begins_again(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
+    let feed = Feed::reopenable(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
     let board = EmulatedBoard::spawn(feed, EmulatorOptions { repeat: true, ..options(&[]) }).expect("spawns");
     let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts");
     let mut frame = Frame::zeroed(w.shape());

@@ -64,7 +64,7 @@ impl Detected {
         drop(port);
         // To a DEEPCRAFT board the MCU7 request is the head of a longer one, whose rest it waits for; the DEEPCRAFT
         // client completes it.
-        match Mcu7Board::open_as_left(&Address::Serial(path.into())) {
+        match Mcu7Board::open_with_waveform(&Address::Serial(path.into())) {
             Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
             Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
                 Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),

@@ -164,7 +164,7 @@ pub enum BoardError {
         "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml",
         path = path.display()
     )]
-    WaveformUntold {
+    WaveformUnknown {
         /// Name of the port or USB device.
         path: PathBuf,
     },
@@ -217,7 +217,7 @@ impl BoardError {
             | BoardError::Ambiguous { .. }
             | BoardError::Chip(_)
             | BoardError::Line { .. }
-            | BoardError::WaveformUntold { .. }
+            | BoardError::WaveformUnknown { .. }
             | BoardError::Stopped => false,
         }
     }

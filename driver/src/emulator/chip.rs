@@ -77,12 +77,12 @@ impl Chip {
             starts: 0,
         };
         chip.reset();
-        chip.leave_programmed(waveform);
+        chip.program_registers(waveform);
         Ok(chip)
     }
 
     /// Programs the registers as a former client would have, so that a client can read the waveform.
-    fn leave_programmed(&mut self, waveform: Waveform) {
+    fn program_registers(&mut self, waveform: Waveform) {
         let configuration = ChipConfiguration { waveform, slice_samples: FIFO_SAMPLES / 2 };
         for register in configuration.compile().unwrap_or_default() {
             let is_main = register.address == address::MAIN;
@@ -322,7 +322,7 @@ impl Chip {
     }
 
     /// Sets the sticky overflow flag if more has been sampled than the FIFO holds.
-    pub fn look_for_overflow(&mut self) {
+    pub fn check_overflow(&mut self) {
         self.overflowed |= self.frames.is_some() && self.source.overflows();
     }
 
@@ -492,7 +492,7 @@ mod tests {
             let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
                 chip.source().advance();
-                chip.look_for_overflow();
+                chip.check_overflow();
                 if chip.fifo_failed() {
                     break;
                 }

@@ -186,7 +186,7 @@ impl Firmware for Deepcraft {
 
     fn advance(&mut self) {
         self.requests.chip.source().advance();
-        self.requests.chip.look_for_overflow();
+        self.requests.chip.check_overflow();
     }
 
     fn power_up(&mut self) {

@@ -107,7 +107,7 @@ impl Esp32 {
                 }
             }
         }
-        self.chip.look_for_overflow();
+        self.chip.check_overflow();
     }
 
     /// Skips numbers as if the firmware had lost frames.

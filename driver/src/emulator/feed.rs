@@ -27,7 +27,7 @@ pub(super) enum Maker {
 impl Feed {
     /// Creates a feed whose source can be opened again, such as a recording: with
     /// [`repeat`](super::EmulatorOptions::repeat) it is, each time that it ends.
-    pub fn that_begins_again(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
+    pub fn reopenable(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
         Feed { source, maker: Maker::Again(Box::new(open)) }
     }
 

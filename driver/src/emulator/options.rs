@@ -46,7 +46,7 @@ pub struct EmulatorOptions {
     /// Frames are not held up. A board on USB needs about the default, 1.5 ms; the vendor's library loses answers that
     /// come within a fraction of that. Control transfers, whose answers their host waits for, do not take it.
     pub latency: Duration,
-    /// Whether a source that ends is opened again, if it [can be](super::Feed::that_begins_again). Counters and time go on.
+    /// Whether a source that ends is opened again, if it [can be](super::Feed::reopenable). Counters and time go on.
     pub repeat: bool,
     /// Seed of the random properties of the board: its temperature.
     pub seed: u64,

@@ -33,7 +33,7 @@ pub(super) trait Firmware {
     /// Stops after the last client has left, perhaps within a request or a stream, and waits for another.
     fn abandon(&mut self);
     /// Returns whether the host needs another data message to interpret the last one.
-    fn is_amid_data(&self) -> bool {
+    fn is_within_data(&self) -> bool {
         false
     }
     /// Returns whether the firmware starts anew each time that a client opens the port, and sends nothing while none
@@ -140,7 +140,7 @@ impl Wire {
     }
 
     /// Discards the held message when the board starts anew.
-    pub fn forget_held(&mut self) {
+    pub fn discard_held(&mut self) {
         self.held.clear();
     }
 
@@ -181,7 +181,7 @@ impl Wire {
             if self.port.is_hung_up() {
                 self.unplug(Duration::ZERO, firmware)?;
             }
-            self.look_for_departure(firmware)?;
+            self.check_departure(firmware)?;
             if watches_clients {
                 let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
                 if !self.has_client {
@@ -251,7 +251,7 @@ impl Wire {
     }
 
     /// Checks whether the last client has left, and resets the board for the next one.
-    fn look_for_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
+    fn check_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut received = Vec::new();
         if self.port.was_abandoned(&mut received)? {
             firmware.abandon();
@@ -270,7 +270,7 @@ impl Wire {
             if self.written >= self.out.len() {
                 self.out.clear();
                 self.written = 0;
-                if !firmware.is_amid_data() || !firmware.next_message(self) {
+                if !firmware.is_within_data() || !firmware.next_message(self) {
                     break;
                 }
             }

@@ -18,7 +18,7 @@ pub struct WriteReport {
     /// Length of the file with the samples, bytes.
     pub bytes: u64,
     /// Descriptions of the information that the format could not hold; empty if none.
-    pub unheld: Vec<String>,
+    pub omitted: Vec<String>,
 }
 
 /// Counts of a writer whose format holds frames alone.
@@ -60,28 +60,28 @@ impl Tally {
     }
 
     /// Descriptions of the information that the vendor's formats cannot hold.
-    pub fn unheld(&self) -> Vec<String> {
-        let mut unheld = Vec::new();
+    pub fn omitted(&self) -> Vec<String> {
+        let mut omitted = Vec::new();
         if self.gaps > 0 {
-            unheld.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
+            omitted.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
         }
         if self.renumbered {
-            unheld.push("the numbers of the frames (they count from 0 without gaps)".into());
+            omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
         }
         if self.truths > 0 {
-            unheld.push(format!("the truth of {} frames", self.truths));
+            omitted.push(format!("the truth of {} frames", self.truths));
         }
         if self.labels > 0 {
-            unheld.push(format!("{} labels", self.labels));
+            omitted.push(format!("{} labels", self.labels));
         }
         if self.results > 0 {
-            unheld.push(format!("what was said about {} frames", self.results));
+            omitted.push(format!("what was said about {} frames", self.results));
         }
-        unheld
+        omitted
     }
 
     pub fn report(&self) -> WriteReport {
         let Tally { frames, gaps, frames_lost, .. } = *self;
-        WriteReport { frames, gaps, frames_lost, bytes: 0, unheld: Vec::new() }
+        WriteReport { frames, gaps, frames_lost, bytes: 0, omitted: Vec::new() }
     }
 }

@@ -287,20 +287,20 @@ impl TextWriter {
         let cannot = || RecordingError::cannot_write(&self.path);
         self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
-        let mut unheld = self.tally.unheld();
+        let mut omitted = self.tally.omitted();
         if self.timed {
-            unheld.push("the times of the frames".into());
+            omitted.push("the times of the frames".into());
         }
         if self.temperatures {
-            unheld.push("temperatures".into());
+            omitted.push("temperatures".into());
         }
         if !self.header.registers.is_empty() {
-            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+            omitted.push(format!("{} registers of the chip", self.header.registers.len()));
         }
         // The samples last: without them there is no recording.
         self.partial_config.finish()?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
     }
 }
 

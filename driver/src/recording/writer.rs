@@ -165,7 +165,7 @@ impl RecordingWriter {
                 remove_staged_labels(&path)?;
                 let (frames, gaps, frames_lost, bytes) =
                     (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
-                Ok(WriteReport { frames, gaps, frames_lost, bytes, unheld: Vec::new() })
+                Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
             }
             Writer::Infineon(writer) => writer.finish(),
             Writer::Text(writer) => writer.finish(),

@@ -87,12 +87,12 @@ impl Resequencer {
     }
 
     /// Returns whether the numbers of the queued frames have jumped for an unknown reason.
-    pub fn wants_to_know(&self) -> bool {
+    pub fn needs_reason(&self) -> bool {
         self.gaps.back().is_some_and(|gap| gap.reason == GapReason::PacketLost)
     }
 
     /// Takes the number of frames that the device has dropped since it was configured: those were not lost on the line.
-    pub fn explain(&mut self, dropped: u64) {
+    pub fn set_dropped(&mut self, dropped: u64) {
         let by_device = dropped.saturating_sub(self.dropped);
         let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
             return;
@@ -175,21 +175,21 @@ mod tests {
     fn numbers_that_jump_are_a_gap_whose_reason_the_board_knows() {
         let (mut resequencer, mut frame) = resequencer();
         resequencer.take(7, 1, &codes(1), NOW);
-        assert!(resequencer.wants_to_know());
-        resequencer.explain(0);
+        assert!(resequencer.needs_reason());
+        resequencer.set_dropped(0);
         assert_eq!(resequencer.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 2);
         resequencer.take(13, 1, &codes(1), NOW);
         // Five are missing; of the six that the board has dropped by now some are missing only later.
-        resequencer.explain(6);
+        resequencer.set_dropped(6);
         assert_eq!(resequencer.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         resequencer.take(17, 1, &codes(1), NOW);
-        resequencer.explain(6);
+        resequencer.set_dropped(6);
         assert_eq!(resequencer.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
         assert_eq!(resequencer.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
-        assert!(!resequencer.wants_to_know());
+        assert!(!resequencer.needs_reason());
     }
 
     #[test]
@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         resequencer.restart(GapReason::Crc);
         resequencer.take(0, 2, &codes(2), Duration::from_millis(1210));
-        assert!(!resequencer.wants_to_know());
+        assert!(!resequencer.needs_reason());
         assert_eq!(resequencer.pop(&mut frame), gap(1, 10, GapReason::Crc));
         assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
         assert_eq!(frame.sequence, 11);

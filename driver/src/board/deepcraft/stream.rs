@@ -23,7 +23,7 @@ const SILENCE: Duration = Duration::from_millis(5);
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
 /// Longest wait for the number of frames that the board has dropped.
-const EXPLANATION: Duration = Duration::from_millis(300);
+const DROPPED_COUNT_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// A running acquisition. It ends with [`DeepcraftStream::stop`] or when dropped.
 ///
@@ -151,7 +151,7 @@ impl DeepcraftStream {
         let mut tried = false;
         loop {
             self.keep_alive()?;
-            self.hear_explanation();
+            self.take_dropped_count();
             if let Some(event) = self.pop(frame) {
                 match &event {
                     SourceEvent::Gap(gap) => self.losses.count(gap),
@@ -173,7 +173,7 @@ impl DeepcraftStream {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
                     self.resequencer.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
                     self.last_chunk = Instant::now();
-                    if self.resequencer.wants_to_know() {
+                    if self.resequencer.needs_reason() {
                         self.ask()?;
                     }
                     continue;
@@ -212,19 +212,19 @@ impl DeepcraftStream {
         let (device, tag) = (board.device, board.link.next_tag());
         board.link.send(Command::Capabilities(CapabilitiesRequest { device, tag }))?;
         self.parser.expect(tag);
-        self.asked_until = Some(Instant::now() + EXPLANATION);
+        self.asked_until = Some(Instant::now() + DROPPED_COUNT_TIMEOUT);
         Ok(())
     }
 
     /// Takes the answer about dropped frames, or gives up after its deadline.
-    fn hear_explanation(&mut self) {
+    fn take_dropped_count(&mut self) {
         let Some(until) = self.asked_until else { return };
         if let Some(answer) = self.parser.expected() {
             let devices = answer.board.map_or(Vec::new(), |board| board.devices);
             let device = self.board.as_ref().map(|board| board.device);
             let radar = devices.iter().find(|d| Some(d.device_id) == device);
             let stream = radar.and_then(|d| d.streams.get(self.stream_index));
-            self.resequencer.explain(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
+            self.resequencer.set_dropped(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
             self.asked_until = None;
         } else if Instant::now() >= until {
             self.asked_until = None;

@@ -19,7 +19,7 @@ const BUFFER: usize = 65_536;
 /// Longest wait for the line in which the firmware states its waveform.
 const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
 /// Most bytes that are searched for that line.
-const MOST_HEARD: usize = 1 << 22;
+const MAX_HEARD_BYTES: usize = 1 << 22;
 
 /// Frame stream of a board that prints lines, from the next whole line on.
 ///
@@ -45,7 +45,7 @@ impl Esp32Stream {
     ///
     /// # Errors
     /// [`BoardError::Open`], [`BoardError::Busy`] or [`BoardError::PermissionDenied`] if the port cannot be opened;
-    /// [`BoardError::WaveformUntold`] if no waveform is given and the firmware states none.
+    /// [`BoardError::WaveformUnknown`] if no waveform is given and the firmware states none.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
         let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         Esp32Stream::listen(path, port, Vec::new(), waveform)
@@ -60,7 +60,7 @@ impl Esp32Stream {
     ) -> Result<Self, BoardError> {
         let waveform = match waveform {
             Some(waveform) => waveform.clone(),
-            None => hear_waveform(path, &mut port, &mut heard)?,
+            None => read_waveform_line(path, &mut port, &mut heard)?,
         };
         let codes = waveform.shape().codes();
         // Six characters a code, ten bits a character.
@@ -94,8 +94,8 @@ impl Esp32Stream {
 }
 
 /// Listens until the firmware states its waveform; appends all bytes to `heard`.
-fn hear_waveform(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
-    let untold = || BoardError::WaveformUntold { path: path.to_owned() };
+fn read_waveform_line(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
+    let untold = || BoardError::WaveformUnknown { path: path.to_owned() };
     let began = Instant::now();
     let mut begin = 0;
     loop {
@@ -108,7 +108,7 @@ fn hear_waveform(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result
                 Some(_) => return Err(untold()),
             }
         }
-        if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MOST_HEARD {
+        if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MAX_HEARD_BYTES {
             return Err(untold());
         }
         let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };

@@ -70,7 +70,7 @@ impl Mcu7Board {
     ///
     /// # Errors
     /// Those of [`Mcu7Board::identity_at`].
-    pub fn open_as_left(address: &Address) -> Result<(Mcu7Board, Option<Waveform>), BoardError> {
+    pub fn open_with_waveform(address: &Address) -> Result<(Mcu7Board, Option<Waveform>), BoardError> {
         let mut link = Link::open(address)?;
         let handshake = Handshake::exchange(&mut link)?;
         let registers = handshake::read_every_register(&mut link)?;
@@ -105,7 +105,7 @@ impl Mcu7Board {
     /// An error of the connection, or [`BoardError::Refused`].
     pub fn read_registers(&mut self, addresses: &[u8]) -> Result<Vec<u32>, BoardError> {
         let words = addresses.iter().map(|a| SpiWord::read(*a)).collect();
-        let answer = self.link.demand(&Command::Execute { words, answer: true })?;
+        let answer = self.link.request_ok(&Command::Execute { words, answer: true })?;
         Ok(answer.as_chunks::<4>().0.iter().map(|w| u32::from_le_bytes(*w) & 0xFF_FFFF).collect())
     }
 }

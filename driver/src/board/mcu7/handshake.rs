@@ -29,12 +29,12 @@ impl Handshake {
             (Status::Ok, answer) => answer,
             (Status::RequestTypeInvalid, _) => {
                 link.protocol = Protocol::V3;
-                link.demand(&Command::BoardInfo)?
+                link.request_ok(&Command::BoardInfo)?
             }
             (status, _) => return Err(BoardError::Refused { path, command: "board info", status }),
         };
         let info = BoardInfo::decode(&answer).map_err(malformed)?;
-        let version = FirmwareVersion::decode(&link.demand(&Command::FirmwareVersion)?).map_err(malformed)?;
+        let version = FirmwareVersion::decode(&link.request_ok(&Command::FirmwareVersion)?).map_err(malformed)?;
         let [major, minor] = version.protocol;
         if major != link.protocol.major() {
             return Err(BoardError::Protocol { path, major, minor });
@@ -43,11 +43,11 @@ impl Handshake {
         link.request(&Command::StopData)?;
         let has_chip = match link.protocol {
             Protocol::V4 => {
-                let count = link.demand(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
+                let count = link.request_ok(&Command::ComponentCount { component: COMPONENT_AVIAN })?;
                 count.first().is_some_and(|count| *count > 0)
             }
             Protocol::V3 => {
-                let answer = link.demand(&Command::ComponentImplementation { component: COMPONENT_RADAR })?;
+                let answer = link.request_ok(&Command::ComponentImplementation { component: COMPONENT_RADAR })?;
                 answer.first() == Some(&IMPLEMENTATION_AVIAN)
             }
         };
@@ -106,18 +106,18 @@ pub(super) fn read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
         (Status::Ok, answer) if content(&answer) == CHIP_ID_BGT60TR13C => Ok(CHIP_ID_BGT60TR13C),
         _ => {
             set_up_spi(link)?;
-            Ok(content(&link.demand(&read)?))
+            Ok(content(&link.request_ok(&read)?))
         }
     }
 }
 
 /// Resets all registers of the chip and reads CHIP_ID.
 pub(super) fn reset_and_read_chip_id(link: &mut Link) -> Result<u32, BoardError> {
-    link.demand(&Command::HardwareReset)?;
+    link.request_ok(&Command::HardwareReset)?;
     let words = vec![SpiWord::write(register::SFCTL, SFCTL_READABLE)];
-    link.demand(&Command::Execute { words, answer: false })?;
+    link.request_ok(&Command::Execute { words, answer: false })?;
     let words = vec![SpiWord::read(register::CHIP_ID)];
-    Ok(content(&link.demand(&Command::Execute { words, answer: true })?))
+    Ok(content(&link.request_ok(&Command::Execute { words, answer: true })?))
 }
 
 /// Sets the edge on which the chip answers. After a stale FIFO overflow the board reports a failure although the write
@@ -132,7 +132,7 @@ pub(super) fn read_every_register(link: &mut Link) -> Result<RegisterFile, Board
     let mut registers = RegisterFile::default();
     let addresses = REGISTERS.iter().map(|register| register.address);
     let words = addresses.clone().map(SpiWord::read).collect();
-    let answer = link.demand(&Command::Execute { words, answer: true })?;
+    let answer = link.request_ok(&Command::Execute { words, answer: true })?;
     let values = answer.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word));
     addresses.zip(values).for_each(|(address, value)| registers.set(address, value));
     Ok(registers)

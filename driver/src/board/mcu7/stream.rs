@@ -96,11 +96,11 @@ impl Mcu7Stream {
         let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
         let slice_samples = self.slice.samples as u16;
         let link = &mut self.board()?.link;
-        link.demand(&Command::StopData)?;
-        link.demand(&Command::HardwareReset)?;
-        link.demand(&Command::ConfigureData { format: DataFormat::Packed12, slice_samples })?;
-        link.demand(&Command::StartData)?;
-        link.demand(&Command::Execute { words, answer: false })?;
+        link.request_ok(&Command::StopData)?;
+        link.request_ok(&Command::HardwareReset)?;
+        link.request_ok(&Command::ConfigureData { format: DataFormat::Packed12, slice_samples })?;
+        link.request_ok(&Command::StartData)?;
+        link.request_ok(&Command::Execute { words, answer: false })?;
         Ok(())
     }
 
@@ -194,8 +194,8 @@ impl Mcu7Stream {
 }
 
 fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
-    board.link.demand(&Command::StopData)?;
-    board.link.demand(&Command::Execute { words: vec![STOP], answer: false })?;
+    board.link.request_ok(&Command::StopData)?;
+    board.link.request_ok(&Command::Execute { words: vec![STOP], answer: false })?;
     Ok(())
 }
 

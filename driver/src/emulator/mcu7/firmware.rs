@@ -32,7 +32,7 @@ pub(super) struct Requests {
     /// Number of starts of data: the sender discards its buffer when it changes.
     pub starts: u64,
     /// Whether the use of the other version by a client has been logged.
-    has_told: bool,
+    has_logged_version: bool,
     shared: Arc<Shared>,
 }
 
@@ -50,7 +50,7 @@ impl Requests {
             slice: None,
             data_started: false,
             starts: 0,
-            has_told: false,
+            has_logged_version: false,
             shared,
         }
     }
@@ -98,8 +98,8 @@ impl Requests {
     /// clients report no reason.
     fn notice_other_version(&mut self, kind_code: u8) {
         let is_former = RequestKind::from_code(kind_code).is_some_and(|(_, version)| version == Protocol::V3);
-        if self.protocol == Protocol::V4 && is_former && !self.has_told {
-            self.has_told = true;
+        if self.protocol == Protocol::V4 && is_former && !self.has_logged_version {
+            self.has_logged_version = true;
             tracing::warn!(
                 "a client speaks protocol 3, which firmware of protocol 4 refuses; radome emulate --protocol mcu7-3 is a board for it"
             );

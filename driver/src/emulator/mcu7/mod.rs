@@ -114,7 +114,7 @@ impl Mcu7 {
             }
         }
         if !self.has_room(slice) {
-            self.requests.chip.look_for_overflow();
+            self.requests.chip.check_overflow();
         }
         Some(slice)
     }
@@ -167,7 +167,7 @@ impl Mcu7 {
     fn send_packet(&mut self, slice: SliceLayout, wire: &mut Wire) {
         let (number, before) = wire.next_number();
         if self.counter == 0 {
-            wire.forget_held();
+            wire.discard_held();
         }
         for before in before {
             match before {
@@ -253,7 +253,7 @@ impl Firmware for Mcu7 {
         self.clear();
     }
 
-    fn is_amid_data(&self) -> bool {
+    fn is_within_data(&self) -> bool {
         self.next_packet > 0
     }
 }

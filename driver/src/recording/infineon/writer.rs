@@ -124,40 +124,40 @@ impl InfineonWriter {
         self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
 
-        let mut unheld = self.tally.unheld();
-        let stamps_ns = self.stamps(&mut unheld);
+        let mut omitted = self.tally.omitted();
+        let stamps_ns = self.stamps(&mut omitted);
         if let Some(stamps_ns) = &stamps_ns {
             write_seconds(&self.folder.join("radar_timestamp.csv"), stamps_ns.iter().copied())?;
             self.write_temperatures(stamps_ns)?;
         } else if !self.temperatures.is_empty() {
-            unheld.push("temperatures, for want of times".into());
+            omitted.push("temperatures, for want of times".into());
         }
         if !self.header.registers.is_empty() {
-            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+            omitted.push(format!("{} registers of the chip", self.header.registers.len()));
         }
         self.write_descriptions()?;
         disk::sync_folder(&self.data).map_err(cannot())?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
     }
 
     /// Times to write; `None` if they equal those of the frame interval, or go backwards.
-    fn stamps(&self, unheld: &mut Vec<String>) -> Option<Vec<u64>> {
+    fn stamps(&self, omitted: &mut Vec<String>) -> Option<Vec<u64>> {
         let board: Vec<u64> = self.times_ns.iter().map(|t| t.0).collect();
         let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
         let has_host = host.iter().any(|t| *t > 0);
         if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() {
             let first = host.first().copied().unwrap_or(0);
             if host.iter().zip(&board).any(|(host, board)| host - first != *board) {
-                unheld.push("times by the board's clock (the host's are kept)".into());
+                omitted.push("times by the board's clock (the host's are kept)".into());
             }
             return Some(host);
         }
         if has_host {
-            unheld.push("times by the host's clock, absent from some frames or going backwards".into());
+            omitted.push("times by the host's clock, absent from some frames or going backwards".into());
         }
         if !board.is_sorted() || board.iter().any(|t| *t >= FIRST_UNIX_NS) {
-            unheld.push("times by the board's clock, which go backwards".into());
+            omitted.push("times by the board's clock, which go backwards".into());
             return None;
         }
         let nominal = |(index, time): (usize, &u64)| nominal_time_ns(&self.header.waveform, index as u64) == *time;

@@ -99,7 +99,7 @@ impl Link {
     }
 
     /// Sends a request that must succeed; returns the payload of the answer.
-    pub fn demand(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
+    pub fn request_ok(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
         match self.request(command)? {
             (Status::Ok, payload) => Ok(payload),
             (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: name(command), status }),
