@@ -17,8 +17,8 @@ use anyhow::{Context, bail};
 use radome_driver::chip::RegisterList;
 use radome_driver::recording::{Extent, Recording, RecordingError};
 use radome_driver::{
-    Address, Board, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Pace,
-    Player, RealTime, Reconnect, Transport, candidates,
+    Address, BoardIdentity, Candidate, DeepcraftBoard, Detected, EmulatedSource, EmulatorOptions, Feed, Mcu7Board,
+    Pace, Player, RealTime, Reconnect, Transport, candidates,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use radome_models::bounded_file::{TEXT_LIMIT_BYTES, read_text};
@@ -224,7 +224,7 @@ pub fn feed(spec: &str, options: &SourceOptions) -> anyhow::Result<(Feed, String
         (true, true) => {
             Feed::of_any_waveform(frames, move |waveform, from| Ok(simulation_in(&path, waveform, from, &options)?))
         }
-        (true, false) => Feed::that_begins_again(frames, move || Ok(radome_driver::recording::open(&path)?)),
+        (true, false) => Feed::reopenable(frames, move || Ok(radome_driver::recording::open(&path)?)),
     };
     Ok((feed, description))
 }
@@ -258,7 +258,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
     let detected = match address {
         Address::Serial(port) => Detected::open(port, options.waveform.as_ref())?,
         Address::Usb(_) => {
-            let (board, left) = Board::open_as_left(address)?;
+            let (board, left) = Mcu7Board::open_with_waveform(address)?;
             Detected::Mcu7(Box::new(board), left)
         }
     };
@@ -284,7 +284,7 @@ fn board(address: &Address, options: &SourceOptions) -> anyhow::Result<Source> {
             })
         }
         Detected::Deepcraft(board) => deepcraft_board(*board, options),
-        Detected::Lines(stream) => {
+        Detected::Esp32(stream) => {
             let description = format!("ESP32 on {address}");
             let stream = Box::new(stream.with_reconnect(options.reconnect()));
             Ok(Source { is_live: true, ..Source::without_board(stream, description) })

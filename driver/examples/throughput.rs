@@ -7,7 +7,7 @@
 use std::error::Error;
 use std::time::{Duration, Instant};
 
-use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Pace};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform, WaveformRequest};
 
 /// Frames that cost nothing to make.
@@ -50,7 +50,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     let pace = if times > 0.0 { Pace::RealTime(times) } else { Pace::AsFastAsRead };
     let options = EmulatorOptions { pace, ..EmulatorOptions::default() };
     let board = EmulatedBoard::spawn(Box::new(Same { waveform: waveform.clone(), next: 0 }), options)?;
-    let mut stream = Board::open(board.path())?.start(&waveform)?;
+    let mut stream = Mcu7Board::open(board.path())?.start(&waveform)?;
     let mut frame = Frame::zeroed(waveform.shape());
     let (mut received, mut lost) = (0, 0);
     let (start, start_thread) = (Instant::now(), thread_time()?);

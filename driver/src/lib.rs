@@ -1,26 +1,60 @@
 //! Chirp frames from bytes: boards, protocols, recordings, the emulated board.
 //!
-//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`BoardStream`], a recording
-//! ([`recording::open`]), either of them paced by [`RealTime`], a recording played
-//! like a tape ([`Player`]), and any source sent through an emulated board
-//! ([`EmulatedSource`]). Parsing is a pure function over bytes beside its encoder ([`protocol`], [`chip`]); input and
-//! output wrap it ([`board`], [`emulator`]). The library never prints: it reports errors and `tracing` events.
+//! Everything that provides frames is a [`FrameSource`](radome_dsp::FrameSource): a [`Mcu7Stream`], a recording
+//! ([`recording::open`]), either of them paced by [`RealTime`], a recording that can be paused and sought ([`Player`]),
+//! and any source sent through an emulated board ([`EmulatedSource`]). Parsing is a pure function over bytes beside its
+//! encoder ([`protocol`], [`chip`]); input and output wrap it ([`board`], [`emulator`]). The library never prints: it
+//! reports errors and `tracing` events.
+//!
+//! A recording is written and read back:
+//!
+//! ```
+//! use radome_driver::RecordingHeader;
+//! use radome_driver::recording::{self, Format, RecordingWriter};
+//! use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform, WaveformRequest};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+//! let folder = tempfile::tempdir()?;
+//! let path = folder.path().join("empty.mcap");
+//! let waveform = Waveform::realise(WaveformRequest::paper())?;
+//! let mut frame = Frame::zeroed(waveform.shape());
+//!
+//! let mut writer = RecordingWriter::create(&path, Format::Mcap, &RecordingHeader::new(waveform.clone()))?;
+//! for sequence in 0..3 {
+//!     frame.sequence = sequence;
+//!     frame.time_ns = (sequence as f64 * waveform.frame_interval_s() * 1e9) as u64;
+//!     writer.frame(&frame)?;
+//! }
+//! writer.finish()?;
+//!
+//! let mut source = recording::open(&path)?;
+//! let mut frames = 0;
+//! while source.next_frame(&mut frame)? == SourceEvent::Frame {
+//!     frames += 1;
+//! }
+//! assert_eq!(frames, 3);
+//! # Ok(())
+//! # }
+//! ```
+
+#![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
 
 pub mod board;
+mod candidate;
 pub mod chip;
 pub mod discover;
 pub mod emulator;
+mod error_text;
 pub mod player;
 pub mod probe;
 pub mod protocol;
 pub mod recording;
 pub mod replay;
-mod timing;
-pub mod usb;
+pub mod transport;
 
 pub use board::{
-    Address, Board, BoardError, BoardIdentity, BoardStream, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected,
-    LineStream, Reconnect,
+    BoardError, BoardIdentity, DeepcraftBoard, DeepcraftError, DeepcraftStream, Detected, Esp32Stream, Mcu7Board,
+    Mcu7Stream, Reconnect,
 };
 pub use discover::{Candidate, candidates};
 pub use emulator::{
@@ -34,4 +68,4 @@ pub use recording::mcap::{
     SyncOptions,
 };
 pub use replay::RealTime;
-pub use usb::UsbAddress;
+pub use transport::{Address, UsbAddress};

@@ -1,4 +1,4 @@
-//! A recording played like a tape: paused, sought, stepped through and at any speed, by whoever holds its [`Transport`].
+//! Playback of a recording that can be paused, sought, stepped and played at any speed through a [`Transport`].
 
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -7,33 +7,53 @@ use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
 use crate::recording::{Extent, Position, Recording, RecordingError};
 
-/// Frames of a recording as its [`Transport`] asks for them. It has no end: behind the last frame it waits to be sought, until
-/// the transport is closed.
+/// Source of the frames of a recording as its [`Transport`] asks for them. It has no end: behind the last frame it
+/// waits for a seek until the transport is closed.
 ///
-/// Frames come when they are due, as under [`RealTime`](crate::RealTime). After a seek the frame sought comes at once, also while
-/// paused, and before it, if asked for, frames of the time before, for those who keep state from frame to frame.
+/// Frames come when they are due, as from [`RealTime`](crate::RealTime). After a seek the frame sought comes at once,
+/// also while paused. If a preroll is set, the frames of that time before come first, for consumers that keep state
+/// from frame to frame.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::Player;
+/// use radome_driver::recording::Recording;
+/// use radome_dsp::{Frame, FrameSource};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let recording = Recording::open(Path::new("night.mcap"))?;
+/// if let Some(mut player) = Player::new(recording, 2.0)? {
+///     let transport = player.transport();
+///     transport.seek_time_s(60.0);
+///     let mut frame = Frame::zeroed(player.waveform().shape());
+///     player.next_frame(&mut frame)?;
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub struct Player {
     recording: Recording,
     extent: Extent,
     transport: Transport,
-    /// What is due when: this frame time at this instant. Forgotten when somebody touches the transport.
+    /// Instant at which this frame time is due. Cleared when the transport changes something.
     clock: Option<(Instant, u64)>,
     /// Number of the frame that was sought, while those before it come.
     rolling_to: Option<u64>,
 }
 
-/// The keys of a [`Player`]. Clones press the same keys.
+/// Handle that controls a [`Player`]. Clones control the same player.
 #[derive(Debug, Clone)]
 pub struct Transport {
     shared: Arc<(Mutex<State>, Condvar)>,
 }
 
-/// What a player does, and where it is.
+/// State of a player.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Playback {
-    /// Whether frames come by themselves.
+    /// Whether the player plays, and is not paused.
     pub playing: bool,
-    /// Times real time; 0 is as fast as it goes.
+    /// Speed as a multiple of real time; 0 is as fast as possible.
     pub speed: f64,
     /// The frame that was handed out last.
     pub position: Option<Position>,
@@ -61,7 +81,7 @@ enum Place {
     Frame(u64),
 }
 
-/// What the transport asks for next.
+/// Next action of the player.
 enum Task {
     Close,
     Seek(Place),
@@ -83,12 +103,12 @@ impl Transport {
         self.shared.1.notify_all();
     }
 
-    /// What the player does, and where it is.
+    /// Returns the state of the player.
     pub fn playback(&self) -> Playback {
         self.state().playback
     }
 
-    /// Goes on; from the start if it is at the end.
+    /// Plays; from the start if the player is at the end.
     pub fn play(&self) {
         self.order(|state| {
             if state.playback.at_end && state.sought.is_none() {
@@ -98,12 +118,12 @@ impl Transport {
         });
     }
 
-    /// Stays where it is.
+    /// Pauses at the current frame.
     pub fn pause(&self) {
         self.order(|state| state.playback.playing = false);
     }
 
-    /// Times real time; what is no number above 0 is as fast as it goes.
+    /// Sets the speed as a multiple of real time; any value that is not a number above 0 means as fast as possible.
     pub fn set_speed(&self, speed: f64) {
         self.order(|state| state.playback.speed = normal(speed));
     }
@@ -118,21 +138,21 @@ impl Transport {
         self.order(|state| (state.sought, state.steps) = (Some(Place::Frame(sequence)), 0));
     }
 
-    /// So many frames on, or back; stays there.
+    /// Steps `frames` frames forwards, or backwards if negative, and pauses there.
     pub fn step(&self, frames: i64) {
         self.order(|state| {
             state.playback.playing = false;
-            // Nobody presses a key a thousand times.
+            // More than a thousand steps at once are not intended.
             state.steps = state.steps.saturating_add(frames).clamp(-1000, 1000);
         });
     }
 
-    /// How much comes before a frame that is sought, s.
+    /// Sets the duration of the frames that come before a frame that is sought, s.
     pub fn set_preroll_s(&self, preroll_s: f64) {
         self.state().preroll_s = preroll_s;
     }
 
-    /// Whether a frame comes only because it is before the one that was sought.
+    /// Returns whether a frame is part of the preroll of the frame that was sought.
     pub fn is_preroll(&self, sequence: u64) -> bool {
         self.state().preroll.contains(&sequence)
     }
@@ -148,7 +168,10 @@ fn normal(speed: f64) -> f64 {
 }
 
 impl Player {
-    /// A player at the start of a recording, that plays; `None` if the recording has no frame.
+    /// Creates a player that plays from the start of a recording; `None` if the recording has no frame.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the extent of the recording cannot be read.
     pub fn new(mut recording: Recording, speed: f64) -> Result<Option<Self>, RecordingError> {
         let Some(extent) = recording.extent()? else { return Ok(None) };
         let playback = Playback { playing: true, speed: normal(speed), position: None, at_end: false };
@@ -158,12 +181,12 @@ impl Player {
         Ok(Some(Player { recording, extent, transport, clock: None, rolling_to: None }))
     }
 
-    /// First and last frame.
+    /// Returns the positions of the first and the last frame.
     pub fn extent(&self) -> Extent {
         self.extent
     }
 
-    /// Its keys.
+    /// Returns a handle that controls the player.
     pub fn transport(&self) -> Transport {
         self.transport.clone()
     }
@@ -207,7 +230,7 @@ impl Player {
         Ok(event)
     }
 
-    /// The next frame, whatever gaps are before it; `None` behind the last one.
+    /// Reads the next frame, skipping gaps before it; `None` behind the last one.
     fn frame_alone(&mut self, frame: &mut Frame) -> Result<Option<Position>, SourceError> {
         loop {
             match self.next_of_recording(frame)? {
@@ -240,7 +263,7 @@ impl Player {
         if preroll_s > 0.0 {
             self.find(Place::Time(found.time_s() - preroll_s), frame)?;
         }
-        // A clock that has started again leads elsewhere.
+        // A clock that has started again leads to another frame.
         if frame.sequence > found.sequence {
             self.find(Place::Frame(found.sequence), frame)?;
         }
@@ -269,8 +292,8 @@ impl Player {
         }
     }
 
-    /// Waits until a frame is due. `false` if the transport has asked for something else meanwhile, and the frame is to be
-    /// forgotten.
+    /// Waits until a frame is due. Returns `false` if the transport has asked for something else meanwhile and the
+    /// frame has to be discarded.
     fn wait_for(&mut self, frame: &Frame) -> bool {
         let mut state = self.transport.state();
         let last_ns = state.playback.position.map_or(frame.time_ns, |position| position.time_ns);
@@ -304,7 +327,7 @@ impl Player {
             let due = due.unwrap_or(Duration::MAX);
             let left = due.saturating_sub(now - since);
             if left.is_zero() {
-                // Who has fallen behind by much does not hurry after it.
+                // A player that has fallen behind by more than a second does not catch up.
                 if (now - since).saturating_sub(due) > Duration::from_secs(1) {
                     self.clock = Some((now, frame.time_ns));
                 }

@@ -10,75 +10,75 @@ use std::time::Duration;
 use serde::Serialize;
 use thiserror::Error;
 
-use crate::discover::{Candidate, Transport};
+use crate::candidate::{Candidate, Transport};
 use crate::protocol::cmsis_dap::{Answer, AnswerError, Command, Info, MAX_PACKET, NRESET};
 use packets::Packets;
 
-/// How long the reset line is held low.
+/// Duration for which the reset line is held low.
 const RESET_PULSE: Duration = Duration::from_millis(20);
-/// How long the line may take to rise, microseconds.
+/// Longest time that the line may take to rise, microseconds.
 const RISE_US: u32 = 100_000;
 
-/// What can go wrong with a probe.
+/// Errors of a debug probe.
 #[derive(Debug, Error)]
 pub enum ProbeError {
-    /// It cannot be opened.
+    /// The probe cannot be opened.
     #[error("{path}: cannot open the debug probe", path = path.display())]
     Open {
-        /// Device.
+        /// Device node.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Another program has it.
+    /// Another program holds the probe.
     #[error("{path}: another program has this debug probe; close it and try again", path = path.display())]
     Busy {
-        /// Device.
+        /// Device node.
         path: PathBuf,
     },
-    /// This user may not.
+    /// The user may not open the probe.
     #[error(
         "{path}: permission denied\n\nhint: {remedy}",
         path = path.display(),
-        remedy = crate::discover::PERMISSION_REMEDY
+        remedy = crate::transport::PERMISSION_REMEDY
     )]
     PermissionDenied {
-        /// Device.
+        /// Device node.
         path: PathBuf,
     },
-    /// It has gone.
+    /// The connection broke.
     #[error("{path}: the connection to the debug probe broke", path = path.display())]
     Disconnected {
-        /// Device.
+        /// Device node.
         path: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         source: io::Error,
     },
-    /// Nothing came back.
+    /// No answer came.
     #[error("{path}: the debug probe does not answer; does another program use it?", path = path.display())]
     NoAnswer {
-        /// Device.
+        /// Device node.
         path: PathBuf,
     },
-    /// What came back makes no sense.
+    /// The answer is malformed.
     #[error("{path}: malformed answer", path = path.display())]
     Malformed {
-        /// Device.
+        /// Device node.
         path: PathBuf,
-        /// How.
+        /// Difference from the expected form.
         source: AnswerError,
     },
-    /// The probe could not do it.
+    /// The probe could not carry out a command.
     #[error("{path}: the debug probe could not {what}", path = path.display())]
     Refused {
-        /// Device.
+        /// Device node.
         path: PathBuf,
-        /// What it was to do.
+        /// Name of the action.
         what: &'static str,
     },
 }
 
-/// Who a probe says it is.
+/// Identity that a probe reports.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct ProbeIdentity {
     /// Vendor's name.
@@ -87,33 +87,34 @@ pub struct ProbeIdentity {
     pub product: String,
     /// Serial number.
     pub serial_number: String,
-    /// Version of its firmware; of the protocol in probes that know no other.
+    /// Version of its firmware, or of the protocol if it reports no other.
     pub firmware_version: String,
-    /// Whether it can do SWD, by which PSoC chips are debugged.
+    /// Whether it supports SWD, the debug interface of PSoC chips.
     pub has_swd: bool,
 }
 
-/// How a target was reset.
+/// Method by which a target was reset.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ResetMethod {
-    /// By a sequence that the probe has for its target.
+    /// A sequence that the probe has for its target.
     Sequence,
-    /// By a pulse on the nRESET line.
+    /// A pulse on the nRESET line.
     Pin,
 }
 
-/// An opened probe.
+/// Open debug probe.
 pub struct Probe {
     path: PathBuf,
     packets: Box<dyn Packets>,
 }
 
 impl Probe {
-    /// Opens a probe that has been found.
+    /// Opens the probe of a candidate.
     ///
     /// # Errors
-    /// It is not there, is busy, or this user may not open it.
+    /// [`ProbeError::PermissionDenied`], [`ProbeError::Busy`], or [`ProbeError::Open`] for any other error of the
+    /// system.
     pub fn open(candidate: &Candidate) -> Result<Probe, ProbeError> {
         let path = candidate.path.clone();
         let opened = match (candidate.transport, &candidate.usb) {
@@ -155,13 +156,13 @@ impl Probe {
     }
 
     fn text(&mut self, info: Info) -> Result<String, ProbeError> {
-        self.info(info).map(|bytes| crate::protocol::strata::text(&bytes))
+        self.info(info).map(|bytes| crate::protocol::mcu7::text(&bytes))
     }
 
-    /// Asks who it is.
+    /// Reads the identity of the probe.
     ///
     /// # Errors
-    /// It does not answer, or nonsense.
+    /// [`ProbeError::NoAnswer`], [`ProbeError::Malformed`] or [`ProbeError::Disconnected`].
     pub fn identity(&mut self) -> Result<ProbeIdentity, ProbeError> {
         let mut firmware_version = self.text(Info::FirmwareVersion)?;
         if firmware_version.is_empty() {
@@ -179,7 +180,8 @@ impl Probe {
     /// Resets the chip that the probe is wired to: by the probe's own sequence if it has one, else by its nRESET line.
     ///
     /// # Errors
-    /// The probe does not answer, has no port to the target, or the line does not rise again.
+    /// [`ProbeError::Refused`] if the probe has no port to the target or the line does not rise again; else those of
+    /// [`Probe::identity`].
     pub fn reset_target(&mut self) -> Result<ResetMethod, ProbeError> {
         let path = self.path.clone();
         let refused = move |what| ProbeError::Refused { path: path.clone(), what };
@@ -240,7 +242,7 @@ mod tests {
 
     mod hard_cases {
         use super::*;
-        use crate::discover::{Access, Belief, UsbIdentity};
+        use crate::candidate::{Access, Belief, UsbIdentity};
 
         /// A probe that answers every packet with these bytes.
         struct Stubborn(&'static [u8]);

@@ -1,26 +1,26 @@
-//! Frames at the pace at which they were taken.
+//! Playback of a source at the pace of its time stamps.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 
-/// Hands out the frames of a source when their time has come.
+/// Source that hands out the frames of another source when they are due.
 pub struct RealTime<S> {
     source: S,
     speed: f64,
-    /// When the clock read this frame time.
+    /// Instant at which this frame time was due.
     start: Option<(Instant, u64)>,
 }
 
 impl<S: FrameSource> RealTime<S> {
-    /// Paces a source by its time stamps, `speed` times as fast as they say; a speed that is not a positive number
-    /// leaves it unpaced.
+    /// Paces a source by its time stamps, `speed` times as fast; a speed that is not a positive number leaves it
+    /// unpaced.
     pub fn new(source: S, speed: f64) -> Self {
         RealTime { source, speed, start: None }
     }
 
-    /// The source itself.
+    /// Returns the source.
     pub fn into_inner(self) -> S {
         self.source
     }

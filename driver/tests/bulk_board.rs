@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use common::{Pattern, waveform};
 use radome_driver::{
-    Address, Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Pace, Reconnect,
+    Address, BoardError, EmulatedBoard, EmulatedSource, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, Reconnect,
     UsbAddress,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
@@ -57,7 +57,7 @@ fn frames_of_any_shape_arrive_bit_exact() {
 fn the_board_says_that_it_is_the_bulk_variant() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
-    let mut client = Board::open_at(board.address()).expect("opens");
+    let mut client = Mcu7Board::open_at(board.address()).expect("opens");
     let identity = client.identity().clone();
     assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0252));
     assert_eq!((identity.chip.as_str(), identity.extended_version.as_str()), ("BGT60TR13C", "emulated"));
@@ -74,11 +74,11 @@ fn the_board_says_that_it_is_the_bulk_variant() {
     }
     drop(client.start(&waveform).expect("starts"));
     // Who only asks leaves the chip as it is; who opens the board has reset it.
-    assert_eq!(Board::identity_at(board.address()).expect("answers"), identity);
-    let (client, left) = Board::open_as_left(board.address()).expect("opens again");
+    assert_eq!(Mcu7Board::identity_at(board.address()).expect("answers"), identity);
+    let (client, left) = Mcu7Board::open_with_waveform(board.address()).expect("opens again");
     left.expect("programmed").check_compatible(&waveform).expect("the same");
     drop(client);
-    assert_eq!(Board::open_as_left(board.address()).expect("opens again").1, None);
+    assert_eq!(Mcu7Board::open_with_waveform(board.address()).expect("opens again").1, None);
 }
 
 mod hard_cases {
@@ -137,13 +137,13 @@ mod hard_cases {
     fn a_board_that_is_plugged_in_again_or_stalls_goes_on() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let unplug = |packet| Fault::Unplug { packet, duration: Duration::from_millis(100) };
-        // The board is ahead of its host by what the socket holds, some ninety packets: the first fault comes after the start,
-        // however slow that is.
+        // The board is ahead of its host by what the socket holds, some ninety packets: the first fault comes after the
+        // start, however slow that is.
         let faults = [unplug(300), Fault::Stall(320), unplug(340)];
         let pattern = Pattern::new(waveform.clone(), u64::MAX);
         let board =
             EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), u64::MAX)), options(&faults)).expect("spawns");
-        let client = Board::open_at(board.address()).expect("opens");
+        let client = Mcu7Board::open_at(board.address()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let mut frame = Frame::zeroed(waveform.shape());
         let mut expected = frame.clone();
@@ -173,10 +173,10 @@ mod hard_cases {
     #[test]
     fn a_board_that_is_not_there_is_said_to_be_absent() {
         let nowhere = Address::Usb(UsbAddress::Emulated("/no/such/board".into()));
-        let Err(error) = Board::open_at(&nowhere) else { panic!("opened") };
+        let Err(error) = Mcu7Board::open_at(&nowhere) else { panic!("opened") };
         assert!(matches!(error, BoardError::Absent { .. }) && error.to_string().contains("hint:"), "{error}");
         // On a machine without USB too.
-        let Err(error) = Board::open_at(&Address::Usb(UsbAddress::Serial("no such serial number".into()))) else {
+        let Err(error) = Mcu7Board::open_at(&Address::Usb(UsbAddress::Serial("no such serial number".into()))) else {
             panic!("opened")
         };
         assert!(matches!(error, BoardError::Absent { .. }), "{error}");
@@ -192,7 +192,7 @@ mod hard_cases {
         ] {
             let board =
                 EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1)), options(&[fault])).expect("spawns");
-            let Err(error) = Board::open_at(board.address()) else { panic!("opened") };
+            let Err(error) = Mcu7Board::open_at(board.address()) else { panic!("opened") };
             assert!(error.to_string().contains(words), "{error}");
         }
     }

@@ -21,7 +21,7 @@ fn chunk(layout: ChunkLayout, number: u32, frames: u32) -> Vec<u8> {
     line
 }
 
-/// What a parser found.
+/// Result of a parser.
 #[derive(Debug, Default, PartialEq)]
 struct Found {
     frames: Vec<u32>,
@@ -83,9 +83,9 @@ fn hex(text: &str) -> Vec<u8> {
     (0..digits.len() / 2).map(|i| u8::from_str_radix(&digits[2 * i..2 * i + 2], 16).expect("hex")).collect()
 }
 
-/// The messages below were written by hand from the rules of protobuf (key = field << 3 | wire type; varints seven bits at a
-/// time, lowest first; sint32 zig-zag; int32 negative as 64 bits; zeros left out) and the fields of the hardware notes,
-/// section 3.1.
+/// The messages below were written by hand from the rules of protobuf (key = field << 3 | wire type; varints seven bits
+/// at a time, lowest first; sint32 zig-zag; int32 negative as 64 bits; zeros left out) and the fields of the captured
+/// messages.
 mod by_hand {
     use super::*;
 
@@ -354,8 +354,8 @@ mod hard_cases {
         assert_eq!(layout.beginning(&bytes), Beginning::No);
     }
 
-    /// A message that is cut short anywhere, on a line that is silent nowhere or after every byte: what comes out has no
-    /// wrong sample.
+    /// A message that is cut short anywhere, on a line that is silent nowhere or after every byte: what comes out has
+    /// no wrong sample.
     #[test]
     fn a_message_cut_short_anywhere_falsifies_nothing() {
         for layout in LAYOUTS {
@@ -402,8 +402,8 @@ mod hard_cases {
         assert!(matches!(parser.next_event(), Some(ChunkEvent::Frames { frame_number: 0, .. })));
     }
 
-    /// Every bit of a message flipped, one after the other, but for those in samples that make another code: no frame comes
-    /// out under another's number, none out of order.
+    /// Every bit of a message flipped, one after the other, but for those in samples that make another code: no frame
+    /// comes out under another's number, none out of order.
     #[test]
     fn a_flipped_bit_before_the_samples_falsifies_nothing() {
         for layout in LAYOUTS {

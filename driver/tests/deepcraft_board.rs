@@ -80,7 +80,8 @@ fn read(stream: &mut DeepcraftStream, frames: usize) -> Vec<Gap> {
     gaps
 }
 
-/// The payload is in FIFO order although the stream's shape says otherwise: three receivers and unlike axes would show it.
+/// The payload is in FIFO order although the stream's shape says otherwise: three receivers and unlike axes would show
+/// it.
 #[test]
 fn frames_come_through_sample_for_sample() {
     for (antennas, chirps, samples) in
@@ -117,7 +118,7 @@ fn a_board_says_who_it_is_and_what_it_is_set_to() {
     }
 }
 
-/// Request and answer written by hand from the rules of protobuf and the hardware notes, section 3.1: client, emulated board
+/// Request and answer written by hand from the rules of protobuf and the captured messages: client, emulated board
 /// and codec cannot agree on a common error.
 #[test]
 fn the_emulated_board_answers_as_written_by_hand() {
@@ -165,9 +166,9 @@ fn the_emulated_board_answers_as_written_by_hand() {
     assert_eq!(got, expected);
 }
 
-/// Chunks hold what one read of the FIFO completes, although the stream says that a chunk has one frame at most. The vendor's
-/// firmware says and does so (its `dev_bgt60trxx.c` adds the stream with 1 and sends all the frames that it has): a client that
-/// relies on the number fails with the real board, and is to fail with this one.
+/// Chunks hold what one read of the FIFO completes, although the stream says that a chunk has one frame at most. The
+/// vendor's firmware says and does so (its `dev_bgt60trxx.c` adds the stream with 1 and sends all the frames that it
+/// has): a client that relies on the number fails with the real board, and is to fail with this one.
 #[test]
 fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
     let w = small();
@@ -197,7 +198,7 @@ fn chunks_hold_all_frames_of_a_read_whatever_the_stream_says() {
     assert_eq!((stated, held), (Some(1), Some(4)));
 }
 
-/// What the emulated firmware reads at once completes four of these frames.
+/// One read of the emulated firmware completes four of these frames.
 fn small() -> Waveform {
     waveform(&[1, 2, 3], 8, 64, 0.1)
 }
@@ -243,8 +244,8 @@ fn a_counter_that_jumps_is_a_gap_of_that_length() {
     assert_eq!(gaps, [Gap { first_sequence: 3, frames: 7, reason: GapReason::PacketLost }]);
 }
 
-/// The board says which of them it has dropped itself. It is asked when they are missed: faults are further apart than it can
-/// be ahead of the line.
+/// The board says which of them it has dropped itself. It is asked when they are missed: faults are further apart than
+/// it can be ahead of the line.
 #[test]
 fn frames_that_the_board_dropped_are_told_from_those_that_the_line_lost() {
     let faults = [Fault::Overflow(20), Fault::DropPacket(60), Fault::Overflow(100), Fault::DropPacket(101)];
@@ -418,7 +419,8 @@ mod hard_cases {
         }
     }
 
-    /// A board that was left measuring, and one that waits for the rest of what somebody else has asked: a modem manager's
+    /// A board that was left measuring, and one that waits for the rest of what somebody else has asked: a modem
+    /// manager's
     /// `AT` announces 65 bytes.
     #[test]
     fn a_board_in_any_state_is_opened() {
@@ -452,16 +454,16 @@ mod hard_cases {
             assert!(matches!(error, BoardError::NoAnswer { command: "capabilities", .. }), "{kind:?}: {error}");
             match kind {
                 Kind::Esp32 => {
-                    let mut stream = radome_driver::LineStream::open(board.path(), Some(&w)).expect("opens");
+                    let mut stream = radome_driver::Esp32Stream::open(board.path(), Some(&w)).expect("opens");
                     let mut frame = Frame::zeroed(w.shape());
                     while stream.next_frame(&mut frame).expect("lines") != SourceEvent::Frame {}
                 }
-                _ => drop(radome_driver::Board::open(board.path()).expect("opens").start(&w).expect("starts")),
+                _ => drop(radome_driver::Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts")),
             }
         }
     }
 
-    /// Who says nothing for longer than the watchdog waits finds the board stopped.
+    /// A client that is silent for longer than the watchdog waits finds the board stopped.
     #[test]
     fn a_board_whose_host_is_silent_stops_and_one_that_is_told_goes_on() {
         let w = small();

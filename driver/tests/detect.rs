@@ -1,4 +1,4 @@
-//! What a serial port leads to is found out by listening and asking.
+//! Detection of the board on a serial port by listening and asking.
 
 mod common;
 
@@ -44,7 +44,7 @@ fn a_psoc_kit_tells_what_it_is_set_to() {
 fn a_board_that_prints_is_heard_from_its_first_frame_on() {
     let w = waveform(&[1, 2, 3], 16, 32, 0.05);
     let board = board(&w, Kind::Esp32, &[]);
-    let Detected::Lines(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+    let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
         panic!("another kind of board");
     };
     assert_eq!(stream.waveform(), &w);
@@ -67,7 +67,7 @@ mod hard_cases {
         let board = board(&w, Kind::Esp32, &[]);
         drop(Detected::open(board.path(), None).expect("speaks"));
         std::thread::sleep(std::time::Duration::from_millis(50));
-        let Detected::Lines(mut stream) = Detected::open(board.path(), Some(&w)).expect("speaks") else {
+        let Detected::Esp32(mut stream) = Detected::open(board.path(), Some(&w)).expect("speaks") else {
             panic!("another kind of board");
         };
         assert_eq!(stream.next_frame(&mut Frame::zeroed(w.shape())).expect("frame"), SourceEvent::Frame);
@@ -78,7 +78,7 @@ mod hard_cases {
         let w = waveform(&[1], 16, 32, 0.05);
         let board = board(&w, Kind::Esp32, &[Fault::Stall(0)]);
         // It says its banner and waveform and nothing more: lines, but no frame.
-        let Detected::Lines(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
+        let Detected::Esp32(mut stream) = Detected::open(board.path(), None).expect("speaks") else {
             panic!("another kind of board");
         };
         let error = stream.next_frame(&mut Frame::zeroed(w.shape())).expect_err("silent");

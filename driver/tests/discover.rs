@@ -1,4 +1,4 @@
-//! What is found in a made-up /sys and /dev.
+//! Discovery in a synthetic /sys and /dev.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -6,7 +6,7 @@ use std::path::Path;
 
 use radome_driver::discover::{Belief, Change, Identity, Roots, State, Transport, Watch, ask, candidates_in};
 use radome_driver::{
-    Address, Board, Candidate, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Pace, UsbAddress,
+    Address, Candidate, Detected, EmulatedBoard, EmulatorOptions, Fault, Kind, Mcu7Board, Pace, UsbAddress,
 };
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 
@@ -200,7 +200,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
         let candidate = candidate_at(&machine, &board);
         let state = ask(&candidate, false);
         // As long as somebody has it, it is busy.
-        let held = radome_driver::Board::open(board.path());
+        let held = radome_driver::Mcu7Board::open(board.path());
         assert!(held.is_err() || ask(&candidate, false) == State::Busy, "{:?}", ask(&candidate, false));
         state
     };
@@ -214,7 +214,7 @@ fn whoever_is_asked_says_who_it_is_or_what_is_wrong() {
     }
 }
 
-/// What the next one to open a board finds in its chip.
+/// State of the chip for the next client.
 fn left(board: &EmulatedBoard) -> Option<Waveform> {
     let Detected::Mcu7(_, left) = Detected::open(board.path(), None).expect("answers") else {
         panic!("another kind of board")
@@ -234,11 +234,11 @@ fn whoever_was_asked_keeps_what_it_was_programmed_with() {
         let source = Box::new(common::Pattern::new(waveform.clone(), 1000));
         let board = EmulatedBoard::spawn(source, options).expect("spawns");
         // Opened and not started, a chip has been reset: what is found below is not what the emulator began with.
-        let opened = Board::open(board.path()).expect("opens");
+        let opened = Mcu7Board::open(board.path()).expect("opens");
         let identity = opened.identity().clone();
         drop(opened);
         assert_eq!(left(&board), None);
-        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
         drop(stream);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use common::{Pattern, waveform};
 use radome_driver::emulator::EmulatorCounts;
 use radome_driver::{
-    Board, BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Pace,
+    BoardError, EmulatedBoard, EmulatedSource, EmulatorError, EmulatorOptions, Fault, Feed, Kind, Mcu7Board, Pace,
 };
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, Occupancy, SourceError, SourceEvent, Truth, Waveform};
 
@@ -64,7 +64,7 @@ fn frames_of_any_shape_arrive_bit_exact() {
 fn identity_and_registers_are_read_as_from_the_real_board() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform, 1)), options(&[])).expect("spawns");
-    let mut client = Board::open(board.path()).expect("opens");
+    let mut client = Mcu7Board::open(board.path()).expect("opens");
     let identity = client.identity().clone();
     assert_eq!((identity.vendor_id, identity.product_id), (0x058B, 0x0251));
     assert_eq!((identity.chip.as_str(), identity.firmware_version.as_str()), ("BGT60TR13C", "2.9.0"));
@@ -89,7 +89,7 @@ fn boards_of_protocol_3_measure_as_well() {
 fn stream_can_be_stopped_and_started_again() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 1000)), options(&[])).expect("spawns");
-    let mut client = Board::open(board.path()).expect("opens");
+    let mut client = Mcu7Board::open(board.path()).expect("opens");
     let mut frame = Frame::zeroed(waveform.shape());
     for _ in 0..3 {
         let mut stream = client.start(&waveform).expect("starts");
@@ -101,7 +101,7 @@ fn stream_can_be_stopped_and_started_again() {
     }
     // Dropping a running stream leaves a board that can be opened again.
     drop(client.start(&waveform).expect("starts"));
-    Board::open(board.path()).expect("opens again");
+    Mcu7Board::open(board.path()).expect("opens again");
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn a_source_of_any_waveform_is_made_for_the_one_that_is_programmed() {
     let source = Box::new(Pattern::new(own.clone(), u64::MAX));
     let feed = Feed::of_any_waveform(source, |waveform, _| Ok(Box::new(Pattern::new(waveform.clone(), u64::MAX))));
     let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
-    let mut client = Board::open(board.path()).expect("opens");
+    let mut client = Mcu7Board::open(board.path()).expect("opens");
     for (antennas, chirps, samples, interval_s) in
         [(&[1u8, 2, 3][..], 8, 64, 0.1), (&[1, 2, 3], 16, 32, 0.1), (&[2], 8, 64, 0.05), (&[1, 3], 4, 128, 0.05)]
     {
@@ -176,9 +176,9 @@ fn a_source_that_is_repeated_begins_again() {
     let w = waveform(&[1, 2, 3], 8, 64, 0.1);
     let pattern = Pattern::new(w.clone(), 7);
     let (source, again) = (Box::new(Pattern::new(w.clone(), 7)), w.clone());
-    let feed = Feed::that_begins_again(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
+    let feed = Feed::reopenable(source, move || Ok(Box::new(Pattern::new(again.clone(), 7))));
     let board = EmulatedBoard::spawn(feed, EmulatorOptions { repeat: true, ..options(&[]) }).expect("spawns");
-    let mut stream = Board::open(board.path()).expect("opens").start(&w).expect("starts");
+    let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&w).expect("starts");
     let mut frame = Frame::zeroed(w.shape());
     let mut expected = frame.clone();
     for sequence in 0..40 {
@@ -266,11 +266,12 @@ mod hard_cases {
         }
     }
 
-    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only the
-    /// board's clock tells. No frame is cut from the wrong codes, none gets another's number.
+    /// A counter that jumps though nothing is lost: by whole slices or frames every packet looks as it should, and only
+    /// the board's clock tells. No frame is cut from the wrong codes, none gets another's number.
     #[test]
     fn a_counter_that_jumps_by_whole_slices_is_seen_through() {
-        // What is on the line when the board is started anew is lost: 64 KiB in the kernel and as much that was just received.
+        // What is on the line when the board is started anew is lost: 64 KiB in the kernel and as much that was just
+        // received.
         const LINE_BYTES: u64 = 2 * 65_536;
         // 12 slices of 4 packets a frame; a slice a frame; slices that end anywhere in a frame.
         for (antennas, chirps, samples, packet) in
@@ -335,15 +336,15 @@ mod hard_cases {
         assert_eq!(sequences.len() as u64 + missing, last + 1, "{sequences:?} {gaps:?}");
     }
 
-    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a board that
-    /// is silent it asks for another waveform.
+    /// The vendor's library gives a board up for good that answers a start with an error, or sends an error frame; a
+    /// board that is silent it asks for another waveform.
     #[test]
     fn of_another_waveform_no_frame_comes_and_the_same_client_goes_on() {
         let own = waveform(&[1, 2, 3], 8, 64, 0.1);
         let source = Pattern::new(own.clone(), u64::MAX);
         let board = EmulatedBoard::spawn(Box::new(source), options(&[])).expect("spawns");
         let other = waveform(&[1, 2, 3], 16, 64, 0.1);
-        let client = Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&other).expect("answered as by a real board");
         let mut frame = Frame::zeroed(other.shape());
         let error = stream.next_frame(&mut frame).expect_err("no frames");
@@ -404,7 +405,7 @@ mod hard_cases {
             }
         });
         let board = EmulatedBoard::spawn(feed, options(&[])).expect("spawns");
-        let mut client = Board::open(board.path()).expect("opens");
+        let mut client = Mcu7Board::open(board.path()).expect("opens");
         for (chirps, frames) in [(16, false), (8, true), (16, false), (4, true), (8, true)] {
             let wanted = waveform(&[1, 2, 3], chirps, 64, 0.1);
             let mut frame = Frame::zeroed(wanted.shape());
@@ -435,7 +436,7 @@ mod hard_cases {
             });
             let taken = boards.iter().filter(|board| matches!(board, Err(EmulatorError::LinkTaken { .. }))).count();
             assert_eq!((boards.iter().filter(|board| board.is_ok()).count(), taken), (1, 7));
-            Board::open(&link).expect("the one that has it");
+            Mcu7Board::open(&link).expect("the one that has it");
             drop(boards);
             assert!(std::fs::read_link(&link).is_err(), "it goes with its board");
         }
@@ -458,14 +459,14 @@ mod hard_cases {
         let open = |fault| {
             let source = Pattern::new(waveform(&[1], 8, 64, 0.1), 1);
             let board = EmulatedBoard::spawn(Box::new(source), options(&[fault])).expect("spawns");
-            Board::open(board.path()).err().expect("refused")
+            Mcu7Board::open(board.path()).err().expect("refused")
         };
         assert!(matches!(open(Fault::ForeignChip(0)), BoardError::ChipSilent { .. }));
         assert!(matches!(open(Fault::ForeignChip(0xFF_FFFF)), BoardError::ChipSilent { .. }));
         assert!(matches!(open(Fault::ForeignChip(0x606)), BoardError::OtherChip { chip: "BGT60UTR13D", .. }));
         let error = open(Fault::WrongVersion(5)).to_string();
         assert!(error.contains("protocol 5.0"), "{error}");
-        let missing = Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
+        let missing = Mcu7Board::open(std::path::Path::new("/dev/no-such-port")).err().expect("absent");
         assert!(missing.to_string().contains("/dev/no-such-port"));
     }
 
@@ -473,7 +474,7 @@ mod hard_cases {
     fn a_silent_board_is_a_stall_not_a_hang() {
         let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = EmulatedBoard::spawn(Box::new(Pattern::new(waveform.clone(), 2)), options(&[])).expect("spawns");
-        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);
@@ -493,6 +494,6 @@ mod hard_cases {
         std::io::Write::write_all(&mut port, &[0xC1, 0x80, 0, 0, 0, 0, 0x20, 0, 0x12, 0x34]).expect("writes");
         std::thread::sleep(Duration::from_millis(50));
         drop(port);
-        Board::open(board.path()).expect("answers");
+        Mcu7Board::open(board.path()).expect("answers");
     }
 }

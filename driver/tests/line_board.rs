@@ -5,7 +5,7 @@ mod common;
 use std::time::Duration;
 
 use common::{Pattern, waveform};
-use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, LineStream, Pace, Reconnect};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Kind, Pace, Reconnect};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent};
 
 fn board(source: Pattern) -> EmulatedBoard {
@@ -20,7 +20,7 @@ fn frames_come_through_lines_sample_for_sample_and_a_gap_in_its_place() {
     source.gap = Some(Gap { first_sequence: 10, frames: 3, reason: GapReason::Recorded });
     let reference = Pattern::new(w.clone(), 30);
     let board = board(source);
-    let mut stream = LineStream::open(board.path(), Some(&w)).expect("opens");
+    let mut stream = Esp32Stream::open(board.path(), Some(&w)).expect("opens");
     let (mut frame, mut expected) = (Frame::zeroed(w.shape()), Frame::zeroed(w.shape()));
     let (mut frames, mut gaps) = (Vec::new(), Vec::new());
     while frames.last() != Some(&29) {
@@ -54,7 +54,7 @@ fn a_printing_board_that_is_plugged_in_again_goes_on() {
     };
     let board = EmulatedBoard::spawn(Box::new(Pattern::new(w.clone(), u64::MAX)), options).expect("a pty");
     let policy = Reconnect { longest_wait: Duration::from_millis(50), ..Reconnect::default() };
-    let mut stream = LineStream::open(board.path(), Some(&w)).expect("opens").with_reconnect(policy);
+    let mut stream = Esp32Stream::open(board.path(), Some(&w)).expect("opens").with_reconnect(policy);
     let mut frame = Frame::zeroed(w.shape());
     let (mut next, mut lost) = (0, 0);
     while next < 100 {
@@ -83,7 +83,7 @@ mod hard_cases {
         let built_for = waveform(&[1], 16, 32, 0.02);
         let named = waveform(&[1, 2], 16, 32, 0.02);
         let board = board(Pattern::new(built_for, 5));
-        let mut stream = LineStream::open(board.path(), Some(&named)).expect("opens");
+        let mut stream = Esp32Stream::open(board.path(), Some(&named)).expect("opens");
         let error = stream.next_frame(&mut Frame::zeroed(named.shape())).expect_err("no frame fits");
         let reason = error.source().expect("a reason").to_string();
         assert!(reason.contains("512 codes, expected 1024"), "{error}: {reason}");
@@ -92,7 +92,7 @@ mod hard_cases {
     #[test]
     fn a_port_that_is_not_there_is_named() {
         let w = waveform(&[1], 16, 32, 0.02);
-        let error = LineStream::open(std::path::Path::new("/dev/nowhere"), Some(&w)).err().expect("no such port");
+        let error = Esp32Stream::open(std::path::Path::new("/dev/nowhere"), Some(&w)).err().expect("no such port");
         assert!(error.to_string().contains("/dev/nowhere"), "{error}");
     }
 }

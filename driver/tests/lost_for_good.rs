@@ -1,5 +1,5 @@
-//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an error that
-//! says why, never with an end, and never with a wait.
+//! Boards that are lost for good, on every carrier, and sources of emulated boards that fail: the stream ends with an
+//! error that says why, never with an end, and never with a wait.
 
 mod common;
 
@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use common::{Pattern, waveform};
 use radome_driver::{
-    Board, BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Kind, LineStream, Pace,
+    BoardError, DeepcraftBoard, EmulatedBoard, EmulatedSource, EmulatorOptions, Esp32Stream, Kind, Mcu7Board, Pace,
     Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
@@ -59,7 +59,7 @@ fn is_told(error: &SourceError) {
 #[test]
 fn a_board_on_a_serial_port() {
     is_told(&lost(Kind::Mcu7V4, |board, waveform| {
-        let client = Board::open_at(board.address()).expect("opens");
+        let client = Mcu7Board::open_at(board.address()).expect("opens");
         Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
     }));
 }
@@ -67,7 +67,7 @@ fn a_board_on_a_serial_port() {
 #[test]
 fn a_board_with_bulk_transfers() {
     is_told(&lost(Kind::Mcu7Bulk, |board, waveform| {
-        let client = Board::open_at(board.address()).expect("opens");
+        let client = Mcu7Board::open_at(board.address()).expect("opens");
         Box::new(client.start(waveform).expect("starts").with_reconnect(POLICY))
     }));
 }
@@ -83,7 +83,7 @@ fn a_deepcraft_board() {
 #[test]
 fn a_board_that_prints() {
     is_told(&lost(Kind::Esp32, |board, waveform| {
-        Box::new(LineStream::open(board.path(), Some(waveform)).expect("opens").with_reconnect(POLICY))
+        Box::new(Esp32Stream::open(board.path(), Some(waveform)).expect("opens").with_reconnect(POLICY))
     }));
 }
 
@@ -131,7 +131,7 @@ fn the_failure_of_a_source_goes_past_its_emulated_board_to_the_client() {
 fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_stopped() {
     let folder = tempfile::tempdir().expect("a folder");
     let mut board = EmulatedBoard::spawn(failing(false), options(Kind::Mcu7V4, folder.path())).expect("spawns");
-    let client = Board::open(board.path()).expect("opens");
+    let client = Mcu7Board::open(board.path()).expect("opens");
     let mut stream = client.start(board.waveform()).expect("starts");
     let mut frame = Frame::zeroed(board.waveform().shape());
     for _ in 0..5 {
@@ -141,6 +141,6 @@ fn an_emulated_board_keeps_the_failure_of_its_source_and_answers_until_it_is_sto
     assert!(board.failure().is_some_and(|reason| reason.contains("chunk 3 is damaged")), "{:?}", board.failure());
     // It still answers.
     drop(stream);
-    assert!(Board::open(board.path()).is_ok());
+    assert!(Mcu7Board::open(board.path()).is_ok());
     board.stop();
 }

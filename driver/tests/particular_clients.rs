@@ -1,5 +1,5 @@
-//! Clients as particular as the vendor's: one that misses answers which come too soon, one that reads the temperature all the
-//! time, ones that are killed in the middle of everything, and one whose board is stopped.
+//! Clients as particular as the vendor's: one that misses answers which come too soon, one that reads the temperature
+//! all the time, ones that are killed in the middle of everything, and one whose board is stopped.
 
 mod common;
 
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use common::{Pattern, waveform};
 use radome_driver::chip::{ChipConfiguration, address, field};
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardEvent, BoardParser, COMPONENT_AVIAN, Command, DataFormat, Protocol, SliceLayout, SpiWord, Status,
 };
 use radome_driver::{EmulatedBoard, EmulatorOptions, Pace};
@@ -100,7 +100,7 @@ impl Client {
         u32::from_le_bytes(answer.try_into().expect("one word")) & 0xFF_FFFF
     }
 
-    /// What the vendor's library asks when it opens a board.
+    /// Requests of the vendor's library when it opens a board.
     fn identify(&mut self) {
         self.demand(&Command::BoardInfo);
         self.demand(&Command::FirmwareVersion);
@@ -136,8 +136,8 @@ impl Client {
         assert_eq!((missing, self.damaged), (None, 0));
     }
 
-    /// As the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing transmitted, and
-    /// reset in the end.
+    /// As the vendor's library does with a chip that sleeps: it is woken in continuous-wave mode with nothing
+    /// transmitted, and reset in the end.
     fn measure_temperature(&mut self) -> f64 {
         self.write(&[
             (address::CSP_D_0, 0),
@@ -286,8 +286,8 @@ fn in_continuous_wave_mode_no_frame_comes_and_afterwards_they_do() {
     client.stream(10);
 }
 
-/// Each client is killed while it streams and half a request of it is under way. The next one asks at once what the vendor's asks
-/// first, and is answered as by a board that nobody has used.
+/// Each client is killed while it streams and half a request of it is under way. The next one asks at once what the
+/// vendor's asks first, and is answered as by a board that nobody has used.
 #[test]
 fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
     let w = small();
@@ -327,7 +327,8 @@ fn clients_that_are_killed_leave_a_board_that_the_next_one_finds() {
     }
 }
 
-/// A client that reads hears nothing that is cut short: a slice without its end is a dropped frame to the vendor's library.
+/// A client that reads hears nothing that is cut short: a slice without its end is a dropped frame to the vendor's
+/// library.
 #[test]
 fn a_board_that_is_stopped_ends_with_a_whole_slice() {
     let w = waveform(&[1, 2, 3], 128, 256, 0.1);

@@ -84,7 +84,7 @@ proptest! {
             frame.temperature_millicelsius = known;
         }
         let report = write(&path, Format::Infineon, &waveform, &frames);
-        prop_assert_eq!((report.frames, report.unheld), (frames.len() as u64, vec![]));
+        prop_assert_eq!((report.frames, report.omitted), (frames.len() as u64, vec![]));
         prop_assert_eq!(read(&path), (waveform, frames));
         prop_assert_eq!(std::fs::read_dir(folder.path()).expect("lists").count(), 1);
     }
@@ -153,7 +153,7 @@ proptest! {
         let path = folder.path().join("session.txt");
         let frames = simulated(&waveform, count, seed);
         let report = write(&path, Format::Text, &waveform, &frames);
-        prop_assert_eq!((report.frames, report.unheld), (count, vec![]));
+        prop_assert_eq!((report.frames, report.omitted), (count, vec![]));
         let dos = std::fs::read_to_string(&path).expect("text").replace('\n', "\r\n");
         prop_assert_eq!(read(&path), (waveform.clone(), frames.clone()));
         std::fs::write(&path, dos).expect("writes");
@@ -180,7 +180,7 @@ fn text_is_laid_out_as_the_vendor_lays_it_out() {
     assert!(folder.path().join("session.txt_config.json").exists());
 }
 
-/// The keys of a real file (hardware notes, section 5.1), in its order.
+/// The keys of a real file, in its order.
 #[test]
 fn the_folder_has_the_vendors_files_and_keys() {
     let folder = tempfile::tempdir().expect("folder");
@@ -215,7 +215,7 @@ fn host_times_are_kept_to_the_nanosecond() {
         frame.host_time_ns = 1_767_683_775_123_456_789 + frame.time_ns + 3 * frame.sequence;
     }
     let report = write(&path, Format::Infineon, &waveform, &frames);
-    assert_eq!(report.unheld, ["times by the board's clock (the host's are kept)"]);
+    assert_eq!(report.omitted, ["times by the board's clock (the host's are kept)"]);
     let (_, back) = read(&path);
     for (a, b) in frames.iter().zip(&back) {
         assert_eq!((b.host_time_ns, b.time_ns), (a.host_time_ns, a.time_ns + 3 * a.sequence));
@@ -244,7 +244,7 @@ fn what_a_format_cannot_hold_is_named() {
         writer.frame(&frame).expect("writes");
         let report = writer.finish().expect("finishes");
         assert_eq!((report.frames, report.gaps, report.frames_lost), (2, 1, 4));
-        let said = report.unheld.join("; ");
+        let said = report.omitted.join("; ");
         for part in ["1 gaps, in which 4 frames", "numbers of the frames", "truth of 2 frames", "1 labels"] {
             assert!(said.contains(part), "'{part}' is not in: {said}");
         }

@@ -77,7 +77,7 @@ fn npy(kind: &str, shape: &str, data: impl IntoIterator<Item = u8>) -> Vec<u8> {
     bytes
 }
 
-/// What the SDK's range-Doppler example asks for; the writer's antenna mask has landed in `tx_antennas`.
+/// Configuration of the SDK's range-Doppler example; the writer's antenna mask is in `tx_antennas`.
 const SCENE: &str = r#"{"device_config": {"fmcw_scene": {
     "rx_antennas": [1, 2, 3], "tx_antennas": [1, 2, 3], "tx_power_level": 31, "if_gain_dB": 33,
     "range_resolution_m": 0.15, "max_range_m": 4.8, "max_speed_m_s": 2.45, "speed_resolution_m_s": 0.2,
@@ -149,7 +149,7 @@ fn metrics_and_data_that_contradict_each_other_are_refused() {
     assert!(said.contains("fmcw_scene"), "{said}");
 }
 
-/// What hardware notes section 6 say of it: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each receiver.
+/// Properties of the capture: 256 frames of 3 x 8 x 64, codes 1017..=2450, a DC level for each receiver.
 #[test]
 fn the_real_recording_opens_and_is_what_it_is_known_to_be() {
     let Some(path) = breathing() else { return };
@@ -267,8 +267,8 @@ fn native_recording_gives_everything_back() {
     assert_eq!(reader.next_frame(&mut frame).expect("end"), SourceEvent::End);
 }
 
-/// All labels anew while frames go on: every reader finds them at once, whatever comes after, and the recording itself has the last
-/// ones when it is finished.
+/// All labels anew while frames go on: every reader finds them at once, whatever comes after, and the recording itself
+/// has the last ones when it is finished.
 #[test]
 fn labels_given_while_recording_are_found_when_the_call_returns() {
     let folder = tempfile::tempdir().expect("folder");

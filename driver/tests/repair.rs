@@ -179,7 +179,8 @@ fn labels_are_added_to_a_finished_recording() {
 mod hard_cases {
     use super::*;
 
-    /// A recording that was never finished is repaired first; one with a damaged chunk takes labels and loses nothing more.
+    /// A recording that was never finished is repaired first; one with a damaged chunk takes labels and loses nothing
+    /// more.
     #[test]
     fn labels_are_refused_by_what_is_unfinished_and_leave_what_is_damaged() {
         let folder = tempfile::tempdir().expect("folder");
@@ -232,7 +233,8 @@ mod hard_cases {
     proptest! {
         #![proptest_config(cases(100))]
 
-        /// Whatever is damaged behind the header: no frame is wrong, and what is not there is within a gap or at the end.
+        /// Whatever is damaged behind the header: no frame is wrong, and what is not there is within a gap or at the
+        /// end.
         #[test]
         fn every_missing_frame_lies_in_a_gap(
             changes in prop::collection::vec((any::<prop::sample::Index>(), prop::collection::vec(any::<u8>(), 1..40)), 1..6),

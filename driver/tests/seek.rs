@@ -39,7 +39,7 @@ fn behind(events: &[Event], is_earlier: impl Fn(&Frame) -> bool) -> &[Event] {
     &events[last.map_or(0, |last| last + 1)..]
 }
 
-/// What [`Recording::seek_frame`] promises.
+/// Contract of [`Recording::seek_frame`].
 fn from_frame(events: &[Event], sequence: u64) -> &[Event] {
     let mut found = behind(events, |frame| frame.sequence < sequence);
     while let [Event::Gap(gap), rest @ ..] = found

@@ -5,7 +5,7 @@ mod common;
 use std::time::Duration;
 
 use common::{Pattern, waveform};
-use radome_driver::{Board, BoardStream, EmulatedBoard, EmulatorOptions, Fault, Pace, Reconnect};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Mcu7Board, Mcu7Stream, Pace, Reconnect};
 use radome_dsp::{Frame, FrameSource, Gap, GapReason, SourceEvent, Waveform};
 
 /// Patient enough for any machine.
@@ -25,7 +25,7 @@ fn source(waveform: &Waveform) -> Box<Pattern> {
 
 /// Reads so many frames. Each must be a whole frame of the source, later than the one before, and sequence numbers must
 /// leave no hole but the gaps. Gives the gaps.
-fn read(stream: &mut BoardStream, waveform: &Waveform, frames: usize) -> Vec<Gap> {
+fn read(stream: &mut Mcu7Stream, waveform: &Waveform, frames: usize) -> Vec<Gap> {
     let mut frame = Frame::zeroed(waveform.shape());
     let mut expected = frame.clone();
     let (mut received, mut next_sequence, mut next_of_source, mut gaps) = (0, 0, 0, Vec::new());
@@ -71,7 +71,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
         let faults = frames.map(|frame| Fault::Unplug { packet: frame * packets + packets / 2, duration });
         let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let client = Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read(&mut stream, &waveform, frames[2] as usize + 20);
         assert_eq!(reasons(&gaps), [GapReason::Disconnected; 3]);
@@ -82,7 +82,7 @@ fn a_board_that_is_plugged_in_again_goes_on() {
 fn a_board_that_stalls_is_started_anew() {
     let waveform = waveform(&[1, 2, 3], 8, 64, 0.1);
     let board = EmulatedBoard::spawn(source(&waveform), options(&[Fault::Stall(4)])).expect("spawns");
-    let client = Board::open(board.path()).expect("opens");
+    let client = Mcu7Board::open(board.path()).expect("opens");
     let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
     let gaps = read(&mut stream, &waveform, 10);
     assert_eq!(reasons(&gaps), [GapReason::Disconnected]);
@@ -97,7 +97,7 @@ fn lost_alignment_is_found_by_starting_anew() {
     for by in [1, 2, 3, 5] {
         let fault = Fault::SkipCounter { packet: 48 + 6, by };
         let board = EmulatedBoard::spawn(source(&waveform), options(&[fault])).expect("spawns");
-        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let gaps = read(&mut stream, &waveform, 5);
         // A middle packet may pass for another one; the last of its slice does not.
         assert!((1..=2).contains(&gaps.len()), "{gaps:?}");
@@ -110,7 +110,7 @@ mod hard_cases {
     use super::*;
 
     /// Reads on until there is an error.
-    fn first_error(stream: &mut BoardStream, waveform: &Waveform) -> radome_dsp::SourceError {
+    fn first_error(stream: &mut Mcu7Stream, waveform: &Waveform) -> radome_dsp::SourceError {
         let mut frame = Frame::zeroed(waveform.shape());
         loop {
             if let Err(error) = stream.next_frame(&mut frame) {
@@ -123,7 +123,7 @@ mod hard_cases {
     fn packets_in_the_wrong_order_cost_their_frames_only() {
         let small = waveform(&[1, 2, 3], 8, 64, 0.1);
         let board = EmulatedBoard::spawn(source(&small), options(&[Fault::ReorderPacket(3)])).expect("spawns");
-        let mut stream = Board::open(board.path()).expect("opens").start(&small).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&small).expect("starts");
         let gaps = read(&mut stream, &small, 8);
         assert_eq!(gaps, [Gap { first_sequence: 3, frames: 1, reason: GapReason::PacketLost }]);
     }
@@ -145,7 +145,7 @@ mod hard_cases {
         ];
         let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&faults) };
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let client = Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.path()).expect("opens");
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(POLICY);
         let gaps = read(&mut stream, &waveform, 250);
         use GapReason::{Crc, Disconnected, FifoOverflow, PacketLost};
@@ -162,7 +162,7 @@ mod hard_cases {
         // With a link: the number of a terminal that has gone is soon that of another test's board.
         let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[]) };
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let client = Board::open(board.path()).expect("opens");
+        let client = Mcu7Board::open(board.path()).expect("opens");
         let policy = Reconnect { give_up_after: Duration::from_millis(300), ..POLICY };
         let mut stream = client.start(&waveform).expect("starts").with_reconnect(policy);
         read(&mut stream, &waveform, 3);
@@ -173,7 +173,7 @@ mod hard_cases {
         first_error(&mut stream, &waveform);
     }
 
-    /// Who has not asked for reconnection hears of it.
+    /// A stream without a reconnection policy ends with the error.
     #[test]
     fn without_leave_to_reconnect_the_error_comes_at_once() {
         let folder = tempfile::tempdir().expect("folder");
@@ -181,7 +181,7 @@ mod hard_cases {
         let fault = Fault::Unplug { packet: 100, duration: Duration::from_millis(20) };
         let options = EmulatorOptions { link: Some(folder.path().join("board")), ..options(&[fault]) };
         let board = EmulatedBoard::spawn(source(&waveform), options).expect("spawns");
-        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         read(&mut stream, &waveform, 10);
         let error = first_error(&mut stream, &waveform);
         assert!(error.to_string().contains("connection broke"), "{error}");

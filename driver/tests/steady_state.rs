@@ -6,7 +6,7 @@ mod counting;
 
 use common::{Pattern, waveform};
 use counting::ALLOCATIONS;
-use radome_driver::{Board, DeepcraftBoard, EmulatedBoard, EmulatorOptions, Kind, Pace};
+use radome_driver::{DeepcraftBoard, EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceEvent};
 
 #[test]
@@ -17,7 +17,7 @@ fn the_client_allocates_nothing_per_frame() {
         let options = EmulatorOptions { pace: Pace::AsFastAsRead, ..EmulatorOptions::default() };
         let source = Pattern::new(waveform.clone(), u64::MAX);
         let board = EmulatedBoard::spawn(Box::new(source), options).expect("spawns");
-        let mut stream = Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
+        let mut stream = Mcu7Board::open(board.path()).expect("opens").start(&waveform).expect("starts");
         let mut frame = Frame::zeroed(waveform.shape());
         let mut read = |frames: u64| {
             for _ in 0..frames {

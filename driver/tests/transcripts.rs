@@ -12,8 +12,8 @@ use std::time::Duration;
 use common::shared;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
 use radome_driver::protocol::crc::crc16;
-use radome_driver::protocol::strata::{Command, Protocol, Request, SpiWord};
-use radome_driver::{Board, EmulatedBoard, EmulatorOptions, Kind, Pace};
+use radome_driver::protocol::mcu7::{Command, Protocol, Request, SpiWord};
+use radome_driver::{EmulatedBoard, EmulatorOptions, Kind, Mcu7Board, Pace};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Waveform};
 use serialport::{SerialPort, TTYPort};
 
@@ -122,8 +122,8 @@ fn replay(protocol: Protocol) {
     let mut answers = transcript.iter().filter(|(host, bytes)| !host && !is_packet(bytes)).map(|(_, b)| b);
     for (line, (host, bytes)) in transcript.iter().enumerate() {
         if *host {
-            // Packets that the vendor's client got before its answer were on their way before the request: a stop must not
-            // overtake them here.
+            // Packets that the vendor's client got before its answer were on their way before the request: a stop must
+            // not overtake them here.
             let until_answer = transcript.iter().skip(line + 1).take_while(|(host, bytes)| *host || is_packet(bytes));
             let so_far = transcript.iter().take(line).chain(until_answer);
             let due = so_far.filter(|(host, bytes)| !host && is_packet(bytes)).count();
@@ -220,7 +220,7 @@ fn our_session(transcript: &[Message], protocol: Protocol) -> Vec<Vec<u8>> {
     let waveform = programmed(transcript);
     let board = emulated(waveform.clone(), protocol);
     let tap = Tap::on(&board);
-    let mut stream = Board::open(&tap.path).expect("opens").start(&waveform).expect("starts");
+    let mut stream = Mcu7Board::open(&tap.path).expect("opens").start(&waveform).expect("starts");
     let mut frame = Frame::zeroed(waveform.shape());
     for _ in 0..3 {
         assert_eq!(stream.next_frame(&mut frame).expect("frame"), SourceEvent::Frame);

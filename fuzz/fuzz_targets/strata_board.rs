@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use radome_driver::protocol::strata::{BoardEvent, BoardParser, MAX_MESSAGE};
+use radome_driver::protocol::mcu7::{BoardEvent, BoardParser, MAX_MESSAGE};
 use radome_fuzz::{pieces, within};
 
 #[derive(Debug, PartialEq)]

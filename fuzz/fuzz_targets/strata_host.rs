@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use radome_driver::chip::{ChipConfiguration, RegisterFile};
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardInfo, Command, FirmwareVersion, HostEvent, HostParser, MAX_MESSAGE, Protocol, Request,
 };
 use radome_fuzz::{pieces, within};

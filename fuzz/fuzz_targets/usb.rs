@@ -5,8 +5,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use radome_driver::protocol::cmsis_dap::{Answer, Command, Info};
-use radome_driver::protocol::strata::bulk::{BulkParser, Control, LastError, MAX_BULK};
-use radome_driver::protocol::strata::{BoardEvent, Framing};
+use radome_driver::protocol::mcu7::bulk::{BulkParser, Control, LastError, MAX_BULK};
+use radome_driver::protocol::mcu7::{BoardEvent, Framing};
 use radome_fuzz::{pieces, within};
 
 /// Packets in these reads: no byte is lost, none comes twice.

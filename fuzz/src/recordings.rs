@@ -68,7 +68,7 @@ pub fn write(path: &Path, format: Format, header: &RecordingHeader, events: &[Ev
     for label in labels {
         writer.label(label).expect("a label that was read can be written");
     }
-    writer.finish().expect("finishes").unheld.is_empty()
+    writer.finish().expect("finishes").omitted.is_empty()
 }
 
 /// What was read whole must come back from the native format, and from another one if that says that it holds all.

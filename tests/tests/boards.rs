@@ -151,7 +151,7 @@ mod hard_cases {
 fn a_board_that_was_told_nothing_is_watched_with_the_waveform_that_is_named() {
     let (mut board, port) = emulate(&fixture("scenes/corridor.toml"), &[]);
     // Who opens it resets its chip.
-    drop(radome_driver::Board::open(Path::new(&port)).expect("a board"));
+    drop(radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board"));
     let live = |model: &str, more: &[&str]| {
         let mut command = radome();
         command.args(["live", &format!("serial:{port}"), "--frames", "5", "--json", "--model", model]).args(more);
@@ -238,7 +238,7 @@ fn of_a_recording_no_other_waveform_is_sent_and_stderr_says_both() {
     simulate(60, &fed);
     let (board, port) = running_board(&fed, &["--speed", "0"]);
     let (other, _) = other_waveform(folder.path());
-    let client = radome_driver::Board::open(Path::new(&port)).expect("a board");
+    let client = radome_driver::Mcu7Board::open(Path::new(&port)).expect("a board");
     let mut stream = client.start(&other).expect("a real board starts as well");
     stream.next_frame(&mut Frame::zeroed(other.shape())).expect_err("no frames");
     let said = board.stderr.find(0, "a word", |line| line.contains("sends no frames").then(|| line.to_owned()));
@@ -264,7 +264,7 @@ fn the_end_of_a_recording_is_said_once_and_a_loop_has_none() {
     client.signal("TERM");
     client.wait();
     // It stays what it is: a board that answers.
-    radome_driver::Board::open(Path::new(&port)).expect("answers");
+    radome_driver::Mcu7Board::open(Path::new(&port)).expect("answers");
     assert_eq!(board.stderr.all().iter().filter(|line| line.contains("has ended")).count(), 1);
 
     let (board, port) = running_board(&fed, &["--speed", "0", "--loop"]);

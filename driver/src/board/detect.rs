@@ -1,51 +1,70 @@
-//! Which kind of board a serial port leads to. Boards do not say so in a common way: the port is listened to, then asked in
-//! one protocol after the other.
+//! Detection of the kind of board on a serial port. Boards have no common way to report it: the port is listened to,
+//! then asked in one protocol after the other.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use radome_dsp::Waveform;
 
-use super::{Address, Board, BoardError, DeepcraftBoard, LineStream, link, wire};
+use super::{BoardError, DeepcraftBoard, Esp32Stream, Mcu7Board};
+use crate::transport::serial::{open_port, read_more};
+use crate::transport::{Address, trace};
 
 const BAUD_RATE: u32 = 921_600;
-/// How long a board that talks by itself may take to begin.
+/// Longest silence of a board that prints by itself.
 const LISTEN: Duration = Duration::from_millis(300);
-/// Bytes that settle whether they are text.
+/// Number of bytes that suffices to decide whether they are text.
 const ENOUGH: usize = 256;
 
-/// What a port leads to.
+/// Board found on a serial port.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::Detected;
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// match Detected::open(Path::new("/dev/ttyACM0"), None)? {
+///     Detected::Mcu7(board, _) => println!("{}", board.identity().name),
+///     Detected::Deepcraft(board) => println!("{}", board.identity().name),
+///     Detected::Esp32(_) => println!("a board that prints its frames"),
+/// }
+/// # Ok(())
+/// # }
+/// ```
 pub enum Detected {
-    /// A Radar Baseboard MCU7, and what its chip was programmed with before.
-    Mcu7(Box<Board>, Option<Waveform>),
-    /// A PSoC 6 kit with DEEPCRAFT firmware; it says what it is set to.
+    /// Radar Baseboard MCU7, and the waveform that its chip was programmed with before.
+    Mcu7(Box<Mcu7Board>, Option<Waveform>),
+    /// PSoC 6 kit with DEEPCRAFT firmware, which reports its waveform.
     Deepcraft(Box<DeepcraftBoard>),
-    /// A board that prints its frames.
-    Lines(Box<LineStream>),
+    /// Board that prints its frames.
+    Lines(Box<Esp32Stream>),
 }
 
 impl Detected {
-    /// Opens a port and finds out. A board that prints measures one waveform: the one given, or else what it says.
+    /// Opens a port and detects the board on it. A board that prints measures one waveform: the one given, or else the
+    /// one that it states.
     ///
     /// # Errors
-    /// The port cannot be opened, nothing on it answers, or what answers is no board that this program can drive. Nothing
-    /// that is sent does harm to a board of another protocol.
+    /// [`BoardError`] if the port cannot be opened, nothing on it answers, or the board that answers is not supported.
+    /// The requests sent do not harm a board of another protocol.
     pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Detected, BoardError> {
-        let mut port = link::open_port(path, BAUD_RATE)?;
+        let mut port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         let mut heard = Vec::new();
         let began = Instant::now();
         while began.elapsed() < LISTEN && heard.len() < ENOUGH {
-            link::read_more(path, &mut port, &mut heard)?;
+            let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
+            read_more(&mut port, &mut heard).map_err(lost)?;
         }
         if is_text(&heard) {
-            wire::received(&heard);
-            return Ok(Detected::Lines(Box::new(LineStream::listen(path, port, heard, waveform)?)));
+            trace::received(&heard);
+            return Ok(Detected::Esp32(Box::new(Esp32Stream::listen(path, port, heard, waveform)?)));
         }
-        wire::measured(heard.len());
+        trace::measured(heard.len());
         drop(port);
-        // The request of the one that is asked first keeps the other waiting for the rest of a longer one; that board's
-        // client knows how to get over it.
-        match Board::open_as_left(&Address::Serial(path.into())) {
+        // To a DEEPCRAFT board the MCU7 request is the head of a longer one, whose rest it waits for; the DEEPCRAFT
+        // client completes it.
+        match Mcu7Board::open_with_waveform(&Address::Serial(path.into())) {
             Ok((board, left)) => Ok(Detected::Mcu7(Box::new(board), left)),
             Err(silent @ BoardError::NoAnswer { .. }) => match DeepcraftBoard::open(path) {
                 Ok(board) => Ok(Detected::Deepcraft(Box::new(board))),
@@ -57,7 +76,7 @@ impl Detected {
     }
 }
 
-/// Whether a board prints. Packets of samples hold bytes that no text has.
+/// Returns whether bytes are text. Packets of samples hold bytes that text does not.
 fn is_text(bytes: &[u8]) -> bool {
     let is_printable = |b: &u8| matches!(b, b' '..=b'~' | b'\t' | b'\r' | b'\n');
     bytes.len() >= 8 && bytes.iter().filter(|b| is_printable(b)).count() * 100 >= bytes.len() * 95

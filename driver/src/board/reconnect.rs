@@ -1,27 +1,27 @@
-//! When to try again with a board that has gone or fallen silent, and what was lost.
+//! Policy for boards that were unplugged or fell silent, and counts of lost frames.
 
 use std::thread;
 use std::time::{Duration, Instant};
 
-use radome_dsp::{Gap, GapReason};
+use radome_dsp::{Frame, Gap, GapReason, SourceEvent};
 
 use super::BoardError;
 
-/// How a stream comes back after its board was unplugged or has stalled: the port is opened again, at first soon, then
-/// after longer and longer waits.
+/// Reconnection policy of a stream whose board was unplugged or has stalled: the port is opened again after waits that
+/// double.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reconnect {
     /// Wait before the first attempt.
     pub first_wait: Duration,
-    /// Longest wait: each is twice the one before until it is this long.
+    /// Longest wait: each wait is twice the one before until it is this long.
     pub longest_wait: Duration,
-    /// So long after the loss was noticed, without a frame since, the stream ends with the error that began it. A frame that
-    /// comes seldom, or a consumer that asks seldom, takes nothing from that time.
+    /// Time after the loss was noticed at which the stream ends with the error that began it, if no frame has come
+    /// since. The time does not begin earlier for long frame intervals or a consumer that polls seldom.
     pub give_up_after: Duration,
 }
 
 impl Default for Reconnect {
-    /// From 50 ms to 2 s, for half a minute.
+    /// Waits from 50 ms to 2 s, for 30 s.
     fn default() -> Self {
         Reconnect {
             first_wait: Duration::from_millis(50),
@@ -32,15 +32,14 @@ impl Default for Reconnect {
 }
 
 impl Reconnect {
-    /// The waits before one attempt after another.
+    /// Iterator over the waits before the attempts, in order. It does not end.
     pub fn waits(self) -> impl Iterator<Item = Duration> {
         let longest = self.longest_wait.max(self.first_wait);
         std::iter::successors(Some(self.first_wait), move |wait| Some(wait.saturating_mul(2).min(longest)))
     }
 
-    /// Tries again and again until the board is back; gives the error that led here if it does not come. The loss was noticed
-    /// at `noticed`.
-    pub(super) fn until_back(
+    /// Repeats `reopen` until it succeeds; returns `error` if the time since `noticed` runs out.
+    fn until_back(
         self,
         noticed: Instant,
         error: BoardError,
@@ -62,18 +61,59 @@ impl Reconnect {
     }
 }
 
-/// The loss of a board that is being looked for: the last frame before it, and when it was noticed. A board that answers but
-/// sends no frame is still lost.
+/// Time of the last frame before a loss and time at which the loss was noticed. A board that answers but sends no frame
+/// counts as lost.
 #[derive(Debug, Default)]
-pub(super) struct Outage(Option<(Instant, Instant)>);
+struct Outage(Option<(Instant, Instant)>);
 
 impl Outage {
-    /// When the loss behind this frame was noticed: now, if it is a new one.
+    /// Returns the time at which the loss after this frame was noticed: now, if the loss is new.
     pub fn noticed(&mut self, last_frame: Instant) -> Instant {
         match self.0 {
             Some((before, noticed)) if before == last_frame => noticed,
             _ => self.0.insert((last_frame, Instant::now())).1,
         }
+    }
+}
+
+/// Reconnection policy and state of a stream.
+#[derive(Debug, Default)]
+pub(super) struct Recovery {
+    /// `None` ends the stream at the first error.
+    pub policy: Option<Reconnect>,
+    outage: Outage,
+}
+
+/// Stream that can open the connection to its board again.
+pub(super) trait Reconnectable {
+    /// Reads the next frame or gap; fails after the deadline.
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError>;
+
+    /// Closes the connection: the old port must be closed before the new one can be opened.
+    fn close(&mut self);
+
+    /// Opens the connection again and starts frames.
+    fn reopen(&mut self) -> Result<(), BoardError>;
+
+    /// Time at which the last frame came.
+    fn last_frame(&self) -> Instant;
+
+    /// Policy and state of reconnection.
+    fn recovery(&mut self) -> &mut Recovery;
+}
+
+/// Reads the next frame or gap, and reconnects by the stream's policy after an error that may pass.
+pub(super) fn next_event(stream: &mut impl Reconnectable, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+    loop {
+        let error = match stream.wait(frame) {
+            Ok(event) => return Ok(event),
+            Err(error) => error,
+        };
+        let Some(policy) = stream.recovery().policy.filter(|_| error.is_passing()) else { return Err(error) };
+        stream.close();
+        let last_frame = stream.last_frame();
+        let noticed = stream.recovery().outage.noticed(last_frame);
+        policy.until_back(noticed, error, || stream.reopen())?;
     }
 }
 
@@ -94,35 +134,6 @@ impl Losses {
     }
 }
 
-impl BoardError {
-    /// Whether the board may be well again when its port is opened anew. A port that has just come back may be without
-    /// its permissions for a moment.
-    pub fn is_passing(&self) -> bool {
-        match self {
-            BoardError::Open { .. }
-            | BoardError::Absent { .. }
-            | BoardError::Busy { .. }
-            | BoardError::PermissionDenied { .. }
-            | BoardError::Disconnected { .. }
-            | BoardError::NoAnswer { .. }
-            | BoardError::Refused { .. }
-            | BoardError::Malformed { .. }
-            | BoardError::ChipSilent { .. }
-            | BoardError::Acquisition { .. }
-            | BoardError::Stalled { .. } => true,
-            BoardError::Deepcraft { source, .. } => source.is_passing(),
-            BoardError::Protocol { .. }
-            | BoardError::OtherChip { .. }
-            | BoardError::OtherBoard { .. }
-            | BoardError::Ambiguous { .. }
-            | BoardError::Chip(_)
-            | BoardError::Line { .. }
-            | BoardError::WaveformUntold { .. }
-            | BoardError::Stopped => false,
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -137,7 +148,8 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// Frames 10 s apart are missed after half a minute, which is when the stream ended without having looked for its board.
+        /// Frames 10 s apart are missed after half a minute, which is when the stream ended without having looked for
+        /// its board.
         #[test]
         fn a_loss_that_is_noticed_late_is_looked_after_all_the_same() {
             let give_up_after = Duration::from_secs(1);

@@ -1,7 +1,7 @@
 //! Waveform to register list and back.
 //!
-//! The list has the vendor's 38 registers in the vendor's order. The vendor's default (58-63 GHz, 64 samples, 64 chirps,
-//! three receivers, 2 MS/s, 23 dB) compiles to exactly the list captured on the wire.
+//! The list has the vendor's 38 registers in the vendor's order. The vendor's default (58-63 GHz, 64 samples, 64
+//! chirps, three receivers, 2 MS/s, 23 dB) compiles to exactly the list captured on the wire.
 //!
 //! # Derived from the waveform
 //! `ADC_DIV`, `CREF` (from the slice), receivers (`CS1_U_0`, `BBCH_SEL`), `TX1_DAC`, gain and high-pass (`CS1_U_2`),
@@ -39,8 +39,7 @@ use thiserror::Error;
 
 use super::address::*;
 use super::field::*;
-use super::{Field, RegisterFile, register};
-use crate::protocol::strata::SpiWord;
+use super::{Field, RegisterFile, SpiWord, register};
 
 /// One step of FSU, Hz: `640 MHz / 2^20`.
 const FREQUENCY_STEP_HZ: f64 = 640e6 / 1_048_576.0;
@@ -66,7 +65,7 @@ const HIGH_PASS_HZ: [f64; 4] = [20e3, 40e3, 70e3, 80e3];
 /// Registers and contents, in the order of writing; the last one, MAIN, starts frames.
 pub type RegisterList = Vec<RegisterValue>;
 
-/// A register and what it is to hold.
+/// Register and its content.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RegisterValue {
     /// Address, 0..=0x7F.
@@ -82,7 +81,7 @@ impl From<RegisterValue> for SpiWord {
 }
 
 impl RegisterValue {
-    /// Name of the register, and its fields that are not zero with what they hold.
+    /// Returns the name of the register, and its fields that are not zero with their values.
     pub fn named(self) -> Option<(&'static str, Vec<(&'static str, u32)>)> {
         let register = register(self.address)?;
         let fields = register.fields.iter().map(|f| (f.name, f.of(self.value))).filter(|(_, value)| *value != 0);
@@ -121,7 +120,7 @@ const PLL_DIGITAL: &[(Field, u32)] =
 const TEMPERATURE_ADC: &[(Field, u32)] =
     &[(SADC_CTRL::TC_TRIM, 4), (SADC_CTRL::SESP, 1), (SADC_CTRL::OVERS_CFG, 2), (SADC_CTRL::SD_EN, 1)];
 
-/// What stays on between chirps, as captured.
+/// Blocks that stay on between chirps, as captured.
 const IDLE_CONTROL: &[(Field, u32)] = &[
     (CSCI::PLL_ISOPD, 1),
     (CSCI::SADC_ISOPD, 1),
@@ -131,7 +130,7 @@ const IDLE_CONTROL: &[(Field, u32)] = &[
     (CSCI::ABB_ISOPD, 1),
 ];
 
-/// What stays on between frames, as captured.
+/// Blocks that stay on between frames, as captured.
 const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
     (CSCDS::PLL_ISOPD, 1),
     (CSCDS::SADC_ISOPD, 1),
@@ -140,7 +139,7 @@ const DEEP_SLEEP_CONTROL: &[(Field, u32)] = &[
     (CSCDS::ABB_ISOPD, 1),
 ];
 
-/// A waveform that the registers cannot hold, or registers that hold no waveform.
+/// Error of a waveform that the registers cannot hold, or of registers that do not hold a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum ChipError {
     /// A register field cannot hold a quantity.
@@ -150,7 +149,7 @@ pub enum ChipError {
     FieldRange {
         /// Register field.
         field: &'static str,
-        /// What it holds.
+        /// Quantity that the field holds.
         quantity: &'static str,
         /// Value needed.
         value: f64,
@@ -163,7 +162,7 @@ pub enum ChipError {
         /// Quantities of the waveform that it comes from.
         hint: &'static str,
     },
-    /// The interval is shorter than what happens in it.
+    /// An interval is too short.
     #[error("chip: {what} takes {needed_s:.7} s at least, {given_s:.7} s were asked for")]
     TooShort {
         /// Chirp or frame.
@@ -173,20 +172,20 @@ pub enum ChipError {
         /// Time given, s.
         given_s: f64,
     },
-    /// The registers hold something that no waveform of this program stands for.
+    /// The registers do not stand for a waveform of this program.
     #[error("chip: registers cannot be read as a waveform: {reason}")]
     NotAWaveform {
-        /// What is wrong.
+        /// Description of the reason.
         reason: String,
     },
 }
 
-/// What the chip is told: a waveform and how full the FIFO may get before it calls.
+/// Configuration of the chip: a waveform and the FIFO level of the interrupt.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ChipConfiguration {
-    /// What is transmitted and sampled.
+    /// Waveform to transmit and sample.
     pub waveform: Waveform,
-    /// Codes at which the chip calls for the FIFO to be read, even.
+    /// Number of codes at which the chip requests a read of the FIFO, even.
     pub slice_samples: usize,
 }
 
@@ -204,7 +203,7 @@ fn delay(units: f64, max_exponent: u32) -> (u32, u32) {
     if best.0 == 0 { (0, 0) } else { (best.0, best.1) }
 }
 
-/// What a register field holds: `origin + step n` in some unit.
+/// Quantity in a register field: `origin + step n` in some unit.
 struct Quantity {
     name: &'static str,
     unit: &'static str,
@@ -254,7 +253,7 @@ const CHIRPS: Quantity = Quantity::count("a frame", "chirps", 1.0, (0, 4095));
 const SLICE: Quantity =
     Quantity { name: "a slice", unit: "samples", origin: 2.0, step: 2.0, range: (0, FIFO_SAMPLES as i64 / 2 - 1) };
 
-/// RTU and ADC_DIV of a waveform.
+/// Computes RTU and ADC_DIV of a waveform.
 fn ramp(waveform: &Waveform) -> (u64, u64) {
     let divider = (REFERENCE_CLOCK_HZ / waveform.sample_rate_hz).round() as u64;
     let sampling = divider * waveform.request.samples_per_chirp as u64;
@@ -266,7 +265,10 @@ fn active_cycles(rtu: u64) -> u64 {
 }
 
 impl ChipConfiguration {
-    /// The 38 registers, in the vendor's order.
+    /// Compiles the 38 registers, in the vendor's order.
+    ///
+    /// # Errors
+    /// [`ChipError::FieldRange`] or [`ChipError::TooShort`] if the registers cannot hold the waveform.
     pub fn compile(&self) -> Result<RegisterList, ChipError> {
         let w = &self.waveform;
         let r = &w.request;
@@ -406,20 +408,27 @@ impl ChipConfiguration {
         ])
     }
 
-    /// How long a chirp keeps the chip in active mode, from its start to the end of the ramp's aftermath, s.
+    /// Time in active mode in each chirp, from its start to the end of the post-chirp delay, s.
     pub(super) fn active_chirp_s(&self) -> f64 {
         let (rtu, _) = ramp(&self.waveform);
         active_cycles(rtu) as f64 / REFERENCE_CLOCK_HZ
     }
 
-    /// The waveform as the registers realise it, on their own grids: the nearest to what was asked for.
+    /// Returns the waveform as the registers realise it, on their own grids: the nearest to the one requested.
+    ///
+    /// # Errors
+    /// Those of [`ChipConfiguration::compile`].
     pub fn realised(&self) -> Result<Waveform, ChipError> {
         let mut file = RegisterFile::default();
         self.compile()?.iter().for_each(|register| file.set(register.address, register.value));
         Ok(ChipConfiguration::decode(&file)?.waveform)
     }
 
-    /// What a chip with these registers does. The anti-alias filter, which they do not hold, is taken as 500 kHz.
+    /// Decodes the waveform of a chip with these registers. The anti-alias filter, which they do not hold, is taken as
+    /// 500 kHz.
+    ///
+    /// # Errors
+    /// [`ChipError::NotAWaveform`] if the registers do not stand for a waveform.
     pub fn decode(registers: &RegisterFile) -> Result<Self, ChipError> {
         let wrong = |reason: String| ChipError::NotAWaveform { reason };
         let divider = registers.field(ADC0::ADC_DIV);
@@ -501,7 +510,7 @@ mod tests {
         file
     }
 
-    /// The list that the vendor's client wrote (hardware notes section 4).
+    /// The list that the vendor's client wrote.
     #[test]
     fn vendor_default_compiles_to_the_captured_list() {
         let captured = "01:0A0210 04:E967FD 05:0805B4 06:102BFF 07:010D00 08:0 09:0 0A:0 0B:000BE0 0C:0 0D:0 0E:0 \

@@ -1,4 +1,4 @@
-//! A register file.
+//! Register file of a chip.
 
 use super::table::{Field, REGISTERS};
 
@@ -23,7 +23,7 @@ pub struct RegisterFile {
 }
 
 impl Default for RegisterFile {
-    /// As after a reset.
+    /// Returns the contents after a reset.
     fn default() -> Self {
         let mut file = RegisterFile { values: [0; 128] };
         REGISTERS.iter().for_each(|register| file.set(register.address, register.reset));

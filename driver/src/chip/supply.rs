@@ -1,4 +1,4 @@
-//! What the chip draws from its supply.
+//! Supply current of the chip.
 
 use super::field::{CCR1, CCR2, PLL1_7};
 use super::{ChipConfiguration, ChipError, RegisterFile};
@@ -15,6 +15,9 @@ impl ChipConfiguration {
     ///
     /// Waking up counts as idle. The mode between chirps and between frames is what the registers choose for the time
     /// that is left there.
+    ///
+    /// # Errors
+    /// Those of [`ChipConfiguration::compile`].
     pub fn supply_current_a(&self) -> Result<f64, ChipError> {
         let mut file = RegisterFile::default();
         self.compile()?.iter().for_each(|register| file.set(register.address, register.value));

@@ -1,7 +1,7 @@
-//! The registers of the BGT60TR13C and their fields: the one table that everything else is taken from.
+//! Table of the registers of the BGT60TR13C and their fields, the only place that holds them.
 //!
-//! Addresses, resets and fields as in the vendor's library for digital core 3 (hardware notes section 4.1), of names
-//! that share bits the first. CHIP_ID is what silicon reads.
+//! Addresses, resets and fields are those of the vendor's library for digital core 3; of names that share bits the
+//! first. CHIP_ID is the content that silicon reads.
 
 /// Some bits of a register.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -1,4 +1,4 @@
-//! The chip's LFSR test pattern: known words instead of RX1's samples, which prove everything behind the ADC.
+//! LFSR test pattern of the chip: known words instead of RX1's samples, which test everything behind the ADC.
 //!
 //! A 12-bit register with the polynomial x^12 + x^11 + x^10 + x^4 + 1 (datasheet V2.4.9, section 10.1) starts at 0x001
 //! and steps once a sample. SFCTL's LFSR_EN switches it on. That it runs on from frame to frame is assumed.
@@ -13,19 +13,19 @@ pub const fn next(word: u16) -> u16 {
     word >> 1 | ((word << 11 ^ word << 10 ^ word << 9 ^ word << 3) & 0x800)
 }
 
-/// Compares what was received with the pattern.
+/// Comparison of received samples with the pattern.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PatternCheck {
     /// Samples compared.
     pub samples: u64,
     /// Bits that were wrong.
     pub wrong_bits: u64,
-    /// The word to come; unknown after a gap.
+    /// Next word; unknown after a gap.
     expected: Option<u16>,
 }
 
 impl PatternCheck {
-    /// A check of a stream from its first sample.
+    /// Creates a check of a stream from its first sample.
     pub fn new() -> Self {
         PatternCheck { expected: Some(FIRST), ..Self::default() }
     }
@@ -40,7 +40,7 @@ impl PatternCheck {
         self.samples += codes.len() as u64;
     }
 
-    /// Samples were lost: the next one is taken as it comes.
+    /// Notes that samples were lost: the next one sets the position in the pattern.
     pub fn after_gap(&mut self) {
         self.expected = None;
     }

@@ -1,50 +1,52 @@
-//! Who is there, by asking.
+//! Identification of candidates by requests.
 
 use serde::Serialize;
 
-use super::{Access, Belief, Candidate, PERMISSION_REMEDY, Transport};
+use crate::board::{BoardError, BoardIdentity, DeepcraftBoard, Mcu7Board};
+use crate::candidate::{Access, Belief, Candidate, Transport};
+use crate::error_text::with_causes;
 use crate::probe::{Probe, ProbeError, ProbeIdentity};
-use crate::{Address, Board, BoardError, BoardIdentity, DeepcraftBoard};
+use crate::transport::{Address, PERMISSION_REMEDY};
 
-/// What state a device is in.
+/// State of a device.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
 pub enum State {
-    /// It has answered, and can be used.
+    /// The device has answered and can be used.
     Ready {
-        /// Who it says it is.
+        /// Identity that it reports.
         identity: Identity,
     },
-    /// Nobody has asked it.
+    /// The device has not been asked.
     NotAsked,
-    /// Another program has it.
+    /// Another program holds the device.
     Busy,
-    /// This user may not open it.
+    /// The user may not open the device.
     PermissionDenied {
-        /// What to do about it.
+        /// Commands that give access.
         remedy: &'static str,
     },
-    /// It cannot be opened, does not answer, or says what makes no sense.
+    /// The device cannot be opened, does not answer, or its answer is malformed.
     NotAnswering {
-        /// In words.
+        /// Description of the reason.
         why: String,
     },
-    /// A board with a radar chip that this program does not drive.
+    /// The board has a radar chip that this program does not support.
     OtherChip {
         /// Name of the chip.
         chip: String,
     },
-    /// The system has no driver for it, so that it has no port.
+    /// The system has no driver for the device, so that it has no port.
     NoDriver,
 }
 
-/// Who a device says it is.
+/// Identity that a device reports.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 #[serde(untagged)]
 pub enum Identity {
-    /// A board.
+    /// Identity of a board.
     Board(BoardIdentity),
-    /// A debug probe.
+    /// Identity of a debug probe.
     Probe(ProbeIdentity),
 }
 
@@ -62,7 +64,7 @@ impl From<BoardError> for State {
                 ),
             },
             BoardError::NoAnswer { .. } => State::NotAnswering { why: "no answer to the vendor's protocol".into() },
-            error => State::NotAnswering { why: in_words(&error) },
+            error => State::NotAnswering { why: with_causes(&error) },
         }
     }
 }
@@ -72,31 +74,21 @@ impl From<ProbeError> for State {
         match error {
             ProbeError::Busy { .. } => State::Busy,
             ProbeError::PermissionDenied { .. } => State::PermissionDenied { remedy: PERMISSION_REMEDY },
-            error => State::NotAnswering { why: in_words(&error) },
+            error => State::NotAnswering { why: with_causes(&error) },
         }
     }
 }
 
-/// An error with its causes.
-fn in_words(error: &dyn std::error::Error) -> String {
-    let mut text = error.to_string();
-    let mut cause = error.source();
-    while let Some(error) = cause {
-        text += &format!(": {error}");
-        cause = error.source();
-    }
-    text
-}
-
-/// Asks a device who it is. Boards and probes are opened and sent requests, which stops a board that measures but leaves its
-/// chip [as it was programmed](Board::identity_at); serial ports of which nothing is known only if `any_port` is set.
+/// Reads the identity of a device. Boards and probes are opened and sent requests, which stops a board that measures
+/// but leaves its chip [as it was programmed](Mcu7Board::identity_at). Serial ports of unknown devices are opened only if
+/// `any_port` is set.
 pub fn ask(candidate: &Candidate, any_port: bool) -> State {
     match candidate.access {
         Access::Denied => return State::PermissionDenied { remedy: PERMISSION_REMEDY },
         Access::Absent => return State::NotAnswering { why: "it has no device node".into() },
         Access::Granted => {}
     }
-    let board = |address: &Address| match Board::identity_at(address) {
+    let board = |address: &Address| match Mcu7Board::identity_at(address) {
         Ok(identity) => State::Ready { identity: Identity::Board(identity) },
         Err(error) => error.into(),
     };

@@ -1,189 +1,29 @@
-//! Boards and probes on this machine, including those that this user may not open.
+//! Boards and probes on this machine, including those that the user may not open.
 //!
-//! Looking ([`candidates`]) opens nothing and sends nothing: it reads what the kernel says of its devices. Asking ([`ask`])
-//! sends requests, which is how the vendor's client finds boards, too; do it to devices whose USB ids are a board's, or
-//! where the user wants it.
+//! [`candidates`] opens nothing and sends nothing: it reads the kernel's list of devices. [`ask`] sends requests, as
+//! the vendor's client does to find boards; call it for devices whose USB ids are a board's, or when the user asks for
+//! it.
 
 mod ask;
 mod sysfs;
 mod watch;
 
-use std::path::{Path, PathBuf};
-
-use serde::Serialize;
-
-use crate::Address;
-use crate::usb::UsbAddress;
+pub use crate::candidate::{Access, Belief, Candidate, Transport, UsbIdentity};
+pub use crate::transport::{PERMISSION_REMEDY, UDEV_RULES};
 pub use ask::{Identity, State, ask};
+pub use sysfs::Roots;
 pub use watch::{Change, Watch};
 
-/// The udev rules that give every user access to the boards and probes: a file below `/etc/udev/rules.d`.
-pub const UDEV_RULES: &str = include_str!("../../udev/70-radome.rules");
-
-/// What to do about a device that this user may not open.
-pub const PERMISSION_REMEDY: &str = "radome devices --udev-rules | sudo tee /etc/udev/rules.d/70-radome.rules && \
-                                     sudo udevadm control --reload && sudo udevadm trigger";
-
-const INFINEON: u16 = 0x058B;
-const CYPRESS: u16 = 0x04B4;
-
-/// What a device is believed to be, by its USB ids.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Belief {
-    /// Radar Baseboard MCU7, serial.
-    Mcu7Serial,
-    /// Radar Baseboard MCU7 with the firmware's bulk variant.
-    Mcu7Bulk,
-    /// PSoC 6 kit with DEEPCRAFT streaming firmware.
-    Deepcraft,
-    /// KitProg3 of a PSoC 6 kit: a debug probe, and a serial port beside it.
-    KitProg3,
-    /// Another CMSIS-DAP debug probe.
-    DebugProbe,
-    /// A serial port of which nothing is known: a board answers only when asked.
-    SerialPort,
-}
-
-impl Belief {
-    fn by_usb_id(vendor_id: u16, product_id: u16) -> Option<Self> {
-        match (vendor_id, product_id) {
-            (INFINEON, 0x0251) => Some(Belief::Mcu7Serial),
-            (INFINEON, 0x0252) => Some(Belief::Mcu7Bulk),
-            (INFINEON, 0x027D) => Some(Belief::Deepcraft),
-            (CYPRESS, 0xF151 | 0xF152 | 0xF154 | 0xF155 | 0xF166) => Some(Belief::KitProg3),
-            _ => None,
-        }
-    }
-
-    /// In words.
-    pub fn description(self) -> &'static str {
-        match self {
-            Belief::Mcu7Serial => "Radar Baseboard MCU7",
-            Belief::Mcu7Bulk => "Radar Baseboard MCU7, bulk firmware",
-            Belief::Deepcraft => "DEEPCRAFT streaming device",
-            Belief::KitProg3 => "KitProg3",
-            Belief::DebugProbe => "CMSIS-DAP debug probe",
-            Belief::SerialPort => "serial port",
-        }
-    }
-}
-
-/// Whether this user may open a device's node.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Access {
-    /// It may be read and written.
-    Granted,
-    /// It may not.
-    Denied,
-    /// There is no node.
-    Absent,
-}
-
-/// How a device is attached.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Transport {
-    /// Serial port.
-    Serial,
-    /// HID.
-    Hid,
-    /// USB device, by libusb.
-    Usb,
-}
-
-/// What a USB device says of itself.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct UsbIdentity {
-    /// Vendor.
-    pub vendor_id: u16,
-    /// Product.
-    pub product_id: u16,
-    /// Name of the vendor.
-    pub manufacturer: Option<String>,
-    /// Name of the product.
-    pub product: Option<String>,
-    /// Serial number.
-    pub serial_number: Option<String>,
-    /// Bus.
-    pub bus: u8,
-    /// Address on the bus: another one each time it is plugged in.
-    pub address: u8,
-    /// Socket that it is plugged into, as the kernel names it: `1-1.2` is bus 1, port 1, port 2 of the hub there.
-    pub socket: String,
-}
-
-/// Something that may be a board or its probe.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Candidate {
-    /// Device node.
-    pub path: PathBuf,
-    /// How it is attached.
-    pub transport: Transport,
-    /// What it is believed to be.
-    pub belief: Belief,
-    /// The USB device that it belongs to, if it does.
-    pub usb: Option<UsbIdentity>,
-    /// Debug probe of the same kit, by which it can be reset: the node of a candidate.
-    pub debug_probe: Option<PathBuf>,
-    /// Whether this user may open it.
-    #[serde(skip)]
-    pub access: Access,
-}
-
-impl Candidate {
-    /// Where it is, if it is a board that this program drives.
-    pub fn address(&self) -> Option<Address> {
-        match (self.belief, self.transport, &self.usb) {
-            (Belief::Mcu7Serial | Belief::Deepcraft, Transport::Serial, _) => Some(Address::Serial(self.path.clone())),
-            (Belief::Mcu7Bulk, Transport::Usb, Some(usb)) => {
-                Some(Address::Usb(UsbAddress::Device { bus: usb.bus, address: usb.address }))
-            }
-            _ => None,
-        }
-    }
-
-    /// Whether it is a debug probe itself, and not the serial port beside one.
-    pub fn is_probe(&self) -> bool {
-        matches!(self.belief, Belief::KitProg3 | Belief::DebugProbe) && self.transport != Transport::Serial
-    }
-
-    fn is_of_device(&self, other: &Candidate) -> bool {
-        self.usb.as_ref().zip(other.usb.as_ref()).is_some_and(|(a, b)| a.socket == b.socket)
-    }
-
-    /// Whether both belong to one kit: one USB device, or two with one serial number.
-    fn is_beside(&self, other: &Candidate) -> bool {
-        let serial_number = |c: &Candidate| c.usb.as_ref().and_then(|usb| usb.serial_number.clone());
-        self.is_of_device(other) || serial_number(self).is_some_and(|serial| Some(serial) == serial_number(other))
-    }
-}
-
-/// Where the kernel shows its devices.
-#[derive(Debug, Clone)]
-pub struct Roots {
-    /// sysfs.
-    pub sys: PathBuf,
-    /// Device nodes.
-    pub dev: PathBuf,
-}
-
-impl Default for Roots {
-    fn default() -> Self {
-        Roots { sys: "/sys".into(), dev: "/dev".into() }
-    }
-}
-
-/// All candidates of this machine. Nothing is opened, and nothing is sent. A machine without USB has none.
+/// Lists all candidates of this machine. Nothing is opened, and nothing is sent. A machine without USB has none.
 pub fn candidates() -> Vec<Candidate> {
     candidates_in(&Roots::default())
 }
 
-/// All candidates below these roots, in the order of their paths.
+/// Lists all candidates below these roots, in the order of their paths.
 pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     let mut found = sysfs::serial_ports(roots);
     found.extend(sysfs::hid_devices(roots));
-    // The USB device itself is of interest where it is what is opened, or where no driver has made anything of it.
+    // The USB device itself is listed if it is opened directly, or if no driver has made a node of it.
     let is_of_interest = |(device, is_probe): &(Candidate, bool)| {
         let mut nodes = found.iter().filter(|other| other.is_of_device(device));
         match device.belief {
@@ -203,46 +43,13 @@ pub fn candidates_in(roots: &Roots) -> Vec<Candidate> {
     found
 }
 
-/// Whether this user may read and write a device node; nothing is opened.
-fn node_access(path: &Path) -> Access {
-    use rustix::fs::{Access as Mode, access};
-    match access(path, Mode::READ_OK | Mode::WRITE_OK) {
-        Ok(()) => Access::Granted,
-        Err(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM | rustix::io::Errno::ROFS) => Access::Denied,
-        Err(_) => Access::Absent,
-    }
-}
-
 #[cfg(test)]
 mod tests {
-    use super::*;
-
-    #[test]
-    fn boards_are_known_by_their_usb_ids() {
-        assert_eq!(Belief::by_usb_id(0x058B, 0x0251), Some(Belief::Mcu7Serial));
-        assert_eq!(Belief::by_usb_id(0x058B, 0x027D), Some(Belief::Deepcraft));
-        assert_eq!(Belief::by_usb_id(0x04B4, 0xF155), Some(Belief::KitProg3));
-        assert_eq!(Belief::by_usb_id(0x04B4, 0x0001), None);
-    }
-
-    /// What is looked for must be what access is given to.
-    #[test]
-    fn the_udev_rules_name_every_known_device() {
-        let named = |vendor: u16, product: u16| {
-            UDEV_RULES.lines().any(|line| {
-                line.contains(&format!("{{idVendor}}==\"{vendor:04x}\"")) && line.contains(&format!("{product:04x}"))
-            })
-        };
-        for (vendor, product) in [INFINEON, CYPRESS].iter().flat_map(|v| (0..=u16::MAX).map(move |p| (*v, p))) {
-            if Belief::by_usb_id(vendor, product).is_some() {
-                assert!(named(vendor, product), "{vendor:04x}:{product:04x}");
-            }
-        }
-        assert!(UDEV_RULES.contains(PERMISSION_REMEDY.split(" && ").next().expect("a command")));
-    }
-
     mod hard_cases {
-        use super::*;
+        use std::path::Path;
+
+        use crate::discover::sysfs::node_access;
+        use crate::discover::{Access, Roots, candidates, candidates_in};
 
         /// With or without USB, a list comes back.
         #[test]

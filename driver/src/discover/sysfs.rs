@@ -1,17 +1,42 @@
-//! What the kernel says of the devices attached, as files.
+//! Attached devices as the kernel lists them in sysfs.
 
 use std::path::{Path, PathBuf};
 
-use super::{Belief, Candidate, Roots, Transport, UsbIdentity, node_access};
+use crate::candidate::{Access, Belief, Candidate, Transport, UsbIdentity};
 
-/// Names of serial ports that a board can be on.
+/// Folders in which the kernel lists its devices.
+#[derive(Debug, Clone)]
+pub struct Roots {
+    /// Mount point of sysfs.
+    pub sys: PathBuf,
+    /// Folder of the device nodes.
+    pub dev: PathBuf,
+}
+
+impl Default for Roots {
+    fn default() -> Self {
+        Roots { sys: "/sys".into(), dev: "/dev".into() }
+    }
+}
+
+/// Prefixes of the names of serial ports that a board can be on.
 const SERIAL_PORTS: [&str; 2] = ["ttyACM", "ttyUSB"];
-/// What the product or interface of a CMSIS-DAP probe has in its name, by its specification.
+/// Part of the product's or interface's name of a CMSIS-DAP probe, by its specification.
 const CMSIS_DAP: &str = "CMSIS-DAP";
-/// bInterfaceClass of an interface that is spoken to by bulk transfers.
+/// bInterfaceClass of an interface for bulk transfers.
 const VENDOR_SPECIFIC: &str = "ff";
 
-/// A file's text; none if it is absent, empty or no text.
+/// Returns the access of the user to a device node; nothing is opened.
+pub(super) fn node_access(path: &Path) -> Access {
+    use rustix::fs::{Access as Mode, access};
+    match access(path, Mode::READ_OK | Mode::WRITE_OK) {
+        Ok(()) => Access::Granted,
+        Err(rustix::io::Errno::ACCESS | rustix::io::Errno::PERM | rustix::io::Errno::ROFS) => Access::Denied,
+        Err(_) => Access::Absent,
+    }
+}
+
+/// Reads a file's text; `None` if it is absent, empty or not text.
 fn text(path: &Path) -> Option<String> {
     let text = std::fs::read_to_string(path).ok()?;
     let text = text.trim();
@@ -26,7 +51,7 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// The USB device with this folder.
+/// Reads the descriptors of the USB device with this folder.
 fn usb_identity(folder: &Path) -> Option<UsbIdentity> {
     let attribute = |name: &str| text(&folder.join(name));
     let id = |name| u16::from_str_radix(&attribute(name)?, 16).ok();
@@ -43,7 +68,7 @@ fn usb_identity(folder: &Path) -> Option<UsbIdentity> {
     })
 }
 
-/// A device of a class: its folder, and that of its USB device if it hangs on one.
+/// Finds a device of a class: its folder, and that of its USB device if it has one.
 fn device_of(roots: &Roots, class: &str, name: &str) -> Option<(PathBuf, Option<UsbIdentity>)> {
     let folder = roots.sys.join("class").join(class).join(name).join("device").canonicalize().ok()?;
     let usb = folder.ancestors().find_map(usb_identity);
@@ -58,7 +83,7 @@ fn candidate(path: PathBuf, transport: Transport, belief: Belief, usb: Option<Us
     Candidate { access: node_access(&path), path, transport, belief, usb, debug_probe: None }
 }
 
-/// Serial ports on USB.
+/// Lists serial ports on USB.
 pub(super) fn serial_ports(roots: &Roots) -> Vec<Candidate> {
     let port = |name: String| {
         let (_, usb) = device_of(roots, "tty", &name)?;
@@ -69,7 +94,7 @@ pub(super) fn serial_ports(roots: &Roots) -> Vec<Candidate> {
     names(&roots.sys.join("class/tty")).into_iter().filter(is_port).filter_map(port).collect()
 }
 
-/// Debug probes that are HID devices.
+/// Lists debug probes that are HID devices.
 pub(super) fn hid_devices(roots: &Roots) -> Vec<Candidate> {
     let device = |name: String| {
         let (folder, usb) = device_of(roots, "hidraw", &name)?;
@@ -82,7 +107,7 @@ pub(super) fn hid_devices(roots: &Roots) -> Vec<Candidate> {
     names(&roots.sys.join("class/hidraw")).into_iter().filter_map(device).collect()
 }
 
-/// Whether a USB device has an interface for a debug probe's bulk transfers: vendor-specific, and named as one.
+/// Returns whether a USB device has an interface for a debug probe's bulk transfers: vendor-specific, and named as one.
 fn has_bulk_probe(folder: &Path) -> bool {
     let is_one = |name: String| {
         let interface = folder.join(name);
@@ -92,7 +117,7 @@ fn has_bulk_probe(folder: &Path) -> bool {
     names(folder).into_iter().filter(|name| name.contains(':')).any(is_one)
 }
 
-/// USB devices whose ids are known, and debug probes; with each whether it is a probe by bulk transfers.
+/// Lists USB devices whose ids are known, and debug probes; each with a flag for probes by bulk transfers.
 pub(super) fn usb_devices(roots: &Roots) -> Vec<(Candidate, bool)> {
     let device = |name: String| {
         let folder = roots.sys.join("bus/usb/devices").join(name);

@@ -1,39 +1,40 @@
-//! What is plugged and unplugged, by looking again and again: sysfs is there wherever the kernel is, with or without a udev
-//! daemon to listen to.
+//! Watch for devices that are plugged in and unplugged. It polls sysfs, which exists with or without a udev daemon.
 
-use super::{Candidate, Roots, candidates_in};
+use super::candidates_in;
+use super::sysfs::Roots;
+use crate::candidate::Candidate;
 
-/// What has changed since the last look.
+/// Change since the last poll.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Change {
-    /// It has been plugged in.
+    /// The device has been plugged in.
     Added(Candidate),
-    /// It has been unplugged.
+    /// The device has been unplugged.
     Removed(Candidate),
-    /// Something about it has changed: mostly udev has given access to it.
+    /// A property of the device has changed, usually because udev has given access to it.
     Changed(Candidate),
 }
 
-/// Looks at the devices from time to time.
+/// Poller of the attached devices.
 #[derive(Debug, Default)]
 pub struct Watch {
     roots: Roots,
     known: Vec<Candidate>,
 }
 
-/// Whether both are one device in one stay: plugged in anew it has another address.
+/// Returns whether both are one device that has stayed plugged in: plugged in anew it has another address.
 fn is_same(a: &Candidate, b: &Candidate) -> bool {
     (&a.path, a.transport) == (&b.path, b.transport)
         && a.usb.as_ref().map(|u| (u.bus, u.address)) == b.usb.as_ref().map(|u| (u.bus, u.address))
 }
 
 impl Watch {
-    /// Of the devices below these roots, none of which is known yet.
+    /// Creates a watch of the devices below these roots; none is known yet.
     pub fn new(roots: Roots) -> Self {
         Watch { roots, known: Vec::new() }
     }
 
-    /// Looks: what has gone first, then what has come or changed.
+    /// Polls the devices; returns removed ones first, then added and changed ones.
     pub fn look(&mut self) -> Vec<Change> {
         let now = candidates_in(&self.roots);
         let known = std::mem::replace(&mut self.known, now.clone());

@@ -1,6 +1,6 @@
-//! The radar chip as its board sees it: registers, resets, frames that run or do not, a FIFO that fills.
+//! Emulated radar chip as its board sees it: registers, resets, frames and the FIFO.
 //!
-//! After the vendor's library and datasheet (hardware notes section 4):
+//! After the vendor's library and datasheet:
 //! - a hardware or software reset puts every register back and ends the frames; MAIN's reset bits clear themselves;
 //! - `FSM_RESET` ends the frames, `FIFO_RESET` empties the FIFO; so does the start of frames;
 //! - the interrupt line is high while the FIFO holds more than `FIFO_CREF` words of two codes;
@@ -12,19 +12,17 @@
 //! - the slow ADC converts when `START_SADC` is written, and by itself while frames run. Channel 0 is the temperature;
 //!   others read 0.
 //!
-//! The FIFO has its real depth of 8192 words. Not modelled: the prefix of chirps (`PREFIX_EN`), samples in continuous-wave mode,
-//! the time that the band gap and the slow ADC take.
+//! The FIFO has its real depth of 8192 words. Not modelled: the prefix of chirps (`PREFIX_EN`), samples in
+//! continuous-wave mode, the time that the band gap and the slow ADC take.
 
 use std::sync::Arc;
 
 use radome_dsp::{FIFO_SAMPLES, Waveform};
 
+use super::sample_source::{SampleSource, Slice};
 use super::thermometer::Thermometer;
-use super::world::{Slice, World};
 use super::{EmulatorOptions, Fault, Feed, Shared};
-use crate::board::CHIP_ID_BGT60TR13C;
-use crate::chip::{ChipConfiguration, Field, RegisterFile, address, field, main_bits};
-use crate::protocol::strata::SpiWord;
+use crate::chip::{CHIP_ID_BGT60TR13C, ChipConfiguration, Field, RegisterFile, SpiWord, address, field, main_bits};
 
 /// Upper half of GSR0, which always reads so.
 const GSR0_IDLE: u32 = 0xF0;
@@ -39,26 +37,26 @@ enum Power {
     DeepSleep = 5,
 }
 
-/// The chip, and the world that it samples.
+/// Emulated chip and its sample source.
 pub(super) struct Chip {
     registers: RegisterFile,
     chip_id: u32,
-    world: World,
-    /// Waveform that the frames run with, while they do.
+    source: SampleSource,
+    /// Waveform of the running frames; `None` while none run.
     frames: Option<Waveform>,
     power: Power,
     thermometer: Thermometer,
-    /// Conversions of the slow ADC that were asked for, and what the last one gave.
+    /// Number of conversions of the slow ADC, and the result of the last one.
     conversions: u64,
     converted: u32,
     overflowed: bool,
     underflowed: bool,
-    /// Counts starts of frames: what sends them begins afresh when it changes.
+    /// Number of starts of frames: the firmware discards its buffer when it changes.
     pub starts: u64,
 }
 
 impl Chip {
-    /// A chip that was programmed with the source's waveform and does not measure.
+    /// Creates a chip that was programmed with the source's waveform and does not measure.
     pub fn new(feed: Feed, options: &EmulatorOptions, shared: &Arc<Shared>) -> std::io::Result<Self> {
         let foreign = options.faults.iter().find_map(|fault| match fault {
             Fault::ForeignChip(id) => Some(*id),
@@ -68,7 +66,7 @@ impl Chip {
         let mut chip = Chip {
             registers: RegisterFile::default(),
             chip_id: foreign.unwrap_or(CHIP_ID_BGT60TR13C),
-            world: World::new(feed, options.pace, options.repeat, shared.clone())?,
+            source: SampleSource::new(feed, options.pace, options.repeat, shared.clone())?,
             frames: None,
             power: Power::DeepSleep,
             thermometer: Thermometer::new(options.seed),
@@ -79,12 +77,12 @@ impl Chip {
             starts: 0,
         };
         chip.reset();
-        chip.leave_programmed(waveform);
+        chip.program_registers(waveform);
         Ok(chip)
     }
 
-    /// As if somebody had measured the source before, so that who asks the chip learns what it is.
-    fn leave_programmed(&mut self, waveform: Waveform) {
+    /// Programs the registers as a former client would have, so that a client can read the waveform.
+    fn program_registers(&mut self, waveform: Waveform) {
         let configuration = ChipConfiguration { waveform, slice_samples: FIFO_SAMPLES / 2 };
         for register in configuration.compile().unwrap_or_default() {
             let is_main = register.address == address::MAIN;
@@ -93,27 +91,27 @@ impl Chip {
         }
     }
 
-    /// The reset pin, the software reset, and power that comes back.
+    /// Resets the chip: by its pin, by software or by a loss of power.
     pub fn reset(&mut self) {
         self.registers = RegisterFile::default();
         self.registers.set(address::CHIP_ID, self.chip_id);
         if self.frames.is_some() {
-            self.world.stop();
+            self.source.stop();
         }
         self.sleep();
         self.converted = 0;
         self.reset_fifo();
     }
 
-    /// Ends frames, and empties the FIFO: nobody is there to read it. The registers stay as they are.
+    /// Ends frames and empties the FIFO, since no client reads it. The registers stay as they are.
     pub fn halt(&mut self) {
         self.sleep();
         self.reset_fifo();
     }
 
-    /// The state machine ends what it does.
+    /// Puts the state machine to sleep.
     fn sleep(&mut self) {
-        // What was converted last stays in its register.
+        // The register keeps the last conversion.
         self.converted = self.slow_adc();
         self.frames = None;
         self.power = Power::DeepSleep;
@@ -123,7 +121,7 @@ impl Chip {
         (self.overflowed, self.underflowed) = (false, false);
     }
 
-    /// Whether GSR0 reports an error of the FIFO.
+    /// Returns whether GSR0 reports an error of the FIFO.
     pub fn fifo_failed(&self) -> bool {
         self.overflowed || self.underflowed
     }
@@ -133,7 +131,7 @@ impl Chip {
         self.frames.as_ref()
     }
 
-    /// One SPI word; the answer is GSR0 and what the register held before.
+    /// Executes an SPI word; the answer is GSR0 and the former content of the register.
     pub fn transfer(&mut self, word: SpiWord) -> u32 {
         let gsr0 = GSR0_IDLE | if self.fifo_failed() { GSR0_FIFO_ERROR } else { 0 };
         let answer = gsr0 << 24 | self.read(word.address);
@@ -156,15 +154,15 @@ impl Chip {
 
     /// Codes in the FIFO.
     fn fill(&self) -> u64 {
-        if self.frames.is_some() { self.world.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
+        if self.frames.is_some() { self.source.in_fifo().min(FIFO_SAMPLES as u64) } else { 0 }
     }
 
-    /// Codes beyond which the chip calls.
+    /// FIFO level of the interrupt, codes.
     fn interrupt_level(&self) -> u64 {
         2 * u64::from(self.registers.field(field::SFCTL::FIFO_CREF))
     }
 
-    /// Whether the interrupt line is high.
+    /// Returns whether the interrupt line is high.
     pub fn interrupt(&self) -> bool {
         self.fill() / 2 * 2 > self.interrupt_level()
     }
@@ -182,17 +180,17 @@ impl Chip {
         flags.iter().fold(status, |status, (flag, is_set)| flag.put(status, u32::from(*is_set)))
     }
 
-    /// Whether the band gap is up, which the ADCs need.
+    /// Returns whether the band gap is up, which the ADCs need.
     fn has_band_gap(&self) -> bool {
         self.power != Power::DeepSleep && self.registers.field(field::CSCI::BG_EN) == 1
     }
 
-    /// Whether an ADC is ready that this bit of `CSCI` switches off between chirps.
+    /// Returns whether an ADC is ready that this bit of `CSCI` switches off between chirps.
     fn is_ready(&self, isolated: Field) -> bool {
         self.has_band_gap() && (self.frames.is_some() || self.registers.field(isolated) == 0)
     }
 
-    /// Power mode, and what is ready.
+    /// Power mode and ready bits of the status register.
     fn power_status(&self) -> u32 {
         let flags = [
             (field::STAT0::MADC_BGUP, self.has_band_gap()),
@@ -214,7 +212,7 @@ impl Chip {
         }
     }
 
-    /// Has the slow ADC convert what is on its channel.
+    /// Starts a conversion of the slow ADC.
     fn convert(&mut self) {
         if self.is_ready(field::CSCI::SADC_ISOPD) {
             self.conversions += 1;
@@ -226,7 +224,7 @@ impl Chip {
     /// Chirps sampled since the frames were started.
     fn chirps(&self, waveform: &Waveform) -> u64 {
         let shape = waveform.shape();
-        self.world.sampled() / (shape.rx * shape.samples).max(1) as u64
+        self.source.sampled() / (shape.rx * shape.samples).max(1) as u64
     }
 
     /// Frames and chirps since the start.
@@ -279,43 +277,43 @@ impl Chip {
         self.power = next;
     }
 
-    /// The chip measures whatever it is told, and answers all the same where the source has no such frames: a client that
-    /// is answered with an error gives its board up, one that gets no frames may ask for others.
+    /// Starts frames. The chip answers normally even if the source does not have frames of the waveform: a client that
+    /// gets an error abandons the board, while one that gets no frames may program another waveform.
     fn start_frames(&mut self) {
         self.sleep();
         let waveform = match ChipConfiguration::decode(&self.registers) {
             Ok(configuration) => configuration.waveform,
-            Err(error) => return self.world.refuse(&error.to_string()),
+            Err(error) => return self.source.refuse(&error.to_string()),
         };
         let has_test_pattern = self.registers.field(field::SFCTL::LFSR_EN) == 1;
-        self.world.restart(&waveform, has_test_pattern);
+        self.source.restart(&waveform, has_test_pattern);
         self.power = Power::Active;
         self.frames = Some(waveform);
         self.starts += 1;
     }
 
-    /// Whether the source has frames of this waveform, or why not.
+    /// Checks that the source has frames of this waveform; the error is the reason if not.
     pub fn check_source(&self, waveform: &Waveform) -> Result<(), String> {
-        self.world.check(waveform)
+        self.source.check(waveform)
     }
 
-    /// Whether this many codes are there for a burst read, which the interrupt line announces.
+    /// Returns whether this many codes are ready for a burst read, which the interrupt line announces.
     pub fn poll(&mut self, codes: u64) -> Slice {
         let Some(waveform) = &self.frames else { return Slice::Wait };
         let frames = self.registers.field(field::CCR2::MAX_FRAME_CNT);
         let last = u64::from(frames) * waveform.shape().codes() as u64;
-        if frames > 0 && self.world.taken() + codes > last {
+        if frames > 0 && self.source.taken() + codes > last {
             return Slice::Wait;
         }
-        // The line goes up at its own level; who reads more than is there then reads past the end.
-        self.world.slice(codes.min(self.interrupt_level() + 2))
+        // The line rises at its own level; firmware that reads more than that reads past the end.
+        self.source.slice(codes.min(self.interrupt_level() + 2))
     }
 
     /// A burst read of the FIFO, appended.
     pub fn read_fifo(&mut self, codes: usize, out: &mut Vec<u16>) {
-        let there = codes.min(self.world.in_fifo() as usize).min(self.world.at_hand());
-        out.extend_from_slice(self.world.codes(there));
-        self.world.take(there);
+        let there = codes.min(self.source.in_fifo() as usize).min(self.source.at_hand());
+        out.extend_from_slice(self.source.codes(there));
+        self.source.take(there);
         let missing = codes - there;
         if missing > 0 {
             out.extend(std::iter::repeat_n(0xFFF, missing));
@@ -323,9 +321,9 @@ impl Chip {
         }
     }
 
-    /// Looks whether more has been sampled than the FIFO holds; the flag stays.
-    pub fn look_for_overflow(&mut self) {
-        self.overflowed |= self.frames.is_some() && self.world.overflows();
+    /// Sets the sticky overflow flag if more has been sampled than the FIFO holds.
+    pub fn check_overflow(&mut self) {
+        self.overflowed |= self.frames.is_some() && self.source.overflows();
     }
 
     /// Makes the FIFO overflow.
@@ -333,9 +331,9 @@ impl Chip {
         self.overflowed = true;
     }
 
-    /// The world that it samples.
-    pub fn world(&mut self) -> &mut World {
-        &mut self.world
+    /// Returns the sample source.
+    pub fn source(&mut self) -> &mut SampleSource {
+        &mut self.source
     }
 }
 
@@ -493,8 +491,8 @@ mod tests {
             let waveform = Waveform::realise(request).expect("valid");
             let mut chip = started_with(waveform, Pace::RealTime(10.0), 128);
             for _ in 0..5000 {
-                chip.world().advance();
-                chip.look_for_overflow();
+                chip.source().advance();
+                chip.check_overflow();
                 if chip.fifo_failed() {
                     break;
                 }
@@ -561,8 +559,8 @@ mod tests {
             flag.of(chip.read(address::STAT0)) == 1
         }
 
-        /// The vendor's library wakes the chip in continuous-wave mode, waits for the band gap, switches the ADC on, waits
-        /// for that, converts, and resets the chip.
+        /// The vendor's library wakes the chip in continuous-wave mode, waits for the band gap, switches the ADC on,
+        /// waits for that, converts, and resets the chip.
         #[test]
         fn a_chip_that_sleeps_is_woken_for_it() {
             let mut chip = chip(Pace::AsFastAsRead);

@@ -1,34 +1,31 @@
-//! A PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]), measuring whatever a
-//! [`Feed`] provides.
+//! Emulated PSoC 6 kit with the DEEPCRAFT streaming firmware ([`crate::protocol::deepcraft`]), which measures the
+//! frames of a [`Feed`].
 
 mod requests;
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorError, EmulatorOptions, Feed, Shared};
 use crate::chip::{address, field};
 use crate::protocol::deepcraft::{ChunkLayout, FIFO_LEVEL_CODES};
-use requests::Requests;
+use requests::{DEVICE, Requests};
 
-/// The firmware stops after so long without a sign of its host, ms.
-const WATCHDOG_TIMEOUT_MS: i32 = 3000;
-/// Number of the radar among the board's devices, and of its stream.
-const DEVICE: i32 = 0;
+/// Id of the radar's stream.
 const STREAM: i32 = 0;
 
-/// The firmware, and the frames that it has read from the chip.
+/// Firmware, and the frames that it has read from the chip.
 ///
-/// It reads 6144 codes at a time and sends the frames that these complete as one chunk, however many, although the stream's
-/// `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the comment "Max
-/// frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
-/// FIFO goes on filling. Where the source has a gap, and at its end, it sends what it has. What the real firmware does
-/// when the FIFO has overflowed is not known, for it does not look; this one counts the frames as dropped and starts the
-/// chip again.
+/// It reads 6144 codes at a time and sends the frames that these complete as one chunk, however many, although the
+/// stream's `max_frame_count` says 1: so does the vendor's firmware 1.2 (`dev_bgt60trxx.c`, where that 1 has the
+/// comment "Max frame_count?" and the loop over the frames read knows no limit). While the host takes none the chip's
+/// FIFO goes on filling. At a gap and at the end of the source it sends the frames that it has. The real firmware does
+/// not check for an overflow of the FIFO, so that its behaviour then is unknown; this one counts the frames as dropped
+/// and starts the chip again.
 pub(super) struct Deepcraft {
     requests: Requests,
     /// Starts of the radar when `codes` was begun.
@@ -36,7 +33,7 @@ pub(super) struct Deepcraft {
     stalled: bool,
     /// Number of the first frame in `codes`.
     number: u32,
-    /// Number that the first frame since the chip's start would have, had none been skipped since.
+    /// Number of the first frame since the chip's start, less the frames skipped since.
     first_number: u32,
     /// Codes that have been read and not sent, FIFO order.
     codes: Vec<u16>,
@@ -83,13 +80,13 @@ impl Deepcraft {
         self.requests.dropped = self.requests.dropped.wrapping_add(frames as i32);
     }
 
-    /// The source lacks frames, or a fault pretends that others had been sent.
+    /// Skips frames that the source lacks, or that a fault pretends were sent.
     fn skip(&mut self, frames: u32) {
         self.number = self.number.wrapping_add(frames);
         self.first_number = self.first_number.wrapping_add(frames);
     }
 
-    /// Sends so many of the frames that wait, as one chunk.
+    /// Sends `frames` of the buffered frames as one chunk.
     fn send(&mut self, frames: usize, wire: &mut Wire) {
         if frames == 0 {
             return;
@@ -120,13 +117,13 @@ impl Deepcraft {
         self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Sends all whole frames that wait.
+    /// Sends all whole buffered frames.
     fn flush(&mut self, wire: &mut Wire) {
         self.send(self.codes.len() / self.frame_codes, wire);
         (self.read, self.sent) = (0, 0);
     }
 
-    /// Starts the chip again after its FIFO has overflowed. How many frames are lost the chip's frame counter tells.
+    /// Starts the chip again after an overflow of its FIFO. The chip's frame counter tells the number of lost frames.
     fn overflow(&mut self, wire: &mut Wire) {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
         self.flush(wire);
@@ -188,8 +185,8 @@ impl Firmware for Deepcraft {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.world().advance();
-        self.requests.chip.look_for_overflow();
+        self.requests.chip.source().advance();
+        self.requests.chip.check_overflow();
     }
 
     fn power_up(&mut self) {
@@ -199,9 +196,4 @@ impl Firmware for Deepcraft {
     fn abandon(&mut self) {
         self.requests.abandon();
     }
-}
-
-/// When the firmware gives its host up.
-fn watchdog() -> Instant {
-    Instant::now() + Duration::from_millis(WATCHDOG_TIMEOUT_MS as u64)
 }

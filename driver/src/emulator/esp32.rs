@@ -1,6 +1,6 @@
-//! An ESP32 that prints the frames of its chip ([`crate::protocol::ascii`]).
+//! Emulated ESP32 that prints the frames of its chip ([`crate::protocol::ascii`]).
 //!
-//! Such boards reset when their port is opened, by the circuit that lets them be flashed; so does this one.
+//! Such boards reset when their port is opened, by the circuit for flashing them; so does this one.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -9,23 +9,23 @@ use std::sync::atomic::Ordering;
 use radome_dsp::WaveformRequest;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
 use crate::chip::{ChipConfiguration, RegisterList, address, field};
 use crate::protocol::ascii;
-use crate::protocol::strata::SliceLayout;
+use crate::protocol::mcu7::SliceLayout;
 
 const BANNER: &[u8] = b"I (312) main: radar started\r\n";
 /// Frames that the board's memory holds.
 const BUFFER_FRAMES: usize = 2;
-/// Frames after which the board says again what it measures.
+/// Frames between two statements of the waveform.
 const FRAMES_BETWEEN_WAVEFORMS: u64 = 16;
 
-/// Firmware that measures and prints from the moment it has power. It takes no requests.
+/// Firmware that measures and prints as soon as it has power. It takes no requests.
 pub(super) struct Esp32 {
     chip: Chip,
-    /// What it was built for.
+    /// Waveform that it was built for.
     request: WaveformRequest,
     registers: RegisterList,
     slice: SliceLayout,
@@ -37,7 +37,7 @@ pub(super) struct Esp32 {
     is_up: bool,
     /// Number of the next frame to be read.
     number: u64,
-    /// Number that the first frame since the chip's start would have, had the source lacked none since.
+    /// Number of the first frame since the chip's start, less the frames that the source lacked since.
     first_number: u64,
     stalled: bool,
     shared: Arc<Shared>,
@@ -67,10 +67,10 @@ impl Esp32 {
         })
     }
 
-    /// Resets the chip and starts frames. What was in its FIFO is lost; how much the chip's frame counter tells, so that
-    /// frames keep their numbers.
+    /// Resets the chip and starts frames. The content of its FIFO is lost; the chip's frame counter tells how many
+    /// frames, so that frames keep their numbers.
     fn start(&mut self) {
-        self.chip.world().stop();
+        self.chip.source().stop();
         let status = self.chip.read(address::STAT1);
         let is_cut = field::STAT1::SHAPE_GRP_CNT.of(status) > 0;
         let measured = u64::from(field::STAT1::FRAME_CNT.of(status)) + u64::from(is_cut);
@@ -85,9 +85,9 @@ impl Esp32 {
         }
     }
 
-    /// Reads the chip's FIFO each time it calls, as long as there is room for another frame.
+    /// Reads the chip's FIFO at each interrupt, as long as there is room for another frame.
     fn drain(&mut self) {
-        let frames = if self.chip.world().waits() { 1 } else { BUFFER_FRAMES };
+        let frames = if self.chip.source().waits() { 1 } else { BUFFER_FRAMES };
         while self.frames.len() < frames && !self.chip.fifo_failed() {
             match self.chip.poll(self.slice.samples as u64) {
                 Slice::Ready { .. } => {
@@ -107,10 +107,10 @@ impl Esp32 {
                 }
             }
         }
-        self.chip.look_for_overflow();
+        self.chip.check_overflow();
     }
 
-    /// As if the firmware had given up so many frames.
+    /// Skips numbers as if the firmware had lost frames.
     fn skip(&mut self, frames: u64) {
         self.frames.iter_mut().for_each(|(number, _)| *number += frames);
         self.number += frames;
@@ -177,7 +177,7 @@ impl Firmware for Esp32 {
     }
 
     fn advance(&mut self) {
-        self.chip.world().advance();
+        self.chip.source().advance();
         if self.is_up && !self.stalled {
             self.drain();
         }
@@ -187,7 +187,7 @@ impl Firmware for Esp32 {
         true
     }
 
-    /// It starts anew when the next one comes.
+    /// The firmware starts anew with the next client.
     fn abandon(&mut self) {}
 
     fn power_up(&mut self) {

@@ -1,13 +1,13 @@
-//! What may go wrong with a board, and how a person writes it: `drop 5, double 9, flip 12:345, truncate 20:100, reorder 30,
-//! skip 40:3, overflow 50, stall 60, unplug 70:2.5, slow 80:0.5, chip 0x606, version 5`. The first number is the packet.
+//! Faults of an emulated board and their text form: `drop 5, double 9, flip 12:345, truncate 20:100, reorder 30, skip
+//! 40:3, overflow 50, stall 60, unplug 70:2.5, slow 80:0.5, chip 0x606, version 5`. The first number is the packet.
 
 use std::str::FromStr;
 use std::time::Duration;
 
 use thiserror::Error;
 
-/// Something to go wrong. Packets are the firmware's data messages (an ESP32's lines), counted from 0 since the emulator
-/// was started.
+/// Injected fault. Packets are the firmware's data messages (an ESP32's lines), counted from 0 since the emulator was
+/// started.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// The packet is not sent.
@@ -16,25 +16,25 @@ pub enum Fault {
     DoublePacket(u64),
     /// One bit of the packet is inverted, counted from its first byte's lowest bit, modulo its length.
     FlipBit {
-        /// Which packet.
+        /// Number of the packet.
         packet: u64,
-        /// Which bit.
+        /// Index of the bit.
         bit: usize,
     },
     /// Only the packet's first bytes are sent.
     TruncatePacket {
-        /// Which packet.
+        /// Number of the packet.
         packet: u64,
-        /// How many bytes.
+        /// Number of bytes.
         bytes: usize,
     },
     /// The packet is sent after its successor.
     ReorderPacket(u64),
     /// The firmware's counter jumps before this packet, as if others had been sent.
     SkipCounter {
-        /// Which packet.
+        /// Number of the packet.
         packet: u64,
-        /// By how much.
+        /// Packets skipped.
         by: u16,
     },
     /// The chip's FIFO overflows instead of this packet being sent.
@@ -44,19 +44,19 @@ pub enum Fault {
     /// The board is unplugged instead of this packet being sent, and so loses its power. It comes back after a while,
     /// at [`EmulatorOptions::link`](super::EmulatorOptions::link).
     Unplug {
-        /// Which packet.
+        /// Number of the packet.
         packet: u64,
-        /// For how long.
+        /// Duration.
         duration: Duration,
     },
-    /// The host reads nothing from this packet on: the port takes no more bytes while the world goes on.
+    /// The host reads nothing from this packet on: the port takes no more bytes while the chip keeps sampling.
     SlowHost {
-        /// Which packet.
+        /// Number of the packet.
         packet: u64,
-        /// For how long.
+        /// Duration.
         duration: Duration,
     },
-    /// The chip's CHIP_ID register reads this: another chip, or none that answers (0, all ones).
+    /// CHIP_ID reads this value: another chip, or one that does not answer (0, all ones).
     ForeignChip(u32),
     /// The firmware reports this major version of its protocol, and speaks as before.
     WrongVersion(u16),
@@ -65,13 +65,13 @@ pub enum Fault {
 /// Longest that a board may be unplugged or its host be slow, s.
 const LONGEST_WAIT_S: f64 = 3600.0;
 
-/// A fault that nobody can follow.
+/// Error of a text that is not a fault.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("fault '{text}': {what}\n\nhint: one of {FORMS}; commas between several")]
 pub struct FaultError {
-    /// What was written.
+    /// Text that was given.
     pub text: String,
-    /// What is wrong with it.
+    /// Description of the error.
     pub what: &'static str,
 }
 

@@ -1,4 +1,4 @@
-//! Feed of an emulated board: a source of frames, and a way to restart it or to make it in another waveform.
+//! Feed of an emulated board: a source of frames, and a way to open it again or to make frames of another waveform.
 
 use std::time::Duration;
 
@@ -7,7 +7,8 @@ use radome_dsp::{FrameSource, SourceError, Waveform};
 type Made = Result<Box<dyn FrameSource>, SourceError>;
 type MakeWaveform = Box<dyn FnMut(&Waveform, Duration) -> Made + Send>;
 
-/// The frames of an emulated board. Any boxed [`FrameSource`] is one, with frames of its own waveform until it ends.
+/// Frames for an emulated board. Any boxed [`FrameSource`] converts into one, with frames of its own waveform until it
+/// ends.
 pub struct Feed {
     pub(super) source: Box<dyn FrameSource>,
     pub(super) maker: Maker,
@@ -15,7 +16,7 @@ pub struct Feed {
 
 /// Way to make more sources like the first.
 pub(super) enum Maker {
-    /// There is only the first.
+    /// No further source can be made.
     None,
     /// Opens the same frames again.
     Again(Box<dyn FnMut() -> Made + Send>),
@@ -24,15 +25,15 @@ pub(super) enum Maker {
 }
 
 impl Feed {
-    /// Frames that can be opened again, such as a recording's: with
-    /// [`repeat`](super::EmulatorOptions::repeat) they are, each time that they end.
-    pub fn that_begins_again(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
+    /// Creates a feed whose source can be opened again, such as a recording: with
+    /// [`repeat`](super::EmulatorOptions::repeat) it is, each time that it ends.
+    pub fn reopenable(source: Box<dyn FrameSource>, open: impl FnMut() -> Made + Send + 'static) -> Self {
         Feed { source, maker: Maker::Again(Box::new(open)) }
     }
 
-    /// Frames that can be made in any waveform, such as a simulation's. `source` has those of the waveform that the board
-    /// is left with; `make` is called, on a thread of its own, when a client programs another one. It is given the time
-    /// at which the first frame is to begin.
+    /// Creates a feed whose frames can be made for any waveform, such as a simulation's. `source` has frames of the
+    /// waveform that the board is programmed with at the start; `make` is called, on a thread of its own, when a client
+    /// programs another one. It is given the time at which the first frame has to begin.
     pub fn of_any_waveform(
         source: Box<dyn FrameSource>,
         make: impl FnMut(&Waveform, Duration) -> Made + Send + 'static,

@@ -16,13 +16,13 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
 
 use super::EmulatorError;
-use crate::protocol::strata::bulk::MAX_BULK;
-use crate::usb::DeviceSockets;
+use crate::protocol::mcu7::bulk::MAX_BULK;
+use crate::transport::usb::DeviceSockets;
 
-/// Bytes of clients that are taken at once while it is found out whether any is left.
+/// Most bytes of clients that are read at once while the port checks for clients.
 const MOST_RECEIVED: usize = 65_536;
 
-/// Where the board's line is to be.
+/// Place of the board's line.
 #[derive(Debug, Clone)]
 pub(super) enum Place {
     /// A new pseudo-terminal, whose far end looks like a serial port.
@@ -30,14 +30,14 @@ pub(super) enum Place {
         /// Symbolic link to it.
         link: Option<PathBuf>,
     },
-    /// A terminal that is there already, such as the board's end of a USB gadget.
+    /// An existing terminal, such as the board's end of a USB gadget.
     Terminal(PathBuf),
     /// A folder for the endpoints of a USB device.
     Endpoints(PathBuf),
 }
 
 impl Place {
-    /// In words.
+    /// Description for messages.
     pub fn description(&self) -> String {
         match self {
             Place::Pseudoterminal { link: Some(link) } => format!("a pseudo-terminal with the link {}", link.display()),
@@ -47,7 +47,7 @@ impl Place {
         }
     }
 
-    /// Plugs the board in.
+    /// Opens the line: plugs the board in.
     pub fn open(&self) -> io::Result<Port> {
         match self {
             Place::Pseudoterminal { .. } => Terminal::new().map(Port::Terminal),
@@ -65,7 +65,7 @@ pub(super) enum Port {
 }
 
 impl Port {
-    /// Where the host finds it.
+    /// Path for the host.
     pub fn path(&self) -> &Path {
         match self {
             Port::Terminal(terminal) => &terminal.path,
@@ -74,7 +74,7 @@ impl Port {
         }
     }
 
-    /// Waits until there is something to read, or room to write if `write` is set, at most so long.
+    /// Waits until there is something to read, or room to write if `write` is set, at most `timeout`.
     pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
         match self {
             Port::Terminal(terminal) => terminal.wait(write, timeout),
@@ -83,7 +83,7 @@ impl Port {
         }
     }
 
-    /// Writes what there is room for; 0 if none. What is written to endpoints at once is one bulk transfer.
+    /// Writes the bytes that there is room for; returns their number. One write to endpoints is one bulk transfer.
     pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self {
             _ if bytes.is_empty() => Ok(0),
@@ -93,15 +93,15 @@ impl Port {
         }
     }
 
-    /// From now on [`Port::has_client`] tells whether a client has the port open, where it can be told.
+    /// Starts to watch for clients, so that [`Port::has_client`] can tell, if the port supports it.
     pub fn watch_clients(&mut self) {
         if let Port::Terminal(terminal) = self {
             (terminal.slave, terminal.closings) = (None, None);
         }
     }
 
-    /// Whether the last client has closed the port since this was last asked, or was killed. What it has left on the line,
-    /// in either direction, is gone then. What comes from clients that are still there is appended to `received`.
+    /// Returns whether the last client has closed the port or was killed since the last call. Its data on the line are
+    /// discarded then, in both directions. Bytes of remaining clients are appended to `received`.
     pub fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         match self {
             Port::Terminal(terminal) => terminal.was_abandoned(received),
@@ -110,7 +110,7 @@ impl Port {
         }
     }
 
-    /// Whether a host has yet to read what was written to it.
+    /// Returns whether a host has yet to read what was written to it.
     pub fn holds_unread(&self) -> bool {
         match self {
             Port::Terminal(Terminal { slave: Some(slave), .. }) => {
@@ -120,7 +120,7 @@ impl Port {
         }
     }
 
-    /// Whether a client has the port open.
+    /// Returns whether a client has the port open.
     pub fn has_client(&self) -> io::Result<bool> {
         match self {
             Port::Terminal(terminal) if terminal.is_pseudo => terminal.has_client(),
@@ -128,7 +128,7 @@ impl Port {
         }
     }
 
-    /// Whether the line has been cut from the other side.
+    /// Returns whether the line has been cut from the other side.
     pub fn is_hung_up(&self) -> bool {
         matches!(self, Port::Terminal(terminal) if terminal.hung_up)
     }
@@ -136,17 +136,17 @@ impl Port {
 
 pub(super) struct Terminal {
     line: OwnedFd,
-    /// Kept open where a client that closes the port is not to hang up the line.
+    /// Kept open so that a client that closes the port does not hang up the line.
     slave: Option<OwnedFd>,
-    /// Tells when somebody closes the terminal.
+    /// Watch for closings of the terminal.
     closings: Option<Closings>,
     path: PathBuf,
-    /// Whether the other end is a pseudo-terminal's: it comes and goes with clients.
+    /// Whether the other end is a pseudo-terminal, which clients open and close.
     is_pseudo: bool,
     hung_up: bool,
 }
 
-/// A watch on a terminal's node.
+/// Watch on a terminal's node.
 struct Closings {
     events: OwnedFd,
     watch: i32,
@@ -159,7 +159,7 @@ impl Closings {
         Ok(Closings { events, watch })
     }
 
-    /// Whether the terminal has been closed since this was last asked.
+    /// Returns whether the terminal has been closed since this was last asked.
     fn any(&self) -> bool {
         let mut buffer = [0u8; 1024];
         let mut any = false;
@@ -169,12 +169,12 @@ impl Closings {
         any
     }
 
-    /// Does something whose closings are the board's own.
+    /// Runs `act` and ignores the closings that it causes.
     fn without(&mut self, path: &Path, act: impl FnOnce()) -> rustix::io::Result<()> {
         inotify::remove_watch(&self.events, self.watch)?;
         act();
         self.watch = inotify::add_watch(&self.events, path, inotify::WatchFlags::CLOSE)?;
-        // That the watch was removed is an event too.
+        // The removal of the watch is an event too.
         self.any();
         Ok(())
     }
@@ -224,8 +224,8 @@ impl Terminal {
         }
     }
 
-    /// See [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a read of the line
-    /// tells whether a client has the terminal open: it fails if nobody has and nothing is left to read.
+    /// See [`Port::was_abandoned`]. While the board's own handle of the terminal is closed, and only then, a read of
+    /// the line tells whether a client has the terminal open: it fails if nobody has and nothing is left to read.
     fn was_abandoned(&mut self, received: &mut Vec<u8>) -> io::Result<bool> {
         let Terminal { line, slave, closings: Some(closings), path, .. } = self else { return Ok(false) };
         if !closings.any() {
@@ -251,13 +251,14 @@ impl Terminal {
         };
         *slave = match open_slave(path) {
             Ok(slave) => Some(slave),
-            // A client that came meanwhile has it for itself: the board's own handle is had again when that one goes.
+            // A client that came meanwhile has exclusive use: the board opens its own handle again when that client
+            // leaves.
             Err(Errno::BUSY) => None,
             Err(e) => return Err(e.into()),
         };
         if let Some(slave) = slave.as_ref().filter(|_| is_abandoned) {
             received.clear();
-            // Nothing has been written for a client that came meanwhile: all this was for those that have gone.
+            // Nothing has been written for a client that came meanwhile: all unread data were for former clients.
             tcflush(slave, QueueSelector::IFlush)?;
         }
         Ok(is_abandoned)
@@ -270,7 +271,7 @@ impl Terminal {
         Ok(self.slave.is_some() || !state.revents().contains(PollFlags::HUP))
     }
 
-    /// Reads what is there; 0 if nothing.
+    /// Reads the bytes that are there; returns 0 if none.
     pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
         let result = rustix::io::read(&self.line, buffer);
         // A terminal that is hung up reads as ended.
@@ -295,11 +296,11 @@ fn make_raw(terminal: &OwnedFd) -> io::Result<()> {
     Ok(tcsetattr(terminal, OptionalActions::Now, &settings)?)
 }
 
-/// Takes the path of a link for one emulated board of this machine, as long as what is returned is kept. The system gives it
-/// back when the process ends, however it ends.
+/// Reserves the path of a link for one emulated board of this machine, until the returned descriptor is dropped. The
+/// system releases it when the process ends.
 ///
 /// # Errors
-/// Another board has it, or there is no such folder.
+/// [`EmulatorError`] if another board has it, or the folder does not exist.
 pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
     let failed = |source: io::Error| EmulatorError::Line { what: format!("the link {}", link.display()), source };
     let folder = link.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
@@ -320,10 +321,11 @@ pub(super) fn claim(link: &Path) -> Result<OwnedFd, EmulatorError> {
     }
 }
 
-/// Makes a symbolic link to a terminal. Where there is one that a board has left behind, it is replaced at once.
+/// Makes a symbolic link to a terminal. The remaining link of a former board is replaced.
 ///
 /// # Errors
-/// [`io::ErrorKind::AlreadyExists`] if something else is there; the link cannot be made.
+/// [`io::ErrorKind::AlreadyExists`] if the path is anything else; another error of the system if the link cannot be
+/// made.
 pub(super) fn link(terminal: &Path, link: &Path) -> io::Result<()> {
     match symlink(terminal, link) {
         Err(e) if e.kind() == io::ErrorKind::AlreadyExists && is_left_behind(link) => {
@@ -337,7 +339,7 @@ pub(super) fn link(terminal: &Path, link: &Path) -> io::Result<()> {
     }
 }
 
-/// Whether a link is one to a pseudo-terminal, or to nothing.
+/// Returns whether a link leads to a pseudo-terminal, or to nothing.
 fn is_left_behind(link: &Path) -> bool {
     std::fs::read_link(link).is_ok_and(|target| target.starts_with("/dev/pts") || !link.exists())
 }
@@ -352,7 +354,7 @@ pub(super) fn unlink(terminal: &Path, link: &Path) -> io::Result<()> {
 
 fn none_if_would_block(result: rustix::io::Result<usize>) -> io::Result<usize> {
     match result {
-        // EIO: nobody has the other end open.
+        // EIO: no process has the other end open.
         Err(Errno::AGAIN | Errno::INTR | Errno::IO) => Ok(0),
         result => Ok(result?),
     }

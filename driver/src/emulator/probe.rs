@@ -1,4 +1,4 @@
-//! A debug probe: the commands of [`crate::protocol::cmsis_dap`], and a target of which it knows only that it was reset.
+//! Emulated debug probe: the commands of [`crate::protocol::cmsis_dap`], and a target that counts its resets.
 
 use std::fs::OpenOptions;
 use std::io::{self, Read, Write};
@@ -8,20 +8,20 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::protocol::cmsis_dap::{Answer, Command, HID_PACKET, INVALID, Info, NRESET};
 
-/// An emulated probe.
+/// Emulated debug probe.
 #[derive(Debug, Clone, Default)]
 pub struct EmulatedProbe {
-    /// How often its target has been reset.
+    /// Number of resets of its target.
     pub resets: Arc<AtomicU64>,
-    /// Whether it has a sequence of its own to reset the target.
+    /// Whether it has a reset sequence for the target.
     pub has_sequence: bool,
-    /// Whether something else holds the reset line low.
+    /// Whether the reset line stays low.
     pub is_line_stuck: bool,
     pub(crate) is_reset_low: bool,
 }
 
 impl EmulatedProbe {
-    /// The answer to a packet.
+    /// Computes the answer to a packet.
     pub fn answer(&mut self, packet: &[u8]) -> Vec<u8> {
         let Some(command) = Command::decode(packet) else { return vec![INVALID] };
         match command {
@@ -55,10 +55,10 @@ impl EmulatedProbe {
         }
     }
 
-    /// Serves a HID gadget's node, such as `/dev/hidg0`, until it fails. `ready` is called when it does.
+    /// Serves a HID gadget's node, such as `/dev/hidg0`, until it fails. `ready` is called when the node is open.
     ///
     /// # Errors
-    /// The node cannot be opened, read or written.
+    /// Error of the system if the node cannot be opened, read or written.
     pub fn serve_hid(&mut self, gadget: &Path, ready: impl FnOnce()) -> io::Result<()> {
         let mut gadget = OpenOptions::new().read(true).write(true).open(gadget)?;
         ready();

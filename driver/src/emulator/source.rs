@@ -1,4 +1,4 @@
-//! A frame source behind an emulated board: the same frames, after a trip through registers, packets and a serial port.
+//! Frame source behind an emulated board: the same frames, sent through registers, packets and a serial port.
 
 use std::cmp::Ordering;
 use std::time::Duration;
@@ -7,21 +7,21 @@ use crossbeam::channel::{Receiver, Sender, unbounded};
 use radome_dsp::{Frame, FrameSource, SourceError, SourceEvent, Truth, Waveform};
 
 use super::{EmulatedBoard, EmulatorError, EmulatorOptions};
-use crate::board::{Board, BoardError, BoardIdentity, BoardStream};
+use crate::board::{BoardError, BoardIdentity, Mcu7Board, Mcu7Stream};
 
-/// An emulated board with a client attached. Ends when its source does. What is known to be true of the source's frames,
-/// which no board can say, goes past the board and is put back by sequence number.
+/// Emulated board with a client attached. It ends with its source. The ground truth of the source's frames, which the
+/// protocol cannot carry, bypasses the board and is put back by sequence number.
 pub struct EmulatedSource {
     // Fields are dropped in this order: the client stops the board before the board goes.
-    stream: BoardStream,
+    stream: Mcu7Stream,
     identity: BoardIdentity,
     board: EmulatedBoard,
     truths: Receiver<(u64, Truth)>,
-    /// The truth received last, if it is of a frame yet to come.
+    /// Ground truth received last, if it belongs to a later frame.
     ahead: Option<(u64, Truth)>,
 }
 
-/// Tells the truth of each frame to whoever listens.
+/// Source that sends the ground truth of each frame to a channel.
 struct Tap {
     source: Box<dyn FrameSource>,
     truths: Sender<(u64, Truth)>,
@@ -35,31 +35,34 @@ impl FrameSource for Tap {
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
         let event = self.source.next_frame(frame)?;
         if let (SourceEvent::Frame, Some(truth)) = (event, frame.truth) {
-            // Nobody listens any more: then nobody misses it.
+            // A closed channel is no error: the client has ended.
             let _ = self.truths.send((frame.sequence, truth));
         }
         Ok(event)
     }
 }
 
-/// The emulated board or its client could not be started.
+/// Error of starting an emulated board and its client.
 #[derive(Debug, thiserror::Error)]
 pub enum EmulatedSourceError {
-    /// The emulator.
+    /// Error of the emulated board.
     #[error(transparent)]
     Emulator(#[from] EmulatorError),
-    /// The client.
+    /// Error of the client.
     #[error(transparent)]
     Board(#[from] BoardError),
 }
 
 impl EmulatedSource {
-    /// Starts an emulated board on the source and a client with the source's waveform.
+    /// Starts an emulated board on the source, and a client with the source's waveform.
+    ///
+    /// # Errors
+    /// [`EmulatedSourceError`] if the board or the client cannot be started.
     pub fn start(source: Box<dyn FrameSource>, options: EmulatorOptions) -> Result<Self, EmulatedSourceError> {
         let waveform = source.waveform().clone();
         let (sender, truths) = unbounded();
         let board = EmulatedBoard::spawn(Box::new(Tap { source, truths: sender }), options)?;
-        let client = Board::open_at(board.address())?;
+        let client = Mcu7Board::open_at(board.address())?;
         let identity = client.identity().clone();
         Ok(EmulatedSource { stream: client.start(&waveform)?, identity, board, truths, ahead: None })
     }
@@ -78,17 +81,17 @@ impl EmulatedSource {
         }
     }
 
-    /// The emulated board.
+    /// Returns the emulated board.
     pub fn board(&self) -> &EmulatedBoard {
         &self.board
     }
 
-    /// The client's side.
-    pub fn stream(&self) -> &BoardStream {
+    /// Returns the stream of the client.
+    pub fn stream(&self) -> &Mcu7Stream {
         &self.stream
     }
 
-    /// Who the emulated board says it is.
+    /// Returns the identity that the emulated board reports.
     pub fn identity(&self) -> &BoardIdentity {
         &self.identity
     }
@@ -100,11 +103,12 @@ impl FrameSource for EmulatedSource {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        // The board falls silent both when its source has ended and when the source is slow: only the former ends it.
+        // The board is silent both when its source has ended and when the source is slow: only the former ends the
+        // stream.
         loop {
             let is_over = self.board.finished() || self.board.is_over();
             let polled = self.stream.poll(frame, Duration::from_millis(50));
-            // A board whose source or line has failed falls silent, or breaks off: the first cause is its own.
+            // A board whose source or line has failed falls silent or disconnects: its own failure is the first cause.
             if polled.is_err()
                 && let Some(reason) = self.board.failure()
             {

@@ -1,9 +1,9 @@
-//! The chip's temperature sensor behind its slow ADC (SADC).
+//! Temperature sensor of the emulated chip behind its slow ADC (SADC).
 //!
 //! A code stands for a voltage, and the voltage for a temperature, by the formula that the vendor's library applies
-//! (hardware notes section 7): `V = code 1.21 V / 1023`, `T = (V - 0.78984 V) / 0.00286 V/C`, so that a code is 0.41 C.
-//! The temperature itself is made up: what the seed says of the board, a warm-up over some minutes, a slow sway, and
-//! noise below a code.
+//!: `V = code 1.21 V / 1023`, `T = (V - 0.78984 V) / 0.00286 V/C`, so that a code is 0.41 C.
+//! The temperature is synthetic: an offset by the seed, a warm-up over some minutes, a slow drift, and noise below a
+//! code.
 
 use std::f64::consts::TAU;
 use std::time::Instant;
@@ -12,7 +12,7 @@ const REFERENCE_V: f64 = 1.21;
 const LARGEST_CODE: f64 = 1023.0;
 const OFFSET_V: f64 = 0.789_84;
 const SLOPE_V_PER_C: f64 = 0.002_86;
-/// Temperature rise of a powered board, and its time constant.
+/// Temperature rise of a powered board, degrees Celsius, and its time constant.
 const WARM_UP_C: f64 = 3.0;
 const WARM_UP_S: f64 = 120.0;
 const SWAY_C: f64 = 0.5;
@@ -22,7 +22,7 @@ const NOISE_C: f64 = 0.4;
 
 pub(super) struct Thermometer {
     seed: u64,
-    /// When the board was given power.
+    /// Time at which the board got power.
     began: Instant,
 }
 
@@ -31,7 +31,7 @@ impl Thermometer {
         Thermometer { seed, began: Instant::now() }
     }
 
-    /// Code of a conversion made now. Its number draws its noise.
+    /// Code of a conversion made now. The number of the conversion selects its noise.
     pub fn code(&self, conversion: u64) -> u32 {
         code(self.celsius(self.began.elapsed().as_secs_f64(), conversion))
     }

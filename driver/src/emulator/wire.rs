@@ -1,4 +1,4 @@
-//! What stands between a firmware and its host: the port, what waits to be sent, and what goes wrong there.
+//! Line between a firmware and its host: the port, the data to be sent, and the injected faults.
 
 use std::collections::VecDeque;
 use std::path::Path;
@@ -9,40 +9,41 @@ use std::time::{Duration, Instant};
 
 use super::port::{Place, Port, link, unlink};
 use super::{EmulatorOptions, Fault, Shared};
-use crate::usb::Setup;
+use crate::transport::usb::Setup;
 
 /// Longest time in which a stopping board completes the slice that it is sending.
 const FINISH: Duration = Duration::from_millis(500);
 /// Pieces of requests that are under way at once: a host that sends more has to wait.
 const MOST_UNDER_WAY: usize = 256;
 
-/// A board's program: it answers, and has data to send.
+/// Firmware of a board: it answers requests and sends data.
 pub(super) trait Firmware {
     /// Takes bytes of the host; the answers are appended to `out`.
     fn receive(&mut self, bytes: &[u8], out: &mut Vec<u8>);
-    /// Takes a control transfer of the host; the data of an IN transfer, or `None` to stall.
+    /// Takes a control transfer of the host; returns the data of an IN transfer, or `None` to stall.
     fn control(&mut self, _setup: &Setup, _data: &[u8]) -> Option<Vec<u8>> {
         None
     }
-    /// Sends the next data message, if one is due; whether there was anything to do.
+    /// Sends the next data message, if one is due; returns whether there was anything to do.
     fn next_message(&mut self, wire: &mut Wire) -> bool;
-    /// Lets the world go on while the host reads nothing.
+    /// Lets the chip keep sampling while the host reads nothing.
     fn advance(&mut self);
-    /// The board was without power: everything is as at first, but the world.
+    /// Resets the firmware after a loss of power; the source of samples goes on.
     fn power_up(&mut self);
-    /// Stops after the last client has left, perhaps in the middle of a request or of a stream, and waits for another.
+    /// Stops after the last client has left, perhaps within a request or a stream, and waits for another.
     fn abandon(&mut self);
-    /// Whether the data message that was sent last is to be followed by another for the host to make sense of it.
-    fn is_amid_data(&self) -> bool {
+    /// Returns whether the host needs another data message to interpret the last one.
+    fn is_within_data(&self) -> bool {
         false
     }
-    /// Whether it starts anew each time that a client opens the port, and sends nothing while none has.
+    /// Returns whether the firmware starts anew each time that a client opens the port, and sends nothing while none
+    /// has.
     fn restarts_when_opened(&self) -> bool {
         false
     }
 }
 
-/// The line to the host.
+/// Line to the host.
 pub(super) struct Wire {
     port: Port,
     place: Place,
@@ -51,10 +52,10 @@ pub(super) struct Wire {
     held: Vec<u8>,
     out: Vec<u8>,
     written: usize,
-    /// To be unplugged for so long.
+    /// Duration for which the board has to be unplugged.
     unplugged: Option<Duration>,
     has_client: bool,
-    /// The host takes nothing until then.
+    /// Time until which the host reads nothing.
     host_reads_from: Option<Instant>,
     /// Delay of the host's bytes to the firmware.
     latency: Duration,
@@ -63,19 +64,19 @@ pub(super) struct Wire {
     pub shared: Arc<Shared>,
 }
 
-/// What a fault asks of the firmware before a message.
+/// Action of the firmware before a message, by a fault.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Before {
-    /// The FIFO overflows instead.
+    /// The FIFO overflows instead of the message.
     Overflow,
     /// Nothing is sent until the host starts the board anew.
     Stall,
-    /// The counter jumps by so much.
+    /// The counter jumps by this number.
     Skip(u16),
 }
 
 impl Wire {
-    /// Plugs the board in.
+    /// Opens the line: plugs the board in.
     pub fn new(place: Place, options: &EmulatorOptions, shared: Arc<Shared>) -> std::io::Result<Self> {
         let wire = Wire {
             port: place.open()?,
@@ -102,7 +103,7 @@ impl Wire {
         }
     }
 
-    /// Removes the link, unless another's has taken its place.
+    /// Removes the link, unless another board's has replaced it.
     fn remove_link(&self) -> std::io::Result<()> {
         match &self.place {
             Place::Pseudoterminal { link: Some(path) } => unlink(self.port.path(), path),
@@ -110,7 +111,8 @@ impl Wire {
         }
     }
 
-    /// Number of the next message, and what happens before it. A board that is about to be unplugged does not send it.
+    /// Returns the number of the next message, and the actions before it. A board that is about to be unplugged does
+    /// not send it.
     pub fn next_number(&mut self) -> (u64, Vec<Before>) {
         let number = self.shared.packets.fetch_add(1, Ordering::Relaxed);
         let mut before = Vec::new();
@@ -132,17 +134,17 @@ impl Wire {
         (number, before)
     }
 
-    /// Sends a message as it is.
+    /// Sends a message without faults.
     pub fn send(&mut self, encode: impl FnOnce(&mut Vec<u8>)) {
         encode(&mut self.out);
     }
 
-    /// The board starts anew: nothing from before is sent any more.
-    pub fn forget_held(&mut self) {
+    /// Discards the held message when the board starts anew.
+    pub fn discard_held(&mut self) {
         self.held.clear();
     }
 
-    /// Sends the data message of this number, or what its faults leave of it.
+    /// Sends the data message of this number, changed by its faults.
     pub fn send_data(&mut self, number: u64, encode: impl FnOnce(&mut Vec<u8>)) {
         let start = self.out.len();
         encode(&mut self.out);
@@ -164,8 +166,8 @@ impl Wire {
         }
     }
 
-    /// Serves the host until the emulator is stopped. Between the bytes of a message nothing else is sent; between messages
-    /// requests are answered. Endpoints are apart: control transfers are answered whatever waits to be sent.
+    /// Serves the host until the emulator is stopped. Nothing is sent between the bytes of a message; requests are
+    /// answered between messages. On endpoints, control transfers are answered at any time.
     pub fn serve(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut buffer = [0; 4096];
         let watches_clients = firmware.restarts_when_opened();
@@ -179,7 +181,7 @@ impl Wire {
             if self.port.is_hung_up() {
                 self.unplug(Duration::ZERO, firmware)?;
             }
-            self.look_for_departure(firmware)?;
+            self.check_departure(firmware)?;
             if watches_clients {
                 let had_client = std::mem::replace(&mut self.has_client, self.port.has_client()?);
                 if !self.has_client {
@@ -235,7 +237,7 @@ impl Wire {
         self.finish(firmware)
     }
 
-    /// Gives the firmware what has arrived by now.
+    /// Gives the firmware the bytes that have arrived by now.
     fn deliver(&mut self, firmware: &mut dyn Firmware) {
         while self.until_delivery().is_zero() {
             let Some((_, bytes)) = self.under_way.pop_front() else { return };
@@ -248,8 +250,8 @@ impl Wire {
         self.under_way.front().map_or(Duration::MAX, |(due, _)| due.saturating_duration_since(Instant::now()))
     }
 
-    /// Looks whether the last client has gone. The board is as good as new for the next one then.
-    fn look_for_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
+    /// Checks whether the last client has left, and resets the board for the next one.
+    fn check_departure(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut received = Vec::new();
         if self.port.was_abandoned(&mut received)? {
             firmware.abandon();
@@ -261,21 +263,22 @@ impl Wire {
         Ok(())
     }
 
-    /// Lets a host that reads have the message that is under way, and those that belong to it.
+    /// Completes the current message, and those that belong to it, for a host that reads.
     fn finish(&mut self, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let end = Instant::now() + FINISH;
         while Instant::now() < end {
             if self.written >= self.out.len() {
                 self.out.clear();
                 self.written = 0;
-                if !firmware.is_amid_data() || !firmware.next_message(self) {
+                if !firmware.is_within_data() || !firmware.next_message(self) {
                     break;
                 }
             }
             self.port.wait(true, Duration::from_millis(10))?;
             self.written += self.port.write(self.out.get(self.written..).unwrap_or(&[]))?;
         }
-        // What it has not read when the line goes it does not get. The system may yet have more for it than it has handed over.
+        // The host loses data that it has not read when the line closes. The system may still hold more than it has
+        // handed over.
         let mut quiet = 0;
         while Instant::now() < end && quiet < 5 {
             quiet = if self.port.holds_unread() { 0 } else { quiet + 1 };
@@ -284,12 +287,12 @@ impl Wire {
         Ok(())
     }
 
-    /// The board goes, and comes back later at the same place: a terminal under another name.
+    /// Unplugs the board and plugs it in later at the same place: a terminal under another name.
     fn unplug(&mut self, duration: Duration, firmware: &mut dyn Firmware) -> std::io::Result<()> {
         let mut is_back = None;
         match &self.place {
             Place::Pseudoterminal { .. } => {
-                // Opened before the old one goes, so that it has another name.
+                // Opened before the old one is closed, so that it has another name.
                 is_back = Some(self.place.open()?);
                 self.remove_link()?;
             }
@@ -303,7 +306,7 @@ impl Wire {
             firmware.advance();
             is_stopped = self.shared.stop.load(Ordering::Acquire);
             if Instant::now() >= end && is_back.is_none() {
-                // The terminal of a gadget may be away for a while.
+                // The terminal of a gadget may be absent for a while.
                 is_back = self.place.open().ok();
             }
         }
@@ -323,7 +326,7 @@ impl Wire {
         self.forget();
     }
 
-    /// Throws away what is under way in either direction.
+    /// Discards the data under way in both directions.
     fn forget(&mut self) {
         self.out.clear();
         self.written = 0;
@@ -331,7 +334,7 @@ impl Wire {
         self.under_way.clear();
     }
 
-    /// Where the host finds the board.
+    /// Path for the host.
     pub fn path(&self) -> &Path {
         match &self.place {
             Place::Pseudoterminal { link: Some(link) } => link,
@@ -341,7 +344,7 @@ impl Wire {
 }
 
 impl Drop for Wire {
-    /// The terminal's name will be another's: nothing must lead there.
+    /// The terminal's name will be used again: no link must lead there.
     fn drop(&mut self) {
         if let Err(error) = self.remove_link() {
             tracing::warn!(%error, place = %self.place.description(), "the link could not be removed");

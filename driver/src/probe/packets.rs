@@ -1,4 +1,4 @@
-//! What carries packets to a probe and back: HID reports (CMSIS-DAP version 1) or bulk transfers (version 2).
+//! Transports of CMSIS-DAP packets: HID reports (version 1) or bulk transfers (version 2).
 
 use std::ffi::CString;
 use std::io;
@@ -11,12 +11,12 @@ use rusb::{Context, Device, DeviceHandle, Direction, TransferType, UsbContext};
 
 use crate::protocol::cmsis_dap::HID_PACKET;
 
-/// Longest that a probe takes to answer.
+/// Longest time that a probe takes to answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(1);
 const VENDOR_SPECIFIC: u8 = 0xFF;
 
 pub(crate) trait Packets {
-    /// Sends a packet and waits for the answer; its length, 0 if none came.
+    /// Sends a packet and waits for the answer; returns its length, 0 if none came.
     fn exchange(&mut self, packet: &[u8], answer: &mut [u8]) -> io::Result<usize>;
 }
 
@@ -30,7 +30,7 @@ impl Packets for HidDevice {
     }
 }
 
-/// A probe by its HID device node.
+/// Opens a probe by its HID device node.
 pub(super) fn hid(path: &Path) -> io::Result<Box<dyn Packets>> {
     use rustix::fs::{Access, access};
     access(path, Access::READ_OK | Access::WRITE_OK)?;
@@ -64,7 +64,7 @@ fn io_error(error: rusb::Error) -> io::Error {
     }
 }
 
-/// A probe by its bus and address there.
+/// Opens a probe by its bus and its address on it.
 pub(super) fn bulk(bus: u8, address: u8) -> io::Result<Box<dyn Packets>> {
     let open = || {
         let devices = Context::new()?.devices()?;
@@ -80,8 +80,8 @@ pub(super) fn bulk(bus: u8, address: u8) -> io::Result<Box<dyn Packets>> {
     Ok(Box::new(open().map_err(io_error)?))
 }
 
-/// The interface that calls itself CMSIS-DAP, and its first bulk endpoints to and from the probe: their order is specified,
-/// a third one is for trace.
+/// Finds the interface that is named CMSIS-DAP and its first bulk endpoints to and from the probe. Their order is
+/// specified; a third one is for trace.
 fn endpoints(device: &Device<Context>, handle: &DeviceHandle<Context>) -> rusb::Result<Option<(u8, u8, u8)>> {
     let configuration = device.active_config_descriptor()?;
     for setting in configuration.interfaces().flat_map(|interface| interface.descriptors()) {

@@ -1,9 +1,9 @@
-//! Lines of ESP32 firmware (nichonaugle/esp32-bgt60tr13c-driver): `Frame N: [a, b, ...]`, one radar frame a line, codes in
-//! decimal in FIFO order. No checksum: a digit that is changed into another is not noticed; a code beyond 12 bits, a line cut
-//! short and a wrong number of codes are. Other lines are the firmware's log.
+//! Lines of ESP32 firmware (nichonaugle/esp32-bgt60tr13c-driver): `Frame N: [a, b, ...]`, one radar frame a line, codes
+//! in decimal in FIFO order. No checksum: a digit that is changed into another is not noticed; a code beyond 12 bits, a
+//! line cut short and a wrong number of codes are. Other lines are the firmware's log.
 //!
-//! Firmware may say what it measures, at its start and now and then: `Waveform: {...}`, a
-//! [`WaveformRequest`] in JSON. The vendor of that driver knows no such line; a client that never hears it must be told.
+//! Firmware may state its waveform at its start and from time to time: `Waveform: {...}`, a [`WaveformRequest`] in
+//! JSON. The driver named above does not send this line; its clients must be given the waveform.
 
 use radome_dsp::{MAX_CODE, WaveformRequest};
 use thiserror::Error;
@@ -12,58 +12,58 @@ use thiserror::Error;
 const BYTES_PER_CODE: usize = 6;
 const PREFIX: &[u8] = b"Frame ";
 const WAVEFORM_PREFIX: &[u8] = b"Waveform: ";
-/// Room for lines that are no frames.
+/// Longest line that is not a frame.
 const LONGEST_TALK: usize = 1024;
 
-/// What a line says.
+/// Parsed line.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Line<'a> {
-    /// A frame by the firmware's number; codes in FIFO order.
+    /// Frame with the firmware's number.
     Frame {
-        /// Counts from the firmware's start.
+        /// Number of the frame since the firmware's start.
         number: u64,
-        /// 0..=4095.
+        /// Codes in FIFO order, 0..=4095.
         codes: &'a [u16],
     },
-    /// Talk of the firmware, or of its boot loader.
+    /// Log line of the firmware or of its boot loader.
     Log(&'a [u8]),
 }
 
-/// A line that begins like a frame and is none.
+/// Error of a line that begins like a frame but is not one.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum LineError {
-    /// Something else stands where the number, a bracket or a code should.
+    /// An unexpected character in place of the number, a bracket or a code.
     #[error("frame line: unexpected byte {byte:#04x} at column {column}")]
     Syntax {
-        /// From 1.
+        /// Column of the character, from 1.
         column: usize,
-        /// What stands there; 0 at the end of the line.
+        /// The character; 0 at the end of the line.
         byte: u8,
     },
-    /// A code has more than 12 bits.
+    /// Code of more than 12 bits.
     #[error("frame {number}: code {index} is beyond 4095")]
     Code {
-        /// The frame.
+        /// Number of the frame.
         number: u64,
-        /// From 0.
+        /// Index of the code in the frame, from 0.
         index: usize,
     },
-    /// The frame is not as long as the waveform says.
+    /// Frame of another length than the waveform's.
     #[error(
         "frame {number}: {got} codes, expected {expected}\n\nhint: name the waveform that the firmware is built for"
     )]
     Length {
-        /// The frame.
+        /// Number of the frame.
         number: u64,
         /// Codes in the line.
         got: usize,
         /// Codes of a frame.
         expected: usize,
     },
-    /// The line goes on for longer than any frame.
+    /// Line longer than any frame.
     #[error("a line of more than {limit} bytes; skipped to the next")]
     TooLong {
-        /// Bytes.
+        /// Longest line, bytes.
         limit: usize,
     },
 }
@@ -82,7 +82,7 @@ pub fn encode(number: u64, codes: &[u16], line: &mut Vec<u8>) {
     line.extend_from_slice(b"]\n");
 }
 
-/// Appends the line that says what the frames are; a request is always representable in JSON.
+/// Appends the line that states the waveform; a request is always representable in JSON.
 pub fn encode_waveform(request: &WaveformRequest, line: &mut Vec<u8>) {
     if let Ok(json) = serde_json::to_vec(request) {
         line.extend_from_slice(WAVEFORM_PREFIX);
@@ -91,21 +91,24 @@ pub fn encode_waveform(request: &WaveformRequest, line: &mut Vec<u8>) {
     }
 }
 
-/// What a whole line, without its end, says of the waveform.
+/// Decodes the waveform from a whole line without its end; `None` if the line does not state one.
+///
+/// # Errors
+/// The JSON text is not a [`WaveformRequest`].
 pub fn decode_waveform(line: &[u8]) -> Option<Result<WaveformRequest, serde_json::Error>> {
     Some(serde_json::from_slice(line.strip_prefix(WAVEFORM_PREFIX)?))
 }
 
-/// Lines out of bytes as they come.
+/// Parser of lines from a stream of bytes.
 #[derive(Debug)]
 pub struct LineParser {
     codes_per_frame: usize,
-    /// Bytes beyond which a line is given up.
+    /// Length beyond which a line is given up, bytes.
     limit: usize,
     buffer: Vec<u8>,
-    /// Where the next line begins.
+    /// Offset of the next line.
     begin: usize,
-    /// Bytes from `begin` on that hold no end of line.
+    /// Number of bytes from `begin` on that hold no end of line.
     searched: usize,
     /// The rest of a line that is being skipped comes next.
     skipping: bool,
@@ -113,7 +116,7 @@ pub struct LineParser {
 }
 
 impl LineParser {
-    /// For frames of so many codes.
+    /// Creates a parser of frames of `codes_per_frame` codes.
     pub fn new(codes_per_frame: usize) -> Self {
         let limit = (codes_per_frame * BYTES_PER_CODE + 64).max(LONGEST_TALK);
         LineParser {
@@ -127,14 +130,17 @@ impl LineParser {
         }
     }
 
-    /// Takes bytes.
+    /// Adds received bytes.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.begin);
         self.begin = 0;
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next whole line, if there is one.
+    /// Returns the next whole line; `None` until more bytes come.
+    ///
+    /// # Errors
+    /// [`LineError`] for a line that begins like a frame but is not one.
     pub fn next_line(&mut self) -> Option<Result<Line<'_>, LineError>> {
         loop {
             let rest = self.buffer.get(self.begin + self.searched..).unwrap_or(&[]);

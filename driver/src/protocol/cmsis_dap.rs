@@ -1,7 +1,8 @@
-//! The commands of a CMSIS-DAP debug probe that identify it and reset its target (Arm's CMSIS-DAP specification, version 2).
+//! The commands of a CMSIS-DAP debug probe that identify it and reset its target (Arm's CMSIS-DAP specification,
+//! version 2).
 //!
-//! A command is one packet, its first byte says which; the answer begins with the same byte. Over HID a packet is a report,
-//! filled up with zeros; over bulk transfers it is a transfer.
+//! A command is one packet; its first byte is the code, and the answer begins with the same byte. Over HID a packet is
+//! a report, padded with zeros; over bulk transfers it is a transfer.
 
 use thiserror::Error;
 
@@ -12,7 +13,7 @@ pub const HID_PACKET: usize = 64;
 /// Longest packet: what a high-speed probe may send in one bulk transfer.
 pub const MAX_PACKET: usize = 512;
 
-/// What a probe can be asked about itself.
+/// Property of a probe that DAP_Info reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Info {
     /// Vendor's name.
@@ -21,16 +22,16 @@ pub enum Info {
     Product,
     /// Serial number.
     SerialNumber,
-    /// Version of the protocol, once the version of the firmware.
+    /// Version of the protocol; in early probes the version of the firmware.
     ProtocolVersion,
     /// Version of the product's firmware; probes from before protocol 2.1 have none.
     FirmwareVersion,
-    /// What it can do: bit 0 SWD, bit 1 JTAG.
+    /// Capabilities: bit 0 SWD, bit 1 JTAG.
     Capabilities,
 }
 
 impl Info {
-    /// All of them.
+    /// All properties.
     pub const ALL: [Info; 6] = [
         Info::Vendor,
         Info::Product,
@@ -52,7 +53,7 @@ impl Info {
     }
 }
 
-/// A command.
+/// Command of a host.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Command {
     /// DAP_Info.
@@ -61,9 +62,9 @@ pub enum Command {
     Connect,
     /// DAP_Disconnect.
     Disconnect,
-    /// DAP_ResetTarget: by what the probe knows of its target.
+    /// DAP_ResetTarget: runs the probe's own reset sequence for its target.
     ResetTarget,
-    /// DAP_SWJ_Pins: sets the selected pins and waits until they are as set, at most so long.
+    /// DAP_SWJ_Pins: sets the selected pins and waits until they have the levels, at most `wait_us`.
     Pins {
         /// Levels of the selected pins.
         output: u8,
@@ -79,7 +80,7 @@ const CONNECT: u8 = 0x02;
 const DISCONNECT: u8 = 0x03;
 const RESET_TARGET: u8 = 0x0A;
 const PINS: u8 = 0x10;
-/// What a probe answers to a command that it does not know.
+/// Code of the answer to an unknown command.
 pub const INVALID: u8 = 0xFF;
 const OK: u8 = 0;
 
@@ -103,16 +104,16 @@ pub enum Answer<'a> {
     Pins(u8),
 }
 
-/// An answer that is none to the command.
+/// Error of an answer that does not belong to the command.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// The probe does not know the command.
     #[error("CMSIS-DAP: the probe does not know command {command:#04x}")]
     Unknown {
-        /// The command.
+        /// Code of the command.
         command: u8,
     },
-    /// The answer is to something else.
+    /// The answer belongs to another command.
     #[error("CMSIS-DAP: an answer to command {got:#04x}, expected one to {expected:#04x}")]
     Other {
         /// Command that was answered.
@@ -123,9 +124,9 @@ pub enum AnswerError {
     /// The answer is too short.
     #[error("CMSIS-DAP: the answer to command {command:#04x} has {got} bytes, it lacks some")]
     Short {
-        /// The command.
+        /// Code of the command.
         command: u8,
-        /// Its length.
+        /// Length of the answer, bytes.
         got: usize,
     },
 }
@@ -156,7 +157,7 @@ impl Command {
         bytes
     }
 
-    /// From a packet, whatever follows it; `None` if it is none of these commands.
+    /// Decodes a packet and ignores what follows it; `None` if it is not one of these commands.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         match *bytes {
             [INFO, code, ..] => Info::ALL.into_iter().find(|info| info.code() == code).map(Command::Info),
@@ -170,10 +171,10 @@ impl Command {
         }
     }
 
-    /// The answer to this command, from a packet.
+    /// Decodes the answer to this command from a packet.
     ///
     /// # Errors
-    /// The packet is too short, or answers something else.
+    /// [`AnswerError`] if the packet is too short, or answers something else.
     pub fn answer(self, bytes: &[u8]) -> Result<Answer<'_>, AnswerError> {
         let command = self.code();
         let short = AnswerError::Short { command, got: bytes.len() };
@@ -198,7 +199,7 @@ impl Command {
 }
 
 impl Answer<'_> {
-    /// The packet. Info longer than a length says is the caller's fault and is cut.
+    /// Encodes the packet. Info of more than 255 bytes is cut.
     pub fn encode(&self) -> Vec<u8> {
         let status = |is_ok: bool| if is_ok { OK } else { INVALID };
         match self {

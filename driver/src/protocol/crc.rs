@@ -12,7 +12,7 @@ const fn shifted(mut crc: u16) -> u16 {
     crc
 }
 
-/// Entry `[n][byte]`: what a byte becomes when `n` zero bytes follow it.
+/// Entry `[n][byte]`: CRC of a byte that `n` zero bytes follow.
 static TABLES: [[u16; 256]; 8] = {
     let mut tables = [[0; 256]; 8];
     let mut i = 0;
@@ -39,7 +39,7 @@ pub fn crc16(bytes: &[u8]) -> u16 {
     rest.iter().fold(crc, |crc, &byte| (crc << 8) ^ at(0, (crc >> 8) as u8 ^ byte))
 }
 
-/// CRC of these bytes, bit by bit from the definition: what [`crc16`] is tested against.
+/// CRC of these bytes, bit by bit from the definition; the reference for [`crc16`].
 pub fn crc16_bitwise(bytes: &[u8]) -> u16 {
     bytes.iter().fold(INITIAL, |crc, &byte| shifted(crc ^ (u16::from(byte) << 8)))
 }

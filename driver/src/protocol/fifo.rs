@@ -3,7 +3,8 @@
 
 use radome_dsp::FrameShape;
 
-/// FIFO order to frame order. Codes that either slice lacks are left alone.
+/// Reorders codes from FIFO order to frame order `[rx][chirp][sample]`. Codes that either slice lacks are left as they
+/// are.
 pub fn deinterleave(fifo: &[u16], shape: FrameShape, codes: &mut [u16]) {
     let FrameShape { rx, chirps, samples } = shape;
     let plane = chirps * samples;
@@ -28,7 +29,8 @@ pub fn deinterleave(fifo: &[u16], shape: FrameShape, codes: &mut [u16]) {
     }
 }
 
-/// Frame order to FIFO order, appended; `channels` are the indices on the frame's first axis to take, in order.
+/// Appends codes in FIFO order from frame order; `channels` are the indices on the frame's first axis to take, in
+/// order.
 pub fn interleave(codes: &[u16], shape: FrameShape, channels: &[usize], fifo: &mut Vec<u16>) {
     let plane = shape.chirps * shape.samples;
     let start = fifo.len();
@@ -40,7 +42,7 @@ pub fn interleave(codes: &[u16], shape: FrameShape, channels: &[usize], fifo: &m
     }
 }
 
-/// Place in the FIFO stream of a frame's code, from the definition: what the fast routines are tested against.
+/// Index of a frame's code in FIFO order, from the definition; the reference for the fast routines.
 pub fn fifo_index(shape: FrameShape, rx: usize, chirp: usize, sample: usize) -> usize {
     (chirp * shape.samples + sample) * shape.rx + rx
 }

@@ -1,6 +1,6 @@
 //! Two 12-bit codes in three bytes, most significant nibble first: the chip's 24-bit FIFO word as it leaves the SPI.
 
-/// Bytes that a number of codes takes; an odd last code takes a whole triple.
+/// Number of bytes of packed codes; an odd last code takes a whole triple.
 pub const fn packed_length(codes: usize) -> usize {
     codes.div_ceil(2) * 3
 }
@@ -14,7 +14,7 @@ pub fn pack(codes: &[u16], out: &mut Vec<u8>) {
     }
 }
 
-/// Unpacks as many codes as `out` holds and `bytes` has whole pairs for, and says how many those were.
+/// Unpacks as many codes as `out` holds and `bytes` has whole pairs for; returns their number.
 pub fn unpack(bytes: &[u8], out: &mut [u16]) -> usize {
     let (triples, _) = bytes.as_chunks::<3>();
     let (pairs, _) = out.as_chunks_mut::<2>();
@@ -31,7 +31,7 @@ pub fn unpack(bytes: &[u8], out: &mut [u16]) -> usize {
     codes
 }
 
-/// One code by its index, nibble by nibble from the definition: what [`unpack`] is tested against.
+/// Returns one code by its index, nibble by nibble from the definition; the reference for [`unpack`].
 pub fn code_at(bytes: &[u8], index: usize) -> Option<u16> {
     let nibble = |n: usize| bytes.get(n / 2).map(|b| u16::from(if n.is_multiple_of(2) { b >> 4 } else { b & 15 }));
     Some(nibble(3 * index)? << 8 | nibble(3 * index + 1)? << 4 | nibble(3 * index + 2)?)

@@ -1,5 +1,5 @@
-//! The operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through these
-//! functions only, so that tests can fail, forget and tear each of them.
+//! The operations on files that a power cut can interrupt. Recordings, labels and outputs change on the disk through
+//! these functions only, so that tests can fail, forget and tear each of them.
 
 use std::fs::File;
 use std::io::{self, Seek, SeekFrom, Write};
@@ -33,8 +33,8 @@ pub(super) fn set_length(file: &File, path: &Path, length: u64) -> io::Result<()
     file.set_len(length)
 }
 
-/// Sets room on the disk aside, so that a full disk is found before anything is overwritten. File systems that cannot do this
-/// find it later.
+/// Reserves room on the disk, so that a full disk is detected before anything is overwritten. File systems that cannot
+/// reserve room detect it later.
 pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
     #[cfg(target_os = "linux")]
     match rustix::fs::fallocate(file, rustix::fs::FallocateFlags::KEEP_SIZE, at, bytes) {
@@ -45,7 +45,7 @@ pub(super) fn reserve(file: &File, at: u64, bytes: u64) -> io::Result<()> {
     Ok(())
 }
 
-/// Waits until all that was written to a file or folder is on the disk. A device or a pipe has nothing to wait for.
+/// Waits until all data written to a file or folder are on the disk. Returns at once for a device or a pipe.
 pub(super) fn sync(file: &File, path: &Path) -> io::Result<()> {
     let _ = path;
     let metadata = file.metadata()?;
@@ -69,7 +69,8 @@ fn folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Creates an empty file without a name, to write and to read, in the folder of `path`, or among the system's temporary files if
+/// Creates an empty file without a name, to write and to read, in the folder of `path`, or among the system's temporary
+/// files if
 /// `file`, which has that path, is a device or a pipe. It is gone when it is closed, and with its process.
 pub(super) fn unnamed(file: &File, path: &Path) -> io::Result<File> {
     if file.metadata()?.is_file() { tempfile::tempfile_in(folder(path)) } else { tempfile::tempfile() }
@@ -91,7 +92,7 @@ pub(super) fn rename_new(from: &Path, to: &Path) -> io::Result<()> {
         use rustix::fs::{CWD, RenameFlags, renameat_with};
         use rustix::io::Errno;
         match renameat_with(CWD, from, CWD, to, RenameFlags::NOREPLACE) {
-            // This file system cannot do both at once.
+            // The file system cannot rename without replacing in one step.
             Err(error) if error == Errno::INVAL || error == Errno::NOSYS || error == Errno::OPNOTSUPP => {}
             done => return Ok(done?),
         }

@@ -1,9 +1,9 @@
-//! The vendor's folder: `RadarIfxAvian_00/{radar.npy,config.json,meta.json,format.version}`, as Radar Fusion GUI and
+//! Vendor's folder: `RadarIfxAvian_00/{radar.npy,config.json,meta.json,format.version}`, as Radar Fusion GUI and
 //! ifxdaq write it. Older recorders call the band `lower_frequency_Hz` and `upper_frequency_Hz`, leave the filters out,
 //! write numbers as `60.5e9` and add time stamps and temperatures; all are read.
 //!
-//! `radar_timestamp.csv` holds the seconds at which each frame came, one a line: Unix time, or, as stamps before 1980 are
-//! taken, the board's own clock.
+//! `radar_timestamp.csv` holds the time of each frame in seconds, one per line: Unix time, or the board's own clock if the stamp
+//! is before 1980.
 
 mod writer;
 
@@ -14,18 +14,19 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Frame, FrameShape, FrameSource, MAX_CODE, SourceError, SourceEvent, Waveform};
 
 use super::vendor_config::read_waveform;
-use super::{Extent, Position, RecordingError, first_index, read_text, time_ns};
+use super::vendor_fields::read_text;
+use super::{Extent, Position, RecordingError, first_index, time_ns};
 
 pub use writer::InfineonWriter;
 
-/// Newest format that is known.
+/// Newest version of the format that is supported.
 const SUPPORTED_VERSION: &str = "1.0.0";
 /// Stamps from here on are Unix times: 1 January 1980, ns. A board's clock starts at zero.
 const FIRST_UNIX_NS: u64 = 315_532_800_000_000_000;
-/// Longest NPY header that makes sense.
+/// Longest NPY header that is accepted, bytes.
 const MAX_HEADER: u64 = 65_536;
 
-/// Reads the vendor's folder frame by frame.
+/// Reader of the vendor's folder, frame by frame.
 #[derive(Debug)]
 pub struct InfineonReader {
     folder: PathBuf,
@@ -35,7 +36,7 @@ pub struct InfineonReader {
     waveform: Waveform,
     frames: u64,
     next: u64,
-    /// Bytes of the file behind the header.
+    /// Number of bytes behind the header.
     available: u64,
     bytes: Vec<u8>,
     /// Time of each frame, ns: since 1970, or by the board's clock.
@@ -46,6 +47,10 @@ pub struct InfineonReader {
 
 impl InfineonReader {
     /// Opens a session's folder (its first radar is read) or a radar's own folder.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
+    /// it contradicts the data.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let folder = radar_folder(path)?;
         check_version(&folder.join("format.version"))?;
@@ -62,7 +67,7 @@ impl InfineonReader {
             let reason = format!("the array has shape {:?}, expected (frames, rx, chirps, samples)", header.shape);
             return Err(RecordingError::Corrupt { path: data, offset: 10, reason });
         };
-        // More than any waveform has is not this recording's, whatever the configuration says.
+        // A count beyond any waveform's cannot match the configuration.
         let count = |n: u64| usize::try_from(n).unwrap_or(usize::MAX);
         let of_data = FrameShape { rx: count(rx), chirps: count(chirps), samples: count(samples) };
         let waveform = read_waveform(&config, Some(of_data))?;
@@ -86,12 +91,12 @@ impl InfineonReader {
         })
     }
 
-    /// The radar's own folder.
+    /// Returns the radar's own folder.
     pub fn folder(&self) -> &Path {
         &self.folder
     }
 
-    /// Whole frames that are there; less than [`FrameSource::frame_count`] if the file was cut short.
+    /// Number of whole frames in the file; less than [`FrameSource::frame_count`] if the file was cut short.
     pub fn whole_frames(&self) -> u64 {
         (self.available / self.bytes.len().max(1) as u64).min(self.frames)
     }
@@ -106,7 +111,10 @@ impl InfineonReader {
         }
     }
 
-    /// Goes to a frame by its number; behind the last one, to the end.
+    /// Seeks a frame by its number; the end for a number behind the last one.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         self.next = sequence.min(self.frames);
         let offset = self.data_offset + self.next.min(self.whole_frames()) * self.bytes.len() as u64;
@@ -114,13 +122,19 @@ impl InfineonReader {
         Ok(())
     }
 
-    /// Goes to the first frame taken at or after this time from the start of the acquisition, s.
+    /// Seeks the first frame taken at or after this time from the start of the acquisition, s.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         let time_ns = time_ns(time_s);
         self.seek_frame(first_index(self.frames, |index| self.time_ns(index) >= time_ns))
     }
 
     /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         self.seek_frame(0)?;
         let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
@@ -182,12 +196,12 @@ impl FrameSource for InfineonReader {
     }
 }
 
-/// Time of a frame where nobody wrote it down: by the frame interval, ns.
+/// Time of a frame without a stamp, from the frame interval, ns.
 fn nominal_time_ns(waveform: &Waveform, index: u64) -> u64 {
     (index as f64 * waveform.frame_interval_s() * 1e9).round() as u64
 }
 
-/// The folder that holds `radar.npy`: the given one, or the first `RadarIfxAvian_NN` in it.
+/// Finds the folder that holds `radar.npy`: the given one, or the first `RadarIfxAvian_NN` in it.
 fn radar_folder(path: &Path) -> Result<PathBuf, RecordingError> {
     if path.join("radar.npy").exists() || path.join("config.json").exists() {
         return Ok(path.to_owned());
@@ -241,8 +255,7 @@ impl NpyHeader {
             return Err(corrupt(format!("the NPY header claims {length} bytes, expected at most {MAX_HEADER}")));
         }
         let io = |e: std::io::Error| corrupt(format!("the NPY header cannot be read: {e}"));
-        // The time that its parser takes doubles with each bracket within brackets: plain numbers need one dictionary and
-        // one tuple.
+        // The time of the parser doubles with each nested bracket: plain numbers need one dictionary and one tuple.
         let mut text = vec![c, d];
         file.by_ref().take(length.saturating_sub(already_read)).read_to_end(&mut text).map_err(io)?;
         let count = |bracket: u8| text.iter().filter(|b| **b == bracket).count();
@@ -264,7 +277,7 @@ impl NpyHeader {
     }
 }
 
-/// One time in seconds a line, as nanoseconds.
+/// Reads one time in seconds per line; returns nanoseconds.
 fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<u64>>, RecordingError> {
     let text = match read_text(path) {
         Ok(text) => text,
@@ -295,7 +308,7 @@ fn read_timestamps(path: &Path, expected: Option<u64>) -> Result<Option<Vec<u64>
     Ok(Some(stamps))
 }
 
-/// Decimal seconds as nanoseconds, exactly: an f64 resolves a Unix time to a quarter of a microsecond only.
+/// Parses decimal seconds to nanoseconds, exactly: an f64 resolves a Unix time to a quarter of a microsecond only.
 fn parse_time_ns(text: &str) -> Option<u64> {
     let (whole, fraction) = text.split_once('.').unwrap_or((text, ""));
     let digits = |s: &str| s.bytes().all(|b| b.is_ascii_digit());

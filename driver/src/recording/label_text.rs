@@ -1,8 +1,9 @@
-//! Spans of labels as text that other tools read: Audacity's label track and DEEPCRAFT Studio's `.label` file.
+//! Label spans in the text formats of other tools: Audacity's label track and DEEPCRAFT Studio's `.label` file.
 //!
-//! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a span, by
-//! start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end of a label are not
-//! part of it. Times are written to the nanosecond, the resolution of frames' clocks, and with six decimals at least.
+//! Audacity: `start TAB end TAB label`, seconds, no header. DEEPCRAFT: the header below, then one comma-separated row a
+//! span, by start and length; fields with a comma, a quote or a line's end are quoted (RFC 4180). Blanks at either end
+//! of a label are not part of it. Times are written to the nanosecond, the resolution of frames' clocks, and with six
+//! decimals at least.
 
 use thiserror::Error;
 
@@ -11,17 +12,18 @@ use super::mcap::LabelSpan;
 /// First line of a DEEPCRAFT file, to the letter.
 pub const DEEPCRAFT_HEADER: &str = "Time(Seconds),Length(Seconds),Label(string),Confidence(double),Comment(string)";
 
-/// A label file that cannot be read.
+/// Error of a label file.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error("line {line}: {what}")]
 pub struct LabelTextError {
-    /// From 1.
+    /// Number of the line, from 1.
     pub line: usize,
-    /// What is wrong with it.
+    /// Description of the error.
     pub what: String,
 }
 
-/// As an Audacity label track. Who, confidence and note have no place in it; line ends and tabs in labels become blanks.
+/// Formats an Audacity label track. It cannot hold author, confidence and note; line ends and tabs in labels become
+/// blanks.
 pub fn to_audacity(spans: &[LabelSpan]) -> String {
     let line = |span: &LabelSpan| {
         let label = span.label.replace(['\t', '\r', '\n'], " ");
@@ -30,10 +32,10 @@ pub fn to_audacity(spans: &[LabelSpan]) -> String {
     spans.iter().map(line).collect()
 }
 
-/// From an Audacity label track. Lines that begin with a backslash hold frequencies, and are passed over.
+/// Parses an Audacity label track. Lines that begin with a backslash hold frequencies and are skipped.
 ///
 /// # Errors
-/// A line without two times, or with times that are not finite or the wrong way round.
+/// [`LabelTextError`] for a line without two times, or with times that are not finite or reversed.
 pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
     let lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty() && !line.starts_with('\\'));
     lines
@@ -46,7 +48,7 @@ pub fn from_audacity(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
         .collect()
 }
 
-/// As a DEEPCRAFT `.label` file. Who said it has no place in it.
+/// Formats a DEEPCRAFT `.label` file. It cannot hold the author of a label.
 pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     let mut text = format!("{DEEPCRAFT_HEADER}\n");
     for span in spans {
@@ -57,10 +59,10 @@ pub fn to_deepcraft(spans: &[LabelSpan]) -> String {
     text
 }
 
-/// From a DEEPCRAFT `.label` file.
+/// Parses a DEEPCRAFT `.label` file.
 ///
 /// # Errors
-/// Another header, a row of other than five fields, a number that is none, or a negative length.
+/// [`LabelTextError`] for another header, a row of other than five fields, an invalid number, or a negative length.
 pub fn from_deepcraft(text: &str) -> Result<Vec<LabelSpan>, LabelTextError> {
     let fault = |line: usize, what: String| LabelTextError { line, what };
     let mut rows = rows(text.strip_prefix('\u{feff}').unwrap_or(text))?.into_iter();
@@ -113,7 +115,7 @@ fn quoted(field: &str) -> String {
     }
 }
 
-/// Rows of comma-separated fields with the line that each begins on, from 0.
+/// Splits comma-separated rows; each comes with the number of its first line, from 0.
 fn rows(text: &str) -> Result<Vec<(usize, Vec<String>)>, LabelTextError> {
     let (mut all, mut fields, mut field) = (Vec::new(), Vec::new(), String::new());
     let (mut line, mut first_line, mut in_quotes) = (0, 0, false);

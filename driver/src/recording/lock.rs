@@ -1,4 +1,4 @@
-//! One writer at a time for each file.
+//! Locks that give a file to one writer at a time.
 
 use std::fs::{File, TryLockError};
 use std::io;
@@ -7,15 +7,15 @@ use std::time::{Duration, Instant};
 
 use super::RecordingError;
 
-/// Between two attempts to lock.
+/// Time between two attempts to lock.
 const RETRY: Duration = Duration::from_millis(10);
 
-/// An open file that no other process, and no other part of this one, has locked.
+/// Open file that is locked against other processes and other parts of this one.
 #[derive(Debug)]
 pub(super) struct Locked(File);
 
 impl Locked {
-    /// The file.
+    /// Returns the file.
     pub fn file(&self) -> &File {
         &self.0
     }
@@ -28,12 +28,12 @@ impl Drop for Locked {
     }
 }
 
-/// Opens and locks the file of this name, and waits up to `patience` for another writer. The lock belongs to the file and not
-/// to its name: a file that was renamed or replaced before it was locked is opened again.
+/// Opens and locks the file of this name, and waits up to `patience` for another writer. The lock belongs to the file
+/// and not to its name: if the file was renamed or replaced before it was locked, the new one is opened.
 ///
 /// # Errors
-/// [`RecordingError::Locked`] if another writer has it for longer; an input/output error otherwise. A file system without locks
-/// goes without, with a warning.
+/// [`RecordingError::Locked`] if another writer holds the file for longer; [`RecordingError::Io`] otherwise. On a file
+/// system without locks a warning is logged instead.
 pub(super) fn lock(
     path: &Path,
     patience: Duration,
@@ -61,7 +61,7 @@ pub(super) fn lock(
     }
 }
 
-/// Whether a name still stands for an open file.
+/// Returns whether a name still stands for an open file.
 #[cfg(unix)]
 fn leads_to(path: &Path, file: &File) -> bool {
     use std::os::unix::fs::MetadataExt;

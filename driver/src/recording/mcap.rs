@@ -1,4 +1,4 @@
-//! The native recording: an MCAP file.
+//! Native recording: an MCAP file.
 //!
 //! | what | where | encoding |
 //! |---|---|---|
@@ -6,18 +6,19 @@
 //! | frames | channel `/radome/frames` | `radome.frame`, below |
 //! | gaps | channel `/radome/gaps` | JSON [`Gap`](radome_dsp::Gap) |
 //! | labels | channel `/radome/labels`; while they are edited `.NAME.labels` beside the file | JSON [`LabelSpan`], or a list of them that takes the place of all before it |
-//! | answers of a classifier, if one listened | channel `/radome/results`; [`Judge`] in the metadata | JSON [`FrameResult`] |
+//! | results of a classifier, if one ran | channel `/radome/results`; [`Judge`] in the metadata | JSON [`FrameResult`] |
 //!
 //! A frame, little-endian: `version u8 = 1 | flags u8 (1 truth, 2 temperature) | class u8 | transition u8 | rx u16 |
 //! chirps u16 | samples u16 | 0 u16 | sequence u64 | board time ns u64 | host time ns u64 | temperature i32
 //! (thousandths of a degree Celsius) | codes u16[rx][chirp][sample]`: 40 bytes and the codes.
 //!
 //! Messages are logged at the host's time, or at the board's where the host's is unknown (0: simulations). Chunks are
-//! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]), so that a
-//! recording can be read up to its last chunk whenever its writer dies. Results stand in chunks of their own, so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
+//! written as a whole every second of board time or 4 MB, every half second by a recorder that syncs ([`SyncOptions`]),
+//! so that a recording can be read up to its last chunk whenever its writer dies. Results stand in chunks of their own,
+//! so that they can be read without the frames. Nothing depends on the wall clock: the same frames give the same bytes.
 //!
-//! A recorder needs the same memory however long its recording is. The index of chunks, which the summary at the end of the file
-//! holds, is in a file without a name meanwhile, in the folder of the recording: some 90 bytes for each chunk.
+//! A recorder needs the same memory however long its recording is. The index of chunks, which the summary at the end of
+//! the file holds, is in a file without a name meanwhile, in the folder of the recording: some 90 bytes for each chunk.
 
 mod chunk_indexes;
 mod encode;
@@ -58,16 +59,16 @@ const LABELS: &str = "/radome/labels";
 const RESULTS: &str = "/radome/results";
 const FRAME_HEADER: usize = 40;
 
-/// What holds for the whole recording.
+/// Header of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordingHeader {
     /// Waveform of every frame.
     pub waveform: Waveform,
     /// The board, if one was there.
     pub board: Option<BoardIdentity>,
-    /// What its chip was programmed with; empty if there was none.
+    /// Registers of its chip; empty if there was none.
     pub registers: RegisterList,
-    /// Who judged the frames; with one, the recording has a channel for results.
+    /// Classifier of the frames; with one, the recording has a channel for results.
     pub judge: Option<Judge>,
 }
 
@@ -78,7 +79,7 @@ impl RecordingHeader {
     }
 }
 
-/// Someone's word on a stretch of time.
+/// Label of a span of time.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LabelSpan {
@@ -86,18 +87,18 @@ pub struct LabelSpan {
     pub start_s: f64,
     /// End, s.
     pub end_s: f64,
-    /// What is true of it: the name of an [`Occupancy`], or free text.
+    /// Name of an [`Occupancy`], or free text.
     pub label: String,
-    /// Who says so.
+    /// Author of the label.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
-    /// How sure, 0 to 1.
+    /// Confidence, 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confidence: Option<f64>,
-    /// When it was said, ns since 1970.
+    /// Time of labelling, ns since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub made_ns: Option<u64>,
-    /// What else there is to say.
+    /// Free note.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
@@ -175,7 +176,7 @@ fn decode_frame(bytes: &[u8], expected: FrameShape, frame: &mut Frame) -> Result
     Ok(())
 }
 
-/// Where a frame stands, without decoding it; `None` if it is shorter than a header.
+/// Reads the position of a frame without decoding it; `None` if it is shorter than a header.
 fn frame_position(bytes: &[u8]) -> Option<Position> {
     let header: &[u8; FRAME_HEADER] = bytes.first_chunk()?;
     let long = |i: usize| header.get(i..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b));

@@ -1,4 +1,4 @@
-//! An opened recording of any kind, with what a mere source of frames cannot do: seek, tell its labels.
+//! Recordings of any kind as one type, with seeking, labels and results.
 
 use std::fs::File;
 use std::io::Read;
@@ -11,7 +11,23 @@ use super::mcap::{LabelSpan, McapReader, RecordingHeader, Results};
 use super::text::TextReader;
 use super::{Extent, RecordingError};
 
-/// An opened recording.
+/// Open recording.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::recording::Recording;
+/// use radome_dsp::{Frame, FrameSource};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let mut recording = Recording::open(Path::new("night.mcap"))?;
+/// recording.seek_time_s(60.0)?;
+/// let mut frame = Frame::zeroed(recording.waveform().shape());
+/// recording.next_frame(&mut frame)?;
+/// println!("{} labels", recording.labels()?.len());
+/// # Ok(())
+/// # }
+/// ```
 #[derive(Debug)]
 pub enum Recording {
     /// The native MCAP file.
@@ -23,7 +39,10 @@ pub enum Recording {
 }
 
 impl Recording {
-    /// Opens a recording: what it is, its content says.
+    /// Opens a recording; its content decides the format.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the path cannot be read or is not a recording.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let metadata = std::fs::metadata(path).map_err(RecordingError::io(path, "cannot be opened"))?;
         if metadata.is_dir() {
@@ -40,7 +59,7 @@ impl Recording {
         Err(RecordingError::Unknown { path: path.to_owned() })
     }
 
-    /// What holds for the whole recording; the vendor's formats know the waveform alone.
+    /// Returns the header of the recording; in the vendor's formats it holds the waveform alone.
     pub fn header(&self) -> RecordingHeader {
         match self {
             Recording::Mcap(reader) => reader.header().clone(),
@@ -48,7 +67,10 @@ impl Recording {
         }
     }
 
-    /// All labels; the vendor's formats have none.
+    /// Reads all labels; the vendor's formats have none.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the labels cannot be read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
         match self {
             Recording::Mcap(reader) => reader.labels(),
@@ -56,7 +78,10 @@ impl Recording {
         }
     }
 
-    /// What was said about the frames; the vendor's formats cannot hold it.
+    /// Returns an iterator over the results of a classifier; `None` for the vendor's formats, which cannot hold them.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the file cannot be opened again.
     pub fn results(&self) -> Result<Option<Results>, RecordingError> {
         match self {
             Recording::Mcap(reader) => reader.results().map(Some),
@@ -64,9 +89,13 @@ impl Recording {
         }
     }
 
-    /// Goes to the first frame with this sequence number or a later one, without reading what lies between. What comes
-    /// next is what a reader from the start finds behind the last earlier frame, less the gaps that end before
-    /// `sequence`: a gap that the number falls into is reported. Numbers are taken to increase through the recording.
+    /// Seeks the first frame with this sequence number or a later one, without reading the frames between. The next
+    /// events are those that a reader from the start finds behind the last earlier frame, without the gaps that end
+    /// before `sequence`: a gap that contains the number is reported. Numbers are taken to increase through the
+    /// recording.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         match self {
             Recording::Mcap(reader) => reader.seek_frame(sequence),
@@ -75,9 +104,12 @@ impl Recording {
         }
     }
 
-    /// Goes to the first frame at or after this time on the frames' own clock (`Frame::time_ns`), s, without reading what
-    /// lies between. What comes next is what a reader from the start finds behind the last earlier frame: the gaps
-    /// before the frame too.
+    /// Seeks the first frame at or after this time on the frames' own clock (`Frame::time_ns`), s, without reading the
+    /// frames between. The next events are those that a reader from the start finds behind the last earlier frame, gaps
+    /// included.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         match self {
             Recording::Mcap(reader) => reader.seek_time_s(time_s),
@@ -86,8 +118,11 @@ impl Recording {
         }
     }
 
-    /// First and last frame that can be read, without reading what lies between; `None` if there is none. Reading then starts
-    /// anew.
+    /// Finds the first and the last readable frame, without reading the frames between; `None` if there is none. The
+    /// next frame read is then the first one.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         match self {
             Recording::Mcap(reader) => reader.extent(),
@@ -125,4 +160,16 @@ impl FrameSource for Recording {
             Recording::Text(reader) => reader.frame_count(),
         }
     }
+}
+
+/// Opens a recording of any kind as a source of frames.
+///
+/// # Errors
+/// [`RecordingError`] if the path cannot be read or is not a recording.
+pub fn open(path: &Path) -> Result<Box<dyn FrameSource>, RecordingError> {
+    Ok(match Recording::open(path)? {
+        Recording::Mcap(reader) => reader,
+        Recording::Infineon(reader) => reader,
+        Recording::Text(reader) => reader,
+    })
 }

@@ -1,4 +1,4 @@
-//! Outputs that appear whole or not at all.
+//! Outputs that appear complete or not at all.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -7,19 +7,28 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::lock::{Locked, lock};
-use super::{Existing, RecordingError, disk};
+use super::{RecordingError, disk};
 
-/// A file or folder under a temporary name beside its own, `.NAME.partial`: renamed when whole, removed if dropped before. It is
-/// locked, so that two writers never share one, and what a killed writer left is written over.
+/// Policy for an output whose file exists already.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Existing {
+    /// The file is kept: [`RecordingError::Occupied`].
+    Refuse,
+    /// The file is replaced once the output is complete.
+    Replace,
+}
+
+/// File or folder under a temporary name beside its own, `.NAME.partial`: renamed when complete, removed if dropped
+/// before. It is locked, so that two writers never share one. The remains of a killed writer are overwritten.
 #[derive(Debug)]
 pub struct Partial {
     partial: PathBuf,
     target: PathBuf,
     existing: Existing,
     has_name: bool,
-    /// The file or folder; folders have no lock where the system does not open them.
+    /// Lock of the file or folder; `None` for folders if the system does not open them.
     lock: Option<Locked>,
-    /// The file that will be replaced: nobody begins to write to it meanwhile.
+    /// Lock of the file that will be replaced, against other writers.
     _replaced: Option<Locked>,
 }
 
@@ -27,8 +36,8 @@ impl Partial {
     /// Starts a file.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another writer has
-    /// it or is about to make it, and an input/output error.
+    /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
+    /// writer has or creates it, and [`RecordingError::Io`].
     pub fn file(target: &Path, existing: Existing) -> Result<Self, RecordingError> {
         let partial = hidden(target, ".partial")?;
         let replaced = claim(target, existing)?;
@@ -55,7 +64,7 @@ impl Partial {
     /// Starts a folder. A folder of its name is replaced if it is empty.
     ///
     /// # Errors
-    /// [`RecordingError::Locked`] if another writer is about to make it, and an input/output error.
+    /// [`RecordingError::Locked`] if another writer creates it, and [`RecordingError::Io`].
     pub fn folder(target: &Path) -> Result<Self, RecordingError> {
         let partial = hidden(target, ".partial")?;
         match std::fs::create_dir(&partial) {
@@ -83,20 +92,20 @@ impl Partial {
         Ok(Partial { partial, target, existing, has_name: false, lock, _replaced: None })
     }
 
-    /// The name that the output will have.
+    /// Name that the output will have.
     pub fn target(&self) -> &Path {
         &self.target
     }
 
-    /// Where to write.
+    /// Temporary path to write to.
     pub fn path(&self) -> &Path {
         &self.partial
     }
 
-    /// The file, to be written from its start.
+    /// Opens the file, to be written from its start.
     ///
     /// # Errors
-    /// An input/output error.
+    /// [`RecordingError::Io`].
     pub fn open(&self) -> Result<File, RecordingError> {
         let locked = self.lock.as_ref().ok_or_else(|| io::Error::from(io::ErrorKind::IsADirectory));
         locked.and_then(|locked| locked.file().try_clone()).map_err(RecordingError::cannot_write(&self.target))
@@ -105,12 +114,13 @@ impl Partial {
     /// Gives the output its name, once it is on the disk. An existing folder is replaced only if it is empty.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if there is a file of that name by now which must not be replaced, and an input/output error.
+    /// [`RecordingError::Occupied`] if a file has taken the name meanwhile and must not be replaced, and
+    /// [`RecordingError::Io`].
     pub fn finish(self) -> Result<(), RecordingError> {
         self.publish().map(drop)
     }
 
-    /// Gives a file its name while it is still written to, and hands on its lock.
+    /// Gives a file its name while it is still written to, and returns its lock.
     pub(super) fn publish(mut self) -> Result<Option<Locked>, RecordingError> {
         let cannot = || RecordingError::cannot_write(&self.target);
         if let Some(lock) = &self.lock {
@@ -135,7 +145,7 @@ impl Partial {
 impl Drop for Partial {
     fn drop(&mut self) {
         if !self.has_name {
-            // Nobody misses what cannot be removed.
+            // A file that cannot be removed does no harm.
             let _ = match self.partial.is_dir() {
                 true => std::fs::remove_dir_all(&self.partial),
                 false => disk::remove(&self.partial),
@@ -144,7 +154,7 @@ impl Drop for Partial {
     }
 }
 
-/// `.NAME` and an ending, beside NAME.
+/// Returns the path `.NAME` with an ending, beside NAME.
 pub(super) fn hidden(target: &Path, ending: &str) -> Result<PathBuf, RecordingError> {
     let Some(name) = target.file_name() else {
         let source = io::Error::new(io::ErrorKind::InvalidInput, "the path names no file");
@@ -184,7 +194,7 @@ fn claim(target: &Path, existing: Existing) -> Result<Option<Locked>, RecordingE
     }
 }
 
-/// The same error about the output's own name.
+/// Returns a function that puts the output's own name into an error.
 fn about(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
     let path = target.to_owned();
     move |error| match error {
@@ -195,6 +205,15 @@ fn about(target: &Path) -> impl FnOnce(RecordingError) -> RecordingError {
         }
         other => other,
     }
+}
+
+/// Renames a file in the same file system, replaces a file of that name, and waits until the name is on the disk. The
+/// content of the file must be there already.
+///
+/// # Errors
+/// [`RecordingError::Io`].
+pub fn rename_synced(from: &Path, to: &Path) -> Result<(), RecordingError> {
+    disk::rename(from, to).and_then(|()| disk::sync_folder(to)).map_err(RecordingError::cannot_write(to))
 }
 
 #[cfg(test)]

@@ -1,76 +1,76 @@
-//! Whether spans of labels make sense together, and within their recording.
+//! Checks of label spans against each other and against their recording.
 
 use thiserror::Error;
 
 use super::mcap::LabelSpan;
 
-/// What times may be off because files hold six decimals, s: start and length are rounded each by itself.
+/// Tolerance of times in files with six decimals, s: start and length are rounded separately.
 pub const ROUNDING_S: f64 = 2e-6;
 
-/// Spans that cannot be meant.
+/// Error of inconsistent spans.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum SpanError {
-    /// A time is no number.
+    /// A time is not a finite number.
     #[error("the label '{label}' from {start_s} to {end_s} s: times must be finite")]
     NotFinite {
-        /// The label.
+        /// Text of the label.
         label: String,
-        /// Start, s.
+        /// Start of the span, s.
         start_s: f64,
-        /// End, s.
+        /// End of the span, s.
         end_s: f64,
     },
     /// The end comes before the start.
     #[error("the label '{label}' is reversed: it starts at {start_s} s and ends at {end_s} s")]
     Reversed {
-        /// The label.
+        /// Text of the label.
         label: String,
-        /// Start, s.
+        /// Start of the span, s.
         start_s: f64,
-        /// End, s.
+        /// End of the span, s.
         end_s: f64,
     },
-    /// Part of the span lies where there is no frame.
+    /// Part of the span lies outside the recording.
     #[error(
         "the label '{label}' from {start_s} to {end_s} s is out of range: the recording's frames are from {first_s} to {last_s} s"
     )]
     OutOfRange {
-        /// The label.
+        /// Text of the label.
         label: String,
-        /// Start, s.
+        /// Start of the span, s.
         start_s: f64,
-        /// End, s.
+        /// End of the span, s.
         end_s: f64,
         /// Start of the recording, s.
         first_s: f64,
-        /// Its end, s.
+        /// End of the recording, s.
         last_s: f64,
     },
-    /// Two classes at once.
+    /// Two spans of different classes overlap.
     #[error(
         "the labels '{first}' ({first_start_s} to {first_end_s} s) and '{second}' ({second_start_s} to {second_end_s} s) overlap"
     )]
     Overlap {
-        /// The earlier one.
+        /// Text of the earlier label.
         first: String,
         /// Its start, s.
         first_start_s: f64,
-        /// Its end, s.
+        /// End of the recording, s.
         first_end_s: f64,
-        /// The later one.
+        /// Text of the later label.
         second: String,
         /// Its start, s.
         second_start_s: f64,
-        /// Its end, s.
+        /// End of the recording, s.
         second_end_s: f64,
     },
 }
 
-/// Checks that spans run forwards, lie within `extent_s` where it is given, and that no two that name a class overlap:
-/// the room cannot be empty and hold somebody. Free text may lie over anything.
+/// Checks that spans run forwards, lie within `extent_s` if it is given, and that spans of two classes do not overlap.
+/// Free text may overlap anything.
 ///
 /// # Errors
-/// The first fault by time, with the labels that it is about.
+/// [`SpanError`] for the first inconsistency by time.
 pub fn check_spans(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<(), SpanError> {
     for span in spans {
         let (label, start_s, end_s) = (span.label.clone(), span.start_s, span.end_s);
@@ -88,7 +88,7 @@ pub fn check_spans(spans: &[LabelSpan], extent_s: Option<(f64, f64)>) -> Result<
     }
     let mut classes: Vec<&LabelSpan> = spans.iter().filter(|span| span.occupancy().is_some()).collect();
     classes.sort_by(|a, b| a.start_s.total_cmp(&b.start_s).then(a.end_s.total_cmp(&b.end_s)));
-    // The one that ends last of those before: a long span may cover several.
+    // The earlier span that ends last: a long span may cover several.
     let mut latest: Option<&LabelSpan> = None;
     for span in classes {
         if let Some(first) = latest.filter(|first| span.start_s < first.end_s - ROUNDING_S) {

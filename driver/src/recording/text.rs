@@ -1,8 +1,8 @@
-//! The text recording of the vendor's SDK application (`-r NAME`): one code a line, divided by 4095 and with six decimals,
-//! in the order receiver, chirp, sample; an empty line after each chirp. `NAME_config.json` beside it holds the waveform.
-//! It knows no times, numbers, gaps, labels or truth.
+//! Text recording of the vendor's SDK application (`-r NAME`): one code per line, divided by 4095 and with six
+//! decimals, in the order receiver, chirp, sample; an empty line after each chirp. `NAME_config.json` beside it holds
+//! the waveform. The format holds no times, numbers, gaps, labels or truth.
 //!
-//! Every value is as wide as every other, so that frames are found by offset.
+//! All values have the same width, so that frames are found by offset.
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -28,18 +28,18 @@ fn config_name(path: &Path) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// The configuration that belongs to a text recording: `NAME_config.json`, or the same without NAME's extension.
+/// Finds the configuration of a text recording: `NAME_config.json`, or the same without NAME's extension.
 pub(super) fn config_path(path: &Path) -> Option<PathBuf> {
     [config_name(path), config_name(&path.with_extension(""))].into_iter().find(|path| path.is_file())
 }
 
-/// Reads the vendor's text recording frame by frame.
+/// Reader of the vendor's text recording, frame by frame.
 #[derive(Debug)]
 pub struct TextReader {
     path: PathBuf,
     file: BufReader<File>,
     length: u64,
-    /// Characters of a line's end: 1, or 2 where the file has been on Windows.
+    /// Characters of a line's end: 1, or 2 in a file from Windows.
     line_end: usize,
     waveform: Waveform,
     next: u64,
@@ -47,7 +47,11 @@ pub struct TextReader {
 }
 
 impl TextReader {
-    /// Opens a text recording; its configuration lies beside it.
+    /// Opens a text recording and the configuration beside it.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if a file is absent or cannot be read, if the configuration does not state a waveform, or if
+    /// the text is not one of codes.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let config = config_path(path).ok_or_else(|| RecordingError::Missing { path: config_name(path) })?;
         let waveform = read_waveform(&config, None)?;
@@ -78,7 +82,10 @@ impl TextReader {
         self.length / self.frame_bytes().max(1) as u64
     }
 
-    /// Goes to a frame by its number; behind the last one, to the end.
+    /// Seeks a frame by its number; the end for a number behind the last one.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         self.next = sequence.min(self.whole_frames());
         let offset = self.next * self.frame_bytes() as u64;
@@ -86,13 +93,19 @@ impl TextReader {
         Ok(())
     }
 
-    /// Goes to the first frame at or after this time by the frame interval, s.
+    /// Seeks the first frame at or after this time by the frame interval, s.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         let time_ns = time_ns(time_s);
         self.seek_frame(first_index(self.whole_frames(), |index| self.time_ns(index) >= time_ns))
     }
 
     /// First and last whole frame: see [`Recording::extent`](super::Recording::extent).
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         self.seek_frame(0)?;
         let at = |sequence| Position { sequence, time_ns: self.time_ns(sequence) };
@@ -116,7 +129,7 @@ impl TextReader {
             }
             return Ok(SourceEvent::End);
         }
-        // Only now: the configuration alone may claim anything.
+        // Allocated only after the file has confirmed the shape.
         self.bytes.resize(self.frame_bytes(), 0);
         self.file.read_exact(&mut self.bytes).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         frame.shape = self.waveform.shape();
@@ -166,12 +179,12 @@ impl FrameSource for TextReader {
     }
 }
 
-/// A code as text; millionths, rounded.
+/// Converts a code to millionths of full scale, rounded.
 fn millionths(code: u16) -> u32 {
     (u32::from(code) * SCALE + u32::from(MAX_CODE) / 2) / u32::from(MAX_CODE)
 }
 
-/// The code that a value stands for. Single precision may have rounded the last decimal either way.
+/// Parses the code of a value. Single precision may have rounded the last decimal either way.
 fn parse_code(text: &[u8]) -> Option<u16> {
     let [whole @ b'0'..=b'1', b'.', decimals @ ..] = text else { return None };
     if decimals.len() != 6 || !decimals.iter().all(u8::is_ascii_digit) {
@@ -183,8 +196,8 @@ fn parse_code(text: &[u8]) -> Option<u16> {
     (code <= MAX_CODE && millionths(code).abs_diff(value) <= 1).then_some(code)
 }
 
-/// Writes the vendor's text recording. It appears under its name when [`TextWriter::finish`] has made it whole, and not at
-/// all otherwise.
+/// Writer of the vendor's text recording. The file appears under its name when [`TextWriter::finish`] has completed it,
+/// and not at all otherwise.
 #[derive(Debug)]
 pub struct TextWriter {
     partial: Partial,
@@ -203,7 +216,8 @@ impl TextWriter {
     /// Starts a text file and its configuration.
     ///
     /// # Errors
-    /// One of them exists and must not be replaced, or has another writer, and an input/output error.
+    /// [`RecordingError::Occupied`] if one of them exists and must not be replaced, [`RecordingError::Locked`] if one
+    /// has another writer, and [`RecordingError::Io`].
     pub fn create(path: &Path, header: &RecordingHeader, existing: Existing) -> Result<Self, RecordingError> {
         let partial = Partial::file(path, existing)?;
         let partial_config = Partial::file(&config_name(path), existing)?;
@@ -232,6 +246,10 @@ impl TextWriter {
     }
 
     /// Adds a frame.
+    ///
+    /// # Errors
+    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
+    /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         self.tally.frame(&self.path, self.header.waveform.shape(), frame)?;
         self.timed |= frame.host_time_ns > 0
@@ -246,40 +264,43 @@ impl TextWriter {
         Ok(())
     }
 
-    /// Takes note of a gap, which the format cannot hold.
+    /// Counts a gap, which the format cannot hold.
     pub fn gap(&mut self, gap: &Gap) {
         self.tally.gap(gap);
     }
 
-    /// Takes note of a label, which the format cannot hold.
+    /// Counts a label, which the format cannot hold.
     pub fn label(&mut self, _: &LabelSpan) {
         self.tally.labels += 1;
     }
 
-    /// Takes note of a result, which the format cannot hold.
+    /// Counts a result, which the format cannot hold.
     pub fn result(&mut self, _: &FrameResult) {
         self.tally.results += 1;
     }
 
-    /// Completes the file and its configuration.
+    /// Completes the file and its configuration and gives them their names.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken a name meanwhile.
     pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
         let cannot = || RecordingError::cannot_write(&self.path);
         self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
-        let mut unheld = self.tally.unheld();
+        let mut omitted = self.tally.omitted();
         if self.timed {
-            unheld.push("the times of the frames".into());
+            omitted.push("the times of the frames".into());
         }
         if self.temperatures {
-            unheld.push("temperatures".into());
+            omitted.push("temperatures".into());
         }
         if !self.header.registers.is_empty() {
-            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+            omitted.push(format!("{} registers of the chip", self.header.registers.len()));
         }
         // The samples last: without them there is no recording.
         self.partial_config.finish()?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
     }
 }
 

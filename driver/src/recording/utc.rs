@@ -14,13 +14,13 @@ fn civil(unix_s: u64) -> [u64; 6] {
     [year, month, day, second / 3600, second / 60 % 60, second % 60]
 }
 
-/// As in a JSON file of the vendor: `2026-11-22T21:22:00+0000`.
+/// Formats a time as in JSON files of the vendor: `2026-11-22T21:22:00+0000`.
 pub(super) fn iso_8601(unix_s: u64) -> String {
     let [year, month, day, hour, minute, second] = civil(unix_s);
     format!("{year:04}-{month:02}-{day:02}T{hour:02}:{minute:02}:{second:02}+0000")
 }
 
-/// As in the name of a file: `20261122T212200Z`. Names sort by time.
+/// Formats a time for the name of a file: `20261122T212200Z`. Names sort by time.
 pub fn file_stamp(unix_s: u64) -> String {
     let [year, month, day, hour, minute, second] = civil(unix_s);
     format!("{year:04}{month:02}{day:02}T{hour:02}{minute:02}{second:02}Z")

@@ -1,72 +1,19 @@
 //! `config.json` as the vendor's tools write it, beside folders and text files alike.
 //!
-//! Most state a waveform (`fmcw_single_shape`); some state what it is to achieve (`fmcw_scene`: [`super::vendor_scene`]).
+//! Most state a waveform (`fmcw_single_shape`); some state the metrics that it has to reach (`fmcw_scene`:
+//! [`super::vendor_scene`]).
 
 use std::io::Write;
 use std::path::Path;
 
-use radome_dsp::{FrameShape, RxMask, Waveform, WaveformRequest};
+use radome_dsp::{FrameShape, Waveform, WaveformRequest};
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use super::{RecordingError, read_text, vendor_scene};
+use super::vendor_fields::{Fields, read_text};
+use super::{RecordingError, vendor_scene};
 
-/// Fields of a configuration under their new and old names.
-pub(super) struct Fields<'a> {
-    pub(super) path: &'a Path,
-    pub(super) object: &'a Value,
-}
-
-impl Fields<'_> {
-    pub(super) fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
-        RecordingError::Field { path: self.path.to_owned(), field: field.to_owned(), reason: reason.into() }
-    }
-
-    pub(super) fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
-        match self.object.get(field) {
-            None | Some(Value::Null) => Ok(None),
-            // Some recorders write numbers as text.
-            Some(Value::String(text)) => match text.trim().parse() {
-                Ok(number) => Ok(Some(number)),
-                Err(_) => Err(self.error(field, format!("is \"{text}\", expected a number"))),
-            },
-            Some(value) => match value.as_f64() {
-                Some(number) => Ok(Some(number)),
-                None => Err(self.error(field, format!("is {value}, expected a number"))),
-            },
-        }
-    }
-
-    pub(super) fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
-        let value = match (self.optional(field)?, old) {
-            (None, Some(old)) => self.optional(old)?,
-            (value, _) => value,
-        };
-        value.ok_or_else(|| match old {
-            Some(old) => self.error(field, format!("is absent, and so is its old name `{old}`")),
-            None => self.error(field, "is absent"),
-        })
-    }
-
-    fn count(&self, field: &str) -> Result<usize, RecordingError> {
-        let number = self.number(field, None)?;
-        if number < 0.0 || number > f64::from(u32::MAX) || number.fract() != 0.0 {
-            return Err(self.error(field, format!("is {number}, expected a whole number")));
-        }
-        Ok(number as usize)
-    }
-
-    pub(super) fn antennas(&self) -> Result<RxMask, RecordingError> {
-        let field = "rx_antennas";
-        let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
-        let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
-        let antennas: Option<Vec<u8>> = list.iter().map(|v| v.as_f64().map(|a| a as u8)).collect();
-        let antennas = antennas.ok_or_else(|| wrong(self))?;
-        RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
-    }
-}
-
-/// Reads a configuration; `data` is the shape of the frames beside it, where that is known.
+/// Reads a configuration; `data` is the shape of the frames beside it, if known.
 pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Waveform, RecordingError> {
     let text = read_text(path)?;
     let root: Value = serde_json::from_str(&text).map_err(|e| RecordingError::Corrupt {
@@ -103,12 +50,12 @@ pub(super) fn read_waveform(path: &Path, data: Option<FrameShape>) -> Result<Wav
     })
 }
 
-/// A number as the vendor writes it: without a fraction where it has none.
+/// Formats a number as the vendor does: without a fraction if it is whole.
 fn number(value: f64) -> Value {
     if value.fract() == 0.0 && value.abs() < 9e15 { json!(value as i64) } else { json!(value) }
 }
 
-/// The configuration of a recording with this waveform: what was asked for, so that reading it gives the same waveform.
+/// Writes the configuration of a recording: the request of the waveform, from which reading restores the same waveform.
 pub(super) fn write_waveform(waveform: &Waveform, path: &Path) -> Result<(), RecordingError> {
     let r = &waveform.request;
     write_json(
@@ -142,7 +89,7 @@ pub(super) fn write_json(path: &Path, value: &Value) -> Result<(), RecordingErro
     write_file(path, &bytes)
 }
 
-/// Writes a small file down to the disk.
+/// Writes a small file and waits until it is on the disk.
 pub(super) fn write_file(path: &Path, bytes: &[u8]) -> Result<(), RecordingError> {
     let write = || {
         let mut file = std::fs::File::create(path)?;

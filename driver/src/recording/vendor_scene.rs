@@ -1,25 +1,26 @@
-//! `fmcw_scene`: a configuration by what a waveform is to achieve, which the vendor's SDK turns into one.
+//! `fmcw_scene`: a configuration by metrics, from which the vendor's SDK derives a waveform.
 //!
-//! What the SDK makes of metrics: a bandwidth of `c / 2 range_resolution_m` about the centre, a chirp every
-//! `lambda / 4 max_speed_m_s`, `2 max_range_m / range_resolution_m` samples, `2 max_speed_m_s / speed_resolution_m_s` chirps;
-//! its recorder rounds both up to powers of two, other tools do not. The data beside the file say which it was. Sample rate and
-//! centre may be left to the SDK. All of that was derived then as it is now, and is nowhere written down: the reader says so.
+//! The SDK derives a bandwidth of `c / 2 range_resolution_m` about the centre, a chirp interval of `lambda / 4
+//! max_speed_m_s`,
+//! `2 max_range_m / range_resolution_m` samples and `2 max_speed_m_s / speed_resolution_m_s` chirps. Its recorder rounds both
+//! counts up to powers of two, other tools do not; the data beside the file tell which. Sample rate and centre may be
+//! left to the SDK. The file does not hold the derived values, so that the reader logs that they were derived again.
 
 use radome_dsp::{FrameShape, SPEED_OF_LIGHT_M_PER_S, WaveformRequest};
 
 use super::RecordingError;
-use super::vendor_config::Fields;
+use super::vendor_fields::Fields;
 
-/// ADC rate of the SDK's metrics where they state none.
+/// ADC rate of the SDK for metrics that state none, Hz.
 const SAMPLE_RATE_HZ: f64 = 1e6;
-/// The middle of the chip's band, 58 to 63.5 GHz: the SDK's centre where metrics state none.
+/// Centre frequency of the SDK for metrics that state none, Hz: the middle of the chip's band, 58 to 63.5 GHz.
 const CENTRE_HZ: f64 = 60.75e9;
 /// Filters that the SDK sets for metrics.
 const HIGH_PASS_HZ: f64 = 80e3;
 const ANTI_ALIAS_HZ: f64 = 500e3;
 
-/// The waveform that metrics ask for, with as many samples and chirps as the data have where rounding leaves it open. Data that
-/// no rounding explains have to be refused by their shape.
+/// Derives the waveform of metrics, with the numbers of samples and chirps of the data if rounding allows them. The
+/// caller has to refuse data that no rounding explains, by their shape.
 pub(super) fn request(fields: &Fields, data: Option<FrameShape>) -> Result<WaveformRequest, RecordingError> {
     let positive = |field: &str| -> Result<f64, RecordingError> {
         let value = fields.number(field, None)?;
@@ -68,9 +69,9 @@ pub(super) fn request(fields: &Fields, data: Option<FrameShape>) -> Result<Wavef
     Ok(request)
 }
 
-/// A number of samples or chirps that metrics make: the data's if some way of rounding gives it, otherwise the power of two.
+/// Derives a number of samples or chirps: the data's if some rounding gives it, otherwise the power of two.
 fn count(exact: f64, data: Option<usize>) -> usize {
-    // Beyond what any waveform has, which is refused as such.
+    // Limit beyond any waveform, which is refused later.
     let exact = exact.min(1e6);
     // 4.8 m over 0.15 m are 64 samples, not 65.
     let up = (exact - 1e-6).ceil().max(1.0) as usize;

@@ -1,14 +1,14 @@
-//! A new recording of any kind, and what its format could not hold.
+//! Writer of recordings of any kind.
 
 use std::path::Path;
 
-use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+use radome_dsp::{Frame, Gap};
 
 use super::infineon::InfineonWriter;
 use super::mcap::{FrameResult, LabelSpan, Recorder, RecordingHeader, remove_staged_labels};
 use super::partial::Partial;
 use super::text::TextWriter;
-use super::{Existing, RecordingError};
+use super::{Existing, RecordingError, WriteReport};
 
 /// Kinds of recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,7 +22,7 @@ pub enum Format {
 }
 
 impl Format {
-    /// The kind that an output's name asks for: `.mcap`, `.txt`, or a folder: one that exists, or a name without
+    /// Chooses the format by the name of an output: `.mcap`, `.txt`, or a folder: one that exists, or a name without
     /// extension or with a slash at its end.
     pub fn of_output(path: &Path) -> Option<Self> {
         let is_folder = path.is_dir() || path.as_os_str().to_string_lossy().ends_with('/');
@@ -36,94 +36,32 @@ impl Format {
     }
 }
 
-/// What has been written, and what the format has no place for.
-#[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct WriteReport {
-    /// Frames written.
-    pub frames: u64,
-    /// Gaps that were there, whether the format holds them or not.
-    pub gaps: u64,
-    /// Frames that the gaps are known to stand for.
-    pub frames_lost: u64,
-    /// Length of the file with the samples, bytes.
-    pub bytes: u64,
-    /// What the format could not hold, in words; empty if all is there.
-    pub unheld: Vec<String>,
-}
-
-/// Counts what passes a writer whose format holds frames alone.
-#[derive(Debug, Default)]
-pub(crate) struct Tally {
-    frames: u64,
-    gaps: u64,
-    frames_lost: u64,
-    truths: u64,
-    pub labels: u64,
-    pub results: u64,
-    renumbered: bool,
-}
-
-impl Tally {
-    /// Checks and counts a frame.
-    pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
-        if frame.shape != shape || frame.codes.len() != shape.codes() {
-            return Err(RecordingError::FrameShape {
-                path: path.to_owned(),
-                sequence: frame.sequence,
-                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
-                expected: shape.to_string(),
-            });
-        }
-        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
-            let (offset, code) = (self.frames * 2 * shape.codes() as u64, *code);
-            return Err(RecordingError::Code { path: path.to_owned(), offset, frame: frame.sequence, code });
-        }
-        self.renumbered |= frame.sequence != self.frames;
-        self.frames += 1;
-        self.truths += u64::from(frame.truth.is_some());
-        Ok(())
-    }
-
-    pub fn gap(&mut self, gap: &Gap) {
-        self.gaps += 1;
-        self.frames_lost = self.frames_lost.saturating_add(gap.frames);
-    }
-
-    /// What the vendor's formats have no place for.
-    pub fn unheld(&self) -> Vec<String> {
-        let mut unheld = Vec::new();
-        if self.gaps > 0 {
-            unheld.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
-        }
-        if self.renumbered {
-            unheld.push("the numbers of the frames (they count from 0 without gaps)".into());
-        }
-        if self.truths > 0 {
-            unheld.push(format!("the truth of {} frames", self.truths));
-        }
-        if self.labels > 0 {
-            unheld.push(format!("{} labels", self.labels));
-        }
-        if self.results > 0 {
-            unheld.push(format!("what was said about {} frames", self.results));
-        }
-        unheld
-    }
-
-    pub fn report(&self) -> WriteReport {
-        let Tally { frames, gaps, frames_lost, .. } = *self;
-        WriteReport { frames, gaps, frames_lost, bytes: 0, unheld: Vec::new() }
-    }
-}
-
 enum Writer {
     Mcap(Box<Recorder>, Partial),
     Infineon(Box<InfineonWriter>),
     Text(Box<TextWriter>),
 }
 
-/// Writes a recording of any kind. It appears under its name when [`RecordingWriter::finish`] has made it whole, and not
-/// at all otherwise.
+/// Writer of a recording of any kind. The recording appears under its name when [`RecordingWriter::finish`] has
+/// completed it, and not at all otherwise.
+///
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_driver::RecordingHeader;
+/// use radome_driver::recording::{Format, RecordingWriter};
+/// use radome_dsp::{Frame, Waveform, WaveformRequest};
+///
+/// # fn main() -> Result<(), Box<dyn std::error::Error + Send + Sync>> {
+/// let waveform = Waveform::realise(WaveformRequest::paper())?;
+/// let frame = Frame::zeroed(waveform.shape());
+/// let mut writer = RecordingWriter::create(Path::new("room.mcap"), Format::Mcap, &RecordingHeader::new(waveform))?;
+/// writer.frame(&frame)?;
+/// let report = writer.finish()?;
+/// assert_eq!(report.frames, 1);
+/// # Ok(())
+/// # }
+/// ```
 pub struct RecordingWriter {
     writer: Writer,
 }
@@ -137,11 +75,12 @@ impl RecordingWriter {
         Self::create_with(path, format, header, Existing::Replace)
     }
 
-    /// Starts a recording; `existing` says whether a file that exists may be replaced at the end. A folder must be empty.
+    /// Starts a recording; `existing` decides whether a file that exists is replaced at the end. A folder must be
+    /// empty.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if there is something of that name which must not be replaced, [`RecordingError::Locked`] if
-    /// another writer has it, and an input/output error.
+    /// [`RecordingError::Occupied`] if the name exists and must not be replaced, [`RecordingError::Locked`] if another
+    /// writer has it, and [`RecordingError::Io`].
     pub fn create_with(
         path: &Path,
         format: Format,
@@ -160,6 +99,10 @@ impl RecordingWriter {
     }
 
     /// Adds a frame.
+    ///
+    /// # Errors
+    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
+    /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.frame(frame),
@@ -169,6 +112,9 @@ impl RecordingWriter {
     }
 
     /// Adds a gap.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn gap(&mut self, gap: &Gap) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.gap(gap)?,
@@ -179,6 +125,9 @@ impl RecordingWriter {
     }
 
     /// Adds a label.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn label(&mut self, label: &LabelSpan) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.label(label)?,
@@ -188,7 +137,10 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Adds what was said about a frame; the header must name who said it.
+    /// Adds the result of a classifier for a frame; the header must name the classifier.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`].
     pub fn result(&mut self, result: &FrameResult) -> Result<(), RecordingError> {
         match &mut self.writer {
             Writer::Mcap(recorder, _) => recorder.result(result)?,
@@ -198,21 +150,22 @@ impl RecordingWriter {
         Ok(())
     }
 
-    /// Completes the recording and brings it to the disk.
+    /// Completes the recording and waits until it is on the disk.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if there is a file of that name by now which must not be replaced, and an input/output error.
+    /// [`RecordingError::Occupied`] if a file has taken the name meanwhile and must not be replaced, and
+    /// [`RecordingError::Io`].
     pub fn finish(self) -> Result<WriteReport, RecordingError> {
         match self.writer {
             Writer::Mcap(recorder, partial) => {
                 let path = partial.target().to_owned();
                 let summary = recorder.finish()?;
                 partial.finish()?;
-                // Those of a recording that had this name before.
+                // Labels of a recording that had this name before.
                 remove_staged_labels(&path)?;
                 let (frames, gaps, frames_lost, bytes) =
                     (summary.frames, summary.gaps, summary.frames_lost, summary.bytes);
-                Ok(WriteReport { frames, gaps, frames_lost, bytes, unheld: Vec::new() })
+                Ok(WriteReport { frames, gaps, frames_lost, bytes, omitted: Vec::new() })
             }
             Writer::Infineon(writer) => writer.finish(),
             Writer::Text(writer) => writer.finish(),

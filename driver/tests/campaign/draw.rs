@@ -1,9 +1,9 @@
-//! What is to go wrong: a draw of jobs, each one board with one kind of fault, as a function of the seed.
+//! Draw of jobs, each one board with one kind of fault, as a function of the seed.
 
 use std::time::Duration;
 
 use radome_driver::protocol::deepcraft::FIFO_LEVEL_CODES;
-use radome_driver::protocol::strata::{Framing, SliceLayout};
+use radome_driver::protocol::mcu7::{Framing, SliceLayout};
 use radome_driver::{Fault, Kind as Board};
 use radome_dsp::{RxMask, Waveform, WaveformRequest};
 
@@ -172,8 +172,8 @@ pub struct Job {
     pub frames: u64,
 }
 
-/// Receivers, chirps and samples: frames of one slice, of several, of a part of one, and with an odd number of codes, which
-/// share slices and bytes with their neighbours; the last one's slices end anywhere.
+/// Receivers, chirps and samples: frames of one slice, of several, of a part of one, and with an odd number of codes,
+/// which share slices and bytes with their neighbours; the last one's slices end anywhere.
 const SHAPES: [(&[u8], usize, usize); 9] = [
     (&[1], 1, 16),
     (&[2, 3], 4, 32),

@@ -1,10 +1,10 @@
-//! A campaign of faults against every kind of board: thousands of packets lost, doubled, cut, changed and out of order, boards
-//! that stall, vanish and overflow, hosts that sleep.
+//! A campaign of faults against every kind of board: thousands of packets lost, doubled, cut, changed and out of order,
+//! boards that stall, vanish and overflow, hosts that sleep.
 //!
-//! What holds for each frame that arrives: its samples are those of one frame of the source, later than the one before; on
-//! links without a check sum a changed digit of a sample is the one exception. What holds for the numbers: frames and gaps
-//! follow each other without hole or overlap, and a number less the source's own never changes, except where the board was
-//! away and the host's clock alone could count. And the stream goes on, each time.
+//! What holds for each frame that arrives: its samples are those of one frame of the source, later than the one before;
+//! on links without a check sum a changed digit of a sample is the one exception. What holds for the numbers: frames
+//! and gaps follow each other without hole or overlap, and a number less the source's own never changes, except where
+//! the board was away and the host's clock alone could count. And the stream goes on, each time.
 //!
 //! The long one: `tests/long faults`, with `RADOME_FAULTS` and `RADOME_SEED`.
 

@@ -1,10 +1,11 @@
-//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be checked.
+//! One board of the campaign: its frames are a function of seed and number, so that every sample that arrives can be
+//! checked.
 
 use std::time::{Duration, Instant};
 
 use radome_driver::{
-    Board, BoardError, BoardStream, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Fault, LineStream,
-    Pace, Reconnect,
+    BoardError, DeepcraftBoard, DeepcraftStream, EmulatedBoard, EmulatorOptions, Esp32Stream, Fault, Mcu7Board,
+    Mcu7Stream, Pace, Reconnect,
 };
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
@@ -51,7 +52,7 @@ impl FrameSource for Source {
     }
 }
 
-/// What came of a job.
+/// Result of a job.
 #[derive(Debug, Clone, Default)]
 pub struct Outcome {
     pub injected: u64,
@@ -63,13 +64,13 @@ pub struct Outcome {
     pub undetectable: u64,
     /// Faults after which nothing came any more.
     pub not_resumed: u64,
-    /// What should not be.
+    /// Violations.
     pub failures: Vec<String>,
 }
 
 enum Client {
-    Board(Box<BoardStream>),
-    Lines(Box<LineStream>),
+    Board(Box<Mcu7Stream>),
+    Lines(Box<Esp32Stream>),
     Deepcraft(Box<DeepcraftStream>),
 }
 
@@ -77,14 +78,16 @@ impl Client {
     fn open(job: &Job, board: &EmulatedBoard) -> Result<Self, BoardError> {
         Ok(match job.protocol {
             Protocol::Esp32 => {
-                let stream = LineStream::open(board.path(), Some(&job.waveform))?;
+                let stream = Esp32Stream::open(board.path(), Some(&job.waveform))?;
                 Client::Lines(Box::new(stream.with_reconnect(POLICY)))
             }
             Protocol::Deepcraft => {
                 let stream = DeepcraftBoard::open(board.path())?.start(&job.waveform)?;
                 Client::Deepcraft(Box::new(stream.with_reconnect(POLICY)))
             }
-            _ => Client::Board(Box::new(Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY))),
+            _ => Client::Board(Box::new(
+                Mcu7Board::open_at(board.address())?.start(&job.waveform)?.with_reconnect(POLICY),
+            )),
         })
     }
 
@@ -164,7 +167,7 @@ fn packet(fault: &Fault) -> u64 {
     }
 }
 
-/// What a client hands out, frame by frame.
+/// Events that a client hands out, frame by frame.
 struct Check<'a> {
     job: &'a Job,
     client: Client,

@@ -1,4 +1,4 @@
-//! What came of all faults: a table, and the same as JSON.
+//! Report of all faults: a table, and the same as JSON.
 
 use std::collections::BTreeMap;
 

@@ -1,5 +1,5 @@
-//! Golden files of every format that the crate writes, in `fixtures/formats`: today's reader finds in them what was written,
-//! today's writer makes the same bytes, and copies that are cut, damaged or newer are told from good ones.
+//! Golden files of every format that the crate writes, in `fixtures/formats`: today's reader finds in them what was
+//! written, today's writer makes the same bytes, and copies that are cut, damaged or newer are told from good ones.
 
 #[path = "../common/mod.rs"]
 mod common;
@@ -130,7 +130,7 @@ fn the_judged_recording_holds_what_it_held() {
     assert!(Recording::open(&golden("infineon")).expect("opens").results().expect("none").is_none());
 }
 
-/// Who reads a recording that was never finished finds the results of every chunk that is whole; so does who repairs it.
+/// Readers of an unfinished recording find the results of every complete chunk; so does a repair.
 #[test]
 fn results_of_an_unfinished_recording_are_found() {
     let folder = tempfile::tempdir().expect("folder");
@@ -149,7 +149,8 @@ fn results_of_an_unfinished_recording_are_found() {
     assert_eq!(results_of(&fixed), results());
 }
 
-/// What the vendor's formats hold of a frame: samples and, the folder, times and temperature; frames are counted anew.
+/// Part of a frame that the vendor's formats hold: samples and, the folder, times and temperature; frames are counted
+/// anew.
 fn without(mut frame: Frame, index: usize, keeps_times: bool) -> Frame {
     frame.sequence = index as u64;
     frame.truth = None;
@@ -197,7 +198,8 @@ fn label_files_hold_what_they_held() {
 mod hard_cases {
     use super::*;
 
-    /// A copy of the golden recordings, to be damaged: in memory where the system has such, for each is written to the disk.
+    /// A copy of the golden recordings, to be damaged: in memory where the system has such, for each is written to the
+    /// disk.
     fn copy() -> tempfile::TempDir {
         let memory = Path::new("/dev/shm");
         let parent = if memory.is_dir() { memory.to_owned() } else { std::env::temp_dir() };
@@ -228,8 +230,8 @@ mod hard_cases {
         ("sdk.txt", &["sdk.txt", "sdk.txt_config.json"]),
     ];
 
-    /// What a reader says of a recording: its frames, and the error if there is one. An error names a file of the recording
-    /// and a place in it: a byte, a field, or the two files that disagree.
+    /// What a reader says of a recording: its frames, and the error if there is one. An error names a file of the
+    /// recording and a place in it: a byte, a field, or the two files that disagree.
     fn said(folder: &Path, recording: &str) -> (Vec<Frame>, Option<String>) {
         let path = folder.join(recording);
         let (frames, error) = match Recording::open(&path) {
@@ -262,8 +264,8 @@ mod hard_cases {
                     std::fs::write(folder.path().join(file), &bytes[..cut]).expect("writes");
                     let (frames, error) = said(folder.path(), recording);
                     assert!(whole.starts_with(&frames), "{file} cut at {cut}");
-                    // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole frames, nothing
-                    // says. An MCAP file says that it was never finished.
+                    // Blanks at the end of a text are no loss. That the last time lacks decimals or a text whole
+                    // frames, nothing says. An MCAP file says that it was never finished.
                     let is_complete = match recording {
                         "recording.mcap" | "judged.mcap" => {
                             McapReader::open(&folder.path().join(file)).is_ok_and(|r| r.is_complete())

@@ -1,10 +1,10 @@
-//! What the golden files hold, and how they are made.
+//! Content of the golden files, and how they are made.
 
 use std::path::Path;
 
 use radome_driver::board::BoardIdentity;
 use radome_driver::chip::ChipConfiguration;
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataError, DataFormat, FirmwareVersion, Packet, PacketFlags,
     Protocol, Response, SpiWord, Status,
 };
@@ -80,7 +80,7 @@ pub fn judge() -> Judge {
     Judge { version: RESULTS_VERSION, model: "paper.safetensors".into(), model_hash, on_delay_s: 0.5, off_delay_s: 3.0 }
 }
 
-/// What was said about the frames: the first warmed up, the seventh came too late.
+/// Results of the frames: the first warmed up, the seventh came too late.
 pub fn results() -> Vec<FrameResult> {
     let judged = frames().into_iter().filter(|frame| frame.sequence != 7);
     let result = |frame: Frame| {
@@ -116,7 +116,7 @@ fn recording(path: &Path, format: Format, judge: Option<Judge>) {
     writer.finish().expect("finishes");
 }
 
-/// What the host may ask, in the order of a session.
+/// Requests of a host, in the order of a session.
 pub fn commands() -> Vec<Command> {
     vec![
         Command::BoardInfo,

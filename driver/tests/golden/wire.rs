@@ -1,7 +1,7 @@
 //! The bytes of each protocol: what they mean is written here, not computed.
 
 use radome_driver::protocol::ascii::{Line, LineParser, decode_waveform};
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardEvent, BoardInfo, BoardParser, Command, DataError, FirmwareVersion, HostEvent, HostParser, Protocol, Status,
 };
 
@@ -38,7 +38,7 @@ fn requests_mean_what_they_meant() {
             }
         }
     }
-    // As the vendor's client sends them (hardware notes, section 2.9).
+    // As the vendor's client sends them.
     let requests = messages("wire-mcu7-4.txt", "H");
     assert_eq!(requests[0], [0x43, 0x80, 0, 0, 0, 0, 0, 0, 0xA4, 0x62]);
     assert_eq!(requests[2], [0xC0, 0x80, 1, 0, 0, 0, 0x10, 0, 0xD7, 0x45]);

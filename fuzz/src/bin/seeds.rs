@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use radome_driver::protocol::ascii;
-use radome_driver::protocol::packed12::pack;
-use radome_driver::protocol::strata::{
+use radome_driver::protocol::mcu7::{
     BoardInfo, Command, DataFormat, FirmwareVersion, Packet, PacketFlags, Protocol, Response, SpiWord, Status,
 };
+use radome_driver::protocol::packed12::pack;
 use radome_driver::recording::label_text::{to_audacity, to_deepcraft};
 use radome_driver::recording::{Format, RecordingWriter};
 use radome_driver::{LabelSpan, RecordingHeader};
@@ -91,7 +91,7 @@ fn strata_board() -> Seeds {
 
 fn usb() -> Seeds {
     use radome_driver::protocol::cmsis_dap::{Answer, Command, Info};
-    use radome_driver::protocol::strata::{Framing, Packet, PacketFlags};
+    use radome_driver::protocol::mcu7::{Framing, Packet, PacketFlags};
     let mut stream = Vec::new();
     for counter in 0..4u16 {
         let flags = PacketFlags { first: true, last: true, timestamp: true, error: counter == 3 };

@@ -1,5 +1,5 @@
 use radome_driver::chip::{ChipConfiguration, RegisterValue};
-use radome_driver::protocol::strata::SliceLayout;
+use radome_driver::protocol::mcu7::SliceLayout;
 use radome_dsp::{Waveform, WaveformRequest};
 use serde::Serialize;
 

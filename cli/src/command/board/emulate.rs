@@ -3,8 +3,8 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use radome_driver::emulator::function_fs;
 use radome_driver::emulator::probe::EmulatedProbe;
-use radome_driver::usb::function_fs;
 use radome_driver::{EmulatedBoard, EmulatorOptions, Fault, Kind, Pace};
 use serde_json::json;
 

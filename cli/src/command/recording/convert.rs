@@ -103,7 +103,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     let report = writer.finish()?;
     bar.finish_and_clear();
-    for what in &report.unheld {
+    for what in &report.omitted {
         eprintln!("not held by this format: {what}");
     }
     if arguments.json {
@@ -113,7 +113,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             "gaps": report.gaps,
             "lost": report.frames_lost,
             "written": report.bytes,
-            "not_held": report.unheld,
+            "not_held": report.omitted,
         }));
     }
     output::text_line(&format!(

@@ -1,26 +1,26 @@
-//! What can go wrong with a DEEPCRAFT board beyond what can with any.
+//! Errors that only DEEPCRAFT boards have.
 
 use thiserror::Error;
 
 use crate::protocol::deepcraft::{CustomError, ErrorCode, PROTOCOL_VERSION, RING_CODES};
 
-/// What can go wrong with a DEEPCRAFT board beyond what can with any.
+/// Errors that only DEEPCRAFT boards have.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum DeepcraftError {
-    /// The board said no.
+    /// The board answered a request with an error.
     #[error("the board answered {code} to the request for {command}: {message}")]
     Refused {
-        /// Request.
+        /// Name of the request.
         command: &'static str,
-        /// Its answer.
+        /// Error code that it answered.
         code: ErrorCode,
-        /// What it says of it.
+        /// Text that it answered.
         message: String,
     },
-    /// The radar cannot be used as it is set.
+    /// The radar reports an error after configuration.
     #[error("the radar reports an error: {message}")]
     Device {
-        /// What it says.
+        /// Text of the error.
         message: String,
     },
     /// The firmware speaks another version.
@@ -43,10 +43,10 @@ pub enum DeepcraftError {
     /// The radar lacks an option, or an item of it.
     #[error("the radar has no {what}; is its firmware older than 1.2?")]
     NoOption {
-        /// What it lacks.
+        /// Name of the option or item.
         what: &'static str,
     },
-    /// The radar's stream is not what the waveform makes.
+    /// The radar's stream does not match the waveform.
     #[error("the radar's stream has {what} {got}, {expected} was asked for")]
     Stream {
         /// Quantity that differs.
@@ -64,13 +64,13 @@ pub enum DeepcraftError {
         /// Codes of a frame.
         codes: usize,
     },
-    /// The radar is set to something that is no waveform.
+    /// The custom data of the radar are not a waveform.
     #[error(transparent)]
     Custom(#[from] CustomError),
 }
 
 impl DeepcraftError {
-    /// Whether the board may be well again when its port is opened anew.
+    /// Returns whether opening the port again may remove the error.
     pub fn is_passing(&self) -> bool {
         matches!(self, DeepcraftError::Refused { .. } | DeepcraftError::Device { .. })
     }

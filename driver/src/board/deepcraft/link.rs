@@ -7,34 +7,35 @@ use std::time::{Duration, Instant};
 use prost::Message;
 use serialport::{SerialPort, TTYPort};
 
-use super::{BoardError, DeepcraftError};
-use crate::board::link::{open_port, read_within};
-use crate::board::wire;
+use super::error::DeepcraftError;
+use crate::board::BoardError;
 use crate::protocol::deepcraft::{
     ALL_DEVICES, Answer, CapabilitiesRequest, CapabilitiesResponse, Command, ConfigureResponse, ErrorCode,
     MAX_RESPONSE, MessageParser, Request, Response, StopRequest,
 };
+use crate::transport::serial::{open_port, read_within};
+use crate::transport::trace;
 
-/// Of no meaning on a CDC port.
+/// Baud rate of the port, which a CDC port ignores.
 const BAUD_RATE: u32 = 921_600;
 /// Bytes taken from the port at once.
 const BUFFER: usize = 65_536;
-/// Longest that a board takes to answer, by the number of the attempt to reach it.
+/// Longest time that a board takes to answer, for the first attempt to reach it and for later ones.
 const FIRST_ANSWER: Duration = Duration::from_millis(300);
 const ANSWER: Duration = Duration::from_secs(1);
 /// Attempts to reach a board.
 const ATTEMPTS: u32 = 3;
-/// A board that has been stopped says nothing after so long.
+/// Silence after which a stopped board sends nothing more.
 const DRAINED: Duration = Duration::from_millis(30);
-/// Longest that a board is drained: what the longest chunk takes, and what the host has not read yet. One that goes on and on
-/// is no board of this kind.
+/// Longest time for which a board is drained: the duration of the longest chunk and of the bytes that the host has not
+/// read. A device that sends for longer is not a board of this kind.
 const DRAIN_LIMIT: Duration = Duration::from_millis(500);
 const FIRST_DRAIN_LIMIT: Duration = Duration::from_millis(150);
-/// Empty requests that make up for the rest of one that the board may wait for. Somebody who takes the port for a modem
-/// (`AT`) has announced 65 bytes to the board.
+/// Empty requests that complete a request that the board may wait for. A program that takes the port for a modem (`AT`)
+/// has announced 65 bytes to the board.
 const UNBLOCK: [u8; 128] = [0; 128];
-/// Tags begin here: with a tag of four bytes a request for the capabilities has ten, and whatever firmware has a header of
-/// eight refuses it at once instead of waiting for more.
+/// First tag. With a tag of four bytes a request for the capabilities has ten bytes, which firmware with headers of
+/// eight bytes refuses at once instead of waiting for more.
 const FIRST_TAG: i32 = 1 << 24;
 
 /// [`Command::WatchdogReset`], written out: a running stream sends it without allocating.
@@ -49,7 +50,7 @@ pub(super) struct Link {
 
 impl Link {
     pub fn open(path: &Path) -> Result<Self, BoardError> {
-        let port = open_port(path, BAUD_RATE)?;
+        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
         Ok(Link { path: path.into(), port, buffer: vec![0; BUFFER], tag: FIRST_TAG })
     }
 
@@ -61,7 +62,7 @@ impl Link {
         BoardError::Deepcraft { path: self.path.clone(), source }
     }
 
-    /// Waits for bytes, at most so long; none if none came.
+    /// Reads bytes, waiting at most `timeout`; returns an empty slice if none came.
     pub fn receive(&mut self, timeout: Duration) -> Result<&[u8], BoardError> {
         match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
             Ok(0) => Err(self.lost(ErrorKind::UnexpectedEof.into())),
@@ -74,7 +75,7 @@ impl Link {
     }
 
     fn write(&mut self, bytes: &[u8], command: &'static str) -> Result<(), BoardError> {
-        wire::sent(bytes);
+        trace::sent(bytes);
         self.port.set_timeout(ANSWER).map_err(|e| self.lost(e.into()))?;
         self.port.write_all(bytes).map_err(|e| match e.kind() {
             ErrorKind::TimedOut => BoardError::NoAnswer { path: self.path.clone(), command },
@@ -95,7 +96,7 @@ impl Link {
         self.write(&WATCHDOG_RESET, "watchdog reset")
     }
 
-    /// Stops all devices and passes over what they have sent.
+    /// Stops all devices and discards the bytes that they have sent.
     pub fn stop(&mut self) -> Result<(), BoardError> {
         self.send(Command::Stop(StopRequest { device: ALL_DEVICES }))?;
         self.drain(DRAIN_LIMIT)
@@ -107,7 +108,7 @@ impl Link {
         Ok(())
     }
 
-    /// Asks the board what it has; whatever is on the line when it is opened is passed over.
+    /// Reads the capabilities of the board. Bytes that are on the line when it is opened are discarded.
     pub fn capabilities(&mut self) -> Result<CapabilitiesResponse, BoardError> {
         for attempt in 0..ATTEMPTS {
             if attempt > 0 {
@@ -131,8 +132,7 @@ impl Link {
         Err(BoardError::NoAnswer { path: self.path.clone(), command: "capabilities" })
     }
 
-    /// Stops the board and sets options. The answer is the first thing that counts: nothing of a former stream can follow
-    /// it.
+    /// Stops the board and sets options. Bytes before the answer belong to a former stream and are discarded.
     pub fn configure(&mut self, command: impl Fn(i32) -> Command) -> Result<ConfigureResponse, BoardError> {
         for _ in 0..ATTEMPTS {
             self.stop()?;
@@ -147,20 +147,20 @@ impl Link {
             match found {
                 Some(Ok(response)) => return Ok(response),
                 Some(Err(refused)) => return Err(self.wrong(refused)),
-                // The rest of a message stood before the answer, or the board was not silent yet.
+                // The rest of a message came before the answer, or the board was not silent yet.
                 None => {}
             }
         }
         Err(BoardError::NoAnswer { path: self.path.clone(), command: "configuration" })
     }
 
-    /// A tag that no request has had.
+    /// Returns a tag that no request has had.
     pub fn next_tag(&mut self) -> i32 {
         self.tag += 1;
         self.tag
     }
 
-    /// Waits for an answer that is accepted. `None` if it does not come, or if what comes is no message.
+    /// Waits for an answer that `accept` takes. `None` if none comes, or if the bytes are not a message.
     fn wait<T>(
         &mut self,
         timeout: Duration,
@@ -171,12 +171,12 @@ impl Link {
         loop {
             while let Some(message) = parser.next_message() {
                 let Some((message, response)) = message.ok().and_then(|m| Some((m, Response::decode(m).ok()?))) else {
-                    wire::damaged();
+                    trace::damaged();
                     return Ok(None);
                 };
                 match &response.answer {
-                    Some(Answer::Data(_)) => wire::measured(message.len()),
-                    _ => wire::received(message),
+                    Some(Answer::Data(_)) => trace::measured(message.len()),
+                    _ => trace::received(message),
                 }
                 if let Some(accepted) = response.answer.and_then(&mut accept) {
                     return Ok(Some(accepted));
@@ -191,7 +191,7 @@ impl Link {
     }
 }
 
-/// What a command is for, in words.
+/// Name of a command in messages.
 fn name(command: &Command) -> &'static str {
     match command {
         Command::Capabilities(_) => "capabilities",

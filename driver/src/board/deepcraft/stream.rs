@@ -1,69 +1,88 @@
-//! Frames as a DEEPCRAFT board sends them.
+//! Frame stream of a DEEPCRAFT board.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
 
-use super::order::Order;
-use super::{BoardError, DeepcraftBoard, DeepcraftError, Setting};
-use crate::board::reconnect::{Losses, Outage, Reconnect};
-use crate::board::wire;
+use super::board::{DeepcraftBoard, Setting};
+use super::error::DeepcraftError;
+use super::resequencer::Resequencer;
+use crate::board::BoardError;
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
 use crate::chip::RegisterList;
 use crate::protocol::deepcraft::{
-    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, StartRequest,
+    CapabilitiesRequest, ChunkEvent, ChunkLayout, ChunkParser, Command, ErrorCode, FIFO_LEVEL_CODES, RING_CODES,
+    StartRequest,
 };
+use crate::transport::trace;
 
 /// Silence at the end of a chunk that confirms it: packets of a message follow each other within a millisecond.
 const SILENCE: Duration = Duration::from_millis(5);
-/// After so long without a byte the rest of a message will not come. What comes later still is told from it by its form.
+/// Silence after which the rest of a message will not come. Later bytes are told from it by their form.
 const LONG_SILENCE: Duration = Duration::from_millis(500);
 
-/// Longest wait for a board to say how many frames it has dropped.
-const EXPLANATION: Duration = Duration::from_millis(300);
+/// Longest wait for the number of frames that the board has dropped.
+const DROPPED_COUNT_TIMEOUT: Duration = Duration::from_millis(300);
 
 /// A running acquisition. It ends with [`DeepcraftStream::stop`] or when dropped.
 ///
-/// A board with a watchdog stops by itself unless it hears from the host. It is told that the host is alive whenever the
-/// stream is polled and a third of the watchdog's time has passed; who does not poll for longer than that time finds the
-/// stream started anew, and what was not measured meanwhile as a gap.
+/// A board with a watchdog stops by itself unless it hears from the host. The stream resets the watchdog when it is
+/// polled and a third of the watchdog's time has passed. If it is not polled for longer than the whole time, the stream
+/// is started anew and reports a gap.
 ///
 /// When frame numbers jump, the board is asked how many frames it has dropped itself, so that the gap has its reason.
 pub struct DeepcraftStream {
     board: Option<DeepcraftBoard>,
     setting: Setting,
-    /// Place of the stream among those of the radar.
+    /// Index of the stream among those of the radar.
     stream_index: usize,
     parser: ChunkParser,
-    order: Order,
+    resequencer: Resequencer,
     /// Longest silence between two chunks.
     deadline: Duration,
     watchdog: Option<Duration>,
     watchdog_reset: Instant,
     restart: Option<GapReason>,
-    /// The board has been asked why frame numbers jumped, and may answer until then.
+    /// Deadline for the board's answer about dropped frames, while one is awaited.
     asked_until: Option<Instant>,
     path: PathBuf,
     uuid: String,
-    reconnect: Option<Reconnect>,
-    outage: Outage,
+    recovery: Recovery,
     last_byte: Instant,
-    /// When the last chunk came, or the stream began.
+    /// Time at which the last chunk came, or the stream began.
     last_chunk: Instant,
     losses: Losses,
 }
 
+impl DeepcraftBoard {
+    /// Configures the radar and starts frames. A waveform that equals a preset of the firmware selects that preset; any
+    /// other is sent as registers, and the stream's waveform then has the chirp interval that they realise.
+    ///
+    /// # Errors
+    /// [`DeepcraftError::Frame`] if the firmware cannot hold a frame, [`BoardError::Chip`] if the registers cannot hold
+    /// the waveform; else an error of the connection or of the board.
+    pub fn start(self, waveform: &Waveform) -> Result<DeepcraftStream, BoardError> {
+        let codes = waveform.shape().codes();
+        if codes > RING_CODES || !codes.is_multiple_of(2) {
+            return Err(self.link.wrong(DeepcraftError::Frame { codes }));
+        }
+        let setting = self.setting(waveform)?;
+        DeepcraftStream::start(self, setting)
+    }
+}
+
 impl DeepcraftStream {
-    pub(super) fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
+    fn start(mut board: DeepcraftBoard, setting: Setting) -> Result<Self, BoardError> {
         let shape = setting.waveform.shape();
         let stream = board.set(&setting)?;
         let layout = ChunkLayout { device: board.device, stream: stream.index, frame_codes: shape.codes() };
         let parser = ChunkParser::new(layout, stream.next_number);
-        // Small frames come together, when they fill what the firmware reads at once.
+        // Small frames come together when they fill one read of the firmware.
         let frames = FIFO_LEVEL_CODES.div_ceil(shape.codes().max(1)).max(1) as f64;
         let now = Instant::now();
         let mut stream = DeepcraftStream {
-            order: Order::new(&setting.waveform, stream.next_number),
+            resequencer: Resequencer::new(&setting.waveform, stream.next_number),
             stream_index: usize::try_from(stream.index).unwrap_or(0),
             parser,
             deadline: Duration::from_secs_f64(1.0 + 3.0 * frames * setting.waveform.frame_interval_s()),
@@ -74,8 +93,7 @@ impl DeepcraftStream {
             asked_until: None,
             path: board.link.path.clone(),
             uuid: board.identity.uuid.clone(),
-            reconnect: None,
-            outage: Outage::default(),
+            recovery: Recovery::default(),
             last_byte: now,
             last_chunk: now,
             losses: Losses::default(),
@@ -106,49 +124,34 @@ impl DeepcraftStream {
         self.begin()
     }
 
-    /// Lets the stream come back by itself after the board was unplugged or has stalled; [`FrameSource::next_frame`]
-    /// then waits for it, and what was lost meanwhile is a gap counted by the host's clock.
+    /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
+    /// for it. The frames lost meanwhile become a gap, counted by the host's clock.
     pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
-        self.reconnect = Some(policy);
+        self.recovery.policy = Some(policy);
         self
     }
 
-    /// Frames lost so far for this reason.
+    /// Number of frames lost so far for this reason.
     pub fn lost_frames(&self, reason: GapReason) -> u64 {
         self.losses.frames(reason)
     }
 
-    /// Registers that the board was given; none where it has them built in.
+    /// Register list that was sent to the board; empty for a preset of the firmware.
     pub fn registers(&self) -> &RegisterList {
         &self.setting.registers
     }
 
-    /// Opens the port again until the board answers and measures; gives the error that led here if it does not.
-    fn reopen(&mut self, policy: Reconnect, error: BoardError) -> Result<(), BoardError> {
-        // The old port must be closed before the new one can be had.
-        self.board = None;
-        self.restart = None;
-        policy.until_back(self.outage.noticed(self.last_chunk), error, || {
-            self.board = None;
-            let board = DeepcraftBoard::open(&self.path)?;
-            if board.identity.uuid != self.uuid {
-                let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
-                return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
-            }
-            self.board = Some(board);
-            self.begin_anew()?;
-            self.order.restart(GapReason::Disconnected);
-            Ok(())
-        })
-    }
-
-    /// The next frame or gap, or `None` if it is not there within `timeout`.
+    /// Reads the next frame or gap; `None` if none is there within `timeout`.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the connection breaks, the board reports an error or refuses to start again, or the stream was
+    /// stopped.
     pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
         let end = Instant::now() + timeout;
         let mut tried = false;
         loop {
             self.keep_alive()?;
-            self.hear_explanation();
+            self.take_dropped_count();
             if let Some(event) = self.pop(frame) {
                 match &event {
                     SourceEvent::Gap(gap) => self.losses.count(gap),
@@ -161,22 +164,22 @@ impl DeepcraftStream {
             }
             if let Some(reason) = self.restart.take() {
                 tracing::warn!(reason = reason.name(), "the board is started anew");
-                self.order.restart(reason);
+                self.resequencer.restart(reason);
                 self.begin_anew()?;
             }
-            // What has come is handed out before more is taken.
+            // Queued frames are handed out before the next chunk is parsed.
             let event = if self.asked_until.is_none() { self.parser.next_event() } else { None };
             match event {
                 Some(ChunkEvent::Frames { frame_number, frame_count, codes }) => {
-                    self.order.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
+                    self.resequencer.take(frame_number, frame_count, codes, self.last_chunk.elapsed());
                     self.last_chunk = Instant::now();
-                    if self.order.wants_to_know() {
+                    if self.resequencer.needs_reason() {
                         self.ask()?;
                     }
                     continue;
                 }
                 Some(ChunkEvent::Misnumbered) => {
-                    self.order.damaged();
+                    self.resequencer.damaged();
                     continue;
                 }
                 Some(ChunkEvent::Damaged) => {
@@ -200,41 +203,41 @@ impl DeepcraftStream {
     }
 
     fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
-        if self.asked_until.is_some() { None } else { self.order.pop(frame) }
+        if self.asked_until.is_some() { None } else { self.resequencer.pop(frame) }
     }
 
-    /// Asks how many frames the device has dropped.
+    /// Asks the device for the number of frames that it has dropped.
     fn ask(&mut self) -> Result<(), BoardError> {
         let board = self.board()?;
         let (device, tag) = (board.device, board.link.next_tag());
         board.link.send(Command::Capabilities(CapabilitiesRequest { device, tag }))?;
         self.parser.expect(tag);
-        self.asked_until = Some(Instant::now() + EXPLANATION);
+        self.asked_until = Some(Instant::now() + DROPPED_COUNT_TIMEOUT);
         Ok(())
     }
 
-    /// Takes the answer to that, or gives up waiting for it.
-    fn hear_explanation(&mut self) {
+    /// Takes the answer about dropped frames, or gives up after its deadline.
+    fn take_dropped_count(&mut self) {
         let Some(until) = self.asked_until else { return };
         if let Some(answer) = self.parser.expected() {
             let devices = answer.board.map_or(Vec::new(), |board| board.devices);
             let device = self.board.as_ref().map(|board| board.device);
             let radar = devices.iter().find(|d| Some(d.device_id) == device);
             let stream = radar.and_then(|d| d.streams.get(self.stream_index));
-            self.order.explain(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
+            self.resequencer.set_dropped(stream.and_then(|s| u64::try_from(s.frames_dropped).ok()).unwrap_or(0));
             self.asked_until = None;
         } else if Instant::now() >= until {
             self.asked_until = None;
         }
     }
 
-    /// Waits for bytes, at most so long, and notes silence.
+    /// Reads bytes, waiting at most `timeout`, and notes silence.
     fn receive(&mut self, timeout: Duration) -> Result<(), BoardError> {
         let longest = if self.parser.is_waiting() { SILENCE } else { Duration::from_millis(50) };
         let board = self.board.as_mut().ok_or(BoardError::Stopped)?;
         let bytes = board.link.receive(timeout.min(longest))?;
         if !bytes.is_empty() {
-            wire::measured(bytes.len());
+            trace::measured(bytes.len());
             self.last_byte = Instant::now();
             self.parser.push(bytes);
             return Ok(());
@@ -261,13 +264,10 @@ impl DeepcraftStream {
         Ok(())
     }
 
-    /// The next frame or gap, or an error after the deadline.
-    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
-        let waited = self.deadline;
-        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
-    }
-
-    /// Stops the acquisition and gives the board back.
+    /// Stops the acquisition and returns the board.
+    ///
+    /// # Errors
+    /// An error of the connection, or [`BoardError::Stopped`] if it has been stopped before.
     pub fn stop(mut self) -> Result<DeepcraftBoard, BoardError> {
         let mut board = self.board.take().ok_or(BoardError::Stopped)?;
         board.link.stop()?;
@@ -291,15 +291,40 @@ impl FrameSource for DeepcraftStream {
     }
 
     fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        loop {
-            let error = match self.wait(frame) {
-                Ok(event) => return Ok(event),
-                Err(error) => error,
-            };
-            match self.reconnect {
-                Some(policy) if error.is_passing() => self.reopen(policy, error)?,
-                _ => return Err(error.into()),
-            }
+        Ok(next_event(self, frame)?)
+    }
+}
+
+impl Reconnectable for DeepcraftStream {
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
+    fn close(&mut self) {
+        self.board = None;
+        self.restart = None;
+    }
+
+    fn reopen(&mut self) -> Result<(), BoardError> {
+        // A former attempt may have opened the port and failed later.
+        self.board = None;
+        let board = DeepcraftBoard::open(&self.path)?;
+        if board.identity.uuid != self.uuid {
+            let (expected, found) = (self.uuid.clone(), board.identity.uuid.clone());
+            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
         }
+        self.board = Some(board);
+        self.begin_anew()?;
+        self.resequencer.restart(GapReason::Disconnected);
+        Ok(())
+    }
+
+    fn last_frame(&self) -> Instant {
+        self.last_chunk
+    }
+
+    fn recovery(&mut self) -> &mut Recovery {
+        &mut self.recovery
     }
 }

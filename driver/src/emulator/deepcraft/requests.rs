@@ -1,12 +1,11 @@
-//! What the firmware answers: requests in, bytes out, and the state that the requests change.
+//! Requests to the emulated DEEPCRAFT firmware: requests in, answers out, and the state that they change.
 
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use prost::Message;
 use radome_dsp::Waveform;
 
-use super::{DEVICE, WATCHDOG_TIMEOUT_MS, watchdog};
 use crate::chip::{ChipConfiguration, RegisterList, address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{EmulatorError, Fault, Shared};
@@ -17,9 +16,19 @@ use crate::protocol::deepcraft::{
     Version, data_type, device_status, device_type, direction, stated_frequency_hz,
 };
 
+/// Time without a watchdog reset after which the firmware stops, ms.
+const WATCHDOG_TIMEOUT_MS: i32 = 3000;
+/// Id of the radar among the board's devices.
+pub(super) const DEVICE: i32 = 0;
+
+/// Time at which the watchdog stops the radar.
+fn watchdog() -> Instant {
+    Instant::now() + Duration::from_millis(WATCHDOG_TIMEOUT_MS as u64)
+}
+
 pub(super) struct Requests {
     parser: MessageParser,
-    /// Name of the device that ought to be the radar.
+    /// Name of the radar device; another one with a fault.
     name: String,
     protocol_major: u32,
     /// Options at power-up, and now: use case and custom data.
@@ -27,16 +36,16 @@ pub(super) struct Requests {
     use_case: i32,
     blob: Vec<u8>,
     waveform: Waveform,
-    /// What sets the chip to it.
+    /// Registers of that waveform.
     registers: RegisterList,
     pub chip: Chip,
-    /// While the radar is active: when the watchdog stops it.
+    /// Time at which the watchdog stops the radar; `None` while it is not active.
     pub active_until: Option<Instant>,
-    /// Counts starts: the sender begins afresh when it changes.
+    /// Number of starts: the sender discards its buffer when it changes.
     pub starts: u64,
     pub current_frame: u32,
     pub dropped: i32,
-    /// Why the radar cannot be used as it is set.
+    /// Reason for which the radar cannot be used as configured.
     refusal: Option<String>,
     shared: Arc<Shared>,
 }
@@ -76,7 +85,7 @@ impl Requests {
         Ok(requests)
     }
 
-    /// The board was without power: everything is as at first, but for the count of starts.
+    /// Resets everything after a loss of power but the number of starts.
     pub fn power_up(&mut self) {
         self.parser.clear();
         (self.use_case, self.blob) = self.power_up.clone();
@@ -85,7 +94,8 @@ impl Requests {
         self.chip.reset();
     }
 
-    /// The last client has gone: the watchdog would stop the radar soon, and half a request would keep the next one waiting.
+    /// Stops the radar after the last client has left, as the watchdog would soon, and discards half a request, which
+    /// would delay the next client.
     pub fn abandon(&mut self) {
         self.parser.clear();
         self.stop();
@@ -97,7 +107,7 @@ impl Requests {
         self.chip.write(address::MAIN, main_bits::FSM_RESET);
     }
 
-    /// Resets the chip, gives it its registers, with the level that the firmware reads at, and starts frames.
+    /// Resets the chip, writes its registers with the FIFO level of the firmware, and starts frames.
     pub fn start_chip(&mut self) {
         self.chip.write(address::MAIN, main_bits::SW_RESET);
         for register in &self.registers {
@@ -111,7 +121,7 @@ impl Requests {
         self.chip.write(address::MAIN, main | main_bits::FRAME_START);
     }
 
-    /// A request that is announced and does not come keeps the firmware waiting, as the real one.
+    /// Takes bytes of the host. Like the real firmware it waits for the rest of a request that was announced.
     pub fn receive(&mut self, bytes: &[u8], out: &mut Vec<u8>) {
         self.parser.push(bytes);
         loop {
@@ -238,7 +248,8 @@ impl Requests {
         }
     }
 
-    /// The chip would measure whatever it is told. A waveform that the source does not have is refused, loudly.
+    /// Configures the chip, which itself accepts any waveform. A waveform that the source does not have is refused with
+    /// an error.
     fn configure(&mut self) {
         (self.current_frame, self.dropped) = (0, 0);
         let checked = self.wanted().and_then(|(waveform, registers)| {
@@ -280,7 +291,7 @@ impl Requests {
                 dimension("Sample", shape.samples),
             ],
             frequency: stated_frequency_hz(&self.waveform),
-            // What the firmware states; its chunks hold as many as one read of the FIFO completes.
+            // The firmware states 1; its chunks hold as many frames as one read of the FIFO completes.
             max_frame_count: 1,
             unit: "???".into(),
             current_frame: self.current_frame as i32,

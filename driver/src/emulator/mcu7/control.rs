@@ -1,14 +1,14 @@
-//! Requests as control transfers, and what the firmware remembers between them.
+//! Requests as control transfers, and the state of the firmware between them.
 
 use super::firmware::Requests;
-use crate::protocol::strata::bulk::{Control, LastError, is_in};
-use crate::protocol::strata::{RequestKind, Status};
-use crate::usb::Setup;
+use crate::protocol::mcu7::bulk::{Control, LastError, is_in};
+use crate::protocol::mcu7::{RequestKind, Status};
+use crate::transport::usb::Setup;
 
-/// The control endpoint of firmware with bulk transfers.
+/// Control endpoint of firmware with bulk transfers.
 pub(super) struct ControlEndpoint {
     last: LastError,
-    /// Answer to the last *transfer*, until it is fetched.
+    /// Answer to the last *transfer* that has not been fetched.
     answer: Vec<u8>,
 }
 
@@ -19,8 +19,8 @@ impl Default for ControlEndpoint {
 }
 
 impl ControlEndpoint {
-    /// Serves a transfer; the data of an IN transfer, none of an OUT transfer, or `None` to stall. OUT transfers never stall:
-    /// their data have been acknowledged by the time the firmware sees them.
+    /// Serves a transfer; returns the data of an IN transfer, nothing for an OUT transfer, or `None` to stall. OUT
+    /// transfers never stall: their data have been acknowledged before the firmware gets them.
     pub fn transfer(&mut self, setup: &Setup, data: &[u8], requests: &mut Requests) -> Option<Vec<u8>> {
         let control = Control::decode(setup, data);
         let request = match control {

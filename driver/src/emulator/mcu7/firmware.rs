@@ -1,11 +1,11 @@
-//! What the MCU7 firmware answers: requests in, bytes out, and the state that the requests change.
+//! Requests to the emulated MCU7 firmware: requests in, answers out, and the state that they change.
 
 use std::sync::Arc;
 
 use crate::chip::{address, field, main_bits};
 use crate::emulator::chip::Chip;
 use crate::emulator::{Fault, Shared};
-use crate::protocol::strata::{
+use crate::protocol::mcu7::{
     BoardInfo, COMPONENT_AVIAN, COMPONENT_RADAR, Command, DataFormat, FirmwareVersion, Framing, HostEvent,
     IMPLEMENTATION_AVIAN, Protocol, Request, RequestKind, Response, SliceLayout, SpiWord, Status,
 };
@@ -29,10 +29,10 @@ pub(super) struct Requests {
     protocol_version: u16,
     slice: Option<SliceLayout>,
     data_started: bool,
-    /// Counts starts of data: the sender begins afresh when it changes.
+    /// Number of starts of data: the sender discards its buffer when it changes.
     pub starts: u64,
-    /// Whether it has been said that a client speaks the other version.
-    has_told: bool,
+    /// Whether the use of the other version by a client has been logged.
+    has_logged_version: bool,
     shared: Arc<Shared>,
 }
 
@@ -50,30 +50,30 @@ impl Requests {
             slice: None,
             data_started: false,
             starts: 0,
-            has_told: false,
+            has_logged_version: false,
             shared,
         }
     }
 
-    /// The board was without power: everything is as at first, but for the counts of starts.
+    /// Resets everything after a loss of power but the numbers of starts.
     pub fn power_up(&mut self) {
         self.chip.reset();
         self.slice = None;
         self.data_started = false;
     }
 
-    /// The last client has gone: nothing is measured for nobody. Registers and slice stay as they are.
+    /// Stops measuring after the last client has left. Registers and slice stay as they are.
     pub fn abandon(&mut self) {
         self.chip.halt();
         self.data_started = false;
     }
 
-    /// The slice while slices are to be sent.
+    /// Slice, while data run.
     pub fn streaming(&self) -> Option<SliceLayout> {
         self.slice.filter(|_| self.data_started && self.chip.frames().is_some())
     }
 
-    /// The firmware stops by itself after an overflow. The chip goes on measuring until it is reset.
+    /// Stops data after an overflow, as the firmware does by itself. The chip goes on measuring until it is reset.
     pub fn stop_by_itself(&mut self) {
         self.data_started = false;
     }
@@ -94,19 +94,19 @@ impl Requests {
         }
     }
 
-    /// Firmware of version 4 refuses the codes of version 3, and clients that know nothing else say no more than that they cannot
-    /// communicate.
+    /// Logs once that a client uses the other version: firmware of version 4 refuses the codes of version 3, and such
+    /// clients report no reason.
     fn notice_other_version(&mut self, kind_code: u8) {
         let is_former = RequestKind::from_code(kind_code).is_some_and(|(_, version)| version == Protocol::V3);
-        if self.protocol == Protocol::V4 && is_former && !self.has_told {
-            self.has_told = true;
+        if self.protocol == Protocol::V4 && is_former && !self.has_logged_version {
+            self.has_logged_version = true;
             tracing::warn!(
                 "a client speaks protocol 3, which firmware of protocol 4 refuses; radome emulate --protocol mcu7-3 is a board for it"
             );
         }
     }
 
-    /// The payload of the answer, or why there is none.
+    /// Computes the payload of the answer, or the error status.
     pub fn answer(&mut self, request: &Request) -> Result<Vec<u8>, Status> {
         Command::from_request(request).and_then(|command| self.run(&command))
     }
@@ -189,7 +189,7 @@ impl Requests {
         Ok(())
     }
 
-    /// A slice that would make the real firmware send garbage is refused, loudly, when frames are to start.
+    /// Refuses with an error to start frames with a slice for which the real firmware sends garbage.
     fn check_start(&mut self, word: &SpiWord) -> Result<(), Status> {
         let starts = word.write && word.address == address::MAIN && word.value & main_bits::FRAME_START != 0;
         let has_frames = field::MAIN::CW_MODE.of(word.value) == 0;

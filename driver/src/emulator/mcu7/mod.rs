@@ -1,4 +1,4 @@
-//! The Radar Baseboard MCU7: what its chip measures, sliced and sent as its firmware does.
+//! Emulated Radar Baseboard MCU7: samples of its chip, cut into slices and sent as by its firmware.
 
 mod control;
 mod firmware;
@@ -8,27 +8,27 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use super::chip::Chip;
+use super::sample_source::Slice;
 use super::wire::{Before, Firmware, Wire};
-use super::world::Slice;
 use super::{EmulatorOptions, Feed, Shared};
+use crate::protocol::mcu7::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
 use crate::protocol::packed12;
-use crate::protocol::strata::{DataError, Framing, HostParser, Packet, PacketFlags, Protocol, SliceLayout};
-use crate::usb::Setup;
+use crate::transport::usb::Setup;
 use control::ControlEndpoint;
 use firmware::Requests;
 
 /// Bytes of slices that the board's memory holds (192 KiB).
 const BUFFER_BYTES: usize = 192 * 1024;
 
-/// What the board has read from its chip and not yet sent.
+/// Data that the board has read from its chip and not yet sent.
 enum Waiting {
     Slice(Vec<u8>),
-    /// As if so many packets had been lost.
+    /// Number of packets that count as lost.
     LostPackets(u16),
 }
 
 pub(super) struct Mcu7 {
-    /// World time at which the board's clock began again after it was unplugged; `Some(None)` until the next slice.
+    /// Source time at which the board's clock started again after it was unplugged; `Some(None)` until the next slice.
     powered_up_us: Option<Option<u64>>,
     requests: Requests,
     framing: Framing,
@@ -36,7 +36,7 @@ pub(super) struct Mcu7 {
     control: ControlEndpoint,
     buffer: VecDeque<Waiting>,
     buffered_bytes: usize,
-    /// The next packet of the first slice in the buffer.
+    /// Index of the next packet of the first slice in the buffer.
     next_packet: usize,
     counter: u16,
     /// Starts of frames and of data when the buffer was begun.
@@ -79,16 +79,16 @@ impl Mcu7 {
     }
 
     fn has_room(&mut self, slice: SliceLayout) -> bool {
-        let world = self.requests.chip.world();
-        match world.waits() {
-            // Nothing is gained by reading ahead.
+        let source = self.requests.chip.source();
+        match source.waits() {
+            // Reading ahead gains nothing.
             true => self.buffer.is_empty(),
-            false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * world.speed()) as usize,
+            false => self.buffered_bytes + slice.data_bytes() <= (BUFFER_BYTES as f64 * source.speed()) as usize,
         }
     }
 
-    /// Reads the chip's FIFO each time it calls, as long as there is room; the slice that is sent, if any is. Without room
-    /// the FIFO goes on filling.
+    /// Reads the chip's FIFO at each interrupt, as long as there is room; returns the slice while data run. Without
+    /// room the FIFO goes on filling.
     fn drain(&mut self) -> Option<SliceLayout> {
         let Some(slice) = self.requests.streaming() else {
             self.clear();
@@ -114,7 +114,7 @@ impl Mcu7 {
             }
         }
         if !self.has_room(slice) {
-            self.requests.chip.look_for_overflow();
+            self.requests.chip.check_overflow();
         }
         Some(slice)
     }
@@ -134,17 +134,17 @@ impl Mcu7 {
         self.shared.slices.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Frames that the source lacks are as packets lost; a gap that the counter cannot express stays untold.
+    /// Counts frames that the source lacks as lost packets; the counter cannot express every gap.
     fn skip(&mut self, slice: SliceLayout, frames: u64) {
         let codes = frames * self.requests.chip.frames().map_or(0, |w| w.shape().codes() as u64);
         let samples = slice.samples as u64;
         let packets = codes / samples * slice.packets() as u64;
-        if codes.is_multiple_of(samples) && self.requests.chip.world().at_frame_boundary() && packets < 0x8000 {
+        if codes.is_multiple_of(samples) && self.requests.chip.source().at_frame_boundary() && packets < 0x8000 {
             self.buffer.push_back(Waiting::LostPackets(packets as u16));
         }
     }
 
-    /// The firmware finds at the start of a burst that the chip's FIFO has overflowed, reports it and stops.
+    /// Reports an overflow of the chip's FIFO and stops, as the firmware does at the start of a burst.
     fn overflow(&mut self, wire: &mut Wire) {
         self.shared.overflows.fetch_add(1, Ordering::Relaxed);
         self.clear();
@@ -155,7 +155,7 @@ impl Mcu7 {
         wire.send(|out| packet.encode_as(self.framing, out));
     }
 
-    /// Counts the frames that a slice completes which has been sent.
+    /// Counts the frames that a sent slice completes.
     fn count(&mut self, slice: SliceLayout) {
         let per_frame = self.requests.chip.frames().map_or(1, |waveform| waveform.shape().codes().max(1)) as u64;
         let before = self.sent / per_frame;
@@ -167,7 +167,7 @@ impl Mcu7 {
     fn send_packet(&mut self, slice: SliceLayout, wire: &mut Wire) {
         let (number, before) = wire.next_number();
         if self.counter == 0 {
-            wire.forget_held();
+            wire.discard_held();
         }
         for before in before {
             match before {
@@ -234,7 +234,7 @@ impl Firmware for Mcu7 {
     }
 
     fn advance(&mut self) {
-        self.requests.chip.world().advance();
+        self.requests.chip.source().advance();
         self.drain();
     }
 
@@ -253,7 +253,7 @@ impl Firmware for Mcu7 {
         self.clear();
     }
 
-    fn is_amid_data(&self) -> bool {
+    fn is_within_data(&self) -> bool {
         self.next_packet > 0
     }
 }

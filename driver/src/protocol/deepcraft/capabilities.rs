@@ -1,4 +1,4 @@
-//! What a board has: devices, their options and streams, as protobuf defines them.
+//! Capabilities of a board: devices, their options and streams, as protobuf defines them.
 
 use prost::{Message, Oneof};
 
@@ -30,19 +30,20 @@ pub struct BoardSerial {
 /// A board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Board {
-    /// Which one of its kind.
+    /// Serial number.
     #[prost(message, optional, tag = "1")]
     pub serial: Option<BoardSerial>,
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// Of the firmware.
+    /// Version of the firmware.
     #[prost(message, optional, tag = "3")]
     pub firmware_version: Option<Version>,
-    /// Of the protocol.
+    /// Version of the protocol.
     #[prost(message, optional, tag = "4")]
     pub protocol_version: Option<Version>,
-    /// The board stops after so many milliseconds without [`WatchdogReset`](super::request::Command::WatchdogReset); 0 is never.
+    /// The board stops after so many milliseconds without [`WatchdogReset`](super::request::Command::WatchdogReset); 0
+    /// is never.
     #[prost(int32, tag = "5")]
     pub watchdog_timeout: i32,
     /// Its devices.
@@ -75,27 +76,27 @@ pub struct Device {
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// What it is.
+    /// Description of the device.
     #[prost(string, tag = "3")]
     pub description: String,
     /// See [`device_type`].
     #[prost(int32, tag = "4")]
     pub device_type: i32,
-    /// What can be set.
+    /// Option of a device.
     #[prost(message, repeated, tag = "5")]
     pub options: Vec<DeviceOption>,
-    /// What it sends and takes.
+    /// Streams of the device.
     #[prost(message, repeated, tag = "6")]
     pub streams: Vec<StreamConfig>,
     /// See [`device_status`].
     #[prost(int32, tag = "7")]
     pub status: i32,
-    /// What it says of its status.
+    /// Text of its status.
     #[prost(string, tag = "8")]
     pub status_message: String,
 }
 
-/// What can be set.
+/// Option of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct DeviceOption {
     /// Its number.
@@ -104,7 +105,7 @@ pub struct DeviceOption {
     /// Its name.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// What it does.
+    /// Description of the option.
     #[prost(string, tag = "3")]
     pub description: String,
     /// Its kind and value. Kinds that a radar does not have are skipped.
@@ -160,7 +161,7 @@ pub mod data_type {
     pub const S16: i32 = 4;
 }
 
-/// What a device sends or takes.
+/// Stream of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct StreamConfig {
     /// Its name.
@@ -172,10 +173,10 @@ pub struct StreamConfig {
     /// See [`data_type`].
     #[prost(int32, tag = "3")]
     pub data_type: i32,
-    /// Axes of a frame. Not their order: see the [module](super).
+    /// Axes of a frame, which need not be in their order: see the [module](super).
     #[prost(message, repeated, tag = "4")]
     pub shape: Vec<Dimension>,
-    /// Frames in a second, rounded to a whole number.
+    /// Frames per second, rounded to a whole number.
     #[prost(float, tag = "5")]
     pub frequency: f32,
     /// Most frames in a chunk. The radar says 1 and sends more.

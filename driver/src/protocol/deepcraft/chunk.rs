@@ -1,11 +1,11 @@
-//! Messages that carry frames: found in the bytes of a stream, and believed only when what follows confirms them.
+//! Messages that carry frames. The parser hands out a message only when the following bytes confirm it.
 
 use prost::Message;
 
 use super::delimited::{Cursor, Stop, encode_varint, varint_length};
 use super::response::{Answer, CapabilitiesResponse, ErrorResponse, Response};
 
-/// Longest message of a board: the firmware's ring of 64 Ki samples, and what is around it.
+/// Longest message of a board: the firmware's ring of 64 Ki samples and the other fields.
 pub const MAX_RESPONSE: usize = 2 * 65_536 + 1024;
 /// Tag of the data in a response: field 4, length-delimited.
 const DATA: u64 = 4 << 3 | LENGTH_DELIMITED;
@@ -21,16 +21,16 @@ const FIXED_32: u64 = 5;
 const LEAST_AROUND: usize = 6;
 const MOST_AROUND: usize = 48;
 const MOST_PER_FRAME: usize = 32;
-/// So much the numbers of a chunk may be longer or shorter than those of another.
+/// Largest difference between the lengths of the numbers of two chunks.
 const MOST_LONGER: usize = 6;
 /// Longest answer and error between chunks, and shortest: shorter ones could be mistaken for samples.
 const OTHER_LENGTH: std::ops::RangeInclusive<u64> = 16..=16_384;
-/// Frame numbers further apart than this are not of the same stream.
+/// Largest distance between frame numbers of one stream.
 const MOST_MISSING: u32 = 1 << 20;
 /// Largest code of the ADC.
 const MAX_CODE: u16 = radome_dsp::MAX_CODE;
 
-/// What is the same in all chunks of a stream.
+/// Properties that all chunks of a stream share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChunkLayout {
     /// Device.
@@ -41,18 +41,18 @@ pub struct ChunkLayout {
     pub frame_codes: usize,
 }
 
-/// A chunk, by what stands before its payload.
+/// Header of a chunk and the positions of its parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ChunkHeader {
     /// Number of its first frame, modulo 2^32.
     pub frame_number: u32,
-    /// Its frames.
+    /// Number of its frames.
     pub frame_count: usize,
-    /// Where its payload begins, counted from its length.
+    /// Start of its payload, from the length of the message on.
     pub payload_start: usize,
-    /// Where its payload ends.
+    /// End of its payload.
     pub payload_end: usize,
-    /// Where it ends.
+    /// End of the chunk.
     pub end: usize,
 }
 
@@ -63,7 +63,7 @@ impl ChunkHeader {
     }
 }
 
-/// What bytes begin with.
+/// Classification of the first bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Beginning {
     /// A chunk of the stream, up to its payload at least.
@@ -79,14 +79,14 @@ impl ChunkLayout {
         2 * self.frame_codes
     }
 
-    /// Whether a message of this length can be a chunk of whole frames.
+    /// Returns whether a message of this length can be a chunk of whole frames.
     fn can_be(&self, length: usize) -> bool {
         let frames = length.saturating_sub(LEAST_AROUND).checked_div(self.frame_bytes()).unwrap_or(0);
         let around = length.saturating_sub(frames * self.frame_bytes());
         frames > 0 && length <= MAX_RESPONSE && around <= MOST_AROUND + MOST_PER_FRAME * frames
     }
 
-    /// What these bytes, from the length of a message on, begin with.
+    /// Classifies the bytes, from the length of a message on.
     pub fn beginning(&self, bytes: &[u8]) -> Beginning {
         match self.header(bytes) {
             Ok(header) => Beginning::Chunk(header),
@@ -153,34 +153,34 @@ impl ChunkLayout {
     }
 }
 
-/// What a board sends while it measures.
+/// Event of a stream.
 #[derive(Debug, PartialEq)]
 pub enum ChunkEvent<'a> {
-    /// Frames, one behind the other, each in FIFO order: 12-bit codes, little-endian.
+    /// Consecutive frames, each in FIFO order: 12-bit codes, little-endian.
     Frames {
         /// Number of the first one, modulo 2^32.
         frame_number: u32,
-        /// How many there are.
+        /// Number of frames.
         frame_count: usize,
         /// Their codes.
         codes: &'a [[u8; 2]],
     },
-    /// A chunk whose number agrees neither with what was before nor with what comes after: it is passed over.
+    /// Chunk whose number agrees neither with the chunk before nor with the one after; it is discarded.
     Misnumbered,
-    /// The device complains.
+    /// Error of the device.
     Error(ErrorResponse),
-    /// Where messages begin is not known any more. Nothing is found until [`ChunkParser::restart`].
+    /// Message boundaries are lost. Nothing is found until [`ChunkParser::restart`].
     Damaged,
 }
 
-/// What a board may say between chunks.
+/// Messages of a board between chunks.
 enum Other {
     Error(ErrorResponse),
-    /// The answer to what the host has asked meanwhile.
+    /// Answer to a request that the host has sent meanwhile.
     Expected(CapabilitiesResponse),
 }
 
-/// Whether an error, or the answer with this tag, begins here: it and its length, if it is whole.
+/// Returns whether an error, or the answer with this tag, begins here: it and its length, if it is whole.
 fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop> {
     let mut cursor = Cursor { bytes, at: 0 };
     let length = cursor.varint()?;
@@ -202,13 +202,13 @@ fn other(bytes: &[u8], expected_tag: Option<i32>) -> Result<(usize, Other), Stop
     }
 }
 
-/// Finds the chunks of one stream in what the host received.
+/// Parser of the chunks of one stream.
 ///
-/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error, or an answer) begins right behind it, or
-/// when the line is silent there ([`Self::on_silence`]). A chunk that was cut short has swallowed the head of its
-/// successor, so that none begins behind it; and what it swallowed are no codes, if it was more than two bytes: any
-/// four bytes of a head, taken as two codes, have one beyond 4095. Two bytes may pass for a code: if the last code of a
-/// chunk could be the length of another, silence does not confirm it.
+/// A chunk is handed out when it is *confirmed*: when a chunk of the same stream (or an error, or an answer) begins
+/// right behind it, or when the line is silent there ([`Self::on_silence`]). A chunk that was cut short contains the
+/// head of its successor, so that none begins behind it. More than two bytes of a head are not codes: any four of them,
+/// taken as two codes, have one beyond 4095. Two bytes may be taken for a code: if the last code of a chunk could be
+/// the length of another, silence does not confirm it.
 #[derive(Debug)]
 pub struct ChunkParser {
     layout: ChunkLayout,
@@ -224,8 +224,8 @@ pub struct ChunkParser {
 }
 
 impl ChunkParser {
-    /// An empty parser for a stream whose next frame has this number. It allocates nothing more as long as at most 64 KiB at a
-    /// time are pushed, and taken out as far as they are confirmed.
+    /// Creates an empty parser of a stream whose next frame has this number. It allocates no more memory as long as at
+    /// most 64 KiB at a time are pushed, and confirmed chunks are taken out between pushes.
     pub fn new(layout: ChunkLayout, next_number: u32) -> Self {
         ChunkParser {
             layout,
@@ -246,19 +246,19 @@ impl ChunkParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// Forgets everything: the stream begins anew with a frame of this number.
+    /// Discards everything: the stream starts anew with a frame of this number.
     pub fn restart(&mut self, next_number: u32) {
         self.buffer.clear();
         (self.used, self.next_number, self.silent, self.damaged) = (0, next_number, false, false);
         self.expected_tag = None;
     }
 
-    /// To be called when the host has asked for capabilities with this tag: the answer may come between any two chunks.
+    /// Notes that the host has requested capabilities with this tag: the answer may come between any two chunks.
     pub fn expect(&mut self, tag: i32) {
         self.expected_tag = Some(tag);
     }
 
-    /// The answer that is [expected](Self::expect), wherever it stands among the chunks that wait; it is taken out.
+    /// Removes and returns the answer that is [expected](Self::expect), anywhere among the queued chunks.
     pub fn expected(&mut self) -> Option<CapabilitiesResponse> {
         let mut at = self.used;
         loop {
@@ -276,19 +276,19 @@ impl ChunkParser {
         }
     }
 
-    /// To be called when nothing has come for as long as takes nothing to come between two packets of a message.
+    /// Notes a silence longer than any between two packets of a message.
     pub fn on_silence(&mut self) {
         self.silent = true;
     }
 
-    /// To be called when nothing has come for so long that the rest of a message will not come.
+    /// Notes a silence after which the rest of a message will not come.
     pub fn on_long_silence(&mut self) {
         if self.is_waiting() && !self.ends_whole() {
             self.damaged = true;
         }
     }
 
-    /// Whether something that is not confirmed or not whole waits for what follows.
+    /// Returns whether unconfirmed or incomplete bytes wait for their successors.
     pub fn is_waiting(&self) -> bool {
         self.used < self.buffer.len()
     }
@@ -297,12 +297,12 @@ impl ChunkParser {
         self.buffer.get(self.used..).unwrap_or(&[])
     }
 
-    /// Whether the bytes end where a chunk does.
+    /// Returns whether the bytes end where a chunk does.
     fn ends_whole(&self) -> bool {
         matches!(self.layout.beginning(self.rest()), Beginning::Chunk(header) if header.end == self.rest().len())
     }
 
-    /// The next event; `None` until more bytes come, or silence.
+    /// Returns the next event; `None` until more bytes or silence come.
     pub fn next_event(&mut self) -> Option<ChunkEvent<'_>> {
         if self.damaged {
             return Some(ChunkEvent::Damaged);
@@ -318,7 +318,7 @@ impl ChunkParser {
                     self.used += length;
                     return Some(ChunkEvent::Error(error));
                 }
-                // Nobody waits for it any more.
+                // The answer is no longer awaited.
                 Ok((length, Other::Expected(_))) => self.used += length,
                 Err(Stop::Short) => return None,
                 Err(Stop::Bad) => return self.damage(),
@@ -347,7 +347,7 @@ impl ChunkParser {
         if !is_confirmed || (MOST_MISSING..0u32.wrapping_sub(MOST_MISSING)).contains(&ahead) {
             return Some(ChunkEvent::Misnumbered);
         }
-        // What came again, or late, is for the caller to pass over.
+        // The caller discards chunks that come again or late.
         if ahead < MOST_MISSING {
             self.next_number = header.next_number();
         }
@@ -360,8 +360,8 @@ impl ChunkParser {
         Some(ChunkEvent::Frames { frame_number: header.frame_number, frame_count: header.frame_count, codes })
     }
 
-    /// Whether the last code of a chunk could be the length of its successor, in two bytes: then nobody can say without the
-    /// successor that the chunk is whole. What comes after the codes, if anything does, could be anything.
+    /// Returns whether the last code of a chunk could be the length of its successor, in two bytes: then only the
+    /// successor tells whether the chunk is whole. Fields after the codes could be anything.
     fn may_have_swallowed(&self, header: &ChunkHeader, message: &[u8]) -> bool {
         let Some(&[low, high]) = message.last_chunk() else { return false };
         let length = usize::from(low & 0x7F) | usize::from(high) << 7;

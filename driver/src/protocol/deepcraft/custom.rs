@@ -1,67 +1,69 @@
-//! The blob of the option "Custom data": a waveform as the firmware's settings and the chip's registers.
+//! Blob of the option "Custom data": a waveform as the firmware's settings and the chip's registers.
 //!
-//! 32-bit words, little-endian: number of registers; index of the first register's word; start and end frequency in Hz, 64
-//! bits each; samples, chirps, receivers, transmitters; ADC rate; chirp and frame interval in seconds, 32-bit floats; and
-//! from the index on the registers as words that are written over SPI (address in bits 31:25, write bit 24, content).
+//! 32-bit words, little-endian: number of registers; index of the first register's word; start and end frequency in Hz,
+//! 64 bits each; samples, chirps, receivers, transmitters; ADC rate; chirp and frame interval in seconds, 32-bit
+//! floats; and from the index on the registers as words that are written over SPI (address in bits 31:25, write bit 24,
+//! content).
 
 use radome_dsp::{Waveform, WaveformError, WaveformRequest};
 use thiserror::Error;
 
-use crate::chip::{ChipConfiguration, ChipError, RegisterFile, RegisterList, RegisterValue, address, main_bits};
-use crate::protocol::strata::SpiWord;
+use crate::chip::{
+    ChipConfiguration, ChipError, RegisterFile, RegisterList, RegisterValue, SpiWord, address, main_bits,
+};
 
 /// Index of the first register's word in the blobs of the vendor's tool.
 const FIRST_REGISTER: usize = 16;
-/// Words that mean something before the registers.
+/// Words of the head, before the registers.
 const HEAD: usize = 13;
-/// Codes at which the chip calls the firmware, whatever its registers say.
+/// FIFO level at which the chip interrupts the firmware, regardless of its registers, codes.
 pub const FIFO_LEVEL_CODES: usize = 6144;
 
-/// A blob that is no waveform.
+/// Error of a blob that does not hold a waveform.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum CustomError {
-    /// It ends before it should.
+    /// The blob is too short.
     #[error("custom data: {words} words, {needed} are needed")]
     Short {
-        /// Words that it has.
+        /// Words in the blob.
         words: usize,
-        /// Words that it says it has.
+        /// Words that its head announces.
         needed: usize,
     },
-    /// A word of the register list does not write.
+    /// A word of the register list is not a write.
     #[error("custom data: register word {word:#010x} does not write")]
     NoWrite {
         /// The word.
         word: u32,
     },
-    /// Settings and registers are of two waveforms.
+    /// Settings and registers contradict each other.
     #[error("custom data: {what} is {stated} by the settings and {registers} by the registers")]
     Contradiction {
         /// Quantity.
         what: &'static str,
-        /// By the settings.
+        /// Value by the settings.
         stated: u64,
-        /// By the registers.
+        /// Value by the registers.
         registers: u64,
     },
-    /// The registers hold no waveform.
+    /// The registers do not hold a waveform.
     #[error(transparent)]
     Chip(#[from] ChipError),
-    /// The settings are no waveform.
+    /// The settings are not a waveform.
     #[error(transparent)]
     Waveform(#[from] WaveformError),
 }
 
-/// A waveform of the host's own, ready for the option.
+/// Custom waveform of the host, compiled for the option.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Custom {
     /// The waveform, with the chirp interval that the registers realise.
     pub waveform: Waveform,
-    /// What the chip is told. The frames are started apart from it.
+    /// Register list for the chip. Frames are started separately.
     pub registers: RegisterList,
 }
 
-/// Of all numbers that a 32-bit float stands for, the one with the fewest digits.
+/// Returns the number with the fewest digits among those that round to this 32-bit float.
 fn shortest(value: f32) -> f64 {
     value.to_string().parse().unwrap_or(f64::from(value))
 }
@@ -74,6 +76,9 @@ fn decode_registers(registers: &RegisterList) -> Result<Waveform, ChipError> {
 
 impl Custom {
     /// Compiles a waveform.
+    ///
+    /// # Errors
+    /// [`ChipError`] if the registers cannot hold the waveform.
     pub fn compile(waveform: &Waveform) -> Result<Self, ChipError> {
         let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: FIFO_LEVEL_CODES };
         let mut registers = configuration.compile()?;
@@ -83,7 +88,7 @@ impl Custom {
         Ok(Custom { waveform, registers })
     }
 
-    /// The blob.
+    /// Encodes the blob.
     pub fn encode(&self) -> Vec<u8> {
         let r = &self.waveform.request;
         let frequencies = [r.start_frequency_hz, r.end_frequency_hz].map(|f| f.round() as u64);
@@ -109,8 +114,11 @@ impl Custom {
         head.into_iter().chain(padding).chain(registers).flat_map(u32::to_le_bytes).collect()
     }
 
-    /// From the blob. Intervals and band are those of its settings, receivers and gains those of its registers; where
-    /// both say something they must agree.
+    /// Decodes the blob. Intervals and band are those of its settings, receivers and gains those of its registers;
+    /// values that both state must agree.
+    ///
+    /// # Errors
+    /// [`CustomError`] if the blob is too short, contradicts itself or does not hold a waveform.
     pub fn decode(blob: &[u8]) -> Result<Self, CustomError> {
         let words: Vec<u32> = blob.as_chunks::<4>().0.iter().map(|word| u32::from_le_bytes(*word)).collect();
         let short = |needed| CustomError::Short { words: words.len(), needed };
@@ -166,7 +174,7 @@ mod tests {
         Waveform::realise(WaveformRequest::paper()).expect("valid")
     }
 
-    /// Words of the hardware notes, section 3.1, written out by hand.
+    /// Words of the captured blob, written out by hand.
     #[test]
     fn words_are_where_the_firmware_looks_for_them() {
         let request = WaveformRequest {
@@ -189,7 +197,7 @@ mod tests {
         assert_eq!([6, 7, 8, 9, 10].map(word), [64, 64, 3, 1, 2_000_000]);
         assert_eq!([11, 12].map(|i| f32::from_bits(word(i))), [591.125e-6, 0.0772688]);
         assert_eq!(blob.len(), 4 * (16 + 38));
-        // ADC0 and PACR1 of the captured list (hardware notes section 4) as SPI write words.
+        // ADC0 and PACR1 of the captured list as SPI write words.
         assert_eq!([word(16), word(17)], [0x030A_0210, 0x09E9_67FD]);
         // MAIN waits for the firmware to start it.
         assert_eq!(word(16 + 37), 0x011E_8270);

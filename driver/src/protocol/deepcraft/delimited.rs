@@ -1,4 +1,4 @@
-//! Messages on the line: length as a varint, then the message.
+//! Delimited messages: length as a varint, then the message.
 
 use prost::Message;
 use thiserror::Error;
@@ -6,16 +6,16 @@ use thiserror::Error;
 /// Longest varint of 64 bits.
 const MAX_VARINT: usize = 10;
 
-/// Why no more of a message can be read.
+/// Reason for which no more of a message can be read.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stop {
-    /// The bytes end before it does.
+    /// The bytes end within the message.
     Short,
-    /// It is no such thing.
+    /// The bytes are not a varint.
     Bad,
 }
 
-/// Takes numbers off the front of bytes.
+/// Reader of numbers from the front of bytes.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Cursor<'a> {
     pub bytes: &'a [u8],
@@ -52,17 +52,17 @@ pub(super) fn encode(message: &impl Message, out: &mut Vec<u8>) {
     out.extend(message.encode_to_vec());
 }
 
-/// What cannot be a message.
+/// Error of a length beyond the longest message.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Error)]
 #[error("a message of {length} bytes was announced, the longest has {longest}")]
 pub struct TooLong {
     /// Length announced.
     pub length: u64,
-    /// Longest that is taken.
+    /// Longest message accepted.
     pub longest: usize,
 }
 
-/// Cuts what was received into messages. A length beyond the longest is an error, before anything is waited for.
+/// Parser of delimited messages. A length beyond the longest is an error at once.
 #[derive(Debug)]
 pub struct MessageParser {
     longest: usize,
@@ -72,7 +72,7 @@ pub struct MessageParser {
 }
 
 impl MessageParser {
-    /// An empty parser of messages up to this length.
+    /// Creates an empty parser of messages up to this length.
     pub fn new(longest: usize) -> Self {
         MessageParser { longest, buffer: Vec::new(), used: 0 }
     }
@@ -84,8 +84,11 @@ impl MessageParser {
         self.buffer.extend_from_slice(bytes);
     }
 
-    /// The next message, without its length; `None` until more bytes come. After an error nothing more is found until
-    /// [`Self::clear`]: where the next message begins is not known.
+    /// Returns the next message, without its length; `None` until more bytes come. After an error nothing more is found
+    /// until [`Self::clear`]: the start of the next message is unknown.
+    ///
+    /// # Errors
+    /// [`TooLong`] if the length announced is beyond the longest.
     pub fn next_message(&mut self) -> Option<Result<&[u8], TooLong>> {
         let longest = self.longest;
         let mut cursor = Cursor { bytes: &self.buffer, at: self.used };

@@ -1,4 +1,4 @@
-//! What a board complains of.
+//! Error codes of a board.
 
 /// Meaning of an error's code.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,7 +45,7 @@ pub enum ErrorCode {
     AlreadyActive,
     /// Another client has the device.
     Busy,
-    /// One that is not known here.
+    /// Unknown code.
     Other(i32),
 }
 
@@ -75,13 +75,13 @@ impl ErrorCode {
         (ErrorCode::Busy, "another client has the device"),
     ];
 
-    /// From the number on the line.
+    /// Decodes the number on the wire.
     pub fn from_code(code: i32) -> Self {
         let known = code.checked_neg().and_then(|n| Self::ALL.get(usize::try_from(n - 1).ok()?));
         known.map_or(ErrorCode::Other(code), |(error, _)| *error)
     }
 
-    /// Number on the line.
+    /// Returns the number on the wire.
     pub fn code(self) -> i32 {
         match self {
             ErrorCode::Other(code) => code,
@@ -89,7 +89,7 @@ impl ErrorCode {
         }
     }
 
-    /// In words.
+    /// Returns a description.
     pub fn name(self) -> &'static str {
         Self::ALL.iter().find(|(error, _)| *error == self).map_or("unknown error", |(_, name)| name)
     }
@@ -105,7 +105,7 @@ impl std::fmt::Display for ErrorCode {
 mod tests {
     use super::*;
 
-    /// Figures of the hardware notes, section 3.1.
+    /// Figures captured from the firmware.
     #[test]
     fn codes_are_numbered_as_in_the_firmware() {
         for (code, name) in [

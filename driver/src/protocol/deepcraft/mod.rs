@@ -1,24 +1,26 @@
-//! The DEEPCRAFT streaming protocol 2.3 of PSoC 6 kits, on their CDC serial port (reference: hardware notes section 3.1).
+//! DEEPCRAFT streaming protocol 2.3 of PSoC 6 kits, on their CDC serial port.
 //!
-//! Each message is a varint length and so many bytes of protobuf. The host sends a [`Request`], the board answers with a
-//! [`Response`]; while a device is active, the board also sends [`DataChunk`]s on its own account.
+//! Each message is a varint length and so many bytes of protobuf. The host sends a [`Request`], the board answers with
+//! a [`Response`]; while a device is active, the board also sends [`DataChunk`]s on its own account.
 //!
-//! # The trap
-//! The radar's stream says that a frame is Antenna x Chirp x Sample. It is not: the firmware sends the FIFO as it is, chirp
-//! by chirp, in a chirp sample by sample, in a sample the receivers ([`crate::protocol::fifo`]). It also says that a chunk
-//! holds one frame at most, and sends as many as its reads of 6144 codes complete. Codes are 12 bits in 16, 0 to 4095.
+//! # Differences from the stated stream
+//! The radar's stream states that a frame is Antenna x Chirp x Sample. In fact the firmware sends the FIFO as it is,
+//! chirp by chirp, in a chirp sample by sample, in a sample the receivers ([`crate::protocol::fifo`]). It also states
+//! that a chunk holds one frame at most, but sends as many as its reads of 6144 codes complete. Codes are 12 bits in
+//! 16, 0 to 4095.
 //!
-//! # What is detected, and what cannot be
-//! There is no checksum and no mark where a message begins. A chunk is therefore believed only when what follows it on the
-//! line confirms it ([`ChunkParser`]): lost, doubled, shortened and exchanged messages, and flipped bits in all but the
-//! samples, cost frames but never falsify one. A flipped bit in a sample is found only if it makes a code beyond 4095; else
-//! nobody can know. USB checks and repeats its packets, so that nothing of this is to be expected on its line.
+//! # Error detection
+//! There is no checksum and no mark at the start of a message. A chunk therefore counts only when the bytes behind it confirm it
+//! ([`ChunkParser`]): lost, doubled, shortened and exchanged messages, and inverted bits outside the samples, cost
+//! frames but never falsify one. An inverted bit in a sample is detected only if it makes a code beyond 4095. USB
+//! checks and repeats its packets, so that such errors are not expected there.
 
 mod capabilities;
 mod chunk;
 mod custom;
 mod delimited;
 mod error;
+mod option;
 mod preset;
 mod request;
 mod response;
@@ -28,6 +30,7 @@ pub use chunk::{Beginning, ChunkEvent, ChunkHeader, ChunkLayout, ChunkParser, MA
 pub use custom::{Custom, CustomError, FIFO_LEVEL_CODES};
 pub use delimited::{MessageParser, TooLong};
 pub use error::ErrorCode;
+pub use option::{OptionValue, Value};
 pub use preset::{CUSTOM, ITEMS, Preset, stated_frequency_hz};
 pub use request::*;
 pub use response::*;

@@ -39,9 +39,12 @@ impl Preset {
         Self::ALL.into_iter().find(|preset| preset.waveform().is_ok_and(|own| own == *waveform))
     }
 
-    /// What it transmits and samples: figures of the firmware's settings (hardware notes section 3.1), receivers and
+    /// Returns the waveform of the preset: figures of the firmware's settings, receivers and
     /// gains from the registers that it writes. P0 has one chirp a frame; its registers are those of P3 in what makes
     /// the chirp interval.
+    ///
+    /// # Errors
+    /// [`WaveformError`] never in practice: the tests realise all presets.
     pub fn waveform(self) -> Result<Waveform, WaveformError> {
         let antennas: &[u8] = match self {
             Preset::Default => &[1],
@@ -98,7 +101,7 @@ mod tests {
     use crate::chip::ChipConfiguration;
     use radome_dsp::SLOPE_STEP_HZ_PER_S;
 
-    /// Figures of the hardware notes, section 3.1.
+    /// Figures captured from the firmware.
     #[test]
     fn presets_have_the_figures_of_the_reference() {
         let expected = [

@@ -1,14 +1,15 @@
-//! What a host asks, as protobuf defines it. Fields that are absent are zero.
+//! Requests of a host, as protobuf defines them. Absent fields are zero.
 
 use prost::{Message, Oneof};
 
 use super::delimited;
+use super::option::OptionValue;
 use super::response::DataChunk;
 
 /// Device number that stands for all of them where a request allows it.
 pub const ALL_DEVICES: i32 = -1;
 
-/// What the host asks.
+/// Request of the host.
 #[derive(Clone, PartialEq, Message)]
 pub struct Request {
     /// The request proper.
@@ -19,7 +20,7 @@ pub struct Request {
 /// Kinds of request. Start, stop and the resets have no answer unless something is wrong with them.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Command {
-    /// Who are you?
+    /// Request for the capabilities.
     #[prost(message, tag = "1")]
     Capabilities(CapabilitiesRequest),
     /// Sets options of a device that is not active.
@@ -86,43 +87,6 @@ pub struct StopRequest {
 /// A message without fields.
 #[derive(Clone, PartialEq, Message)]
 pub struct Empty {}
-
-/// An option's value.
-#[derive(Clone, PartialEq, Message)]
-pub struct OptionValue {
-    /// Option.
-    #[prost(int32, tag = "1")]
-    pub option_id: i32,
-    /// Its value.
-    #[prost(oneof = "Value", tags = "2, 3, 4, 5, 6, 7, 8")]
-    pub value: Option<Value>,
-}
-
-/// Values by type.
-#[derive(Clone, PartialEq, Oneof)]
-pub enum Value {
-    /// A number.
-    #[prost(int32, tag = "2")]
-    Int(i32),
-    /// A number.
-    #[prost(float, tag = "3")]
-    Float(f32),
-    /// On or off.
-    #[prost(bool, tag = "4")]
-    Bool(bool),
-    /// Index into the items of the option.
-    #[prost(int32, tag = "5")]
-    OneOf(i32),
-    /// Bytes.
-    #[prost(bytes, tag = "6")]
-    Blob(Vec<u8>),
-    /// Text.
-    #[prost(string, tag = "7")]
-    Text(String),
-    /// A secret.
-    #[prost(string, tag = "8")]
-    Password(String),
-}
 
 impl From<Command> for Request {
     fn from(command: Command) -> Self {

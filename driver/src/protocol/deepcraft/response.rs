@@ -1,29 +1,30 @@
-//! What a board says, as protobuf defines it. Fields that a newer firmware adds are skipped; those that are absent are zero.
+//! Responses of a board, as protobuf defines them. Fields that a newer firmware adds are skipped; absent fields are
+//! zero.
 
 use prost::{Message, Oneof};
 
 use super::capabilities::{Board, StreamConfig};
 use super::delimited;
-use super::request::OptionValue;
+use super::option::OptionValue;
 
-/// What a board says.
+/// Response of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct Response {
-    /// The answer proper.
+    /// Content of the response.
     #[prost(oneof = "Answer", tags = "1, 2, 3, 4, 5")]
     pub answer: Option<Answer>,
 }
 
-/// Kinds of answer; data and errors also come unasked.
+/// Kinds of answer; data and errors also come without a request.
 #[derive(Clone, PartialEq, Oneof)]
 pub enum Answer {
-    /// What the board has.
+    /// Capabilities of the board.
     #[prost(message, tag = "1")]
     Capabilities(CapabilitiesResponse),
-    /// How the device is set now.
+    /// Configuration of the device.
     #[prost(message, tag = "2")]
     Configuration(ConfigureResponse),
-    /// Something is wrong with a request.
+    /// Error of a request.
     #[prost(message, tag = "3")]
     Error(ErrorResponse),
     /// Frames.
@@ -34,7 +35,7 @@ pub enum Answer {
     DataInquire(DataInquire),
 }
 
-/// What a board has.
+/// Capabilities of a board.
 #[derive(Clone, PartialEq, Message)]
 pub struct CapabilitiesResponse {
     /// The board.
@@ -45,7 +46,7 @@ pub struct CapabilitiesResponse {
     pub tag: i32,
 }
 
-/// How a device is set.
+/// Configuration of a device.
 #[derive(Clone, PartialEq, Message)]
 pub struct ConfigureResponse {
     /// Device.
@@ -60,7 +61,7 @@ pub struct ConfigureResponse {
     /// One of [`super::device_status`].
     #[prost(int32, tag = "4")]
     pub status: i32,
-    /// What it says of its status.
+    /// Text of its status.
     #[prost(string, tag = "5")]
     pub status_message: String,
     /// Tag of the request.
@@ -68,10 +69,10 @@ pub struct ConfigureResponse {
     pub tag: i32,
 }
 
-/// Something is wrong with a request.
+/// Error of a request.
 #[derive(Clone, PartialEq, Message)]
 pub struct ErrorResponse {
-    /// In words.
+    /// Description.
     #[prost(string, tag = "1")]
     pub message: String,
     /// See [`super::ErrorCode`].

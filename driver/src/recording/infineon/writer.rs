@@ -1,4 +1,4 @@
-//! Writing the vendor's folder.
+//! Writer of the vendor's folder.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
@@ -13,7 +13,7 @@ use crate::recording::partial::Partial;
 use crate::recording::vendor_config::{write_file, write_json, write_waveform};
 use crate::recording::{RecordingError, Tally, WriteReport, disk, utc};
 
-/// Length of the headers that the vendor writes, bytes: any number of frames fits, so that it can be filled in last.
+/// Length of the vendor's headers, bytes: any number of frames fits, so that the header can be filled in last.
 const HEADER_BYTES: usize = 1024;
 
 /// Header of an NPY file, padded as the vendor pads it.
@@ -27,11 +27,11 @@ fn npy_header(descr: &str, shape: &str) -> Vec<u8> {
     bytes
 }
 
-/// Writes a session's folder with one radar. It appears under its name when [`InfineonWriter::finish`] has made it
-/// whole, and not at all otherwise.
+/// Writer of a session's folder with one radar. The folder appears under its name when [`InfineonWriter::finish`] has
+/// completed it, and not at all otherwise.
 ///
-/// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures. It
-/// numbers frames without their gaps and knows neither labels nor truth.
+/// The format holds codes, times (of one clock: the host's if all frames have it, else the board's) and temperatures.
+/// It numbers frames without their gaps and holds neither labels nor truth.
 #[derive(Debug)]
 pub struct InfineonWriter {
     partial: Partial,
@@ -49,6 +49,10 @@ pub struct InfineonWriter {
 
 impl InfineonWriter {
     /// Starts a folder. One that exists must be empty.
+    ///
+    /// # Errors
+    /// [`RecordingError::Occupied`] or [`RecordingError::Locked`] if the folder cannot be taken;
+    /// [`RecordingError::Io`].
     pub fn create(path: &Path, header: &RecordingHeader) -> Result<Self, RecordingError> {
         if path.exists() && std::fs::read_dir(path).is_ok_and(|mut entries| entries.next().is_some()) {
             return Err(RecordingError::Occupied { path: path.to_owned() });
@@ -73,6 +77,10 @@ impl InfineonWriter {
     }
 
     /// Adds a frame.
+    ///
+    /// # Errors
+    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not fit;
+    /// [`RecordingError::Io`].
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         self.tally.frame(&self.data, self.header.waveform.shape(), frame)?;
         self.bytes.clear();
@@ -87,22 +95,25 @@ impl InfineonWriter {
         Ok(())
     }
 
-    /// Takes note of a gap, which the format cannot hold.
+    /// Counts a gap, which the format cannot hold.
     pub fn gap(&mut self, gap: &Gap) {
         self.tally.gap(gap);
     }
 
-    /// Takes note of a label, which the format cannot hold.
+    /// Counts a label, which the format cannot hold.
     pub fn label(&mut self, _: &LabelSpan) {
         self.tally.labels += 1;
     }
 
-    /// Takes note of a result, which the format cannot hold.
+    /// Counts a result, which the format cannot hold.
     pub fn result(&mut self, _: &FrameResult) {
         self.tally.results += 1;
     }
 
-    /// Completes the folder.
+    /// Completes the folder and gives it its name.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`], or [`RecordingError::Occupied`] if something has taken the name meanwhile.
     pub fn finish(mut self) -> Result<WriteReport, RecordingError> {
         let frames = self.times_ns.len();
         let shape = self.header.waveform.shape();
@@ -113,40 +124,40 @@ impl InfineonWriter {
         self.file.flush().and_then(|()| self.file.get_ref().sync_all()).map_err(cannot())?;
         let bytes = self.file.get_ref().metadata().map_err(cannot())?.len();
 
-        let mut unheld = self.tally.unheld();
-        let stamps_ns = self.stamps(&mut unheld);
+        let mut omitted = self.tally.omitted();
+        let stamps_ns = self.stamps(&mut omitted);
         if let Some(stamps_ns) = &stamps_ns {
             write_seconds(&self.folder.join("radar_timestamp.csv"), stamps_ns.iter().copied())?;
             self.write_temperatures(stamps_ns)?;
         } else if !self.temperatures.is_empty() {
-            unheld.push("temperatures, for want of times".into());
+            omitted.push("temperatures, for want of times".into());
         }
         if !self.header.registers.is_empty() {
-            unheld.push(format!("{} registers of the chip", self.header.registers.len()));
+            omitted.push(format!("{} registers of the chip", self.header.registers.len()));
         }
         self.write_descriptions()?;
         disk::sync_folder(&self.data).map_err(cannot())?;
         self.partial.finish()?;
-        Ok(WriteReport { bytes, unheld, ..self.tally.report() })
+        Ok(WriteReport { bytes, omitted, ..self.tally.report() })
     }
 
-    /// Times to write; `None` where they say no more than the frame interval does, or go backwards.
-    fn stamps(&self, unheld: &mut Vec<String>) -> Option<Vec<u64>> {
+    /// Times to write; `None` if they equal those of the frame interval, or go backwards.
+    fn stamps(&self, omitted: &mut Vec<String>) -> Option<Vec<u64>> {
         let board: Vec<u64> = self.times_ns.iter().map(|t| t.0).collect();
         let host: Vec<u64> = self.times_ns.iter().map(|t| t.1).collect();
         let has_host = host.iter().any(|t| *t > 0);
         if has_host && host.iter().all(|t| *t >= FIRST_UNIX_NS) && host.is_sorted() {
             let first = host.first().copied().unwrap_or(0);
             if host.iter().zip(&board).any(|(host, board)| host - first != *board) {
-                unheld.push("times by the board's clock (the host's are kept)".into());
+                omitted.push("times by the board's clock (the host's are kept)".into());
             }
             return Some(host);
         }
         if has_host {
-            unheld.push("times by the host's clock, absent from some frames or going backwards".into());
+            omitted.push("times by the host's clock, absent from some frames or going backwards".into());
         }
         if !board.is_sorted() || board.iter().any(|t| *t >= FIRST_UNIX_NS) {
-            unheld.push("times by the board's clock, which go backwards".into());
+            omitted.push("times by the board's clock, which go backwards".into());
             return None;
         }
         let nominal = |(index, time): (usize, &u64)| nominal_time_ns(&self.header.waveform, index as u64) == *time;
@@ -177,7 +188,7 @@ impl InfineonWriter {
                 "uuid": board.map_or("0", |b| b.uuid.as_str()),
             }),
         )?;
-        // Nothing of the machine that writes: the same recording gives the same folder.
+        // Nothing depends on the machine: the same recording gives the same folder.
         write_json(
             &self.partial.path().join("meta.json"),
             &json!({

@@ -1,4 +1,4 @@
-//! The index of chunks of a recording that is being made: on the disk, so that memory does not grow with the recording.
+//! Index of the chunks of a running recording: on the disk, so that memory does not grow with the recording.
 
 use std::fs::File;
 use std::io::{self, Read, Seek};
@@ -15,13 +15,13 @@ pub(super) const HELD_BYTES: usize = 4096;
 /// Bytes that are read at once at most.
 const BLOCK_BYTES: u64 = 1 << 16;
 
-/// Chunk index records in the order of the chunks. They are in a file without a name, which is gone when this is dropped and when the
-/// process ends: who reads an unfinished recording finds its chunks without them.
+/// Chunk index records in the order of the chunks. They are in a file without a name, which vanishes when this is
+/// dropped or the process ends: readers find the chunks of an unfinished recording without it.
 pub(super) struct ChunkIndexes {
     file: File,
     /// The recording.
     path: PathBuf,
-    /// Bytes in the file; while they are read, those that are left.
+    /// Number of bytes in the file; while they are read, of those left.
     stored: u64,
     /// Records that are not in the file yet.
     held: Vec<u8>,
@@ -31,7 +31,7 @@ impl ChunkIndexes {
     /// Starts an empty list for a recording: `recording` is its file, `path` its name.
     ///
     /// # Errors
-    /// The file without a name cannot be created.
+    /// Error of the system if the file without a name cannot be created.
     pub fn create(recording: &File, path: &Path) -> io::Result<Self> {
         let file = disk::unnamed(recording, path)?;
         Ok(ChunkIndexes { file, path: path.to_owned(), stored: 0, held: Vec::with_capacity(HELD_BYTES) })
@@ -40,7 +40,7 @@ impl ChunkIndexes {
     /// Adds the entry of a chunk.
     ///
     /// # Errors
-    /// The disk does not take it.
+    /// Error of the system if the disk does not take it.
     pub fn push(&mut self, index: &ChunkIndex) -> io::Result<()> {
         let body = chunk_index_body(index);
         if self.held.len() + RECORD_HEADER as usize + body.len() > HELD_BYTES {
@@ -52,16 +52,16 @@ impl ChunkIndexes {
         Ok(())
     }
 
-    /// Bytes of entries that memory holds now.
+    /// Number of bytes of entries in memory.
     #[cfg(test)]
     pub fn held_bytes(&self) -> usize {
         self.held.len()
     }
 
-    /// Goes to the first record, to read all of them. Nothing can be added from then on.
+    /// Seeks the first record, to read all of them. Nothing can be added from then on.
     ///
     /// # Errors
-    /// An input/output error.
+    /// Error of the system.
     pub fn rewind(&mut self) -> io::Result<()> {
         self.file.rewind()
     }
@@ -69,7 +69,7 @@ impl ChunkIndexes {
     /// Appends the next records to `out`, a block of them at most; returns their length in bytes, 0 behind the last.
     ///
     /// # Errors
-    /// The disk does not give them back.
+    /// Error of the system if they cannot be read.
     pub fn read(&mut self, out: &mut Vec<u8>) -> io::Result<u64> {
         let count = self.file.by_ref().take(BLOCK_BYTES).read_to_end(out)?;
         self.stored = self.stored.checked_sub(count as u64).ok_or(io::ErrorKind::InvalidData)?;

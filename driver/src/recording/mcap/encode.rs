@@ -1,4 +1,4 @@
-//! Records as bytes: chunks with their message indexes, and the summary.
+//! Encoders of records: chunks with their message indexes, and the summary.
 
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use crc32fast::Hasher;
 use mcap::records::{ChunkIndex, MessageHeader, Statistics, op};
 
-/// Compression level of chunks: a board's frames must not wait for it.
+/// Compression level of chunks: fast enough for the frames of a board.
 const COMPRESSION_LEVEL: i32 = 1;
 const COMPRESSION: &str = "zstd";
 
@@ -53,14 +53,14 @@ pub(super) fn metadata_body(name: &str, fields: &BTreeMap<String, String>) -> Ve
     out
 }
 
-/// Body of the record that says where metadata are.
+/// Body of the record that holds the position of metadata.
 pub(super) fn metadata_index_body(offset: u64, length: u64, name: &str) -> Vec<u8> {
     let mut out = [offset.to_le_bytes(), length.to_le_bytes()].concat();
     string(&mut out, name);
     out
 }
 
-/// Body of a schema record that names an encoding which nothing describes further.
+/// Body of a schema record without a description: it names the encoding alone.
 pub(super) fn schema_body(id: u16, name: &str) -> Vec<u8> {
     let mut out = id.to_le_bytes().to_vec();
     string(&mut out, name);
@@ -108,7 +108,7 @@ pub(super) fn chunk_index_body(index: &ChunkIndex) -> Vec<u8> {
     out
 }
 
-/// Chunk whose records are compressed as they come.
+/// Chunk that compresses its records as they come.
 pub(super) struct Chunk {
     encoder: zstd::Encoder<'static, Vec<u8>>,
     crc: Hasher,
@@ -130,7 +130,7 @@ impl Chunk {
         Ok(Chunk { encoder, crc: Hasher::new(), length: 0, times: None, messages: BTreeMap::new() })
     }
 
-    /// Whether it holds no record yet.
+    /// Returns whether it holds no record yet.
     pub fn is_empty(&self) -> bool {
         self.length == 0
     }
@@ -168,8 +168,8 @@ impl Chunk {
         self.record(op::MESSAGE, &[id.as_slice(), number.as_slice(), &log_time, &publish_time, data])
     }
 
-    /// Appends the chunk and its message indexes to `out`, whose first byte has the offset `start` in the file. Returns its entry
-    /// in the index of chunks.
+    /// Appends the chunk and its message indexes to `out`, whose first byte has the offset `start` in the file. Returns
+    /// its entry in the index of chunks.
     ///
     /// # Errors
     /// The compressor fails; `out` is then as it was.
@@ -210,7 +210,7 @@ impl Chunk {
     }
 }
 
-/// Lays out a summary: where its records stand, kind by kind. It holds no record itself.
+/// Layout of a summary: positions of its records, kind by kind. It holds no record itself.
 pub(super) struct SummaryLayout {
     /// Offset of the first record in the file.
     start: u64,
@@ -221,7 +221,7 @@ pub(super) struct SummaryLayout {
 }
 
 impl SummaryLayout {
-    /// Summary whose first record has this offset in the file.
+    /// Creates the layout of a summary whose first record has this offset in the file.
     pub fn new(start: u64) -> Self {
         SummaryLayout { start, end: start, groups: Vec::new() }
     }
@@ -242,7 +242,8 @@ impl SummaryLayout {
         self.end += length;
     }
 
-    /// Appends the offsets of the kinds to `out`. Returns the end of the file: the footer, without a CRC of the summary, and the magic.
+    /// Appends the offsets of the kinds to `out`. Returns the end of the file: the footer, without a CRC of the
+    /// summary, and the magic.
     pub fn finish(self, out: &mut Vec<u8>) -> Vec<u8> {
         for (opcode, start, length) in self.groups {
             let body = [&[opcode][..], &start.to_le_bytes(), &length.to_le_bytes()].concat();

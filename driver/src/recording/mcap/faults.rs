@@ -1,4 +1,5 @@
-//! Every operation on the disk fails in turn, or is forgotten by a power cut, while a recording is made, finished and labelled.
+//! Every operation on the disk fails in turn, or is forgotten by a power cut, while a recording is made, finished and
+//! labelled.
 
 #[path = "../../../tests/common/mod.rs"]
 mod common;
@@ -96,7 +97,8 @@ fn record(path: &Path, watched: &Watched, paced: bool) -> (u64, Result<Recording
     (taken, finished.and_then(|summary| label_error.map_or(Ok(summary), Err)))
 }
 
-/// How many frames a recording has; all from the first on, and as they were given. Nothing is wrong with it as far as it goes.
+/// How many frames a recording has; all from the first on, and as they were given. Nothing is wrong with it as far as
+/// it goes.
 fn readable(path: &Path) -> u64 {
     let mut reader = McapReader::open(path).unwrap_or_else(|e| panic!("{e}"));
     let pattern = pattern();
@@ -152,7 +154,8 @@ fn whatever_fails_is_said_with_its_path_and_costs_at_most_a_second() {
     }
 }
 
-/// Frames of a recording whose index of chunks goes to the disk while it is made, and has several blocks when it is finished.
+/// Frames of a recording whose index of chunks goes to the disk while it is made, and has several blocks when it is
+/// finished.
 const MANY: u64 = 1600;
 
 /// Records each frame as a chunk; gives the number of frames that were taken, the outcome and all operations.
@@ -337,8 +340,8 @@ impl Disk {
         }
     }
 
-    /// After a power cut before the operation `cut`: what was synced is there. Of writes that were not, each is there, absent, or there
-    /// in some sectors; names that were not synced are there up to one of them.
+    /// After a power cut before the operation `cut`: what was synced is there. Of writes that were not, each is there,
+    /// absent, or there in some sectors; names that were not synced are there up to one of them.
     fn after(&self, changes: &[Change], cut: usize, random: &mut Random) -> Disk {
         let mut disk = self.clone();
         let done = changes.get(..cut).expect("changes");

@@ -1,4 +1,4 @@
-//! Where the chunks are: from the summary at the end of a finished file, else by going from record to record.
+//! Positions of the chunks: from the summary at the end of a finished file, else from a scan of all records.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ pub(super) struct Chunk {
     pub has_results: bool,
     /// Number of frames, where the message indexes were read.
     frames: u64,
-    /// Its first frame, once somebody has looked: none if it holds no frame that can be read.
+    /// Its first frame, `None` until it has been looked up; `Some(None)` if no frame of it can be read.
     pub first: Option<Option<Position>>,
 }
 
@@ -37,7 +37,7 @@ pub(super) struct Index {
 }
 
 impl Index {
-    /// Whether a chunk starts here.
+    /// Returns whether a chunk starts here.
     pub fn is_chunk(&self, offset: u64) -> bool {
         self.chunks.binary_search_by_key(&offset, |chunk| chunk.offset).is_ok()
     }
@@ -58,8 +58,8 @@ impl Index {
         Ok(index)
     }
 
-    /// Ends a file that was never finished before the first of its last chunks that is damaged: a power cut has kept the disk from
-    /// storing all of them.
+    /// Ends an unfinished file before the first damaged one of its last chunks, which a power cut has kept from the
+    /// disk.
     fn drop_torn_end(&mut self, records: &mut Records, channels: &BTreeMap<u16, Topic>) -> Result<(), RecordingError> {
         let mut body = Vec::new();
         for position in self.chunks.len().saturating_sub(UNSYNCED_CHUNKS)..self.chunks.len() {
@@ -84,7 +84,7 @@ impl Index {
     }
 }
 
-/// Start of the summary, 0 if the file has none; `None` if the file was never finished.
+/// Offset of the summary, 0 if the file has none; `None` if the file was never finished.
 pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, RecordingError> {
     let mut footer = [0; FOOTER as usize];
     let Some(at) = records.length.checked_sub(FOOTER) else { return Ok(None) };
@@ -96,7 +96,7 @@ pub(super) fn summary_start(records: &mut Records) -> Result<Option<u64>, Record
     Ok((ends && *opcode == op::FOOTER && number(0) == 20).then(|| number(8)))
 }
 
-/// The index that the writer left; `None` if it contradicts the file or itself.
+/// Reads the index in the summary; `None` if it contradicts the file or itself.
 fn from_summary(
     records: &mut Records,
     start: u64,
@@ -145,14 +145,14 @@ fn from_summary(
     Ok(Some(Index { chunks, frames, complete: true, end: None }))
 }
 
-/// Goes through the file; chunks themselves are passed over.
+/// Scans the records of the file; the contents of chunks are skipped.
 fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>) -> Result<Index, RecordingError> {
     records.go_to(8)?;
     let (mut body, mut index) = (Vec::new(), Index { chunks: Vec::new(), frames: 0, complete: false, end: None });
     loop {
         let at = records.offset;
         let next = match records.next(&mut body, |opcode| opcode == op::MESSAGE_INDEX) {
-            // What a power cut has left of the last second is no record.
+            // The remains of the last second after a power cut need not be a record.
             Err(RecordingError::Corrupt { reason, .. }) if !has_footer => {
                 warn_of_end(records, at, &reason);
                 index.end = Some(at);

@@ -1,5 +1,6 @@
-//! All labels of a finished recording anew, without touching its frames: a chunk with the whole list goes where the data ended, in
-//! place of such a chunk that is there, and the summary behind it. The recording does not grow by that.
+//! Replacement of the labels of a finished recording, without a change of its frames: a chunk with the whole list is
+//! written where the data ended, in place of such a chunk from before, and the summary behind it. The recording does
+//! not grow.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -20,10 +21,10 @@ use crate::recording::{RecordingError, disk};
 const DATA_END_BYTES: u64 = RECORD_HEADER + 4;
 /// Footer record and magic.
 const FOOTER_BYTES: u64 = RECORD_HEADER + 20 + 8;
-/// Another program that changes labels has done so by then; one that records has not.
+/// Longest wait for another writer. A program that changes labels has finished by then; one that records has not.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Changes the labels of a finished recording. As long as it lives nobody else does.
+/// Editor of the labels of a finished recording, which it locks against other writers.
 #[derive(Debug)]
 pub struct LabelEditor {
     path: PathBuf,
@@ -34,12 +35,12 @@ impl LabelEditor {
     /// Locks a recording.
     ///
     /// # Errors
-    /// [`RecordingError::Locked`] if another writer has it for two seconds, [`RecordingError::Unfinished`] if it was never finished,
-    /// and what is wrong with the file otherwise.
+    /// [`RecordingError::Locked`] if another writer holds it for two seconds, [`RecordingError::Unfinished`] if it was
+    /// never finished, and another [`RecordingError`] if the file cannot be read.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         let open = || File::options().read(true).write(true).open(path);
         let locked = lock(path, PATIENCE, open)?;
-        // What a power cut has interrupted.
+        // Completes a write that a power cut has interrupted.
         if let Some(end) = staged::read(path)?.and_then(|staged| staged.end) {
             staged::apply(locked.file(), path, &end).map_err(RecordingError::cannot_write(path))?;
         }
@@ -47,10 +48,10 @@ impl LabelEditor {
         Ok(LabelEditor { path: path.to_owned(), locked })
     }
 
-    /// All labels.
+    /// Reads all labels.
     ///
     /// # Errors
-    /// The labels cannot be read.
+    /// [`RecordingError`] if the labels cannot be read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
         match staged::read(&self.path)? {
             Some(staged) => Ok(staged.labels),
@@ -58,21 +59,22 @@ impl LabelEditor {
         }
     }
 
-    /// Makes these all labels of the recording, in a file beside it until [`LabelEditor::write`] or [`LabelEditor::settle`]: that
-    /// takes a time that grows with the labels alone, and every reader finds them. They are on the disk when this returns.
+    /// Replaces all labels of the recording by these, in a file beside it until [`LabelEditor::write`] or
+    /// [`LabelEditor::settle`]. The time grows with the labels alone, and every reader finds them. They are on the disk
+    /// when this returns.
     ///
     /// # Errors
-    /// An input/output error; the labels before are then still there.
+    /// [`RecordingError::Io`]; the earlier labels are then still there.
     pub fn stage(&self, labels: &[LabelSpan]) -> Result<(), RecordingError> {
         let end = data_end(&mut Records::open(&self.path)?)?;
         staged::write(&self.path, end, labels, None)
     }
 
-    /// Makes these all labels of the recording. What others have put into the file stays. At any moment, and after a power cut,
-    /// every reader finds all frames and either the old labels or the new ones.
+    /// Replaces all labels of the recording by these. Records of other programs stay. At any moment, and after a power
+    /// cut, every reader finds all frames and either the old labels or the new ones.
     ///
     /// # Errors
-    /// An input/output error, or a summary that contradicts the file.
+    /// [`RecordingError::Io`], or [`RecordingError::Corrupt`] if the summary contradicts the file.
     pub fn write(&self, labels: &[LabelSpan]) -> Result<(), RecordingError> {
         let mut records = Records::open(&self.path)?;
         let end = new_end(&mut records, labels)?;
@@ -82,7 +84,7 @@ impl LabelEditor {
         staged::apply(self.locked.file(), &self.path, &end).map_err(RecordingError::cannot_write(&self.path))
     }
 
-    /// Puts labels that are beside the recording into it.
+    /// Moves staged labels into the recording.
     ///
     /// # Errors
     /// Those of [`LabelEditor::write`].
@@ -94,7 +96,7 @@ impl LabelEditor {
     }
 }
 
-/// Makes these the labels of a finished recording, in place of those it has: see [`LabelEditor`].
+/// Replaces the labels of a finished recording by these: see [`LabelEditor`].
 ///
 /// # Errors
 /// Those of [`LabelEditor::open`] and [`LabelEditor::write`].
@@ -113,16 +115,16 @@ pub fn append_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingE
     editor.write(&all)
 }
 
-/// Makes these all labels of a recording that this process is making: a file beside it holds them until its recorder finishes. They
-/// are on the disk when this returns, and every reader finds them.
+/// Replaces all labels of a recording that this process is making: a file beside it holds them until its recorder
+/// finishes. They are on the disk when this returns, and every reader finds them.
 ///
 /// # Errors
-/// An input/output error, or there is no recording yet; the labels before are then still there.
+/// [`RecordingError::Io`], also if there is no recording yet; the earlier labels are then still there.
 pub fn stage_labels(path: &Path, labels: &[LabelSpan]) -> Result<(), RecordingError> {
     let file =
         File::options().read(true).write(true).open(path).map_err(RecordingError::io(path, "cannot be opened"))?;
     let length = file.metadata().map_err(RecordingError::io(path, "cannot be read"))?.len();
-    // They name the recording by its first bytes, which a power cut must not take.
+    // Staged labels name the recording by its first bytes, which must survive a power cut.
     disk::sync(&file, path).map_err(RecordingError::cannot_write(path))?;
     staged::write(path, length, labels, None)
 }
@@ -143,10 +145,10 @@ fn data_end(records: &mut Records) -> Result<u64, RecordingError> {
     Ok(end)
 }
 
-/// The end of a recording with these labels, from its last frames on.
+/// Encodes the end of a recording with these labels, from its last frames on.
 fn new_end(records: &mut Records, labels: &[LabelSpan]) -> Result<End, RecordingError> {
     let (end, length) = (data_end(records)?, records.length);
-    // Before memory is set aside for it: a footer may lie.
+    // Checked before memory is allocated: a footer may be wrong.
     if length - end > MAX_RECORD {
         let reason = format!("a summary of {} bytes, expected at most {MAX_RECORD} where labels change", length - end);
         return Err(records.corrupt(end, reason));
@@ -187,7 +189,7 @@ impl<'a> Summary<'a> {
                     }
                     _ => {}
                 },
-                // Places, which will be others.
+                // Offsets, which will change.
                 op::SUMMARY_OFFSET => continue,
                 _ => {}
             }
@@ -198,7 +200,8 @@ impl<'a> Summary<'a> {
         Ok(Summary { records, statistics, channel })
     }
 
-    /// Leaves out the chunks at the end of the data that hold labels alone: a new list takes their place. Where the data end then.
+    /// Removes the chunks at the end of the data that hold labels alone: a new list replaces them. Returns the new end
+    /// of the data.
     fn drop_label_chunks(&mut self, records: &mut Records, mut end: u64) -> Result<u64, RecordingError> {
         let label_channel = self.channel.0;
         let mut body = Vec::new();
@@ -212,7 +215,7 @@ impl<'a> Summary<'a> {
             if start.checked_add(length) != Some(end) || start.checked_add(index.chunk_length) != Some(place) {
                 break;
             }
-            // An index may lie.
+            // An index may be wrong.
             records.go_to(start)?;
             match records.next(&mut body, |_| false) {
                 Ok(Next::Record(op::CHUNK, _)) if records.offset == place => {}
@@ -238,7 +241,7 @@ impl<'a> Summary<'a> {
         Ok(end)
     }
 
-    /// What stands from the end of the data on when a chunk with this message has been added at `end`.
+    /// Encodes the file from the end of the data on, with a chunk of this message added at `end`.
     fn with_labels(self, end: u64, json: &[u8]) -> std::io::Result<Vec<u8>> {
         let (id, channel) = self.channel;
         let time = self.statistics.message_end_time;
@@ -255,7 +258,7 @@ impl<'a> Summary<'a> {
         statistics.chunk_count += 1;
         *statistics.channel_message_counts.entry(id).or_default() += 1;
         let statistics = statistics_body(&statistics);
-        // Behind the last of its kind, or behind everything.
+        // Behind the last record of its kind, or behind all.
         let last = self.records.iter().rposition(|(opcode, _)| *opcode == op::CHUNK_INDEX);
         let place = last.map_or(self.records.len(), |last| last + 1);
         let (before, after) = self.records.split_at(place);

@@ -1,16 +1,16 @@
-//! The lengths of strings within a record, checked before the library believes them: it sets memory aside for a string, up to
-//! 4 GB, before it looks whether the record is that long.
+//! Checks of the lengths of strings within a record. The library allocates memory for a string, up to 4 GB, before it
+//! checks that the record is that long.
 
 use mcap::records::{Record, op};
 use mcap::{McapError, McapResult};
 
-/// A record of the data section or the summary.
+/// Parses a record of the data section or the summary.
 pub(super) fn parse_record(opcode: u8, body: &[u8]) -> McapResult<Record<'_>> {
     strings_fit(opcode, body).ok_or(McapError::UnexpectedEof)?;
     mcap::parse_record(opcode, body)
 }
 
-/// Whether every string of a record ends within it: `None` if one does not.
+/// Checks that every string of a record ends within it; `None` if one does not.
 pub(super) fn strings_fit(opcode: u8, body: &[u8]) -> Option<()> {
     let mut rest = Rest(body);
     match opcode {

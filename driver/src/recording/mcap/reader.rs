@@ -1,4 +1,4 @@
-//! Reading.
+//! Reader of native recordings.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::path::Path;
@@ -13,7 +13,7 @@ use super::{
 };
 use crate::recording::{Extent, Position, RecordingError, first_index, time_ns};
 
-/// Reads a native recording as a [`FrameSource`].
+/// Reader of a native recording, a [`FrameSource`].
 #[derive(Debug)]
 pub struct McapReader {
     records: Records,
@@ -28,11 +28,11 @@ pub struct McapReader {
     pending: VecDeque<(Topic, Vec<u8>)>,
     chunk_offset: u64,
     ended: bool,
-    /// What was asked for, until it is found.
+    /// Target of a seek, until it is found.
     wanted: Option<Place>,
 }
 
-/// A place to go to.
+/// Target of a seek.
 #[derive(Debug, Clone, Copy)]
 enum Place {
     Frame(u64),
@@ -47,7 +47,7 @@ impl Place {
         }
     }
 
-    /// Gaps that end before a frame are of no concern to who has asked for that frame.
+    /// Returns whether a gap ends before the frame that is sought, and is therefore not reported.
     fn is_behind(self, gap: &Gap) -> bool {
         match self {
             Place::Frame(sequence) => gap.frames > 0 && gap.first_sequence.saturating_add(gap.frames) <= sequence,
@@ -57,10 +57,13 @@ impl Place {
 }
 
 impl McapReader {
-    /// Opens a recording. One that was never finished is read up to its last chunk that is whole.
+    /// Opens a recording. An unfinished one is read up to its last complete chunk.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the file cannot be read, is not a native recording, or its header is damaged.
     pub fn open(path: &Path) -> Result<Self, RecordingError> {
         staged::recover(path);
-        // Before the index is read: they may go into the recording meanwhile.
+        // Read before the index: the labels may be moved into the recording meanwhile.
         let staged = staged_labels(path);
         let mut records = Records::open(path)?;
         let (header, channels) = read_head(&mut records)?;
@@ -90,17 +93,20 @@ impl McapReader {
         self
     }
 
-    /// Whether the recording was finished. Of an unfinished one the last chunk may be missing.
+    /// Returns whether the recording was finished. Of an unfinished one the last chunk may be missing.
     pub fn is_complete(&self) -> bool {
         self.index.complete
     }
 
-    /// What holds for the whole recording.
+    /// Returns the header of the recording.
     pub fn header(&self) -> &RecordingHeader {
         &self.header
     }
 
-    /// All labels, in the order of writing. Only chunks that hold labels are read.
+    /// Reads all labels, in the order of writing. Only chunks that hold labels are read.
+    ///
+    /// # Errors
+    /// [`RecordingError`] if a chunk of labels or the file of staged labels cannot be read.
     pub fn labels(&self) -> Result<Vec<LabelSpan>, RecordingError> {
         let staged = match &self.staged {
             Ok(staged) => staged.clone(),
@@ -122,7 +128,11 @@ impl McapReader {
         Ok(labels)
     }
 
-    /// What was said about the frames, in the order of writing. Only chunks that hold results are read, one at a time.
+    /// Returns an iterator over the results of a classifier, in the order of writing. Only chunks that hold results are
+    /// read, one at a time.
+    ///
+    /// # Errors
+    /// [`RecordingError::Io`] if the file cannot be opened again.
     pub fn results(&self) -> Result<Results, RecordingError> {
         if let Some(judge) = self.header.judge.as_ref().filter(|judge| judge.version > RESULTS_VERSION) {
             let got = format!("{} of its results", judge.version);
@@ -138,19 +148,28 @@ impl McapReader {
         })
     }
 
-    /// Goes to the first frame with this sequence number or a later one: see
+    /// Seeks the first frame with this sequence number or a later one: see
     /// [`Recording::seek_frame`](crate::recording::Recording::seek_frame).
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_frame(&mut self, sequence: u64) -> Result<(), RecordingError> {
         self.seek(Place::Frame(sequence))
     }
 
-    /// Goes to the first frame at or after this time, s: see
+    /// Seeks the first frame at or after this time, s: see
     /// [`Recording::seek_time_s`](crate::recording::Recording::seek_time_s).
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn seek_time_s(&mut self, time_s: f64) -> Result<(), RecordingError> {
         self.seek(Place::Time { ns: time_ns(time_s) })
     }
 
     /// First and last frame: see [`Recording::extent`](crate::recording::Recording::extent).
+    ///
+    /// # Errors
+    /// [`RecordingError`] if the recording cannot be read.
     pub fn extent(&mut self) -> Result<Option<Extent>, RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut first = None;
@@ -177,8 +196,8 @@ impl McapReader {
         Ok(first.zip(last).map(|(first, last)| Extent { first, last }))
     }
 
-    /// Goes behind the last frame that has not `reached` the place: by bisection over the chunks, of which one for each
-    /// step is read.
+    /// Seeks the end of the last frame that has not `reached` the place, by bisection over the chunks; each step reads
+    /// one chunk.
     fn seek(&mut self, place: Place) -> Result<(), RecordingError> {
         let count = self.index.chunks.len() as u64;
         let mut failure = None;
@@ -252,7 +271,7 @@ impl McapReader {
                     self.chunk_offset = at;
                     self.pending = read_chunk(&self.records, at, &self.body, &mut self.channels)?.into();
                 }
-                // A chunk whose first byte has become another's would go missing without a word.
+                // A chunk whose opcode is damaged would be skipped silently.
                 Next::Record(_, at) if self.index.is_chunk(at) => {
                     let reason = "the index says that a chunk starts here, but none does";
                     return Err(self.records.corrupt(at, reason.into()));
@@ -261,7 +280,7 @@ impl McapReader {
                 Next::End => self.ended = true,
                 Next::CutShort => {
                     self.ended = true;
-                    // With its end in place it was not cut: a length is wrong.
+                    // A file with its footer was not cut: a length is wrong.
                     if self.index.complete {
                         let reason = "a record reaches beyond the file, though the recording was finished";
                         return Err(self.records.corrupt(end, reason.into()));
@@ -337,7 +356,7 @@ impl FrameSource for McapReader {
     }
 }
 
-/// Results of a recording, one after the other; a damaged chunk is an error and the end.
+/// Iterator over the results of a recording; a damaged chunk is an error and the end.
 #[derive(Debug)]
 pub struct Results {
     records: Records,
@@ -376,7 +395,7 @@ impl Iterator for Results {
     }
 }
 
-/// A result from a message; what is wrong otherwise.
+/// Parses a result from a message; the error describes the reason.
 pub(super) fn parse_result(data: &[u8]) -> Result<FrameResult, String> {
     serde_json::from_slice(data).map_err(|e| format!("a result is malformed: {e}"))
 }

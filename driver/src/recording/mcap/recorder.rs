@@ -1,4 +1,4 @@
-//! Writing.
+//! Recorder of native recordings.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -44,14 +44,14 @@ const GAP_CHANNEL: u16 = 2;
 const LABEL_CHANNEL: u16 = 3;
 const RESULT_CHANNEL: u16 = 4;
 
-/// What a recording holds.
+/// Content of a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct RecordingSummary {
     /// Frames written.
     pub frames: u64,
     /// Gaps written.
     pub gaps: u64,
-    /// Frames that the gaps are known to stand for.
+    /// Frames known to be lost in the gaps.
     pub frames_lost: u64,
     /// Labels written.
     pub labels: u64,
@@ -64,36 +64,36 @@ pub struct RecordingSummary {
 /// Options of a recorder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecorderOptions {
-    /// Whether a file of its name may be replaced.
+    /// Policy for a file that has the name already.
     pub existing: Existing,
     /// Synchronisation with the disk; `None` leaves it to the operating system until the recording is finished.
     pub sync: Option<SyncOptions>,
 }
 
 impl Default for RecorderOptions {
-    /// Replaces nothing; loses at most a second to a power cut.
+    /// Returns options that replace no file and lose at most a second to a power cut.
     fn default() -> Self {
         RecorderOptions { existing: Existing::Refuse, sync: Some(SyncOptions::default()) }
     }
 }
 
-/// Writes a recording. Without [`Recorder::finish`] the file stays readable up to its last chunk, but is marked
-/// unfinished. However its process ends, every frame older than a second before the last one given to it can be read: a
-/// chunk is complete on its way to the disk before it spans more. With [`SyncOptions`] that holds for a power cut too.
+/// Writer of a native recording. Without [`Recorder::finish`] the file stays readable up to its last chunk, but is
+/// marked unfinished. If the process is killed, every frame older than a second before the last one can be read: a
+/// chunk is handed to the system before it spans more. With [`SyncOptions`] that holds for a power cut too.
 ///
 /// Memory does not grow with the recording.
 ///
-/// After an error every further call gives that same error.
+/// After an error every further call returns the same error.
 pub struct Recorder {
     path: PathBuf,
     file: File,
-    /// Held as long as the recording is made, by whoever has made the file itself.
+    /// Lock of the file, held until the recorder is dropped, if the recorder has created the file.
     _lock: Option<Locked>,
     /// Whether labels that are staged beside the file are its own.
     takes_labels: bool,
     /// Schema and channels, opcode and body: they stand in the first chunk and in the summary.
     definitions: Vec<(u8, Vec<u8>)>,
-    /// Body of the record of the summary that says where the metadata are.
+    /// Body of the record of the summary that holds the position of the metadata.
     metadata_index: Vec<u8>,
     /// Chunk that waits for more messages.
     chunk: Chunk,
@@ -137,8 +137,8 @@ fn definitions(takes_results: bool) -> Vec<(u8, Vec<u8>)> {
 }
 
 impl Recorder {
-    /// Creates a recording, in place of a file of that name, and leaves it to the operating system when it is on the disk. See
-    /// [`Recorder::with_options`].
+    /// Creates a recording, in place of a file of that name, and leaves the time of writing to the disk to the
+    /// operating system. See [`Recorder::with_options`].
     ///
     /// # Errors
     /// Those of [`Recorder::with_options`].
@@ -146,12 +146,13 @@ impl Recorder {
         Self::with_options(path, header, &RecorderOptions { existing: Existing::Replace, sync: None })
     }
 
-    /// Creates a recording. It has its name as soon as its header is on the disk, can be read at any moment from then on, and is
-    /// locked against other writers. A file that is replaced is there until then. A device or a pipe is written to as it is.
+    /// Creates a recording. It has its name as soon as its header is on the disk, can be read at any moment from then
+    /// on, and is locked against other writers. A file that is replaced exists until then. A device or a pipe is opened
+    /// and written to.
     ///
     /// # Errors
-    /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another writer has
-    /// it, and an input/output error.
+    /// [`RecordingError::Occupied`] if the file exists and must not be replaced, [`RecordingError::Locked`] if another
+    /// writer has it, and [`RecordingError::Io`].
     pub fn with_options(
         path: &Path,
         header: &RecordingHeader,
@@ -164,13 +165,13 @@ impl Recorder {
         let partial = Partial::file(path, options.existing)?;
         let mut recorder = Self::start(partial.open()?, path, header, options.sync)?;
         recorder._lock = partial.publish()?;
-        // Those of a recording that had this name before.
+        // Labels of a recording that had this name before.
         staged::remove_staged_labels(path)?;
         recorder.takes_labels = true;
         Ok(recorder)
     }
 
-    /// Writes to an empty file, which may have another name than `path` yet.
+    /// Starts a recording in an empty file, which may have another name than `path` yet.
     pub(in crate::recording) fn start(
         file: File,
         path: &Path,
@@ -236,12 +237,12 @@ impl Recorder {
         Ok(recorder)
     }
 
-    /// Takes note of an error, unless it is the consequence of an earlier one, and gives the first.
+    /// Keeps an error if it is the first; returns the first.
     fn fail(&mut self, failure: Failure) -> RecordingError {
         self.failure.get_or_insert(failure).error(&self.path)
     }
 
-    /// The first error, if there was one.
+    /// Returns the first error, if there was one.
     fn check(&mut self) -> Result<(), RecordingError> {
         if let Some(failure) = &self.failure {
             return Err(failure.error(&self.path));
@@ -255,7 +256,7 @@ impl Recorder {
     /// Writes the bytes that are pending to the file, at once.
     fn write_out(&mut self, what: &'static str) -> Result<(), RecordingError> {
         if let Err(source) = disk::append(&self.file, &self.path, self.end, &self.pending) {
-            // A chunk that is cut short is of no use. Where the disk does not even take this, readers pass over it.
+            // A chunk that is cut short is of no use. If the disk does not even take this, readers skip it.
             let _ = disk::set_length(&self.file, &self.path, self.end);
             return Err(self.fail(Failure::io(what, &source)));
         }
@@ -268,7 +269,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Waits until all that is in the file is on the disk.
+    /// Waits until all data of the file are on the disk.
     fn sync(&mut self) -> Result<(), RecordingError> {
         let synced = match &self.syncer {
             Some(syncer) => syncer.wait(),
@@ -279,7 +280,7 @@ impl Recorder {
 
     fn write(&mut self, channel_id: u16, times: Option<(u64, u64)>, data: &[u8]) -> Result<(), RecordingError> {
         self.check()?;
-        // Frames end their chunk before: this is for a source that has gaps alone.
+        // For sources that have gaps alone: frames end their chunk earlier.
         if self.chunk_bytes >= CHUNK_BYTES {
             self.end_chunk()?;
         }
@@ -307,8 +308,8 @@ impl Recorder {
         }
     }
 
-    /// Writes what is waiting as a chunk of its own, which survives whatever happens to this process. A recording does so
-    /// by itself every second of board time; this is for sources that have fallen silent.
+    /// Writes the pending messages as a chunk, which survives the end of this process. A recording does so by itself
+    /// every second of board time; call it for sources that have fallen silent.
     ///
     /// # Errors
     /// The recording's first error.
@@ -358,8 +359,8 @@ impl Recorder {
     /// Adds a frame. It must have the waveform's shape.
     ///
     /// # Errors
-    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not belong here, which changes nothing;
-    /// else the recording's first error.
+    /// [`RecordingError::FrameShape`] or [`RecordingError::Code`] for a frame that does not belong here, which changes
+    /// nothing; else the recording's first error.
     pub fn frame(&mut self, frame: &Frame) -> Result<(), RecordingError> {
         if frame.shape != self.shape || frame.codes.len() != self.shape.codes() {
             return Err(RecordingError::FrameShape {
@@ -414,7 +415,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Adds what was said about a frame; the recording must have been created with a judge.
+    /// Adds the result of a classifier for a frame; the recording must have been created with a judge.
     ///
     /// # Errors
     /// The recording's first error.
@@ -431,7 +432,8 @@ impl Recorder {
         Ok(())
     }
 
-    /// Takes the labels that are staged beside the recording into it, in place of those it has, as a chunk of their own.
+    /// Moves the labels that are staged beside the recording into it, in place of those it has, as a chunk of their
+    /// own.
     fn take_staged(&mut self) -> Result<bool, RecordingError> {
         if !self.takes_labels {
             return Ok(false);
@@ -451,7 +453,7 @@ impl Recorder {
         }
     }
 
-    /// Ends the data and writes the summary, block by block. Returns the end of the file, which says that all is there.
+    /// Ends the data and writes the summary, block by block. Returns the end of the file, which marks it finished.
     fn write_summary(&mut self) -> Result<Vec<u8>, RecordingError> {
         const WHAT: &str = "cannot be finished";
         let rewound = self.chunk_indexes.rewind();
@@ -479,8 +481,8 @@ impl Recorder {
         Ok(footer)
     }
 
-    /// Completes the file: labels that are staged beside it go into it, and it is on the disk. It can be read up to its last chunk
-    /// whatever happens meanwhile.
+    /// Completes the file, takes in the labels that are staged beside it, and waits until it is on the disk. If the
+    /// process ends meanwhile, the file can be read up to its last chunk.
     ///
     /// # Errors
     /// The recording's first error.
@@ -492,7 +494,7 @@ impl Recorder {
             // A part of a summary is of no use.
             let _ = disk::set_length(&self.file, &self.path, data_end);
         })?;
-        // A file with a footer says that all is there: it comes when that is true of the disk too.
+        // A footer marks a finished file: it is written when everything before it is on the disk.
         if self.syncer.is_some() {
             self.sync()?;
         }
@@ -508,7 +510,7 @@ impl Recorder {
 }
 
 impl Drop for Recorder {
-    /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] says that all is there.
+    /// Writes the last chunk, but leaves the file marked unfinished: only [`Recorder::finish`] completes it.
     fn drop(&mut self) {
         // Of a finished recording nothing waits.
         if self.failure.is_none()
@@ -530,7 +532,8 @@ mod tests {
 
     const COUNT: u64 = 300;
 
-    /// Records frames a second apart, so that each has a chunk of its own and so has its result, with a gap and a label.
+    /// Records frames a second apart, so that each has a chunk of its own and so has its result, with a gap and a
+    /// label.
     fn record(path: &Path, check: impl Fn(&Recorder)) -> RecordingSummary {
         let request = WaveformRequest { samples_per_chirp: 64, chirps_per_frame: 8, ..WaveformRequest::paper() };
         let waveform = radome_dsp::Waveform::realise(request).expect("possible");

@@ -1,4 +1,4 @@
-//! Records of a file one after the other, so that places are known and a file without end can be read.
+//! Sequential reader of records, which knows their offsets and reads files without an end.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -12,10 +12,10 @@ use super::lengths::{parse_record, strings_fit};
 use super::{FORMAT_VERSION, FRAMES, GAPS, LABELS, METADATA_NAME, RESULTS, RecordingHeader};
 use crate::recording::RecordingError;
 
-/// Longest record that makes sense: chunks are a few megabytes.
+/// Longest record that is accepted, bytes: chunks are a few megabytes.
 pub(super) const MAX_RECORD: u64 = 1 << 28;
 
-/// Opcode and length.
+/// Bytes of opcode and length.
 pub(super) const RECORD_HEADER: u64 = 9;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -31,7 +31,7 @@ pub(super) fn topic(name: &str) -> Option<Topic> {
     topics.into_iter().find(|t| t.0 == name).map(|t| t.1)
 }
 
-/// Records of a file, one after the other.
+/// Reader of the records of a file.
 #[derive(Debug)]
 pub(super) struct Records {
     pub path: PathBuf,
@@ -67,14 +67,14 @@ impl Records {
         RecordingError::Corrupt { path: self.path.clone(), offset, reason }
     }
 
-    /// Goes to the record that starts here.
+    /// Seeks the record that starts here.
     pub fn go_to(&mut self, offset: u64) -> Result<(), RecordingError> {
         self.file.seek(SeekFrom::Start(offset)).map_err(RecordingError::io(&self.path, "cannot be read"))?;
         self.offset = offset;
         Ok(())
     }
 
-    /// Bytes from here on, as many as there are.
+    /// Reads bytes at `offset`; returns how many there are.
     pub fn peek(&mut self, offset: u64, bytes: &mut [u8]) -> Result<usize, RecordingError> {
         self.go_to(offset)?;
         let mut filled = 0;
@@ -88,7 +88,7 @@ impl Records {
         Ok(filled)
     }
 
-    /// The next record; bodies of records that `wanted` refuses are passed over and left empty.
+    /// Reads the next record; the bodies of records that `wanted` refuses are skipped and left empty.
     pub fn next(&mut self, body: &mut Vec<u8>, wanted: impl Fn(u8) -> bool) -> Result<Next, RecordingError> {
         let at = self.offset;
         let left = self.length.saturating_sub(at);
@@ -130,7 +130,7 @@ impl Records {
     }
 }
 
-/// What holds for the whole file, and its channels: everything up to the end of the first chunk.
+/// Reads the header of the recording and its channels: everything up to the end of the first chunk.
 pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTreeMap<u16, Topic>), RecordingError> {
     let (mut body, mut header, mut channels) = (Vec::new(), None, BTreeMap::new());
     while header.is_none() || channels.is_empty() {
@@ -156,7 +156,7 @@ pub(super) fn read_head(records: &mut Records) -> Result<(RecordingHeader, BTree
     Ok((header, channels))
 }
 
-/// What holds for the whole file, whatever state the rest of it is in.
+/// Reads the header of the recording, even if the rest is damaged.
 pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader, RecordingError> {
     let mut body = Vec::new();
     loop {
@@ -177,8 +177,8 @@ pub(super) fn read_header_alone(records: &mut Records) -> Result<RecordingHeader
     }
 }
 
-/// The messages of a chunk, once all of it has been decompressed and its CRC checked: until then no length in
-/// it can be believed.
+/// Reads the messages of a chunk after the whole chunk has been decompressed and its CRC checked: before, its lengths
+/// may be wrong.
 pub(super) fn read_chunk(
     records: &Records,
     at: u64,
@@ -216,8 +216,8 @@ pub(super) fn read_chunk(
     if rest.is_empty() { Ok(messages) } else { Err(damaged(format!("{} bytes behind its last record", rest.len()))) }
 }
 
-/// What a chunk holds, decompressed, its length and CRC checked. Memory grows with what there is, not with what the header
-/// claims.
+/// Decompresses a chunk and checks its length and CRC. Memory grows with the actual data, not with the length in the
+/// header.
 fn chunk_content(body: &[u8]) -> Result<Vec<u8>, String> {
     let short = || "its header is cut short".to_owned();
     strings_fit(op::CHUNK, body).ok_or_else(short)?;
@@ -277,7 +277,7 @@ pub(super) fn parse_header(
     }
     let wrong = |name: &'static str| move |e| records.corrupt(at, format!("metadata `{name}` is malformed: {e}"));
     let stored: Waveform = serde_json::from_str(field("waveform")?).map_err(wrong("waveform"))?;
-    // A stored waveform is believed only as far as the chip could produce it.
+    // A stored waveform counts only as far as the chip could produce it.
     let mut waveform = Waveform::realise(stored.request.clone())
         .map_err(|source| RecordingError::Waveform { path: records.path.clone(), source })?;
     if (stored.chirp_interval_s / waveform.chirp_interval_s - 1.0).abs() < 0.05 {

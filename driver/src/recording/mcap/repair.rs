@@ -1,4 +1,4 @@
-//! What can be read of a cut or damaged file, as a file that is whole, and what cannot.
+//! Repair of cut or damaged files: the readable part as a complete file, and a report of the rest.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,20 +12,20 @@ use super::records::{MAX_RECORD, Next, RECORD_HEADER, Records, Topic, read_chunk
 use super::{LabelSpan, RecordingHeader, decode_frame, staged, take_labels};
 use crate::recording::{Existing, Format, RecordingError, RecordingWriter};
 
-/// A stretch of a file that cannot be read.
+/// Part of a file that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Damage {
-    /// Where it starts, bytes.
+    /// Offset of its start, bytes.
     pub offset: u64,
-    /// How long it is, bytes.
+    /// Length, bytes.
     pub bytes: u64,
-    /// Frames in it, where the file still says.
+    /// Frames in it, if the file still tells.
     pub frames: Option<u64>,
-    /// What is wrong with it.
+    /// Description of the damage.
     pub reason: String,
 }
 
-/// What a repair has saved and what is lost.
+/// Report of a repair.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct RepairReport {
     /// Frames written.
@@ -36,9 +36,9 @@ pub struct RepairReport {
     pub results: u64,
     /// Gaps that the recording had already.
     pub gaps: u64,
-    /// Gaps that stand for what is lost now, as written; one of 0 frames where nobody knows how many.
+    /// Gaps written for the lost frames; 0 frames if their number is unknown.
     pub lost: Vec<Gap>,
-    /// Where the file is damaged.
+    /// Damaged parts of the file.
     pub damage: Vec<Damage>,
     /// Whether the recording was finished by its recorder.
     pub was_finished: bool,
@@ -56,9 +56,9 @@ impl RepairReport {
     }
 }
 
-/// Reads what can be read of `input`, which stays as it is, and writes it to `output`: all frames of chunks whose check
-/// sum is right. What lies between them becomes gaps. The file's header must be whole. Labels that are staged beside the input are
-/// taken in place of those in it. A file that is at `output` is replaced.
+/// Writes the readable part of `input`, which stays as it is, to `output`: all frames of chunks whose check sum is
+/// right. Unreadable parts become gaps. The file's header must be intact. Labels that are staged beside the input are
+/// taken in place of those in it. A file at `output` is replaced.
 ///
 /// # Errors
 /// Those of [`repair_with`].
@@ -66,11 +66,11 @@ pub fn repair(input: &Path, output: &Path) -> Result<RepairReport, RecordingErro
     repair_with(input, output, Existing::Replace)
 }
 
-/// [`repair`], with a choice whether a file that is at `output` may be replaced.
+/// Repairs a recording like [`repair`], with a policy for a file at `output`.
 ///
 /// # Errors
-/// The header of the input is damaged, both are the same file, the output exists and must not be replaced or has another writer,
-/// and an input/output error.
+/// [`RecordingError`] if the header of the input is damaged, both are the same file, the output exists and must not be
+/// replaced or has another writer, and [`RecordingError::Io`].
 pub fn repair_with(input: &Path, output: &Path, existing: Existing) -> Result<RepairReport, RecordingError> {
     let is_same = |a: &Path, b: &Path| a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b));
     if is_same(input, output) {
@@ -92,9 +92,9 @@ pub fn repair_with(input: &Path, output: &Path, existing: Existing) -> Result<Re
 /// Frames that could not be read.
 #[derive(Clone, Copy, Default)]
 struct Unread {
-    /// Those that an index counts.
+    /// Number of frames by an index.
     frames: u64,
-    /// Whether there is more that no index counts.
+    /// Whether further frames are lost that no index counts.
     uncounted: bool,
 }
 
@@ -105,7 +105,7 @@ struct Repair {
     report: RepairReport,
     /// Number of the frame that should come next.
     expected: Option<u64>,
-    /// What could not be read since the last good frame.
+    /// Frames that could not be read since the last good one.
     unread: Option<Unread>,
     /// Labels so far; later ones may take the place of earlier ones.
     labels: Vec<LabelSpan>,
@@ -115,7 +115,7 @@ struct Repair {
 
 impl Repair {
     fn copy(&mut self, records: &mut Records) -> Result<(), RecordingError> {
-        // What the recorder numbers them; the first chunk says so, if it can be read.
+        // Numbers that the recorder uses; the first chunk states them, if it can be read.
         let mut channels = BTreeMap::from([(1, Topic::Frame), (2, Topic::Gap), (3, Topic::Label), (4, Topic::Result)]);
         let mut body = Vec::new();
         records.go_to(8)?;
@@ -132,7 +132,7 @@ impl Repair {
                     Err(RecordingError::Corrupt { reason, .. }) => reason,
                     Err(error) => return Err(error),
                 },
-                // Records of others are none of ours; a length gone wrong looks like one.
+                // Records of other programs are skipped; a damaged length looks like one.
                 Ok(Next::Record(opcode, _)) if opcode < 0x80 => continue,
                 Ok(Next::Record(opcode, _)) => format!("{opcode:#04x} is no record of a recording"),
                 Ok(Next::End) => {
@@ -161,7 +161,7 @@ impl Repair {
                 None => break,
             }
         }
-        // What was lost at the end.
+        // Frames lost at the end.
         self.found(None)?;
         if let Some(staged) = self.staged.take() {
             self.labels = staged;
@@ -217,14 +217,14 @@ impl Repair {
         Ok(())
     }
 
-    /// Something with this number follows, or nothing does: writes what is missing before it as a gap.
+    /// Writes the frames that are missing before this number as a gap; `None` at the end of the file.
     fn found(&mut self, sequence: Option<u64>) -> Result<(), RecordingError> {
         let Some(unread) = self.unread.take() else { return Ok(()) };
         let (first_sequence, frames) = match (self.expected, sequence) {
-            // Numbers know better than the index: gaps may be lost with the frames.
+            // Sequence numbers count more than the index: gaps may be lost with the frames.
             (Some(expected), Some(sequence)) => (expected, sequence.saturating_sub(expected)),
             (Some(expected), None) => (expected, unread.frames),
-            // Nothing could be read before it: numbers start at 0 unless the index knows better.
+            // Nothing could be read before it: numbers start at 0 unless the index counts the frames.
             (None, Some(sequence)) if unread.uncounted => (0, sequence),
             (None, Some(sequence)) => (sequence.saturating_sub(unread.frames), unread.frames.min(sequence)),
             (None, None) => (0, unread.frames),
@@ -239,7 +239,7 @@ impl Repair {
     }
 }
 
-/// How many frames a chunk held, by the message indexes that follow it.
+/// Number of frames of a chunk, by the message indexes that follow it.
 fn frames_by_index(
     records: &mut Records,
     at: u64,
@@ -264,8 +264,8 @@ fn frames_by_index(
     }
 }
 
-/// Start of the first chunk from here on: opcode, a length, and 28 bytes later the compression's name and a length that
-/// agrees with the first.
+/// Finds the start of the first chunk from here on: opcode, a length, and 28 bytes later the compression's name and a
+/// length that agrees with the first.
 fn next_chunk(records: &mut Records, from: u64) -> Result<Option<u64>, RecordingError> {
     const BLOCK: usize = 1 << 20;
     const HEAD: usize = RECORD_HEADER as usize + 44;

@@ -1,13 +1,12 @@
-//! Labels that are not in their recording yet: a file beside it, `.NAME.labels`, holds all of them and takes the place of those in
-//! the recording.
+//! Staged labels: a file beside the recording, `.NAME.labels`, holds all of them and replaces those in the recording.
 //!
-//! While a recording is made, and while somebody labels a finished one, each change writes this file anew: beside its name, synced
-//! and renamed, so that the old list or the new one is there at any moment and no file grows. The list goes into the recording
-//! when it is finished or the editing ends. For a finished recording that overwrites the summary, so the file first takes the new
-//! end of the recording too: whoever finds it there after a power cut writes that end once more.
+//! While a recording is made, and while a finished one is labelled, each change writes this file anew: beside its name,
+//! synced and renamed, so that the old list or the new one exists at any moment and no file grows. The list goes into
+//! the recording when it is finished or the editing ends. For a finished recording that overwrites the summary, so the
+//! file first takes the new end of the recording too: the next opener after a power cut writes that end once more.
 //!
-//! First a line of JSON ([`Head`]), then the new end of the recording, if there is one. A file that belongs to another recording of
-//! the same name is not believed: it states the CRC of the recording's first bytes.
+//! The file holds a line of JSON ([`Head`]), then the new end of the recording, if there is one. It states the CRC of
+//! the recording's first bytes: a file that belongs to another recording of the same name is ignored.
 
 use std::fs::File;
 use std::io::Read;
@@ -45,16 +44,16 @@ struct EndHead {
     crc: u32,
 }
 
-/// The end of a recording: all from a place on.
+/// End of a recording: all bytes from an offset on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct End {
-    /// Offset of the beginning.
+    /// Offset of the first byte.
     pub at: u64,
-    /// Bytes at that place.
+    /// Bytes from that offset on.
     pub bytes: Vec<u8>,
 }
 
-/// Labels beside a recording.
+/// Labels in the file beside a recording.
 #[derive(Debug)]
 pub(super) struct Staged {
     /// All labels of the recording.
@@ -74,11 +73,11 @@ fn prefix_crc(recording: &Path, bytes: u64) -> std::io::Result<Option<u32>> {
     Ok((start.len() as u64 == bytes).then(|| crc32fast::hash(&start)))
 }
 
-/// Makes these all labels of a recording, until [`remove`]: they are on the disk when this returns. `data_end` is the length of that
-/// part of the recording which will not change.
+/// Replaces all labels of a recording, until [`remove`]; they are on the disk when this returns. `data_end` is the
+/// length of the part of the recording that will not change.
 ///
 /// # Errors
-/// An input/output error; the labels before are then still there.
+/// [`RecordingError::Io`]; the earlier labels are then still there.
 pub(super) fn write(
     recording: &Path,
     data_end: u64,
@@ -106,10 +105,10 @@ pub(super) fn write(
     partial.finish()
 }
 
-/// The labels beside a recording, if there are any.
+/// Reads the labels beside a recording, if there are any.
 ///
 /// # Errors
-/// The file cannot be read, is damaged or by a newer program.
+/// [`RecordingError`] if the file cannot be read, is damaged or was written by a newer program.
 pub(super) fn read(recording: &Path) -> Result<Option<Staged>, RecordingError> {
     let path = name(recording)?;
     let file = match File::open(&path) {
@@ -148,7 +147,7 @@ struct Version {
     version: u32,
 }
 
-/// Removes the labels beside a recording, once they are in it or it is gone.
+/// Removes the labels beside a recording, once they are in it or the recording is removed.
 pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
     let Ok(path) = name(recording) else { return Ok(()) };
     if !path.exists() {
@@ -158,10 +157,10 @@ pub(super) fn remove(recording: &Path) -> std::io::Result<()> {
     disk::sync_folder(&path)
 }
 
-/// Removes the labels beside a recording that has taken the place of another.
+/// Removes the labels beside a recording that has replaced another.
 ///
 /// # Errors
-/// An input/output error.
+/// [`RecordingError::Io`].
 pub(in crate::recording) fn remove_staged_labels(recording: &Path) -> Result<(), RecordingError> {
     remove(recording).map_err(RecordingError::cannot_write(recording))
 }
@@ -174,8 +173,8 @@ pub(super) fn apply(file: &File, recording: &Path, end: &End) -> std::io::Result
     remove(recording)
 }
 
-/// Completes what a power cut or a kill has interrupted while labels went into a finished recording. A recording that somebody else
-/// writes to, or that may only be read, is left as it is: its frames can be read anyway.
+/// Completes a write of labels into a finished recording that a power cut or a kill has interrupted. A recording that
+/// has another writer, or that may only be read, is left as it is: its frames can be read anyway.
 pub(super) fn recover(recording: &Path) {
     let is_interrupted = || matches!(read(recording), Ok(Some(Staged { end: Some(_), .. })));
     if !is_interrupted() {
@@ -183,7 +182,7 @@ pub(super) fn recover(recording: &Path) {
     }
     let open = || File::options().read(true).write(true).open(recording);
     let Ok(locked) = lock(recording, Duration::ZERO, open) else { return };
-    // Who had the lock may have done it.
+    // The former holder of the lock may have done it.
     if let Ok(Some(Staged { end: Some(end), .. })) = read(recording)
         && let Err(error) = apply(locked.file(), recording, &end)
     {

@@ -1,4 +1,4 @@
-//! Brings a recording to the disk while it is made, on a thread of its own: frames do not wait for the disk.
+//! Thread that syncs a running recording to the disk, so that frames do not wait for the disk.
 
 use std::fs::File;
 use std::io;
@@ -10,23 +10,23 @@ use crossbeam::channel::{Receiver, RecvTimeoutError, SendTimeoutError, Sender, b
 
 use crate::recording::{RecordingError, disk};
 
-/// A sync that takes longer is said in the log.
+/// Duration of a sync beyond which a warning is logged.
 const SLOW: Duration = Duration::from_secs(1);
 
 /// Limits on how far the disk lags behind a recording.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SyncOptions {
-    /// Frames wait no longer than this for the chunk that they are written in, by their own clock.
+    /// Longest time that frames wait for their chunk to be written, by their own clock.
     pub chunk: Duration,
-    /// Two syncs begin at least so long after one another; a chunk waits no longer than this for the sync that it is part of.
+    /// Interval between the starts of two syncs, and longest time that a chunk waits for its sync.
     pub interval: Duration,
-    /// A disk that needs longer for one sync ends the recording.
+    /// Longest duration of a sync; a slower disk ends the recording.
     pub patience: Duration,
 }
 
 impl Default for SyncOptions {
-    /// Chunks of half a second, synced within a quarter: a disk that needs less than another quarter loses at most a second of
-    /// frames to a power cut. One that needs ten seconds has failed.
+    /// Returns chunks of half a second, synced within a quarter: a disk that needs less than another quarter loses at
+    /// most a second of frames to a power cut. A disk that needs ten seconds counts as failed.
     fn default() -> Self {
         SyncOptions {
             chunk: Duration::from_millis(500),
@@ -36,12 +36,12 @@ impl Default for SyncOptions {
     }
 }
 
-/// The first error of a recording: whoever asks again hears the same.
+/// First error of a recording, which all later calls return.
 #[derive(Debug, Clone)]
 pub(super) enum Failure {
     /// An input/output error.
     Io { what: &'static str, kind: io::ErrorKind, code: Option<i32>, text: String },
-    /// The disk has not answered for so long.
+    /// The disk has not answered for this long.
     Stalled(Duration),
 }
 
@@ -54,7 +54,7 @@ impl Failure {
         Failure::io("cannot be brought to the disk", source)
     }
 
-    /// The failure as an error that names the recording.
+    /// Converts the failure to an error that names the recording.
     pub fn error(&self, path: &Path) -> RecordingError {
         let path = path.to_owned();
         match self {
@@ -70,14 +70,14 @@ impl Failure {
     }
 }
 
-/// Hands requests to the thread.
+/// Handle of the thread.
 #[derive(Debug)]
 pub(super) struct Syncer {
     /// Requests; one that carries a sender is answered when its sync is done.
     requests: Sender<Option<Sender<()>>>,
-    /// The first error; success once nobody asks any more.
+    /// Result of the thread: the first error, or success after the last request.
     outcome: Receiver<io::Result<()>>,
-    /// When the sync in progress began.
+    /// Start of the sync in progress.
     since: Arc<Mutex<Option<Instant>>>,
     patience: Duration,
 }
@@ -95,9 +95,9 @@ impl Syncer {
         Ok(Syncer { requests, outcome, since, patience: options.patience })
     }
 
-    /// Asks that all that is written by now be brought to the disk. Waits for nobody.
+    /// Requests a sync of all data written so far. Does not wait.
     pub fn request(&self) {
-        // One that waits already will do.
+        // A request in the queue suffices.
         let _ = self.requests.try_send(None);
     }
 
@@ -113,7 +113,7 @@ impl Syncer {
         }
     }
 
-    /// Brings all that is written to the disk and waits for it. A thread that the disk does not let go is left to itself.
+    /// Syncs all data written so far and waits for it. A thread that the disk blocks is abandoned.
     pub fn wait(&self) -> Result<(), Failure> {
         let (done, is_done) = bounded(1);
         match self.requests.send_timeout(Some(done), self.patience) {
@@ -151,7 +151,8 @@ impl Work {
         let mut earliest = Instant::now();
         while let Ok(first) = self.requests.recv() {
             let mut waiting: Vec<Sender<()>> = first.into_iter().collect();
-            // What is asked for meanwhile is part of the same sync. Who waits does not wait for others.
+            // Requests that come meanwhile are part of the same sync. A request that waits for its answer ends the
+            // delay.
             while waiting.is_empty() {
                 let wait = earliest.saturating_duration_since(Instant::now());
                 if wait.is_zero() {

@@ -1,0 +1,226 @@
+//! Resequencer of DEEPCRAFT streams. Pure: chunks and the host's clock in, frames and gaps in order out.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use radome_dsp::{Frame, Gap, GapReason, SourceEvent, Waveform};
+
+use crate::protocol::deepcraft::FIFO_LEVEL_CODES;
+use crate::protocol::fifo;
+
+pub(super) struct Resequencer {
+    waveform: Waveform,
+    /// Sequence number of the next frame: frames handed out, lost or queued before it.
+    next_sequence: u64,
+    /// Firmware's number of that frame, modulo 2^32.
+    next_number: u32,
+    /// Set after a restart of the stream: only the host's clock tells how many frames were lost.
+    restarted: Option<GapReason>,
+    damaged: bool,
+    /// Gaps that come before the queued frames.
+    gaps: VecDeque<Gap>,
+    /// Frames that the device has dropped since it was configured, as far as gaps account for them.
+    dropped: u64,
+    /// Codes of the queued frames, each in FIFO order; the first ones have been handed out.
+    codes: Vec<u16>,
+    gone: usize,
+}
+
+impl Resequencer {
+    /// Resequencer of a stream whose first frame has this number.
+    pub fn new(waveform: &Waveform, next_number: u32) -> Self {
+        Resequencer {
+            waveform: waveform.clone(),
+            next_sequence: 0,
+            next_number,
+            restarted: None,
+            damaged: false,
+            gaps: VecDeque::new(),
+            dropped: 0,
+            // As many frames as reads of the firmware complete at once.
+            codes: Vec::with_capacity(FIFO_LEVEL_CODES + waveform.shape().codes()),
+            gone: 0,
+        }
+    }
+
+    /// Notes that a chunk was discarded: the next missing frames have that reason.
+    pub fn damaged(&mut self) {
+        self.damaged = true;
+    }
+
+    /// Notes that the stream has been restarted.
+    pub fn restart(&mut self, reason: GapReason) {
+        self.restarted = Some(reason);
+        self.damaged = false;
+        self.dropped = 0;
+    }
+
+    /// Takes a chunk; all before it must have been popped. `elapsed` is the host's time since the chunk before.
+    pub fn take(&mut self, frame_number: u32, frame_count: usize, codes: &[[u8; 2]], elapsed: Duration) {
+        let missing = match self.restarted.take() {
+            Some(reason) => {
+                // Both chunks came when their last frames were complete.
+                let intervals = elapsed.as_secs_f64() / self.waveform.frame_interval_s().max(1e-6);
+                // At least the frame that was cut short is lost.
+                let missing = (intervals.round() as u64).saturating_sub(frame_count as u64).max(1);
+                Some((missing, reason))
+            }
+            None => {
+                let ahead = frame_number.wrapping_sub(self.next_number);
+                if ahead > u32::MAX / 2 {
+                    tracing::debug!(frame_number, "frames came again, or late");
+                    return;
+                }
+                let reason = if self.damaged { GapReason::Crc } else { GapReason::PacketLost };
+                (ahead > 0).then_some((u64::from(ahead), reason))
+            }
+        };
+        self.damaged = false;
+        if let Some((frames, reason)) = missing {
+            self.gaps.push_back(Gap { first_sequence: self.next_sequence, frames, reason });
+            self.next_sequence += frames;
+        }
+        self.next_number = frame_number.wrapping_add(frame_count as u32);
+        self.codes.clear();
+        self.codes.extend(codes.iter().map(|code| u16::from_le_bytes(*code)));
+        self.gone = 0;
+    }
+
+    /// Returns whether the numbers of the queued frames have jumped for an unknown reason.
+    pub fn needs_reason(&self) -> bool {
+        self.gaps.back().is_some_and(|gap| gap.reason == GapReason::PacketLost)
+    }
+
+    /// Takes the number of frames that the device has dropped since it was configured: those were not lost on the line.
+    pub fn set_dropped(&mut self, dropped: u64) {
+        let by_device = dropped.saturating_sub(self.dropped);
+        let Some(gap) = self.gaps.back_mut().filter(|gap| gap.reason == GapReason::PacketLost && by_device > 0) else {
+            return;
+        };
+        let frames = by_device.min(gap.frames);
+        // Dropped frames beyond this gap are missing later on the line.
+        self.dropped += frames;
+        let rest = Gap { first_sequence: gap.first_sequence + frames, frames: gap.frames - frames, ..*gap };
+        *gap = Gap { frames, reason: GapReason::FifoOverflow, ..*gap };
+        if rest.frames > 0 {
+            self.gaps.push_back(rest);
+        }
+    }
+
+    /// Pops the next frame or gap into `frame`, whose memory is reused.
+    pub fn pop(&mut self, frame: &mut Frame) -> Option<SourceEvent> {
+        if let Some(gap) = self.gaps.pop_front() {
+            return Some(SourceEvent::Gap(gap));
+        }
+        let shape = self.waveform.shape();
+        let start = self.gone * shape.codes();
+        let codes = self.codes.get(start..start + shape.codes())?;
+        frame.shape = shape;
+        frame.codes.resize(shape.codes(), 0);
+        fifo::deinterleave(codes, shape, &mut frame.codes);
+        frame.sequence = self.next_sequence;
+        // Chunks carry no time: frames come at their interval.
+        frame.time_ns = (self.next_sequence as f64 * self.waveform.frame_interval_s() * 1e9).round() as u64;
+        (frame.truth, frame.temperature_millicelsius) = (None, None);
+        self.gone += 1;
+        self.next_sequence += 1;
+        Some(SourceEvent::Frame)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use radome_dsp::{RxMask, WaveformRequest};
+
+    fn resequencer() -> (Resequencer, Frame) {
+        let request = WaveformRequest {
+            samples_per_chirp: 8,
+            chirps_per_frame: 2,
+            rx_antennas: RxMask::from_antennas(&[1, 3]).expect("valid"),
+            ..WaveformRequest::paper()
+        };
+        let waveform = Waveform::realise(request).expect("valid");
+        let frame = Frame::zeroed(waveform.shape());
+        (Resequencer::new(&waveform, 5), frame)
+    }
+
+    /// Codes of so many frames, in FIFO order: the codes of the first receiver are even, those of the second odd.
+    fn codes(frames: usize) -> Vec<[u8; 2]> {
+        (0..frames * 32).map(|i| (i as u16).to_le_bytes()).collect()
+    }
+
+    fn gap(first_sequence: u64, frames: u64, reason: GapReason) -> Option<SourceEvent> {
+        Some(SourceEvent::Gap(Gap { first_sequence, frames, reason }))
+    }
+
+    const NOW: Duration = Duration::ZERO;
+
+    #[test]
+    fn a_chunk_of_frames_comes_out_one_by_one_receiver_by_receiver() {
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 3, &codes(3), NOW);
+        for sequence in 0..3 {
+            assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+            assert_eq!((frame.sequence, frame.time_ns), (sequence, sequence * 100_000_000));
+            let (first, second) = frame.codes.split_at(16);
+            let start = sequence as u16 * 32;
+            assert!(first.iter().zip((start..).step_by(2)).all(|(code, i)| *code == i));
+            assert!(second.iter().zip((start + 1..).step_by(2)).all(|(code, i)| *code == i));
+        }
+        assert_eq!(resequencer.pop(&mut frame), None);
+    }
+
+    #[test]
+    fn numbers_that_jump_are_a_gap_whose_reason_the_board_knows() {
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(7, 1, &codes(1), NOW);
+        assert!(resequencer.needs_reason());
+        resequencer.set_dropped(0);
+        assert_eq!(resequencer.pop(&mut frame), gap(0, 2, GapReason::PacketLost));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        assert_eq!(frame.sequence, 2);
+        resequencer.take(13, 1, &codes(1), NOW);
+        // Five are missing; of the six that the board has dropped by now some are missing only later.
+        resequencer.set_dropped(6);
+        assert_eq!(resequencer.pop(&mut frame), gap(3, 5, GapReason::FifoOverflow));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.take(17, 1, &codes(1), NOW);
+        resequencer.set_dropped(6);
+        assert_eq!(resequencer.pop(&mut frame), gap(9, 1, GapReason::FifoOverflow));
+        assert_eq!(resequencer.pop(&mut frame), gap(10, 2, GapReason::PacketLost));
+        assert!(!resequencer.needs_reason());
+    }
+
+    #[test]
+    fn frames_that_come_again_or_late_are_passed_over() {
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 2, &codes(2), NOW);
+        assert!(resequencer.pop(&mut frame).is_some() && resequencer.pop(&mut frame).is_some());
+        resequencer.take(5, 2, &codes(2), NOW);
+        resequencer.take(6, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), None);
+        resequencer.take(7, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+    }
+
+    /// Chunks come when their last frame is complete: of the 1.2 s since the one before, ten frames are missing if the
+    /// new one holds two.
+    #[test]
+    fn after_a_restart_the_hosts_clock_tells_how_many_are_missing() {
+        let (mut resequencer, mut frame) = resequencer();
+        resequencer.take(5, 1, &codes(1), NOW);
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.restart(GapReason::Crc);
+        resequencer.take(0, 2, &codes(2), Duration::from_millis(1210));
+        assert!(!resequencer.needs_reason());
+        assert_eq!(resequencer.pop(&mut frame), gap(1, 10, GapReason::Crc));
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        assert_eq!(frame.sequence, 11);
+        // What led to the restart is missing at least.
+        assert_eq!(resequencer.pop(&mut frame), Some(SourceEvent::Frame));
+        resequencer.restart(GapReason::Disconnected);
+        resequencer.take(0, 2, &codes(2), NOW);
+        assert_eq!(resequencer.pop(&mut frame), gap(13, 1, GapReason::Disconnected));
+    }
+}

@@ -1,0 +1,253 @@
+//! Errors of boards.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use thiserror::Error;
+
+use super::deepcraft::DeepcraftError;
+use crate::chip::ChipError;
+use crate::protocol::ascii::LineError;
+use crate::protocol::mcu7::{PayloadError, Status};
+use crate::transport::UsbAddress;
+use crate::transport::usb::OpenError;
+
+/// Errors of a board and its connection.
+#[derive(Debug, Error)]
+pub enum BoardError {
+    /// The port cannot be opened.
+    #[error("{path}: cannot be opened", path = path.display())]
+    Open {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// No board of this address is attached.
+    #[error(
+        "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome devices lists what is attached; boards with \
+         the vendor's shipped firmware answer on serial:/dev/ttyACM0",
+        path = path.display()
+    )]
+    Absent {
+        /// Address that was asked for.
+        path: PathBuf,
+    },
+    /// More than one board matches the address.
+    #[error("{path}: more than one board would do: {}\n\nhint: name one of these", found.join(", "), path = path.display())]
+    Ambiguous {
+        /// Address that was asked for.
+        path: PathBuf,
+        /// Addresses of the boards that match.
+        found: Vec<String>,
+    },
+    /// Another program holds the port.
+    #[error("{path}: another program has this port open; close it and try again", path = path.display())]
+    Busy {
+        /// Name of the port or USB device.
+        path: PathBuf,
+    },
+    /// The user may not open the port.
+    #[error(
+        "{path}: permission denied\n\nhint: {remedy}",
+        path = path.display(),
+        remedy = crate::transport::PERMISSION_REMEDY
+    )]
+    PermissionDenied {
+        /// Name of the port or USB device.
+        path: PathBuf,
+    },
+    /// The connection broke.
+    #[error("{path}: the connection broke; was the board unplugged?", path = path.display())]
+    Disconnected {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// The board did not answer a request.
+    #[error("{path}: no answer to the request for {command}; is this a radar board with Strata or DEEPCRAFT firmware?", path = path.display())]
+    NoAnswer {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Name of the request.
+        command: &'static str,
+    },
+    /// The board answered a request with an error status.
+    #[error("{path}: the board answered {status} to the request for {command}", path = path.display())]
+    Refused {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Name of the request.
+        command: &'static str,
+        /// Status that it answered.
+        status: Status,
+    },
+    /// An answer does not have the form of its kind.
+    #[error("{path}: the answer is malformed", path = path.display())]
+    Malformed {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Difference from the expected form.
+        source: PayloadError,
+    },
+    /// The firmware speaks another version of the protocol.
+    #[error(
+        "{path}: the firmware speaks protocol {major}.{minor}, this program speaks 4 and 3; update the board's firmware",
+        path = path.display()
+    )]
+    Protocol {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Major version.
+        major: u16,
+        /// Minor version.
+        minor: u16,
+    },
+    /// The board has no radar chip that answers.
+    #[error("{path}: the radar chip does not answer (CHIP_ID reads {chip_id:#08x}); check that the shield is seated", path = path.display())]
+    ChipSilent {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Content of its CHIP_ID register.
+        chip_id: u32,
+    },
+    /// The board has another radar chip.
+    #[error("{path}: the radar chip is {chip} (CHIP_ID {chip_id:#08x}), this program drives the BGT60TR13C", path = path.display())]
+    OtherChip {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Name of the chip.
+        chip: &'static str,
+        /// Content of its CHIP_ID register.
+        chip_id: u32,
+    },
+    /// Another board is on the port of the one that measured.
+    #[error("{path}: the board that came back is another one (UUID {found}, it was {expected}); start again to use it", path = path.display())]
+    OtherBoard {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// UUID of the board that measured.
+        expected: String,
+        /// UUID of the board that is there now.
+        found: String,
+    },
+    /// The chip cannot hold the waveform.
+    #[error(transparent)]
+    Chip(#[from] ChipError),
+    /// The board stopped measuring by itself.
+    #[error("{path}: the board stopped measuring with error code {code}", path = path.display())]
+    Acquisition {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Error code of the board.
+        code: u32,
+    },
+    /// No frame came within the deadline.
+    #[error("{path}: no frame for {waited:.1?}; the board has stalled", path = path.display())]
+    Stalled {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Time since the last frame.
+        waited: Duration,
+    },
+    /// The board sends lines, but none is a frame of the waveform.
+    #[error("{path}: no frame among its lines", path = path.display())]
+    Line {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// Error of the last line.
+        source: LineError,
+    },
+    /// The board does not state its waveform, and the caller gave none.
+    #[error(
+        "{path}: the board does not say what it measures\n\nhint: name the waveform that it was built for, with --waveform paper or --waveform FILE.toml",
+        path = path.display()
+    )]
+    WaveformUnknown {
+        /// Name of the port or USB device.
+        path: PathBuf,
+    },
+    /// An error that only DEEPCRAFT boards have.
+    #[error("{path}: {source}", path = path.display())]
+    Deepcraft {
+        /// Name of the port or USB device.
+        path: PathBuf,
+        /// The error.
+        source: DeepcraftError,
+    },
+    /// The stream was stopped before.
+    #[error("the acquisition has been stopped")]
+    Stopped,
+}
+
+impl BoardError {
+    /// Converts the error of opening the port or device `path`.
+    pub(super) fn opening(path: PathBuf, error: OpenError) -> BoardError {
+        match error {
+            OpenError::Absent => BoardError::Absent { path },
+            OpenError::Ambiguous(found) => {
+                BoardError::Ambiguous { path, found: found.iter().map(UsbAddress::to_string).collect() }
+            }
+            OpenError::Busy => BoardError::Busy { path },
+            OpenError::PermissionDenied => BoardError::PermissionDenied { path },
+            OpenError::Other(source) => BoardError::Open { path, source },
+        }
+    }
+
+    /// Returns whether opening the port again may remove the error. A port that has just come back may lack its
+    /// permissions for a moment, so that [`BoardError::PermissionDenied`] counts too.
+    pub fn is_passing(&self) -> bool {
+        match self {
+            BoardError::Open { .. }
+            | BoardError::Absent { .. }
+            | BoardError::Busy { .. }
+            | BoardError::PermissionDenied { .. }
+            | BoardError::Disconnected { .. }
+            | BoardError::NoAnswer { .. }
+            | BoardError::Refused { .. }
+            | BoardError::Malformed { .. }
+            | BoardError::ChipSilent { .. }
+            | BoardError::Acquisition { .. }
+            | BoardError::Stalled { .. } => true,
+            BoardError::Deepcraft { source, .. } => source.is_passing(),
+            BoardError::Protocol { .. }
+            | BoardError::OtherChip { .. }
+            | BoardError::OtherBoard { .. }
+            | BoardError::Ambiguous { .. }
+            | BoardError::Chip(_)
+            | BoardError::Line { .. }
+            | BoardError::WaveformUnknown { .. }
+            | BoardError::Stopped => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::transport::Address;
+
+    /// The address of the only board ends with a colon, and the addresses of others hold one.
+    #[test]
+    fn messages_name_the_board_in_every_form_of_address() {
+        for (address, name) in [
+            (UsbAddress::Any, "usb"),
+            (UsbAddress::Device { bus: 1, address: 4 }, "usb:1-4"),
+            (UsbAddress::Port { bus: 1, ports: vec![2, 3] }, "usb port 1-2.3"),
+            (UsbAddress::Serial("77AB".into()), "usb:77AB"),
+            (UsbAddress::Emulated("/tmp/board".into()), "usb:/tmp/board"),
+        ] {
+            let path = Address::Usb(address).name();
+            let absent = BoardError::Absent { path: path.clone() }.to_string();
+            let (sentence, hint) = absent.split_once("\n\nhint: ").expect("a hint");
+            assert_eq!(sentence, format!("no board with bulk firmware (058b:0252) is attached at {name}"));
+            assert!(hint.contains("radome devices"), "{hint}");
+            let ambiguous =
+                BoardError::Ambiguous { path: path.clone(), found: vec!["usb:1-4".into(), "usb:1-5".into()] };
+            for message in [absent, ambiguous.to_string(), BoardError::Busy { path }.to_string()] {
+                assert!(!message.contains("::") && message.contains(name), "{message}");
+            }
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! Frame stream of an ESP32 that prints lines.
+
+use std::io::{ErrorKind, Read};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+use serialport::TTYPort;
+
+use super::resequencer::Resequencer;
+use crate::board::BoardError;
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::protocol::ascii::{self, Line, LineParser};
+use crate::transport::serial::{open_port, read_more};
+use crate::transport::trace;
+
+const BAUD_RATE: u32 = 921_600;
+const BUFFER: usize = 65_536;
+/// Longest wait for the line in which the firmware states its waveform.
+const WAVEFORM_TIMEOUT: Duration = Duration::from_secs(3);
+/// Most bytes that are searched for that line.
+const MAX_HEARD_BYTES: usize = 1 << 22;
+
+/// Frame stream of a board that prints lines, from the next whole line on.
+///
+/// Lines have no check sum: a digit of a code that becomes another digit is not detected. Lines that are lost, doubled,
+/// cut, out of order or wrongly numbered are detected: a number that does not follow its predecessor counts when the
+/// next line confirms it.
+pub struct Esp32Stream {
+    path: PathBuf,
+    /// `None` while the board is disconnected.
+    port: Option<TTYPort>,
+    parser: LineParser,
+    buffer: Vec<u8>,
+    resequencer: Resequencer,
+    /// Longest silence, from the frame interval and the duration of a line.
+    deadline: Duration,
+    waveform: Waveform,
+    recovery: Recovery,
+    losses: Losses,
+}
+
+impl Esp32Stream {
+    /// Opens the port and listens. Without a waveform the firmware has to state its own.
+    ///
+    /// # Errors
+    /// [`BoardError::Open`], [`BoardError::Busy`] or [`BoardError::PermissionDenied`] if the port cannot be opened;
+    /// [`BoardError::WaveformUnknown`] if no waveform is given and the firmware states none.
+    pub fn open(path: &Path, waveform: Option<&Waveform>) -> Result<Self, BoardError> {
+        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
+        Esp32Stream::listen(path, port, Vec::new(), waveform)
+    }
+
+    /// Starts a stream on an open port; `heard` are the bytes read from it so far.
+    pub(in crate::board) fn listen(
+        path: &Path,
+        mut port: TTYPort,
+        mut heard: Vec<u8>,
+        waveform: Option<&Waveform>,
+    ) -> Result<Self, BoardError> {
+        let waveform = match waveform {
+            Some(waveform) => waveform.clone(),
+            None => read_waveform_line(path, &mut port, &mut heard)?,
+        };
+        let codes = waveform.shape().codes();
+        // Six characters a code, ten bits a character.
+        let line_s = codes as f64 * 60.0 / f64::from(BAUD_RATE);
+        let mut parser = LineParser::new(codes);
+        parser.push(&heard);
+        Ok(Esp32Stream {
+            path: path.into(),
+            port: Some(port),
+            parser,
+            buffer: vec![0; BUFFER],
+            resequencer: Resequencer::new(&waveform),
+            deadline: Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s().max(line_s)),
+            waveform,
+            recovery: Recovery::default(),
+            losses: Losses::default(),
+        })
+    }
+
+    /// Makes the stream reconnect after the board was unplugged or fell silent. The frames lost meanwhile become a gap,
+    /// counted by the host's clock.
+    pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
+        self.recovery.policy = Some(policy);
+        self
+    }
+
+    /// Number of frames lost so far for this reason.
+    pub fn lost_frames(&self, reason: GapReason) -> u64 {
+        self.losses.frames(reason)
+    }
+}
+
+/// Listens until the firmware states its waveform; appends all bytes to `heard`.
+fn read_waveform_line(path: &Path, port: &mut TTYPort, heard: &mut Vec<u8>) -> Result<Waveform, BoardError> {
+    let untold = || BoardError::WaveformUnknown { path: path.to_owned() };
+    let began = Instant::now();
+    let mut begin = 0;
+    loop {
+        while let Some(length) = heard.get(begin..).unwrap_or(&[]).iter().position(|b| *b == b'\n') {
+            let line = heard.get(begin..begin + length).unwrap_or(&[]);
+            begin += length + 1;
+            match ascii::decode_waveform(line.strip_suffix(b"\r").unwrap_or(line)).map(|r| r.map(Waveform::realise)) {
+                None => {}
+                Some(Ok(Ok(waveform))) => return Ok(waveform),
+                Some(_) => return Err(untold()),
+            }
+        }
+        if began.elapsed() > WAVEFORM_TIMEOUT || heard.len() > MAX_HEARD_BYTES {
+            return Err(untold());
+        }
+        let lost = |source| BoardError::Disconnected { path: path.to_owned(), source };
+        read_more(port, heard).map_err(lost)?;
+    }
+}
+
+impl FrameSource for Esp32Stream {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        let event = next_event(self, frame)?;
+        if let SourceEvent::Gap(gap) = &event {
+            self.losses.count(gap);
+        }
+        Ok(event)
+    }
+}
+
+impl Reconnectable for Esp32Stream {
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        // The deadline is not extended by bytes alone: lines of another waveform would keep the stream waiting for
+        // ever.
+        let began = Instant::now();
+        let mut unfit = None;
+        loop {
+            if let Some(event) = self.resequencer.pop(frame) {
+                return Ok(event);
+            }
+            match self.parser.next_line() {
+                Some(Ok(Line::Frame { number, codes })) => {
+                    self.resequencer.take(number, codes, Instant::now());
+                    continue;
+                }
+                Some(Ok(Line::Log(text))) => {
+                    tracing::debug!("{}: {}", self.path.display(), String::from_utf8_lossy(text));
+                    continue;
+                }
+                Some(Err(error)) => {
+                    tracing::warn!("{}: {error}", self.path.display());
+                    self.resequencer.damaged = true;
+                    unfit = Some(error);
+                    continue;
+                }
+                None => {}
+            }
+            // Received lines were parsed first: a caller that did not read for so long has not lost the board.
+            if began.elapsed() > self.deadline {
+                let path = self.path.clone();
+                return Err(match unfit {
+                    // Once a frame has come the waveform is right, and a damaged line only the last before a silence.
+                    Some(source) if self.resequencer.next_number.is_none() => BoardError::Line { path, source },
+                    _ => BoardError::Stalled { path, waited: self.deadline },
+                });
+            }
+            let lost = |source| BoardError::Disconnected { path: self.path.clone(), source };
+            let port = self.port.as_mut().ok_or_else(|| lost(ErrorKind::NotConnected.into()))?;
+            match port.read(&mut self.buffer) {
+                Ok(0) => return Err(lost(ErrorKind::UnexpectedEof.into())),
+                Ok(count) => {
+                    trace::measured(count);
+                    self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
+                }
+                Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {}
+                Err(e) => return Err(lost(e)),
+            }
+        }
+    }
+
+    fn close(&mut self) {
+        self.port = None;
+    }
+
+    fn reopen(&mut self) -> Result<(), BoardError> {
+        let port = open_port(&self.path, BAUD_RATE).map_err(|error| BoardError::opening(self.path.clone(), error))?;
+        self.port = Some(port);
+        self.parser = LineParser::new(self.waveform.shape().codes());
+        self.resequencer.reopened();
+        Ok(())
+    }
+
+    fn last_frame(&self) -> Instant {
+        self.resequencer.last_frame
+    }
+
+    fn recovery(&mut self) -> &mut Recovery {
+        &mut self.recovery
+    }
+}

@@ -1,0 +1,129 @@
+//! Requests and packets of the MCU7 protocol over a serial port or USB.
+
+mod bulk;
+mod carrier;
+mod serial;
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use crate::board::BoardError;
+use crate::protocol::mcu7::{Command, Framing, Protocol, Request, Status};
+use crate::transport::{Address, trace};
+use bulk::Bulk;
+use carrier::Failure;
+pub(super) use carrier::Incoming;
+use serial::Serial;
+
+enum Carrier {
+    Serial(Serial),
+    Bulk(Bulk),
+}
+
+/// Connection to a board.
+pub(super) struct Link {
+    /// Name of the board's address in messages.
+    pub path: PathBuf,
+    /// Address under which the board is found when it has been plugged in anew.
+    pub address: Address,
+    /// Version that requests are sent in.
+    pub protocol: Protocol,
+    carrier: Carrier,
+}
+
+impl Link {
+    pub fn open(address: &Address) -> Result<Self, BoardError> {
+        let path = address.name();
+        let (carrier, address) = match address {
+            Address::Serial(port) => (Carrier::Serial(Serial::open(port)?), address.clone()),
+            Address::Usb(usb) => {
+                let (bulk, settled) = Bulk::open(usb)?;
+                (Carrier::Bulk(bulk), Address::Usb(settled))
+            }
+        };
+        Ok(Link { path, address, protocol: Protocol::default(), carrier })
+    }
+
+    /// Framing of data packets on this transport.
+    pub fn framing(&self) -> Framing {
+        match self.carrier {
+            Carrier::Serial(_) => Framing::Serial,
+            Carrier::Bulk(_) => Framing::Bulk,
+        }
+    }
+
+    fn error(&self, failure: Failure, command: &'static str) -> BoardError {
+        let path = self.path.clone();
+        match failure {
+            Failure::NoAnswer => BoardError::NoAnswer { path, command },
+            Failure::Lost(source) => BoardError::Disconnected { path, source },
+        }
+    }
+
+    /// Waits for data, at most `timeout`; returns whether any came.
+    pub fn receive(&mut self, timeout: Duration) -> Result<bool, BoardError> {
+        let received = match &mut self.carrier {
+            Carrier::Serial(serial) => serial.receive(timeout),
+            Carrier::Bulk(bulk) => bulk.receive(timeout),
+        };
+        received.map_err(|failure| self.error(failure, "data"))
+    }
+
+    /// Returns the next packet among the bytes received; answers to earlier requests are discarded.
+    pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
+        let incoming = match &mut self.carrier {
+            Carrier::Serial(serial) => serial.next_incoming(),
+            Carrier::Bulk(bulk) => bulk.next_incoming(),
+        };
+        match &incoming {
+            Some(Incoming::Packet(packet)) => trace::packet(packet),
+            Some(Incoming::Damaged) => trace::damaged(),
+            None => {}
+        }
+        incoming
+    }
+
+    /// Sends a request and waits for its answer. After [`Command::StopData`] no packet sent before is left.
+    pub fn request(&mut self, command: &Command) -> Result<(Status, Vec<u8>), BoardError> {
+        let request: Request = command.to_request(self.protocol);
+        let answered = match &mut self.carrier {
+            Carrier::Serial(serial) => serial.request(&request),
+            Carrier::Bulk(bulk) => bulk.request(&request).and_then(|answer| {
+                if *command == Command::StopData {
+                    bulk.drain()?;
+                }
+                Ok(answer)
+            }),
+        };
+        answered.map_err(|failure| self.error(failure, name(command)))
+    }
+
+    /// Sends a request that must succeed; returns the payload of the answer.
+    pub fn request_ok(&mut self, command: &Command) -> Result<Vec<u8>, BoardError> {
+        match self.request(command)? {
+            (Status::Ok, payload) => Ok(payload),
+            (status, _) => Err(BoardError::Refused { path: self.path.clone(), command: name(command), status }),
+        }
+    }
+}
+
+/// Name of a command in messages.
+fn name(command: &Command) -> &'static str {
+    match command {
+        Command::BoardInfo | Command::BoardInfoFixed { .. } => "board info",
+        Command::FirmwareVersion => "firmware version",
+        Command::Uuid => "UUID",
+        Command::ExtendedVersion => "extended version",
+        Command::ComponentCount { .. } | Command::ComponentImplementation { .. } => "count of radar chips",
+        Command::DataIndex => "data index",
+        Command::WriteRegisters { .. } | Command::SetBits { .. } => "register write",
+        Command::ReadRegisters { .. } => "register read",
+        Command::HardwareReset => "hardware reset",
+        Command::InterruptLevel => "interrupt level",
+        Command::Execute { .. } => "SPI transfer",
+        Command::ConfigureData { .. } => "data configuration",
+        Command::DataStatus => "data status",
+        Command::StartData => "data start",
+        Command::StopData => "data stop",
+    }
+}

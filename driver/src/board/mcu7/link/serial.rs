@@ -1,0 +1,100 @@
+//! Requests and packets over a serial port.
+
+use std::io::{ErrorKind, Write};
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use serialport::{SerialPort, TTYPort};
+
+use super::carrier::{ANSWER_TIMEOUT, Failure, Incoming, SILENCE};
+use crate::board::BoardError;
+use crate::protocol::mcu7::{BoardEvent, BoardParser, Request, Status};
+use crate::transport::serial::{open_port, read_within};
+use crate::transport::trace;
+
+const BAUD_RATE: u32 = 921_600;
+/// Bytes taken from the port at once.
+const BUFFER: usize = 65_536;
+
+pub(super) struct Serial {
+    port: TTYPort,
+    parser: BoardParser,
+    buffer: Vec<u8>,
+    last_byte: Instant,
+}
+
+impl Serial {
+    pub fn open(path: &Path) -> Result<Self, BoardError> {
+        let port = open_port(path, BAUD_RATE).map_err(|error| BoardError::opening(path.into(), error))?;
+        Ok(Serial {
+            port,
+            parser: BoardParser::with_capacity(BUFFER),
+            buffer: vec![0; BUFFER],
+            last_byte: Instant::now(),
+        })
+    }
+
+    pub fn receive(&mut self, timeout: Duration) -> Result<bool, Failure> {
+        match read_within(&mut self.port, timeout.max(Duration::from_millis(1)), &mut self.buffer) {
+            Ok(0) => Err(Failure::Lost(ErrorKind::UnexpectedEof.into())),
+            Ok(count) => {
+                self.last_byte = Instant::now();
+                self.parser.push(self.buffer.get(..count).unwrap_or(&[]));
+                Ok(true)
+            }
+            Err(e) if matches!(e.kind(), ErrorKind::TimedOut | ErrorKind::Interrupted | ErrorKind::WouldBlock) => {
+                if self.parser.is_waiting() && self.last_byte.elapsed() > SILENCE {
+                    self.parser.on_silence();
+                    return Ok(true);
+                }
+                Ok(false)
+            }
+            Err(e) => Err(Failure::Lost(e)),
+        }
+    }
+
+    pub fn next_incoming(&mut self) -> Option<Incoming<'_>> {
+        loop {
+            // Peeking and taking are two steps because the borrow checker asks for it.
+            match self.parser.peek_is_response()? {
+                true => {
+                    self.parser.next_event();
+                }
+                false => {
+                    return match self.parser.next_event()? {
+                        BoardEvent::Packet(packet) => Some(Incoming::Packet(packet)),
+                        _ => Some(Incoming::Damaged),
+                    };
+                }
+            }
+        }
+    }
+
+    /// Data packets that come before the answer are dropped.
+    pub fn request(&mut self, request: &Request) -> Result<(Status, Vec<u8>), Failure> {
+        self.port.set_timeout(ANSWER_TIMEOUT).map_err(|e| Failure::Lost(e.into()))?;
+        let message = request.encode();
+        trace::sent(&message);
+        self.port.write_all(&message).map_err(|e| match e.kind() {
+            ErrorKind::TimedOut => Failure::NoAnswer,
+            _ => Failure::Lost(e),
+        })?;
+        let deadline = Instant::now() + ANSWER_TIMEOUT;
+        loop {
+            while let Some(event) = self.parser.next_event() {
+                trace::event(&event);
+                if let BoardEvent::Response(response) = event
+                    && response.kind_code == request.kind_code()
+                {
+                    return Ok((response.status, response.payload.to_vec()));
+                }
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                trace::failed(&ErrorKind::TimedOut);
+                return Err(Failure::NoAnswer);
+            }
+            self.receive(left.min(Duration::from_millis(50)))?;
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! Frame stream of a Radar Baseboard MCU7.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use radome_dsp::{Frame, FrameSource, GapReason, SourceError, SourceEvent, Waveform};
+
+use super::assembler::{Assembler, Outcome};
+use super::board::Mcu7Board;
+use super::link::Incoming;
+use crate::board::BoardError;
+use crate::board::reconnect::{Losses, Reconnect, Reconnectable, Recovery, next_event};
+use crate::chip::{ChipConfiguration, RegisterList, SpiWord, field};
+use crate::protocol::mcu7::{Command, DataError, DataFormat, SliceLayout};
+use crate::transport::Address;
+
+/// MAIN with FIFO and state machine reset, as the vendor's client stops.
+const STOP: SpiWord = SpiWord { address: 0, write: true, value: 0x1E_827C };
+
+/// A running acquisition. It ends with [`Mcu7Stream::stop`] or when dropped.
+pub struct Mcu7Stream {
+    board: Option<Mcu7Board>,
+    waveform: Waveform,
+    registers: RegisterList,
+    slice: SliceLayout,
+    assembler: Assembler,
+    /// Longest silence between two packets, from the frame interval.
+    deadline: Duration,
+    restart: Option<GapReason>,
+    path: PathBuf,
+    address: Address,
+    uuid: String,
+    recovery: Recovery,
+    /// Time at which the last frame was handed out, or the stream began.
+    last_frame: Instant,
+    losses: Losses,
+}
+
+impl Mcu7Board {
+    /// Programs the chip and starts frames. The stream's waveform has the chirp interval that the registers realise.
+    ///
+    /// # Errors
+    /// [`BoardError::Chip`] if the registers cannot hold the waveform; else an error of the connection or of the board.
+    pub fn start(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
+        Mcu7Stream::start(self, waveform, false)
+    }
+
+    /// Starts frames like [`Mcu7Board::start`], with the chip's [test pattern](crate::chip::test_pattern) in place of the
+    /// samples of RX1, which the waveform must have.
+    ///
+    /// # Errors
+    /// Those of [`Mcu7Board::start`].
+    pub fn start_test_pattern(self, waveform: &Waveform) -> Result<Mcu7Stream, BoardError> {
+        Mcu7Stream::start(self, waveform, true)
+    }
+}
+
+impl Mcu7Stream {
+    fn start(board: Mcu7Board, waveform: &Waveform, test_pattern: bool) -> Result<Self, BoardError> {
+        let slice = SliceLayout::for_frame_as(waveform.shape().codes(), board.link.framing());
+        let configuration = ChipConfiguration { waveform: waveform.clone(), slice_samples: slice.samples };
+        let mut registers = configuration.compile()?;
+        if test_pattern {
+            let lfsr = field::SFCTL::LFSR_EN;
+            registers.iter_mut().filter(|r| r.address == lfsr.address).for_each(|r| r.value = lfsr.put(r.value, 1));
+        }
+        // The registers hold the chirp interval only roughly: what they make of it is the truth.
+        let mut realised = waveform.clone();
+        realised.chirp_interval_s = configuration.realised()?.chirp_interval_s;
+        let assembler = Assembler::new(&realised, slice);
+        let deadline = Duration::from_secs_f64(1.0 + 3.0 * waveform.frame_interval_s());
+        let mut stream = Mcu7Stream {
+            path: board.path().to_owned(),
+            address: board.address().clone(),
+            uuid: board.identity().uuid.clone(),
+            recovery: Recovery::default(),
+            last_frame: Instant::now(),
+            losses: Losses::default(),
+            board: Some(board),
+            waveform: realised,
+            registers,
+            slice,
+            assembler,
+            deadline,
+            restart: None,
+        };
+        stream.program()?;
+        Ok(stream)
+    }
+
+    fn board(&mut self) -> Result<&mut Mcu7Board, BoardError> {
+        self.board.as_mut().ok_or(BoardError::Stopped)
+    }
+
+    fn program(&mut self) -> Result<(), BoardError> {
+        let words: Vec<SpiWord> = self.registers.iter().map(|r| (*r).into()).collect();
+        let slice_samples = self.slice.samples as u16;
+        let link = &mut self.board()?.link;
+        link.request_ok(&Command::StopData)?;
+        link.request_ok(&Command::HardwareReset)?;
+        link.request_ok(&Command::ConfigureData { format: DataFormat::Packed12, slice_samples })?;
+        link.request_ok(&Command::StartData)?;
+        link.request_ok(&Command::Execute { words, answer: false })?;
+        Ok(())
+    }
+
+    /// Makes the stream reconnect after the board was unplugged or has stalled; [`FrameSource::next_frame`] then waits
+    /// for it. The frames lost meanwhile become a gap, counted by the board's clock where that has run on, otherwise by
+    /// the host's clock to about one frame.
+    pub fn with_reconnect(mut self, policy: Reconnect) -> Self {
+        self.recovery.policy = Some(policy);
+        self
+    }
+
+    /// Number of frames lost so far for this reason.
+    pub fn lost_frames(&self, reason: GapReason) -> u64 {
+        self.losses.frames(reason)
+    }
+
+    /// Register list that was written to the chip.
+    pub fn registers(&self) -> &RegisterList {
+        &self.registers
+    }
+
+    /// Reads the next frame or gap; `None` if none is there within `timeout`.
+    ///
+    /// # Errors
+    /// [`BoardError`] if the connection breaks, the board refuses to start again or stops by itself, or the stream was
+    /// stopped.
+    pub fn poll(&mut self, frame: &mut Frame, timeout: Duration) -> Result<Option<SourceEvent>, BoardError> {
+        let end = Instant::now() + timeout;
+        let mut tried = false;
+        'next: loop {
+            if let Some(event) = self.assembler.pop(frame) {
+                match &event {
+                    SourceEvent::Frame => {
+                        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+                        frame.host_time_ns = now.as_nanos() as u64;
+                        self.last_frame = Instant::now();
+                    }
+                    SourceEvent::Gap(gap) => self.losses.count(gap),
+                    SourceEvent::End => {}
+                }
+                return Ok(Some(event));
+            }
+            if let Some(reason) = self.restart.take() {
+                tracing::warn!(reason = reason.name(), "the board is started anew");
+                self.assembler.restart(reason);
+                self.program()?;
+            }
+            let link = &mut self.board.as_mut().ok_or(BoardError::Stopped)?.link;
+            while let Some(incoming) = link.next_incoming() {
+                let outcome = match incoming {
+                    Incoming::Damaged => {
+                        self.assembler.damaged();
+                        continue;
+                    }
+                    Incoming::Packet(packet) => {
+                        self.assembler.host_elapsed(self.last_frame.elapsed());
+                        self.assembler.packet(&packet)
+                    }
+                };
+                match outcome {
+                    Outcome::Taken => {}
+                    Outcome::Stopped(DataError::FifoOverflow) => self.restart = Some(GapReason::FifoOverflow),
+                    Outcome::Stopped(DataError::Other(code)) => {
+                        return Err(BoardError::Acquisition { path: link.path.clone(), code });
+                    }
+                    Outcome::Misaligned => self.restart = Some(GapReason::PacketLost),
+                }
+                // Completed frames are handed out before later packets are parsed.
+                if self.restart.is_some() || self.assembler.is_ready() {
+                    continue 'next;
+                }
+            }
+            let left = end.saturating_duration_since(Instant::now());
+            if left.is_zero() && tried {
+                return Ok(None);
+            }
+            tried = true;
+            link.receive(left.min(Duration::from_millis(50)))?;
+        }
+    }
+
+    /// Stops the acquisition and returns the board.
+    ///
+    /// # Errors
+    /// An error of the connection or of the board, or [`BoardError::Stopped`] if it has been stopped before.
+    pub fn stop(mut self) -> Result<Mcu7Board, BoardError> {
+        let mut board = self.board.take().ok_or(BoardError::Stopped)?;
+        halt(&mut board)?;
+        Ok(board)
+    }
+}
+
+fn halt(board: &mut Mcu7Board) -> Result<(), BoardError> {
+    board.link.request_ok(&Command::StopData)?;
+    board.link.request_ok(&Command::Execute { words: vec![STOP], answer: false })?;
+    Ok(())
+}
+
+impl Drop for Mcu7Stream {
+    fn drop(&mut self) {
+        if let Some(mut board) = self.board.take()
+            && let Err(error) = halt(&mut board)
+        {
+            tracing::debug!(%error, "the board could not be stopped");
+        }
+    }
+}
+
+impl FrameSource for Mcu7Stream {
+    fn waveform(&self) -> &Waveform {
+        &self.waveform
+    }
+
+    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
+        Ok(next_event(self, frame)?)
+    }
+}
+
+impl Reconnectable for Mcu7Stream {
+    fn wait(&mut self, frame: &mut Frame) -> Result<SourceEvent, BoardError> {
+        let waited = self.deadline;
+        self.poll(frame, waited)?.ok_or_else(|| BoardError::Stalled { path: self.path.clone(), waited })
+    }
+
+    fn close(&mut self) {
+        self.board = None;
+        self.restart = None;
+    }
+
+    fn reopen(&mut self) -> Result<(), BoardError> {
+        // A former attempt may have opened the port and failed later.
+        self.board = None;
+        let board = Mcu7Board::open_at(&self.address)?;
+        if board.identity().uuid != self.uuid {
+            let (expected, found) = (self.uuid.clone(), board.identity().uuid.clone());
+            return Err(BoardError::OtherBoard { path: self.path.clone(), expected, found });
+        }
+        self.board = Some(board);
+        self.program()?;
+        self.assembler.reconnected();
+        Ok(())
+    }
+
+    fn last_frame(&self) -> Instant {
+        self.last_frame
+    }
+
+    fn recovery(&mut self) -> &mut Recovery {
+        &mut self.recovery
+    }
+}

@@ -1,0 +1,56 @@
+//! Errors of emulated boards.
+
+use std::path::PathBuf;
+
+use thiserror::Error;
+
+use crate::chip::ChipError;
+
+/// Error of starting an emulated board.
+#[derive(Debug, Error)]
+pub enum EmulatorError {
+    /// The line to the host cannot be opened.
+    #[error("emulator: cannot make {what}")]
+    Line {
+        /// Description of the line.
+        what: String,
+        /// Error of the operating system.
+        source: std::io::Error,
+    },
+    /// Another emulated board has the link.
+    #[error(
+        "emulator: another emulated board has the link {link}\n\nhint: stop that board, or give this one another link",
+        link = link.display()
+    )]
+    LinkTaken {
+        /// The link.
+        link: PathBuf,
+    },
+    /// The path of the link exists and is not the remains of an emulated board.
+    #[error(
+        "emulator: {link} exists and is no link that an emulated board has left behind\n\nhint: remove it, or give the board another link",
+        link = link.display()
+    )]
+    LinkExists {
+        /// The link.
+        link: PathBuf,
+    },
+    /// A board with USB endpoints cannot use a terminal.
+    #[error("emulator: a board with bulk transfers cannot be on the terminal {path}", path = path.display())]
+    NoTerminal {
+        /// Path of the terminal.
+        path: PathBuf,
+    },
+    /// The thread cannot be started.
+    #[error("emulator: cannot start a thread")]
+    Thread(#[source] std::io::Error),
+    /// The chip cannot hold the waveform of the source.
+    #[error(transparent)]
+    Chip(#[from] ChipError),
+    /// The speed is not a positive number.
+    #[error("emulator: speed is {speed}, it must be a positive number")]
+    Speed {
+        /// Speed that was given.
+        speed: f64,
+    },
+}

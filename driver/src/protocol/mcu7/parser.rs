@@ -1,0 +1,228 @@
+//! Parsers of messages in a stream of bytes that may hold garbage.
+
+use super::{Framing, MAX_MESSAGE, Packet, Protocol, REQUEST_HEADER_LENGTH, Request, RequestKind, Response, Status};
+use crate::protocol::crc::crc16;
+
+/// Message of a board.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum BoardEvent<'a> {
+    /// An answer.
+    Response(Response<'a>),
+    /// A piece of data.
+    Packet(Packet<'a>),
+    /// Skipped bytes that are not a message, or a message whose CRC is wrong.
+    Damaged {
+        /// Bytes skipped.
+        bytes: usize,
+    },
+}
+
+enum Candidate {
+    /// More bytes are needed to decide.
+    Incomplete,
+    /// No message begins here.
+    No,
+    /// A whole message of this length.
+    Message(usize),
+}
+
+fn candidate(bytes: &[u8]) -> Candidate {
+    let Some(&first) = bytes.first() else { return Candidate::Incomplete };
+    let length = if first & 0xF0 == 0xD0 {
+        let Some(header) = bytes.first_chunk() else {
+            return if bytes.get(1).is_some_and(|channel| *channel != 0) {
+                Candidate::No
+            } else {
+                Candidate::Incomplete
+            };
+        };
+        match Packet::header(Framing::Serial, header) {
+            Some((_, length)) => Packet::HEADER_LENGTH + length + 2,
+            None => return Candidate::No,
+        }
+    } else if RequestKind::from_code(first).is_some() {
+        let Some(&[_, _, l0, l1]) = bytes.first_chunk() else { return Candidate::Incomplete };
+        Response::HEADER_LENGTH + usize::from(u16::from_le_bytes([l0, l1])) + 2
+    } else {
+        return Candidate::No;
+    };
+    match bytes.get(..length) {
+        _ if length > MAX_MESSAGE => Candidate::No,
+        None => Candidate::Incomplete,
+        Some(message) if crc16(message) == 0 => Candidate::Message(length),
+        Some(_) => Candidate::No,
+    }
+}
+
+/// Parser of the messages of a board. A message counts only if its CRC is right; after a wrong CRC the search continues
+/// at the next byte, so that a message that was cut short does not hide its successor.
+#[derive(Debug, Default)]
+pub struct BoardParser {
+    buffer: Vec<u8>,
+    /// Bytes of `buffer` that have been handed out.
+    used: usize,
+    /// Length of the message after them, if it has been found whole: its CRC need not be computed again.
+    checked: Option<usize>,
+}
+
+impl BoardParser {
+    /// Creates an empty parser.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Creates an empty parser that allocates nothing as long as at most so many bytes at a time are pushed, and taken
+    /// out as far as they are whole.
+    pub fn with_capacity(bytes: usize) -> Self {
+        BoardParser { buffer: Vec::with_capacity(bytes + MAX_MESSAGE), ..Self::default() }
+    }
+
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        if self.used > 0 {
+            self.buffer.drain(..self.used);
+            self.used = 0;
+        }
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Returns the next message or stretch of garbage; `None` until more bytes come.
+    pub fn next_event(&mut self) -> Option<BoardEvent<'_>> {
+        let start = self.used;
+        if let Some(length) = self.checked.take() {
+            self.used = start + length;
+            return self.buffer.get(start..start + length).and_then(decode);
+        }
+        let mut at = start;
+        loop {
+            let rest = self.buffer.get(at..).unwrap_or(&[]);
+            match candidate(rest) {
+                Candidate::No => at += 1,
+                _ if at > start => {
+                    self.used = at;
+                    return Some(BoardEvent::Damaged { bytes: at - start });
+                }
+                Candidate::Incomplete => return None,
+                Candidate::Message(length) => {
+                    self.used = at + length;
+                    return self.buffer.get(at..at + length).and_then(decode);
+                }
+            }
+        }
+    }
+
+    /// Returns whether the next event is an answer; `None` until more bytes come.
+    pub fn peek_is_response(&mut self) -> Option<bool> {
+        let rest = self.buffer.get(self.used..).unwrap_or(&[]);
+        let candidate = match self.checked {
+            Some(length) => Candidate::Message(length),
+            None => candidate(rest),
+        };
+        match candidate {
+            Candidate::Incomplete => None,
+            Candidate::No => Some(false),
+            Candidate::Message(length) => {
+                self.checked = Some(length);
+                Some(rest.first().is_some_and(|first| first & 0xF0 != 0xD0))
+            }
+        }
+    }
+
+    /// Notes that the line has been silent: the rest of an incomplete message will not come, and its header may have
+    /// been garbage that hides a real message. Discards one byte; call [`Self::next_event`] again.
+    pub fn on_silence(&mut self) {
+        self.checked = None;
+        self.used = (self.used + 1).min(self.buffer.len());
+    }
+
+    /// Returns whether the start of a message waits for the rest.
+    pub fn is_waiting(&self) -> bool {
+        self.used < self.buffer.len()
+    }
+
+    /// Forgets everything received.
+    pub fn clear(&mut self) {
+        self.buffer.clear();
+        self.used = 0;
+        self.checked = None;
+    }
+}
+
+/// A message whose length and CRC have been checked.
+fn decode(message: &[u8]) -> Option<BoardEvent<'_>> {
+    let (body, _) = message.split_last_chunk::<2>()?;
+    if let Some((header, payload)) = body.split_first_chunk()
+        && let Some((flags, _)) = Packet::header(Framing::Serial, header)
+    {
+        let counter = u16::from_le_bytes([header[2], header[3]]);
+        return Some(BoardEvent::Packet(Packet { flags, channel: header[1], counter, payload }));
+    }
+    let (&[kind_code, status, _, _], payload) = body.split_first_chunk::<4>()?;
+    Some(BoardEvent::Response(Response { kind_code, status: Status::from_code(status), payload }))
+}
+
+/// Message of a host, as the firmware parses it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum HostEvent {
+    /// A request.
+    Request(Request),
+    /// Bytes that the firmware refuses with this status; its answer repeats the first byte.
+    Refused {
+        /// First byte of the refused bytes.
+        kind_code: u8,
+        /// Why.
+        status: Status,
+    },
+}
+
+/// Parser of requests to a board, which refuses what the firmware refuses.
+#[derive(Debug, Default)]
+pub struct HostParser {
+    protocol: Protocol,
+    buffer: Vec<u8>,
+}
+
+impl HostParser {
+    /// Creates an empty parser of firmware that speaks this version.
+    pub fn new(protocol: Protocol) -> Self {
+        HostParser { protocol, buffer: Vec::new() }
+    }
+
+    /// Version that it was made for.
+    pub fn protocol(&self) -> Protocol {
+        self.protocol
+    }
+
+    /// Takes received bytes.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// Returns the next request; `None` until more bytes come. What is refused empties the buffer, as the firmware
+    /// flushes its input then.
+    pub fn next_event(&mut self) -> Option<HostEvent> {
+        let header: &[u8; REQUEST_HEADER_LENGTH] = self.buffer.first_chunk()?;
+        let kind_code = header[0];
+        let is_known = RequestKind::from_code(kind_code).is_some_and(|(_, protocol)| protocol == self.protocol);
+        let Some(payload) = Request::payload_length(header).filter(|_| is_known) else {
+            self.buffer.clear();
+            return Some(HostEvent::Refused { kind_code, status: Status::RequestTypeInvalid });
+        };
+        let length = REQUEST_HEADER_LENGTH + payload + 2;
+        if length > MAX_MESSAGE {
+            self.buffer.clear();
+            return Some(HostEvent::Refused { kind_code, status: Status::RequestPayloadTooLong });
+        }
+        let message = self.buffer.get(..length)?;
+        match Request::decode(message) {
+            Ok(request) => {
+                self.buffer.drain(..length);
+                Some(HostEvent::Request(request))
+            }
+            Err(_) => {
+                self.buffer.clear();
+                Some(HostEvent::Refused { kind_code, status: Status::RequestCrc })
+            }
+        }
+    }
+}

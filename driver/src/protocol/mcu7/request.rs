@@ -1,0 +1,392 @@
+//! Requests: 8-byte header, payload, CRC.
+
+use thiserror::Error;
+
+use super::{COMPONENT_RADAR, FIFO_ADDRESS, Protocol, Status};
+use crate::chip::SpiWord;
+use crate::protocol::crc::crc16;
+
+/// Bytes of a request before its payload.
+pub const REQUEST_HEADER_LENGTH: usize = 8;
+
+const BOARD: u8 = 0x80;
+const COMPONENT: u8 = 0x20;
+const DATA: u8 = 0x0D;
+
+/// Direction of a request's payload.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum RequestKind {
+    /// Payload to the board.
+    Write,
+    /// Payload from the board; the header's length is the length wanted.
+    Read,
+    /// Payload both ways.
+    Transfer,
+}
+
+impl RequestKind {
+    const ALL: [RequestKind; 3] = [RequestKind::Write, RequestKind::Read, RequestKind::Transfer];
+
+    /// Returns the byte on the wire.
+    pub fn code(self, protocol: Protocol) -> u8 {
+        match (self, protocol) {
+            (RequestKind::Write, Protocol::V4) => 0x40,
+            (RequestKind::Read, Protocol::V4) => 0xC0,
+            (RequestKind::Transfer, Protocol::V4) => 0x43,
+            (RequestKind::Write, Protocol::V3) => 0x41,
+            (RequestKind::Read, Protocol::V3) => 0xC1,
+            (RequestKind::Transfer, Protocol::V3) => 0xE1,
+        }
+    }
+
+    /// Decodes the byte on the wire, which also tells the version.
+    pub fn from_code(code: u8) -> Option<(Self, Protocol)> {
+        let pairs = Protocol::ALL.into_iter().flat_map(|p| RequestKind::ALL.into_iter().map(move |k| (k, p)));
+        pairs.into_iter().find(|(kind, protocol)| kind.code(*protocol) == code)
+    }
+}
+
+/// Request as on the wire.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Request {
+    /// Version whose codes it has.
+    pub protocol: Protocol,
+    /// Direction of the payload.
+    pub kind: RequestKind,
+    /// Group of functions (bRequest).
+    pub request: u8,
+    /// Function or component (wValue).
+    pub value: u16,
+    /// Index or function of a component (wIndex).
+    pub index: u16,
+    /// Bytes of payload sent, or wanted by a read (wLength).
+    pub length: u16,
+    /// Payload.
+    pub payload: Vec<u8>,
+}
+
+impl Request {
+    /// First byte, which the answer repeats.
+    pub fn kind_code(&self) -> u8 {
+        self.kind.code(self.protocol)
+    }
+
+    /// The header, which has the form of a USB control transfer's setup packet.
+    pub fn header(&self) -> [u8; REQUEST_HEADER_LENGTH] {
+        let [[v0, v1], [i0, i1], [l0, l1]] = [self.value, self.index, self.length].map(u16::to_le_bytes);
+        [self.kind_code(), self.request, v0, v1, i0, i1, l0, l1]
+    }
+
+    /// The bytes on the serial port.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut bytes = self.header().to_vec();
+        bytes.extend(&self.payload);
+        bytes.extend(crc16(&bytes).to_be_bytes());
+        bytes
+    }
+
+    /// Bytes of payload that follow a header, from the header itself; `None` if the kind is unknown.
+    pub fn payload_length(header: &[u8; REQUEST_HEADER_LENGTH]) -> Option<usize> {
+        let length = usize::from(u16::from_le_bytes([header[6], header[7]]));
+        RequestKind::from_code(header[0]).map(|(kind, _)| if kind == RequestKind::Read { 0 } else { length })
+    }
+
+    /// Decodes one whole message.
+    ///
+    /// # Errors
+    /// [`DecodeError`] if the length, the type or the CRC is wrong.
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        let short = DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + 2 };
+        let (header, rest) = bytes.split_first_chunk::<REQUEST_HEADER_LENGTH>().ok_or(short)?;
+        let (kind, protocol) = RequestKind::from_code(header[0]).ok_or(DecodeError::Kind { got: header[0] })?;
+        let payload = Request::payload_length(header).unwrap_or(0);
+        if rest.len() != payload + 2 {
+            return Err(DecodeError::Short { got: bytes.len(), need: REQUEST_HEADER_LENGTH + payload + 2 });
+        }
+        if crc16(bytes) != 0 {
+            return Err(DecodeError::Crc);
+        }
+        Ok(Request::new(kind, protocol, header, rest.get(..payload).unwrap_or(&[])))
+    }
+
+    /// Creates a request from its header, whose kind is decoded already, and its payload.
+    pub(super) fn new(
+        kind: RequestKind,
+        protocol: Protocol,
+        header: &[u8; REQUEST_HEADER_LENGTH],
+        payload: &[u8],
+    ) -> Self {
+        let &[_, request, v0, v1, i0, i1, l0, l1] = header;
+        let [value, index, length] = [[v0, v1], [i0, i1], [l0, l1]].map(u16::from_le_bytes);
+        Request { protocol, kind, request, value, index, length, payload: payload.to_vec() }
+    }
+}
+
+/// Error of bytes that are not a request.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+pub enum DecodeError {
+    /// Too few or too many bytes.
+    #[error("strata request: {got} bytes, its header asks for {need}")]
+    Short {
+        /// Bytes given.
+        got: usize,
+        /// Bytes that the header asks for.
+        need: usize,
+    },
+    /// Unknown direction.
+    #[error(
+        "strata request: type {got:#04x}, expected 0x40 (write), 0xc0 (read) or 0x43 (transfer), in version 3 0x41, 0xc1 or 0xe1"
+    )]
+    Kind {
+        /// First byte.
+        got: u8,
+    },
+    /// The CRC disagrees.
+    #[error("strata request: the CRC does not match")]
+    Crc,
+}
+
+/// Packing of samples.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum DataFormat {
+    /// Two codes in three bytes.
+    Packed12,
+    /// One code in two bytes, little-endian.
+    Raw16,
+}
+
+impl DataFormat {
+    fn code(self) -> u8 {
+        match self {
+            DataFormat::Packed12 => 0x10,
+            DataFormat::Raw16 => 0x02,
+        }
+    }
+}
+
+/// Meaning of a request: the part of the protocol that this program uses.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Command {
+    /// USB ids and name.
+    BoardInfo,
+    /// The same, cut or filled up with zeros to a length (version 3 only).
+    BoardInfoFixed {
+        /// Bytes wanted.
+        length: u16,
+    },
+    /// Versions of firmware and protocol.
+    FirmwareVersion,
+    /// 16 bytes of identity.
+    Uuid,
+    /// Free text about the firmware.
+    ExtendedVersion,
+    /// Number of components of a type that the board has.
+    ComponentCount {
+        /// Type, such as [`COMPONENT_AVIAN`](super::COMPONENT_AVIAN).
+        component: u16,
+    },
+    /// Implementation of a component type that the board has (version 3 only).
+    ComponentImplementation {
+        /// Type, such as [`COMPONENT_RADAR`].
+        component: u16,
+    },
+    /// Index of the radar chip's data channel.
+    DataIndex,
+    /// Writes consecutive registers.
+    WriteRegisters {
+        /// First register.
+        address: u8,
+        /// 24-bit contents.
+        values: Vec<u32>,
+    },
+    /// Reads consecutive registers.
+    ReadRegisters {
+        /// First register.
+        address: u8,
+        /// Number of registers.
+        count: u8,
+    },
+    /// Sets bits of a register and leaves its others as they are.
+    SetBits {
+        /// Register.
+        address: u8,
+        /// Bits to set.
+        mask: u32,
+    },
+    /// Pulls the chip's reset pin.
+    HardwareReset,
+    /// Level of the chip's interrupt line, one byte.
+    InterruptLevel,
+    /// SPI words, verbatim.
+    Execute {
+        /// The words.
+        words: Vec<SpiWord>,
+        /// Whether the response holds the answers of the chip.
+        answer: bool,
+    },
+    /// Configures how the FIFO is read. Stops a running acquisition.
+    ConfigureData {
+        /// Packing of samples.
+        format: DataFormat,
+        /// Codes in a slice, even.
+        slice_samples: u16,
+    },
+    /// Flags of the data channel.
+    DataStatus,
+    /// Starts reading slices.
+    StartData,
+    /// Stops reading slices.
+    StopData,
+}
+
+/// wIndex of a function of a component's interface.
+const fn function(interface: u16, function: u16) -> u16 {
+    function << 8 | interface << 4
+}
+
+const WRITE_BURST: u16 = function(1, 3);
+const READ_BURST: u16 = function(1, 4);
+const DATA_INDEX: u16 = function(0, 2);
+const RESET_PIN: u16 = function(2, 5);
+const INTERRUPT_PIN: u16 = function(2, 6);
+const EXECUTE: u16 = function(3, 1);
+const SET_BITS: u16 = function(3, 2);
+/// Data index in version 3.
+const DATA_INDEX_V3: u16 = function(0, 7);
+
+impl Command {
+    /// Encodes the command as a request. A command that the version lacks is encoded as in the other one: the board
+    /// refuses it.
+    pub fn to_request(&self, protocol: Protocol) -> Request {
+        use RequestKind::{Read, Transfer, Write};
+        let write = |request, value, index, payload: Vec<u8>| Request {
+            protocol,
+            kind: Write,
+            request,
+            value,
+            index,
+            length: payload.len() as u16,
+            payload,
+        };
+        let transfer =
+            |request, value, index, payload| Request { kind: Transfer, ..write(request, value, index, payload) };
+        let read =
+            |request, value, index, length| Request { kind: Read, length, ..write(request, value, index, vec![]) };
+        let avian = protocol.avian_value();
+        match self {
+            Command::BoardInfo => transfer(BOARD, 0, 0, Vec::new()),
+            Command::BoardInfoFixed { length } => read(BOARD, 0, 0, *length),
+            Command::FirmwareVersion => read(BOARD, 1, 0, 16),
+            Command::Uuid => read(BOARD, 2, 0, 16),
+            Command::ExtendedVersion => transfer(BOARD, 3, 0, Vec::new()),
+            Command::ComponentCount { component } => read(COMPONENT, 0, *component, 1),
+            Command::ComponentImplementation { component } => read(COMPONENT, *component, 0, 1),
+            Command::DataIndex if protocol == Protocol::V3 => read(COMPONENT, COMPONENT_RADAR, DATA_INDEX_V3, 1),
+            Command::DataIndex => read(COMPONENT, avian, DATA_INDEX, 1),
+            Command::WriteRegisters { address, values } => {
+                let mut payload: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+                payload.push(*address);
+                write(COMPONENT, avian, WRITE_BURST, payload)
+            }
+            Command::ReadRegisters { address, count } => {
+                let payload = match protocol {
+                    Protocol::V3 => vec![*address, *count],
+                    Protocol::V4 => vec![*count, *address],
+                };
+                transfer(COMPONENT, avian, READ_BURST, payload)
+            }
+            Command::SetBits { address, mask } => {
+                let word = u32::from(*address) << 24 | mask & 0xFF_FFFF;
+                write(COMPONENT, avian, SET_BITS, word.to_le_bytes().to_vec())
+            }
+            Command::HardwareReset => write(COMPONENT, avian, RESET_PIN, Vec::new()),
+            Command::InterruptLevel => read(COMPONENT, avian, INTERRUPT_PIN, 1),
+            Command::Execute { words, answer } => {
+                let payload = words.iter().flat_map(|w| w.to_bytes()).collect();
+                let request = write(COMPONENT, avian, EXECUTE, payload);
+                Request { kind: if *answer { Transfer } else { Write }, ..request }
+            }
+            Command::ConfigureData { format, slice_samples } => {
+                let mut payload = vec![format.code(), 0, 0, 0, 0, 0, 0, 0];
+                payload.extend(FIFO_ADDRESS.to_le_bytes());
+                payload.extend(slice_samples.to_le_bytes());
+                write(DATA, 1, 0, payload)
+            }
+            Command::DataStatus => read(DATA, 0, 0, 4),
+            Command::StartData => write(DATA, 3, 0, Vec::new()),
+            Command::StopData => write(DATA, 4, 0, Vec::new()),
+        }
+    }
+
+    /// Decodes a request.
+    ///
+    /// # Errors
+    /// Status that the board answers to a request that it does not know.
+    pub fn from_request(request: &Request) -> Result<Self, Status> {
+        use RequestKind::{Read, Transfer, Write};
+        let Request { protocol, kind, payload, .. } = request;
+        let is_v3 = *protocol == Protocol::V3;
+        match (request.request, *kind, request.value, request.index) {
+            (BOARD, Transfer, 0, _) => Ok(Command::BoardInfo),
+            (BOARD, Read, 0, _) if is_v3 => Ok(Command::BoardInfoFixed { length: request.length }),
+            (BOARD, Read, 1, _) => Ok(Command::FirmwareVersion),
+            (BOARD, Read, 2, _) => Ok(Command::Uuid),
+            (BOARD, Transfer, 3, _) => Ok(Command::ExtendedVersion),
+            (BOARD, ..) => Err(Status::RequestValueInvalid),
+            (COMPONENT, Read, 0, component) if !is_v3 => Ok(Command::ComponentCount { component }),
+            (COMPONENT, Read, component, 0) if is_v3 => Ok(Command::ComponentImplementation { component }),
+            (COMPONENT, Read, COMPONENT_RADAR, DATA_INDEX_V3) if is_v3 => Ok(Command::DataIndex),
+            (COMPONENT, _, component, index) if component == protocol.avian_value() => match (index, *kind) {
+                (DATA_INDEX, Read) if !is_v3 => Ok(Command::DataIndex),
+                (WRITE_BURST, Write) => match payload.split_last() {
+                    Some((&address, values)) if values.len() % 4 == 0 && !values.is_empty() => {
+                        let values = values.as_chunks::<4>().0.iter().map(|v| u32::from_le_bytes(*v)).collect();
+                        Ok(Command::WriteRegisters { address, values })
+                    }
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (READ_BURST, Transfer) => match *payload.as_slice() {
+                    [address, count] if is_v3 => Ok(Command::ReadRegisters { address, count }),
+                    [count, address] => Ok(Command::ReadRegisters { address, count }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (SET_BITS, Write) => match payload.as_slice() {
+                    &[a, b, c, address] => Ok(Command::SetBits { address, mask: u32::from_le_bytes([a, b, c, 0]) }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                (RESET_PIN, Write) => Ok(Command::HardwareReset),
+                (INTERRUPT_PIN, Read) => Ok(Command::InterruptLevel),
+                (EXECUTE, Write | Transfer) => match payload.as_chunks::<4>() {
+                    (words, []) => Ok(Command::Execute {
+                        words: words.iter().map(|w| SpiWord::from_bytes(*w)).collect(),
+                        answer: *kind == Transfer,
+                    }),
+                    _ => Err(Status::RequestPayloadInvalid),
+                },
+                _ => Err(Status::RequestFunctionInvalid),
+            },
+            (COMPONENT, ..) => Err(Status::RequestValueInvalid),
+            (DATA, Write, 1, _) => decode_data_configuration(payload),
+            (DATA, Read, 0, _) => Ok(Command::DataStatus),
+            (DATA, Write, 3, _) => Ok(Command::StartData),
+            (DATA, Write, 4, _) => Ok(Command::StopData),
+            (DATA, ..) => Err(Status::RequestValueInvalid),
+            _ => Err(Status::RequestInvalid),
+        }
+    }
+}
+
+fn decode_data_configuration(payload: &[u8]) -> Result<Command, Status> {
+    let (properties, readouts) = payload.split_first_chunk::<8>().ok_or(Status::InvalidSize)?;
+    let &[a0, a1, c0, c1] = readouts else { return Err(Status::InvalidSize) };
+    let format = match properties[0] {
+        0x10 | 0xFF => DataFormat::Packed12,
+        0x02 => DataFormat::Raw16,
+        _ => return Err(Status::InvalidParameter),
+    };
+    let slice_samples = u16::from_le_bytes([c0, c1]);
+    if u16::from_le_bytes([a0, a1]) != FIFO_ADDRESS || slice_samples == 0 || !slice_samples.is_multiple_of(2) {
+        return Err(Status::InvalidParameter);
+    }
+    Ok(Command::ConfigureData { format, slice_samples })
+}

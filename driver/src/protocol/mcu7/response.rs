@@ -1,0 +1,250 @@
+//! Responses: 4-byte header, payload, CRC.
+
+use thiserror::Error;
+
+use crate::protocol::crc::crc16;
+
+macro_rules! statuses {
+    ($($(#[$doc:meta])* $variant:ident = $code:literal, $name:literal;)*) => {
+        /// Status of a request.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+        pub enum Status {
+            $($(#[$doc])* $variant,)*
+            /// A code that the firmware's list lacks.
+            Unknown(u8),
+        }
+
+        impl Status {
+            /// Returns the byte on the wire.
+            pub fn code(self) -> u8 {
+                match self { $(Status::$variant => $code,)* Status::Unknown(code) => code }
+            }
+
+            /// Decodes the byte on the wire.
+            pub fn from_code(code: u8) -> Self {
+                match code { $($code => Status::$variant,)* _ => Status::Unknown(code) }
+            }
+
+            /// Returns the name as the firmware spells it.
+            pub fn name(self) -> &'static str {
+                match self { $(Status::$variant => $name,)* Status::Unknown(_) => "unknown status" }
+            }
+        }
+
+        #[cfg(test)]
+        const ALL: &[Status] = &[$(Status::$variant,)*];
+    };
+}
+
+statuses! {
+    /// Done.
+    Ok = 0x00, "OK";
+    /// Not done, for a reason of the function's own.
+    Failed = 0x01, "FAILED";
+    /// A size is wrong.
+    InvalidSize = 0x02, "INVALID_SIZE";
+    /// A parameter is wrong.
+    InvalidParameter = 0x03, "INVALID_PARAMETER";
+    /// A parameter is absent.
+    MissingParameter = 0x04, "MISSING_PARAMETER";
+    /// A value is unexpected, such as a stale FIFO overflow after power-up.
+    UnexpectedValue = 0x05, "UNEXPECTED_VALUE";
+    /// Out of bounds.
+    OutOfBounds = 0x06, "OUT_OF_BOUNDS";
+    /// A buffer is too small.
+    Overflow = 0x07, "OVERFLOW";
+    /// Took too long.
+    Timeout = 0x08, "TIMEOUT";
+    /// Already at it.
+    Busy = 0x09, "BUSY";
+    /// Stopped half-way.
+    Aborted = 0x0A, "ABORTED";
+    /// Too little data.
+    Underflow = 0x0B, "UNDERFLOW";
+    /// No memory.
+    OutOfMemory = 0x0C, "OUT_OF_MEMORY";
+    /// No such address.
+    InvalidAddress = 0x0D, "INVALID_ADDRESS";
+    /// The firmware lacks it.
+    NotImplemented = 0x10, "NOT_IMPLEMENTED";
+    /// Cannot be done.
+    NotPossible = 0x11, "NOT_POSSIBLE";
+    /// Is not there.
+    NotAvailable = 0x12, "NOT_AVAILABLE";
+    /// May not be done.
+    NotAllowed = 0x13, "NOT_ALLOWED";
+    /// Initialise first.
+    NotInitialized = 0x14, "NOT_INITIALIZED";
+    /// Configure first.
+    NotConfigured = 0x15, "NOT_CONFIGURED";
+    /// Open first.
+    NotOpen = 0x16, "NOT_OPEN";
+    /// This board does not have it.
+    NotSupported = 0x17, "NOT_SUPPORTED";
+    /// The request's header was cut short.
+    RequestHeaderIncomplete = 0x80, "REQUEST_HEADER_INCOMPLETE";
+    /// The request's payload was cut short.
+    RequestPayloadIncomplete = 0x81, "REQUEST_PAYLOAD_INCOMPLETE";
+    /// The request's payload is too long.
+    RequestPayloadTooLong = 0x82, "REQUEST_PAYLOAD_TOO_LONG";
+    /// The request's payload came in pieces.
+    RequestPayloadFragmented = 0x83, "REQUEST_PAYLOAD_FRAGMENTED";
+    /// The request's CRC is wrong.
+    RequestCrc = 0x84, "REQUEST_CRC";
+    /// bmReqType is unknown.
+    RequestTypeInvalid = 0x85, "REQUEST_TYPE_INVALID";
+    /// bRequest is unknown.
+    RequestInvalid = 0x86, "REQUEST_INVALID";
+    /// The firmware knows the request and cannot serve it.
+    RequestNotImplemented = 0x87, "REQUEST_NOT_IMPLEMENTED";
+    /// wLength is wrong.
+    RequestLengthInvalid = 0x88, "REQUEST_WLENGTH_INVALID";
+    /// wValue is wrong.
+    RequestValueInvalid = 0x89, "REQUEST_WVALUE_INVALID";
+    /// wIndex is wrong.
+    RequestIndexInvalid = 0x8A, "REQUEST_WINDEX_INVALID";
+    /// The payload is wrong.
+    RequestPayloadInvalid = 0x8B, "REQUEST_PAYLOAD_INVALID";
+    /// The object of the request is not available.
+    RequestNotAvailable = 0x8C, "REQUEST_NOT_AVAILABLE";
+    /// No such component.
+    RequestIdInvalid = 0x8D, "REQUEST_COMMAND_ID_INVALID";
+    /// No such type of component.
+    RequestComponentInvalid = 0x8E, "REQUEST_COMMAND_TYPE_INVALID";
+    /// No such interface of the component.
+    RequestInterfaceInvalid = 0x8F, "REQUEST_SUBIF_INVALID";
+    /// No such function of the interface.
+    RequestFunctionInvalid = 0x90, "REQUEST_FUNCTION_INVALID";
+}
+
+impl std::fmt::Display for Status {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} ({:#04x})", self.name(), self.code())
+    }
+}
+
+/// An answer, its payload borrowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Response<'a> {
+    /// Byte that the request began with.
+    pub kind_code: u8,
+    /// Status of the request.
+    pub status: Status,
+    /// Payload of the answer; empty on error.
+    pub payload: &'a [u8],
+}
+
+impl Response<'_> {
+    /// Bytes before the payload.
+    pub const HEADER_LENGTH: usize = 4;
+
+    /// Appends the bytes on the wire. A payload longer than a message allows is cut.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        let payload = self.payload.get(..super::MAX_MESSAGE - 6).unwrap_or(self.payload);
+        let start = out.len();
+        out.extend([self.kind_code, self.status.code()]);
+        out.extend((payload.len() as u16).to_le_bytes());
+        out.extend(payload);
+        let crc = crc16(out.get(start..).unwrap_or(&[]));
+        out.extend(crc.to_be_bytes());
+    }
+}
+
+/// Error of a payload that does not have the form of its request.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error("strata: the answer to {what} has {got} bytes, expected {expected}")]
+pub struct PayloadError {
+    /// Request.
+    pub what: &'static str,
+    /// Bytes received.
+    pub got: usize,
+    /// Description of the expected payload.
+    pub expected: &'static str,
+}
+
+/// Answer to `Command::BoardInfo`.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BoardInfo {
+    /// USB vendor.
+    pub vendor_id: u16,
+    /// USB product.
+    pub product_id: u16,
+    /// Name of the board.
+    pub name: String,
+}
+
+impl BoardInfo {
+    /// Encodes the payload: ids, name, NUL.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        bytes.extend(self.vendor_id.to_le_bytes());
+        bytes.extend(self.product_id.to_le_bytes());
+        bytes.extend(self.name.as_bytes());
+        bytes.push(0);
+        bytes
+    }
+
+    /// Decodes the payload.
+    ///
+    /// # Errors
+    /// [`PayloadError`] if the payload is too short.
+    pub fn decode(payload: &[u8]) -> Result<Self, PayloadError> {
+        let error = PayloadError { what: "board info", got: payload.len(), expected: "5 or more" };
+        let &[v0, v1, p0, p1, ref name @ ..] = payload else { return Err(error) };
+        Ok(BoardInfo {
+            vendor_id: u16::from_le_bytes([v0, v1]),
+            product_id: u16::from_le_bytes([p0, p1]),
+            name: text(name),
+        })
+    }
+}
+
+/// A NUL-terminated text.
+pub(crate) fn text(bytes: &[u8]) -> String {
+    String::from_utf8_lossy(bytes.split(|b| *b == 0).next().unwrap_or(&[])).into_owned()
+}
+
+/// Answer to `Command::FirmwareVersion`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct FirmwareVersion {
+    /// Major, minor, patch, build.
+    pub firmware: [u16; 4],
+    /// Major and minor of the protocol.
+    pub protocol: [u16; 2],
+}
+
+impl FirmwareVersion {
+    /// Encodes the 16 bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        let [a, b, c, d] = self.firmware;
+        let [e, f] = self.protocol;
+        [a, b, c, d, e, f, 0, 0].into_iter().flat_map(u16::to_le_bytes).collect()
+    }
+
+    /// Decodes the 16 bytes.
+    ///
+    /// # Errors
+    /// [`PayloadError`] if the payload is too short.
+    pub fn decode(payload: &[u8]) -> Result<Self, PayloadError> {
+        let error = PayloadError { what: "firmware version", got: payload.len(), expected: "16" };
+        if payload.len() != 16 {
+            return Err(error);
+        }
+        let word = |i: usize| payload.get(2 * i..).and_then(|p| p.first_chunk()).map_or(0, |b| u16::from_le_bytes(*b));
+        Ok(FirmwareVersion { firmware: [word(0), word(1), word(2), word(3)], protocol: [word(4), word(5)] })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn status_codes_are_distinct_and_round_trip() {
+        for status in ALL {
+            assert_eq!(Status::from_code(status.code()), *status);
+        }
+        assert_eq!(Status::from_code(0x42), Status::Unknown(0x42));
+        assert_eq!(ALL.len(), 14 + 8 + 17);
+    }
+}

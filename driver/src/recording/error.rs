@@ -1,0 +1,184 @@
+//! Errors of recordings.
+
+use std::path::{Path, PathBuf};
+
+use radome_dsp::WaveformError;
+use thiserror::Error;
+
+/// Errors of recordings.
+#[derive(Debug, Error)]
+pub enum RecordingError {
+    /// A file cannot be read or written.
+    #[error("{path}: {what}", path = path.display())]
+    Io {
+        /// File.
+        path: PathBuf,
+        /// Operation that failed.
+        what: &'static str,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+    /// A file that belongs to the recording is absent.
+    #[error("{path}: no such file, though the recording needs it", path = path.display())]
+    Missing {
+        /// File.
+        path: PathBuf,
+    },
+    /// An output exists and must not be replaced.
+    #[error(
+        "{path}: exists already{and}\n\nhint: choose another name, or remove it",
+        path = path.display(),
+        and = if path.is_dir() { " and is not empty" } else { "" }
+    )]
+    Occupied {
+        /// File or folder that exists.
+        path: PathBuf,
+    },
+    /// Another writer has the file.
+    #[error(
+        "{path}: another program is writing to it\n\nhint: stop that program, wait for its end, or choose another name",
+        path = path.display()
+    )]
+    Locked {
+        /// File.
+        path: PathBuf,
+    },
+    /// The disk accepts data but does not store them.
+    #[error(
+        "{path}: the disk has not stored any of it for {waited_s:.0} s\n\nhint: record to a faster disk, and see the system's log for \
+         errors of this one",
+        path = path.display()
+    )]
+    Stalled {
+        /// File.
+        path: PathBuf,
+        /// Time waited, s.
+        waited_s: f64,
+    },
+    /// The path is not a recording.
+    #[error(
+        "{path}: not a recording: expected an MCAP file, a folder with RadarIfxAvian_00 or radar.npy in it, or the \
+         vendor's text file with its _config.json beside it",
+        path = path.display()
+    )]
+    Unknown {
+        /// Path that was given.
+        path: PathBuf,
+    },
+    /// The content breaks the format's rules.
+    #[error("{path}: at byte {offset}: {reason}", path = path.display())]
+    Corrupt {
+        /// File.
+        path: PathBuf,
+        /// Offset in the file, bytes.
+        offset: u64,
+        /// Description of the error and of the expected content.
+        reason: String,
+    },
+    /// A field of a JSON file is absent or of the wrong kind.
+    #[error("{path}: field `{field}`: {reason}", path = path.display())]
+    Field {
+        /// File.
+        path: PathBuf,
+        /// Field.
+        field: String,
+        /// Description of the error and of the expected content.
+        reason: String,
+    },
+    /// Configuration and data disagree.
+    #[error(
+        "{data}: frames are {got}, but {config} says {expected}; one of the two files is not this recording's",
+        data = data.display(),
+        config = config.display()
+    )]
+    Shape {
+        /// File with the samples.
+        data: PathBuf,
+        /// Shape of its frames.
+        got: String,
+        /// File with the configuration.
+        config: PathBuf,
+        /// Shape that it states.
+        expected: String,
+    },
+    /// The file ends too early.
+    #[error(
+        "{path}: cut short at byte {offset}: {whole_frames} whole frames can be read, {expected_frames} were promised",
+        path = path.display()
+    )]
+    Truncated {
+        /// File.
+        path: PathBuf,
+        /// Its length.
+        offset: u64,
+        /// Whole frames that are there.
+        whole_frames: u64,
+        /// Frames that its header promises.
+        expected_frames: u64,
+    },
+    /// The file was never finished and ends within a record.
+    #[error("{path}: the recording was not finished: its last whole chunk ends at byte {offset}", path = path.display())]
+    Unfinished {
+        /// File.
+        path: PathBuf,
+        /// End of what can be read.
+        offset: u64,
+    },
+    /// The file was written by a newer program.
+    #[error("{path}: format version {got}, this program reads up to {supported}; update it", path = path.display())]
+    Newer {
+        /// File.
+        path: PathBuf,
+        /// Version found.
+        got: String,
+        /// Newest known.
+        supported: &'static str,
+    },
+    /// A sample is not a 12-bit code.
+    #[error("{path}: at byte {offset}: code {code} in frame {frame}, largest possible is 4095", path = path.display())]
+    Code {
+        /// File.
+        path: PathBuf,
+        /// Offset in the file, bytes.
+        offset: u64,
+        /// Frame.
+        frame: u64,
+        /// Value of the sample.
+        code: u16,
+    },
+    /// The waveform is impossible.
+    #[error("{path}: the waveform is impossible", path = path.display())]
+    Waveform {
+        /// File.
+        path: PathBuf,
+        /// Error of the waveform.
+        source: WaveformError,
+    },
+    /// A frame has another shape than the recording.
+    #[error("{path}: frame {sequence} is {got}, the recording holds {expected}", path = path.display())]
+    FrameShape {
+        /// File.
+        path: PathBuf,
+        /// Frame.
+        sequence: u64,
+        /// Its shape.
+        got: String,
+        /// Shape of the recording.
+        expected: String,
+    },
+}
+
+impl RecordingError {
+    pub(super) fn io(path: &Path, what: &'static str) -> impl FnOnce(std::io::Error) -> RecordingError {
+        let path = path.to_owned();
+        move |source| match source.kind() {
+            std::io::ErrorKind::NotFound => RecordingError::Missing { path },
+            _ => RecordingError::Io { path, what, source },
+        }
+    }
+
+    pub(super) fn cannot_write(path: &Path) -> impl FnOnce(std::io::Error) -> RecordingError {
+        let path = path.to_owned();
+        move |source| RecordingError::Io { path, what: "cannot be written", source }
+    }
+}

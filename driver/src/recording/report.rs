@@ -1,0 +1,87 @@
+//! Report of a written recording, and of information that its format cannot hold.
+
+use std::path::Path;
+
+use radome_dsp::{Frame, FrameShape, Gap, MAX_CODE};
+
+use super::RecordingError;
+
+/// Report of a written recording.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct WriteReport {
+    /// Frames written.
+    pub frames: u64,
+    /// Gaps given to the writer, whether the format holds them or not.
+    pub gaps: u64,
+    /// Frames known to be lost in the gaps.
+    pub frames_lost: u64,
+    /// Length of the file with the samples, bytes.
+    pub bytes: u64,
+    /// Descriptions of the information that the format could not hold; empty if none.
+    pub omitted: Vec<String>,
+}
+
+/// Counts of a writer whose format holds frames alone.
+#[derive(Debug, Default)]
+pub(super) struct Tally {
+    frames: u64,
+    gaps: u64,
+    frames_lost: u64,
+    truths: u64,
+    pub labels: u64,
+    pub results: u64,
+    renumbered: bool,
+}
+
+impl Tally {
+    /// Checks and counts a frame.
+    pub fn frame(&mut self, path: &Path, shape: FrameShape, frame: &Frame) -> Result<(), RecordingError> {
+        if frame.shape != shape || frame.codes.len() != shape.codes() {
+            return Err(RecordingError::FrameShape {
+                path: path.to_owned(),
+                sequence: frame.sequence,
+                got: format!("{} with {} codes", frame.shape, frame.codes.len()),
+                expected: shape.to_string(),
+            });
+        }
+        if let Some(code) = frame.codes.iter().find(|code| **code > MAX_CODE) {
+            let (offset, code) = (self.frames * 2 * shape.codes() as u64, *code);
+            return Err(RecordingError::Code { path: path.to_owned(), offset, frame: frame.sequence, code });
+        }
+        self.renumbered |= frame.sequence != self.frames;
+        self.frames += 1;
+        self.truths += u64::from(frame.truth.is_some());
+        Ok(())
+    }
+
+    pub fn gap(&mut self, gap: &Gap) {
+        self.gaps += 1;
+        self.frames_lost = self.frames_lost.saturating_add(gap.frames);
+    }
+
+    /// Descriptions of the information that the vendor's formats cannot hold.
+    pub fn omitted(&self) -> Vec<String> {
+        let mut omitted = Vec::new();
+        if self.gaps > 0 {
+            omitted.push(format!("{} gaps, in which {} frames were lost", self.gaps, self.frames_lost));
+        }
+        if self.renumbered {
+            omitted.push("the numbers of the frames (they count from 0 without gaps)".into());
+        }
+        if self.truths > 0 {
+            omitted.push(format!("the truth of {} frames", self.truths));
+        }
+        if self.labels > 0 {
+            omitted.push(format!("{} labels", self.labels));
+        }
+        if self.results > 0 {
+            omitted.push(format!("what was said about {} frames", self.results));
+        }
+        omitted
+    }
+
+    pub fn report(&self) -> WriteReport {
+        let Tally { frames, gaps, frames_lost, .. } = *self;
+        WriteReport { frames, gaps, frames_lost, bytes: 0, omitted: Vec::new() }
+    }
+}

@@ -1,0 +1,73 @@
+//! Fields of the vendor's JSON files.
+
+use std::path::Path;
+
+use radome_dsp::RxMask;
+use serde_json::Value;
+
+use super::RecordingError;
+
+/// Fields of a configuration under their new and old names.
+pub(super) struct Fields<'a> {
+    pub(super) path: &'a Path,
+    pub(super) object: &'a Value,
+}
+
+impl Fields<'_> {
+    pub(super) fn error(&self, field: &str, reason: impl Into<String>) -> RecordingError {
+        RecordingError::Field { path: self.path.to_owned(), field: field.to_owned(), reason: reason.into() }
+    }
+
+    pub(super) fn optional(&self, field: &str) -> Result<Option<f64>, RecordingError> {
+        match self.object.get(field) {
+            None | Some(Value::Null) => Ok(None),
+            // Some recorders write numbers as text.
+            Some(Value::String(text)) => match text.trim().parse() {
+                Ok(number) => Ok(Some(number)),
+                Err(_) => Err(self.error(field, format!("is \"{text}\", expected a number"))),
+            },
+            Some(value) => match value.as_f64() {
+                Some(number) => Ok(Some(number)),
+                None => Err(self.error(field, format!("is {value}, expected a number"))),
+            },
+        }
+    }
+
+    pub(super) fn number(&self, field: &str, old: Option<&str>) -> Result<f64, RecordingError> {
+        let value = match (self.optional(field)?, old) {
+            (None, Some(old)) => self.optional(old)?,
+            (value, _) => value,
+        };
+        value.ok_or_else(|| match old {
+            Some(old) => self.error(field, format!("is absent, and so is its old name `{old}`")),
+            None => self.error(field, "is absent"),
+        })
+    }
+
+    pub(super) fn count(&self, field: &str) -> Result<usize, RecordingError> {
+        let number = self.number(field, None)?;
+        if number < 0.0 || number > f64::from(u32::MAX) || number.fract() != 0.0 {
+            return Err(self.error(field, format!("is {number}, expected a whole number")));
+        }
+        Ok(number as usize)
+    }
+
+    pub(super) fn antennas(&self) -> Result<RxMask, RecordingError> {
+        let field = "rx_antennas";
+        let wrong = |this: &Self| this.error(field, "expected a list of antenna numbers such as [1, 2, 3]");
+        let list = self.object.get(field).and_then(Value::as_array).ok_or_else(|| wrong(self))?;
+        let antennas: Option<Vec<u8>> = list.iter().map(|v| v.as_f64().map(|a| a as u8)).collect();
+        let antennas = antennas.ok_or_else(|| wrong(self))?;
+        RxMask::from_antennas(&antennas).map_err(|e| self.error(field, e.to_string()))
+    }
+}
+
+/// Reads a small text file.
+pub(super) fn read_text(path: &Path) -> Result<String, RecordingError> {
+    let bytes = std::fs::read(path).map_err(RecordingError::io(path, "cannot be read"))?;
+    String::from_utf8(bytes).map_err(|e| RecordingError::Corrupt {
+        path: path.to_owned(),
+        offset: e.utf8_error().valid_up_to() as u64,
+        reason: "not text in UTF-8".into(),
+    })
+}

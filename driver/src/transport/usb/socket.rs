@@ -1,0 +1,220 @@
+//! The endpoints of an emulated device as two sockets in a folder, `ep0` and `ep1`, for machines without USB. Every
+//! message is one transfer; a bulk transfer waits in the socket until the host reads it, as it waits in a device.
+//!
+//! Control: the host sends a setup packet and the data of an OUT transfer, the device answers with a byte (0 done, 1
+//! stall) and the data of an IN transfer. Bulk: the device sends.
+
+use std::io;
+use std::os::fd::OwnedFd;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
+use rustix::net::{
+    AddressFamily, RecvFlags, SendFlags, SocketAddrUnix, SocketFlags, SocketType, accept_with, bind, connect, listen,
+    recv, send, socket_with,
+};
+
+use super::endpoints::{CONTROL_TIMEOUT, Endpoints, Setup, TransferError};
+
+const DONE: u8 = 0;
+const STALL: u8 = 1;
+const NAMES: [&str; 2] = ["ep0", "ep1"];
+
+fn socket(flags: SocketFlags) -> io::Result<OwnedFd> {
+    Ok(socket_with(AddressFamily::UNIX, SocketType::SEQPACKET, flags | SocketFlags::CLOEXEC, None)?)
+}
+
+/// Waits until something can be received, at most `timeout`; returns whether it can.
+fn can_receive(socket: &OwnedFd, timeout: Duration) -> io::Result<bool> {
+    let end = Instant::now() + timeout;
+    loop {
+        match poll(&mut [PollFd::new(socket, PollFlags::IN)], Some(&timespec(end.duration_since(Instant::now())))) {
+            Ok(ready) => return Ok(ready > 0),
+            Err(Errno::INTR) => {}
+            Err(e) => return Err(e.into()),
+        }
+    }
+}
+
+fn timespec(duration: Duration) -> Timespec {
+    Timespec { tv_sec: duration.as_secs() as i64, tv_nsec: i64::from(duration.subsec_nanos()) }
+}
+
+/// The host's side.
+pub(crate) struct HostSockets {
+    pub control: OwnedFd,
+    pub data: OwnedFd,
+    message: Vec<u8>,
+}
+
+impl HostSockets {
+    pub fn connect(folder: &Path) -> io::Result<Self> {
+        let to = |name| -> io::Result<OwnedFd> {
+            let socket = socket(SocketFlags::empty())?;
+            connect(&socket, &SocketAddrUnix::new(folder.join(name))?)?;
+            Ok(socket)
+        };
+        let [control, data] = NAMES;
+        Ok(HostSockets { control: to(control)?, data: to(data)?, message: vec![0; 1 + usize::from(u16::MAX)] })
+    }
+
+    /// Makes a control transfer; returns the data of an IN transfer.
+    pub fn transfer(&mut self, setup: &Setup, data: &[u8]) -> Result<&[u8], TransferError> {
+        let lost = TransferError::Lost;
+        let request = [setup, data].concat();
+        send(&self.control, &request, SendFlags::NOSIGNAL).map_err(|e| lost(e.into()))?;
+        if !can_receive(&self.control, CONTROL_TIMEOUT).map_err(lost)? {
+            return Err(TransferError::Timeout);
+        }
+        let (count, _) = recv(&self.control, &mut self.message[..], RecvFlags::empty()).map_err(|e| lost(e.into()))?;
+        match self.message.get(..count) {
+            Some([DONE, data @ ..]) => Ok(data),
+            Some([_, ..]) => Err(TransferError::Stall),
+            _ => Err(lost(io::ErrorKind::UnexpectedEof.into())),
+        }
+    }
+}
+
+impl Endpoints for HostSockets {
+    fn control_out(&mut self, setup: &Setup, data: &[u8]) -> Result<(), TransferError> {
+        self.transfer(setup, data).map(|_| ())
+    }
+
+    fn control_in(&mut self, setup: &Setup, buffer: &mut [u8]) -> Result<usize, TransferError> {
+        let data = self.transfer(setup, &[])?;
+        let count = data.len().min(buffer.len());
+        buffer.iter_mut().zip(data).for_each(|(to, from)| *to = *from);
+        Ok(count)
+    }
+
+    fn read_bulk(&mut self, buffer: &mut [u8], timeout: Duration) -> Result<usize, TransferError> {
+        if !can_receive(&self.data, timeout).map_err(TransferError::Lost)? {
+            return Ok(0);
+        }
+        match recv(&self.data, buffer, RecvFlags::empty()) {
+            Ok((0, _)) => Err(TransferError::Lost(io::ErrorKind::UnexpectedEof.into())),
+            Ok((count, _)) => Ok(count),
+            Err(e) => Err(TransferError::Lost(e.into())),
+        }
+    }
+}
+
+/// The device's side. The folder is created and removed with it.
+pub(crate) struct DeviceSockets {
+    folder: PathBuf,
+    listeners: [OwnedFd; 2],
+    /// The host's control and bulk connections.
+    host: [Option<OwnedFd>; 2],
+    /// A host has disconnected, which [`DeviceSockets::was_abandoned`] has not reported yet.
+    was_abandoned: bool,
+}
+
+impl DeviceSockets {
+    /// Creates the folder, in place of one that an emulated device has left.
+    pub fn bind(folder: &Path) -> io::Result<Self> {
+        std::fs::create_dir_all(folder)?;
+        let at = |name| -> io::Result<OwnedFd> {
+            let path = folder.join(name);
+            match std::fs::remove_file(&path) {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => return Err(e),
+                _ => {}
+            }
+            let socket = socket(SocketFlags::NONBLOCK)?;
+            bind(&socket, &SocketAddrUnix::new(&path)?)?;
+            listen(&socket, 1)?;
+            Ok(socket)
+        };
+        let [control, data] = NAMES;
+        Ok(DeviceSockets {
+            folder: folder.into(),
+            listeners: [at(control)?, at(data)?],
+            host: [None, None],
+            was_abandoned: false,
+        })
+    }
+
+    /// Folder to which the host connects.
+    pub fn folder(&self) -> &Path {
+        &self.folder
+    }
+
+    /// Waits until there is a control transfer or a new host, or room for a bulk transfer if `write` is set, at most
+    /// `timeout`.
+    pub fn wait(&self, write: bool, timeout: Duration) -> io::Result<()> {
+        let [control, data] = &self.host;
+        let vacant = self.listeners.iter().zip(&self.host).filter(|(_, host)| host.is_none());
+        let mut interests: Vec<PollFd<'_>> = vacant.map(|(l, _)| PollFd::new(l, PollFlags::IN)).collect();
+        interests.extend(control.iter().map(|c| PollFd::new(c, PollFlags::IN)));
+        if write {
+            interests.extend(data.iter().map(|d| PollFd::new(d, PollFlags::OUT)));
+        }
+        match poll(&mut interests, Some(&timespec(timeout))) {
+            Ok(_) | Err(Errno::INTR) => Ok(()),
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    /// Reads a control transfer, setup packet and data; returns 0 if there is none.
+    pub fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        for (listener, host) in self.listeners.iter().zip(&mut self.host) {
+            if host.is_none() {
+                match accept_with(listener, SocketFlags::NONBLOCK | SocketFlags::CLOEXEC) {
+                    Ok(socket) => *host = Some(socket),
+                    Err(Errno::AGAIN | Errno::INTR | Errno::CONNABORTED) => {}
+                    Err(e) => return Err(e.into()),
+                }
+            }
+        }
+        let Some(control) = &self.host[0] else { return Ok(0) };
+        match recv(control, buffer, RecvFlags::empty()) {
+            Err(Errno::AGAIN | Errno::INTR) => Ok(0),
+            // The host has disconnected.
+            Ok((0, _)) | Err(Errno::CONNRESET) => {
+                (self.host, self.was_abandoned) = ([None, None], true);
+                Ok(0)
+            }
+            Ok((count, _)) => Ok(count),
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    /// Returns whether the host has disconnected since the last call.
+    pub fn was_abandoned(&mut self) -> bool {
+        std::mem::take(&mut self.was_abandoned)
+    }
+
+    /// Answers the control transfer: with the data of an IN transfer, with nothing for an OUT transfer, or by a stall.
+    pub fn answer(&mut self, data: Option<&[u8]>) -> io::Result<()> {
+        let message = match data {
+            Some(data) => [&[DONE], data].concat(),
+            None => vec![STALL],
+        };
+        let Some(control) = &self.host[0] else { return Ok(()) };
+        match send(control, &message, SendFlags::NOSIGNAL) {
+            // A host that has disconnected or does not read loses it.
+            Ok(_) | Err(Errno::AGAIN | Errno::INTR | Errno::PIPE | Errno::CONNRESET) => Ok(()),
+            Err(e) => Err(e.into()),
+        }
+    }
+
+    /// Sends a bulk transfer; returns 0 if the host has not read the earlier ones.
+    pub fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let Some(data) = &self.host[1] else { return Ok(0) };
+        match send(data, bytes, SendFlags::NOSIGNAL) {
+            Err(Errno::AGAIN | Errno::INTR | Errno::PIPE | Errno::CONNRESET) => Ok(0),
+            result => Ok(result?),
+        }
+    }
+}
+
+impl Drop for DeviceSockets {
+    fn drop(&mut self) {
+        for name in NAMES {
+            let _ = std::fs::remove_file(self.folder.join(name));
+        }
+        // A folder that holds other files stays.
+        let _ = std::fs::remove_dir(&self.folder);
+    }
+}
