@@ -38,7 +38,7 @@ pub enum Detected {
     /// PSoC 6 kit with DEEPCRAFT firmware, which reports its waveform.
     Deepcraft(Box<DeepcraftBoard>),
     /// Board that prints its frames.
-    Lines(Box<Esp32Stream>),
+    Esp32(Box<Esp32Stream>),
 }
 
 impl Detected {

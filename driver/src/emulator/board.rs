@@ -158,7 +158,7 @@ impl EmulatedBoard {
     }
 
     /// Returns whether the board has stopped serving.
-    fn is_over(&self) -> bool {
+    pub(super) fn is_over(&self) -> bool {
         self.thread.as_ref().is_some_and(JoinHandle::is_finished)
     }
 
