@@ -28,21 +28,20 @@ pub mod decibel;
 pub mod distance;
 pub mod echo;
 mod frame;
-
-mod kernel;
+mod level;
 mod noise;
 pub mod people;
 pub mod rdm;
 pub mod slow_time;
+mod source;
 mod waveform;
 mod window;
 
-pub use frame::{
-    Frame, FrameShape, FrameSource, Gap, GapReason, MAX_CODE, Occupancy, ReceiverFault, SourceError, SourceEvent, Truth,
-};
-pub use kernel::KernelLevel;
+pub use frame::{Frame, FrameShape, MAX_CODE, Occupancy, ReceiverFault, Truth};
+pub use level::KernelLevel;
 pub use noise::noise_floor_db;
 pub use rdm::{MapError, MapFlags, MapStatus, Rdm, RdmProcessor, RdmShape, RdmSpec};
+pub use source::{FrameSource, Gap, GapReason, SourceError, SourceEvent};
 pub use waveform::{
     ADC_START_DELAY_S, FIFO_SAMPLES, REFERENCE_CLOCK_HZ, RxMask, SLOPE_STEP_HZ_PER_S, Waveform, WaveformError,
     WaveformMismatch, WaveformRequest,
