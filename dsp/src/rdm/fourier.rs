@@ -1,5 +1,7 @@
-//! The chain for any size, by `realfft` and `rustfft`; also slow time across frames. In f64: beside a strong leakage line f32
-//! would be 0.02 dB off at -100 dBFS, and the sizes that end up here are small or rare.
+//! Maps of any size by `realfft` and `rustfft`; also maps with slow time across frames.
+//!
+//! The transforms are in f64. Beside a strong leakage line, f32 would be 0.02 dB off at -100 dBFS, and the sizes that come here
+//! are small or rare.
 
 use std::sync::Arc;
 
@@ -7,8 +9,8 @@ use num_complex::Complex64;
 use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner, FftPlannerScalar};
 
-use super::RdmShape;
-use super::chain::ChainPlan;
+use super::map::RdmShape;
+use super::plan::MapPlan;
 use crate::{FrameShape, KernelLevel};
 
 /// Chirps that are transformed before they are scattered into the range-major matrix: two cache lines of `Complex64`.
@@ -21,8 +23,8 @@ enum RangeFft {
     Scalar(Arc<dyn Fft<f64>>),
 }
 
-/// Plans, buffers and the window of frames.
-pub(super) struct FourierChain {
+/// Transforms, buffers and the window of frames.
+pub(super) struct FourierTransform {
     range_window: Vec<f64>,
     doppler_window: Vec<f64>,
     range_fft: RangeFft,
@@ -41,8 +43,8 @@ pub(super) struct FourierChain {
     history_next: usize,
 }
 
-impl FourierChain {
-    pub(super) fn new(plan: &ChainPlan, level: KernelLevel) -> Self {
+impl FourierTransform {
+    pub(super) fn new(plan: &MapPlan, level: KernelLevel) -> Self {
         let RdmShape { doppler, range, .. } = plan.shape;
         let length = plan.range_fft_length;
         let is_scalar = level == KernelLevel::Portable;
@@ -59,7 +61,7 @@ impl FourierChain {
         };
         let zero = Complex64::new(0.0, 0.0);
         let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
-        FourierChain {
+        FourierTransform {
             range_window: plan.range_window.clone(),
             doppler_window: plan.doppler_window.clone(),
             bins,
@@ -103,7 +105,7 @@ impl FourierChain {
     }
 
     /// Power of one channel's `[chirp][sample]` into the map's cells.
-    pub(super) fn channel(&mut self, plan: &ChainPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
+    pub(super) fn channel(&mut self, plan: &MapPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         let chirp_length = plan.frame_shape.samples;
         for (block, chirps) in samples.chunks(BLOCK * chirp_length).enumerate() {
@@ -123,9 +125,9 @@ impl FourierChain {
         self.doppler_transform(plan, index, cells);
     }
 
-    /// Takes a frame's mean chirps into the window of frames; `samples` of all used channels serve as scratch.
-    /// Returns how many frames are in the window.
-    pub(super) fn push_frame(&mut self, plan: &ChainPlan, samples: &mut [f32]) -> usize {
+    /// Adds a frame's mean chirps to the window of frames, and overwrites `samples` of all used channels.
+    /// Returns the number of frames in the window.
+    pub(super) fn push_frame(&mut self, plan: &MapPlan, samples: &mut [f32]) -> usize {
         let FrameShape { chirps, samples: chirp_length, .. } = plan.frame_shape;
         let range = plan.shape.range;
         for (index, channel) in samples.chunks_exact_mut(plan.channel_length()).enumerate() {
@@ -147,7 +149,7 @@ impl FourierChain {
     }
 
     /// Power of one channel's window of frames into the map's cells.
-    pub(super) fn window(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+    pub(super) fn window(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         for bin in 0..range {
             let row = (index * range + bin) * plan.slow_length;
@@ -160,7 +162,7 @@ impl FourierChain {
     }
 
     /// Static removal, window, Doppler FFT and power of one channel's matrix.
-    fn doppler_transform(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+    fn doppler_transform(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         let slow = plan.slow_length;
         let adds = plan.adds(index);

@@ -1,10 +1,11 @@
-//! The slow, obvious map: discrete Fourier sums in f64, straight from the formula.
+//! Slow reference of maps: discrete Fourier sums in f64, by the formula.
 
 use std::f64::consts::TAU;
 
 use num_complex::Complex64;
 
-use super::{AmplitudeScale, Channels, RdmSpec, SlowTime, SpecError, StaticRemoval};
+use super::error::SpecError;
+use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{Frame, Waveform};
 
 /// Map of the last of `frames` in dB, `[rx][doppler][range]`, in f64.
@@ -12,13 +13,17 @@ use crate::{Frame, Waveform};
 /// With `x[m, n]` the samples of slow time `m` and fast time `n`,
 /// `X[l, k] = sum_m sum_n w_m w_n x[m, n] exp(-j 2 pi (l m / M + k n / N))`, and the cell is
 /// `20 log10(a_k |X[l, k]|)` with the scale `a_k` of the spec's [`AmplitudeScale`].
-/// With [`SlowTime::Frames`] exactly the window must be given; recursive MTI and change run over all frames given.
+/// With [`SlowTime::Frames`], `frames` must be exactly the window. Recursive MTI and change run over all of `frames`.
 ///
 /// On physical axes `k / N` is the range of a cell over the range of one cycle per sample, `l / M` its velocity over that of one
-/// cycle per chirp. Cells that the waveform does not measure read the floor: what they hold elsewhere is drawn.
+/// cycle per chirp. Cells that the waveform does not measure read the floor; [`RdmProcessor`](super::RdmProcessor) fills them
+/// with drawn noise.
 ///
 /// # Errors
-/// If the spec cannot be applied to the waveform.
+/// [`SpecError`] under the conditions of [`RdmSpec::shape`].
+///
+/// # Panics
+/// If a frame has another shape than the waveform's, or fewer codes than its shape says.
 pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<f64>, SpecError> {
     let shape = spec.shape(waveform)?;
     let frame_shape = waveform.shape();
@@ -155,7 +160,7 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
     Ok(power.into_iter().map(|p| 10.0 * if p < floor_power { floor_power } else { p }.log10()).collect())
 }
 
-/// Power of change of a sequence, whose weights fade by `exp(-step)` from one to the one before, and are equal at its beginning.
+/// Power of change of a sequence. Its weights fall by `exp(-step)` from a frame to the one before, and are equal at the beginning.
 fn change(sums: &[Complex64], step: f64) -> f64 {
     let mut weights: Vec<f64> = Vec::new();
     for count in 1..=sums.len() {
