@@ -3,8 +3,10 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::{FrameShape, SPEED_OF_LIGHT_M_PER_S};
+use crate::FrameShape;
 
+/// Speed of light in vacuum, m/s.
+pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;
 /// Reference clock of the BGT60TR13C; all its timers count its cycles.
 pub const REFERENCE_CLOCK_HZ: f64 = 80e6;
 /// Delay of the first sample after the ramp has passed the requested start frequency, s: `(8*31 + 1) / 80 MHz` with the

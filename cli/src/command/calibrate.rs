@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::bail;
-use radome_dsp::slow_time::SlowTime;
+use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, Fit, LEAST_FRAMES};
 
@@ -66,8 +66,8 @@ struct Measured {
     /// The parts that judge.
     judged: Fit,
     /// Slow time of the parts that were fitted, and of whole recordings.
-    fitted_slow_time: SlowTime,
-    slow_time: SlowTime,
+    fitted_slow_time: SlowTimeStatistics,
+    slow_time: SlowTimeStatistics,
 }
 
 /// Fits a receiver to the first part of recordings and says how far simulations with it, and without, are from the rest.
@@ -123,7 +123,8 @@ fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) -> a
     let waveform = recordings.waveform();
     let mut fitted = Calibration::new(waveform, recordings.frames_fitted() as usize)?;
     let mut judged = Calibration::new(waveform, recordings.frames_judged() as usize)?;
-    let (mut fitted_slow_time, mut slow_time) = (SlowTime::new(waveform, WINDOW_S), SlowTime::new(waveform, WINDOW_S));
+    let (mut fitted_slow_time, mut slow_time) =
+        (SlowTimeStatistics::new(waveform, WINDOW_S), SlowTimeStatistics::new(waveform, WINDOW_S));
     for recording in recordings.all() {
         fitted.begin_recording();
         judged.begin_recording();

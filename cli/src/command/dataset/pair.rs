@@ -19,7 +19,7 @@ use anyhow::{Context, bail};
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
 use radome_driver::recording::span_check::check_spans;
-use radome_dsp::echo::{EchoFinder, RangeProfile};
+use radome_dsp::detect::{Baseline, Detection, Detector, RangeProfile};
 use radome_dsp::{Frame, MapStatus, RdmProcessor, RdmSpec, SourceEvent, Truth, Waveform};
 use radome_models::dataset::{DatasetHeader, DatasetWriter, Domain, ManifestRow};
 use radome_sim::{Scene, SimulateOptions, Simulator};
@@ -376,19 +376,19 @@ impl Store {
 
 /// Looks at frames as they come.
 struct Watcher {
-    finder: EchoFinder,
-    looks: Vec<Vec<radome_dsp::echo::Echo>>,
+    detector: Detector,
+    looks: Vec<Vec<Detection>>,
     profiles: VecDeque<RangeProfile>,
-    still: Vec<Vec<radome_dsp::echo::Echo>>,
+    still: Vec<Vec<Detection>>,
     /// Frames of a window.
     window: usize,
 }
 
 impl Watcher {
-    fn new(waveform: &Waveform, baselines: &[radome_dsp::angle::Baseline]) -> Self {
+    fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
         let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
         Watcher {
-            finder: EchoFinder::new(waveform, baselines),
+            detector: Detector::new(waveform, baselines),
             looks: Vec::new(),
             profiles: VecDeque::new(),
             still: Vec::new(),
@@ -397,14 +397,14 @@ impl Watcher {
     }
 
     fn take(&mut self, frame: &Frame) -> anyhow::Result<()> {
-        let (echoes, profile) = self.finder.moving(frame)?;
+        let (echoes, profile) = self.detector.detect_moving(frame)?;
         self.looks.push(echoes);
         self.profiles.push_back(profile);
         if self.profiles.len() > self.window {
             self.profiles.pop_front();
         }
         if self.profiles.len() == self.window {
-            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+            self.still.push(self.detector.detect_still(&self.profiles.iter().collect::<Vec<_>>()));
         }
         Ok(())
     }
@@ -412,16 +412,14 @@ impl Watcher {
     /// Looks with what is still in the middle of each window; at either end the first and last whole window answer.
     fn finish(mut self, times_s: &[f64], taken: &[Taken], waveform: &Waveform) -> Vec<Look> {
         if self.still.is_empty() && !self.profiles.is_empty() {
-            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+            self.still.push(self.detector.detect_still(&self.profiles.iter().collect::<Vec<_>>()));
         }
         let middle_s = 0.5 * waveform.request.chirps_per_frame as f64 * waveform.chirp_interval_s;
         let half = self.window / 2;
         let looks = std::mem::take(&mut self.looks);
-        let of = |(k, mut echoes): (usize, Vec<radome_dsp::echo::Echo>)| {
+        let of = |(k, mut echoes): (usize, Vec<Detection>)| {
             let still = self.still.get(k.saturating_sub(half).min(self.still.len().saturating_sub(1)));
-            let near = |still: &radome_dsp::echo::Echo| {
-                echoes.iter().any(|e| (e.range_m - still.range_m).abs() < KEEPS_AWAY_M)
-            };
+            let near = |still: &Detection| echoes.iter().any(|e| (e.range_m - still.range_m).abs() < KEEPS_AWAY_M);
             let quiet: Vec<_> = still.into_iter().flatten().filter(|s| !near(s)).cloned().collect();
             echoes.extend(quiet);
             Look {
