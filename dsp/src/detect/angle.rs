@@ -161,7 +161,7 @@ mod tests {
         Receivers::new(RxMask::from_antennas(&[1, 2, 3]).expect("three"), calibration)
     }
 
-    /// Cross-spectra of a far target by the definition of the phase, with receivers that are unlike.
+    /// Cosines of a far target by the definition of the phase, with phase offsets between the receivers.
     fn cosines(of: &Receivers, direction: (f64, f64), unlike: AngleCalibration, wavelength_m: f64) -> Vec<Option<f64>> {
         let (azimuth, elevation) = direction;
         let along = [elevation.cos() * azimuth.sin(), elevation.sin()];
@@ -184,7 +184,7 @@ mod tests {
         }
     }
 
-    /// A reflector in a known direction tells what receivers are unlike in; then every direction is told right.
+    /// A reflector in a known direction gives the calibration; then every direction is measured right.
     #[test]
     fn one_reflector_calibrates_all_directions() {
         let unlike = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };

@@ -281,7 +281,7 @@ mod tests {
             .collect()
     }
 
-    /// Noise alone is nobody; bodies apart, as strong as their range lets them be, are counted.
+    /// Noise alone is no person. Bodies at different ranges, with levels that fall with range, are counted.
     #[test]
     fn bodies_apart_in_range_are_counted() {
         assert!(counts(&[], 40).iter().all(|people| *people == 0));
@@ -292,15 +292,15 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// What stands still is nobody, however strong it is.
+        /// A static echo is not a person, however strong it is.
         #[test]
-        fn walls_are_nobody() {
+        fn walls_are_not_people() {
             assert!(counts(&[(3.0, 0.0, 400.0)], 100).iter().all(|people| *people == 0));
         }
 
-        /// A weak second body far behind the first is its echo off a wall.
+        /// A weak second body far behind the first is the ghost of the first.
         #[test]
-        fn an_echo_by_the_wall_is_nobody() {
+        fn a_multipath_ghost_is_not_a_person() {
             assert!(counts(&[(2.0, 0.8, 200.0), (4.0, 0.8, 2.0)], 5).iter().all(|people| *people == 1));
         }
 

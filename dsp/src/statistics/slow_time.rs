@@ -335,7 +335,7 @@ mod tests {
                 let t = (i % shape.samples) as f64 / w.sample_rate_hz;
                 let cycles = delay_s * (w.sampled_start_frequency_hz + w.slope_hz_per_s * t);
                 let still = 150.0 * (0.9 + 6e9 * w.slope_hz_per_s / 1e15 * 1e-3 * t * 1e3).cos();
-                // Rounding would add up over chirps that are alike.
+                // Dither: rounding errors of identical chirps would add up.
                 let mixed = (i as u64 + 1_000_003 * sequence).wrapping_mul(0x9e37_79b9_7f4a_7c15);
                 let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
                 let dither = (mixed >> 40) as f64 / (1u64 << 24) as f64 - 0.5;
@@ -363,7 +363,7 @@ mod tests {
             assert_eq!(line.windows, 2);
             assert!((line.range_m - 0.5).abs() < 0.01, "{line:?}");
             assert!(line.breath_hz.is_some_and(|found| (found - hz).abs() < 0.02), "{line:?}");
-            // All of it moves where the phase goes round; of a small swing what its sidebands hold.
+            // All power is moving if the phase turns fully; for a small oscillation only the sidebands are.
             let m = 4.0 * std::f64::consts::PI * swing_m / waveform().wavelength_m();
             let still: f64 =
                 (0..4000).map(|i| (m * (std::f64::consts::TAU * f64::from(i) / 4000.0).sin()).cos()).sum::<f64>() / 4e3;

@@ -24,7 +24,7 @@ fn spec(guard: (usize, usize), training: (usize, usize), false_alarm_rate: f64, 
     CfarSpec { rank: 0.75, guard: reach(guard), training: reach(training), false_alarm_rate, looks }
 }
 
-/// The definition: walk over the whole window, sort, look up.
+/// Threshold by the definition: collect the whole window, sort, take the ranked cell.
 fn reference(spec: &CfarSpec, power: &[f64], (rows, columns): (usize, usize), doppler: usize, range: usize) -> f64 {
     let reach = |guard: usize, training: usize| (guard + training) as i64;
     let (across, along) =
@@ -64,7 +64,7 @@ fn thresholds_are_those_of_the_definition_everywhere() {
     }
 }
 
-/// Closed forms against the statistics that they stand for.
+/// Closed forms against the rates that they are derived from.
 #[test]
 fn factors_give_the_rates_that_they_are_for() {
     let known: f64 =
@@ -85,7 +85,7 @@ fn measured_rate(spec: CfarSpec, cell: usize, columns: usize, trials: usize, see
     let mut draw = Draw(seed);
     let mut alarms = 0;
     for _ in 0..trials {
-        // The level of the noise is nobody's business.
+        // The level of the noise does not matter.
         let level = 10f64.powf(10.0 * draw.next() - 5.0);
         let power: Vec<f64> = (0..columns).map(|_| level * draw.power(spec.looks)).collect();
         alarms += usize::from(power[cell] > cfar.thresholds(&power).expect("as many")[cell]);
