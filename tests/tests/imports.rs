@@ -233,15 +233,18 @@ fn expand(tree: &str, prefix: &[String], imports: &mut Vec<Import>) {
     }
 }
 
-/// Paths from `crate` or `super` anywhere in the code.
+/// Paths from `crate` or `super` anywhere in the code, but for the beginnings of trees, which [`uses`] reads.
 fn inline_paths(code: &str) -> Vec<Vec<String>> {
     let is_part = |c: char| c.is_alphanumeric() || c == '_' || c == ':';
-    let starts = code.match_indices("crate::").chain(code.match_indices("super::"));
-    let paths = starts.filter(|(start, _)| !code[..*start].ends_with(is_part)).map(|(start, _)| {
+    let mut paths = Vec::new();
+    for (start, _) in code.match_indices("crate::").chain(code.match_indices("super::")) {
         let end = code[start..].find(|c: char| !is_part(c)).map_or(code.len(), |length| start + length);
-        code[start..end].split("::").filter(|part| !part.is_empty()).map(str::to_owned).collect::<Vec<_>>()
-    });
-    paths.collect()
+        let path = &code[start..end];
+        if !code[..start].ends_with(is_part) && !path.ends_with("::") {
+            paths.push(path.split("::").map(str::to_owned).collect());
+        }
+    }
+    paths
 }
 
 /// Largest sets of modules that reach each other.
