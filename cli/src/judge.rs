@@ -7,7 +7,7 @@ use std::sync::{Mutex, PoisonError};
 use anyhow::Context;
 use radome_driver::Judge as NamedJudge;
 use radome_driver::recording::mcap::RESULTS_VERSION;
-use radome_dsp::people::PeopleCounter;
+use radome_dsp::detect::CfarCounter;
 use radome_dsp::rdm::{AxesCoverage, PhysicalAxes, SlowTime};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, ReceiverFault, Waveform};
 use radome_models::bounded_file::read;
@@ -78,7 +78,7 @@ pub struct Judge(Kind);
 #[allow(clippy::large_enum_variant)]
 enum Kind {
     Network { classifier: Box<Classifier>, processor: RdmProcessor, map: Rdm },
-    Cfar(Box<PeopleCounter>),
+    Cfar(Box<CfarCounter>),
 }
 
 /// Prediction for one frame.
@@ -218,7 +218,7 @@ impl Model {
                 Kind::Network { classifier, processor, map }
             }
             Model::Cfar => {
-                Kind::Cfar(Box::new(PeopleCounter::new(waveform).context("the detector cannot look at these frames")?))
+                Kind::Cfar(Box::new(CfarCounter::new(waveform).context("the detector cannot look at these frames")?))
             }
         }))
     }
@@ -334,7 +334,7 @@ impl Judge {
                 MapStatus::Ready => Ok(Prediction::Probabilities(classifier.classify(map)?)),
             },
             Kind::Cfar(counter) => {
-                let seen = counter.look(frame)?;
+                let seen = counter.observe(frame)?;
                 Ok(Prediction::Probabilities(COUNTED_TO_SEEN[counter.people(seen)]))
             }
         }

@@ -1,23 +1,32 @@
-//! Power to decibels: a polynomial logarithm that keeps NaN and infinity visible.
+//! Conversion of power to decibels by a polynomial logarithm. NaN and infinity pass through.
 
 use crate::KernelLevel;
 
-/// `10 log10(p)` in place for `f32` power, with everything below `floor_power` raised to it first.
+/// Replaces each power by `10 log10(max(power, floor_power))`, at the fastest level of this machine.
 ///
-/// A polynomial of degree 6 in the mantissa: at most 1e-6 dB from the logarithm beside f32 rounding of the result
-/// (3.2e-5 dB near -379 dB), and 25 times faster than the library's `log10`. NaN stays NaN and infinity stays infinite.
+/// The logarithm is a polynomial of degree 6 in the mantissa. It deviates by at most 1e-6 dB, beside f32 rounding of the result
+/// (3.2e-5 dB near -379 dB), and is 25 times faster than the library's `log10`. NaN stays NaN and infinity stays infinite.
 ///
 /// `floor_power` must be a positive normal number.
+///
+/// ```
+/// use radome_dsp::decibel::power_to_db;
+///
+/// let mut cells = [1.0, 100.0, 0.0];
+/// power_to_db(&mut cells, 1e-20);
+/// assert!((cells[1] - 20.0).abs() < 1e-5);
+/// assert!((cells[2] + 200.0).abs() < 1e-3);
+/// ```
 pub fn power_to_db(power: &mut [f32], floor_power: f32) {
     power_to_db_at(KernelLevel::detect(), power, floor_power);
 }
 
-/// The same, to the same bits on every machine: what is learned from must not depend on where.
+/// [`power_to_db`] with the same bits on every machine, for data that networks are trained on.
 pub fn power_to_db_portable(power: &mut [f32], floor_power: f32) {
     convert::<false>(power, floor_power);
 }
 
-/// The same at a level of kernel, which must be available; returns how many values are NaN or infinite.
+/// [`power_to_db`] at a level, which must be available. Returns the number of values that are NaN or infinite.
 pub(crate) fn power_to_db_at(level: KernelLevel, power: &mut [f32], floor_power: f32) -> u32 {
     match level {
         KernelLevel::Portable => convert::<false>(power, floor_power),
@@ -59,7 +68,7 @@ fn convert<const FUSES: bool>(power: &mut [f32], floor_power: f32) -> u32 {
     non_finite
 }
 
-/// `10 log10(p)` by the library's logarithm: what [`power_to_db`] is measured against.
+/// [`power_to_db`] by the library's `log10`, for benchmarks that compare the two.
 pub fn power_to_db_library(power: &mut [f32], floor_power: f32) {
     for p in power {
         let clamped = if *p < floor_power { floor_power } else { *p };
@@ -67,12 +76,13 @@ pub fn power_to_db_library(power: &mut [f32], floor_power: f32) {
     }
 }
 
+/// `10 log10(2)`.
 pub(crate) const DB_PER_OCTAVE: f32 = 3.0103;
 /// log2(1 + t) = t P(t) on [sqrt(1/2) - 1, sqrt(2) - 1], minimax by Lawson iteration: 9.0e-7 dB.
 pub(crate) const LOG2_POLYNOMIAL: [f32; 7] =
     [1.442_699_7, -0.721_375_9, 0.480_465_03, -0.358_961_85, 0.297_262_6, -0.272_698, 0.170_634_5];
 
-/// Bits of sqrt(1/2): where a binade is cut, so that the mantissa lies around one.
+/// Bits of sqrt(1/2). Binades are cut there, so that the mantissa lies around one.
 pub(crate) const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
 
 /// Base-2 logarithm of a positive normal number.

@@ -1,10 +1,8 @@
-//! A frame of raw codes, and where frames come from.
+//! Frames of raw codes, and what is known of them.
 
 use ndarray::ArrayView3;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-use crate::Waveform;
 
 /// Largest code of the 12-bit ADC.
 pub const MAX_CODE: u16 = 4095;
@@ -33,7 +31,7 @@ impl std::fmt::Display for FrameShape {
     }
 }
 
-/// How many people a room holds, as far as this program distinguishes: nobody, one, or two or more. The class of a map.
+/// Class of a frame: nobody in the room, one person, or two people or more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Occupancy {
@@ -54,12 +52,12 @@ impl Occupancy {
         self as usize
     }
 
-    /// Class with this index.
+    /// Class with this index; `None` above 2.
     pub fn from_index(index: usize) -> Option<Self> {
         Self::ALL.get(index).copied()
     }
 
-    /// Name as files and answers spell it.
+    /// Name in files and answers.
     pub fn name(self) -> &'static str {
         match self {
             Occupancy::Empty => "empty",
@@ -68,7 +66,7 @@ impl Occupancy {
         }
     }
 
-    /// The class with this name.
+    /// Class with this name; `None` if there is none.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|o| o.name() == name)
     }
@@ -80,12 +78,12 @@ impl std::fmt::Display for Occupancy {
     }
 }
 
-/// What is known to be true of a frame, from a simulator or from someone who labelled it.
+/// Ground truth of a frame, from a simulator or from a person who labelled it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Truth {
-    /// A person counts while any part of them is in the room, seen or not.
+    /// People in the room. A person counts while any part of the body is in the room, visible to the radar or not.
     pub occupancy: Occupancy,
-    /// Someone is entering or leaving (partly in the room) during this frame.
+    /// Whether a person enters or leaves during this frame, and so is partly in the room.
     pub transition: bool,
 }
 
@@ -95,10 +93,10 @@ pub enum ReceiverFault {
     /// All codes of a frame are the same: it gives no signal.
     #[error("all of its samples are the same")]
     Constant,
-    /// At least half of the codes of a frame lie at the ends of the ADC: it gives no signal.
+    /// At least half of the codes of a frame lie at the ends of the ADC's range: it gives no signal.
     #[error("half or more of its samples lie at the ends of the ADC")]
     Saturated,
-    /// At least a hundredth of the codes of a frame lie at the ends of the ADC: strong echoes are distorted.
+    /// At least a hundredth of the codes of a frame lie at the ends of the ADC's range: strong echoes are distorted.
     #[error("a hundredth or more of its samples lie at the ends of the ADC, which distorts strong echoes")]
     Clipped,
 }
@@ -110,27 +108,37 @@ impl ReceiverFault {
     }
 }
 
-/// One frame of raw 12-bit codes. Raw codes are the master copy of all data.
+/// One frame of raw 12-bit codes, the master copy of all data.
+///
+/// ```
+/// use radome_dsp::{Frame, FrameShape};
+///
+/// let mut frame = Frame::zeroed(FrameShape { rx: 3, chirps: 2, samples: 4 });
+/// frame.codes.copy_from_slice(&(0..24).collect::<Vec<u16>>());
+/// assert_eq!(frame.chirp(1, 0), [8, 9, 10, 11]);
+/// let codes = frame.view().expect("as many codes as the shape says");
+/// assert_eq!(codes[[1, 0, 3]], 11);
+/// ```
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Frame {
     /// Frames since the acquisition started, lost ones counted too.
     pub sequence: u64,
     /// Time of the first chirp since the acquisition started, by the source's own clock, ns.
     pub time_ns: u64,
-    /// Wall-clock time at which the host had the frame, ns since 1970; 0 where nobody knows.
+    /// Wall-clock time at which the host received the frame, ns since 1970; 0 where it is unknown.
     pub host_time_ns: u64,
     /// Lengths of the axes of `codes`.
     pub shape: FrameShape,
     /// Codes 0..=4095, `[rx][chirp][sample]`.
     pub codes: Vec<u16>,
-    /// What is known to be true of it.
+    /// Ground truth, where it is known.
     pub truth: Option<Truth>,
-    /// Chip temperature where the source gives one, degrees Celsius in thousandths.
+    /// Chip temperature in thousandths of a degree Celsius, where the source reports it.
     pub temperature_millicelsius: Option<i32>,
 }
 
 impl Frame {
-    /// An all-zero frame: something to read into.
+    /// Creates a frame of zeros, a buffer for [`FrameSource::next_frame`](crate::FrameSource::next_frame).
     pub fn zeroed(shape: FrameShape) -> Self {
         Frame {
             sequence: 0,
@@ -143,22 +151,22 @@ impl Frame {
         }
     }
 
-    /// Codes of one chirp.
+    /// Codes of one chirp, `[sample]`.
     ///
     /// # Panics
-    /// If the indices exceed the shape, as slices do.
+    /// If an index is out of the shape, or if `codes` is shorter than the shape says.
     pub fn chirp(&self, rx: usize, chirp: usize) -> &[u16] {
         let start = (rx * self.shape.chirps + chirp) * self.shape.samples;
         &self.codes[start..start + self.shape.samples]
     }
 
-    /// The codes as an array `[rx][chirp][sample]`; `None` if their number disagrees with the shape.
+    /// View of the codes as an array `[rx][chirp][sample]`; `None` if their number disagrees with the shape.
     pub fn view(&self) -> Option<ArrayView3<'_, u16>> {
         ArrayView3::from_shape((self.shape.rx, self.shape.chirps, self.shape.samples), &self.codes).ok()
     }
 
-    /// Fault of the receive channel with this index, 0-based, by its codes in this frame alone; `None` if they are as they should
-    /// be, or if there is no such channel.
+    /// Fault of the receive channel with this 0-based index, judged by its codes in this frame alone; `None` if it has no fault,
+    /// or if there is no such channel.
     pub fn receiver_fault(&self, rx: usize) -> Option<ReceiverFault> {
         let length = self.shape.chirps * self.shape.samples;
         let codes = self.codes.chunks_exact(length.max(1)).nth(rx)?;
@@ -182,90 +190,6 @@ impl Frame {
     /// Seconds since the acquisition started.
     pub fn time_s(&self) -> f64 {
         self.time_ns as f64 * 1e-9
-    }
-}
-
-/// Why frames are missing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum GapReason {
-    /// The chip's FIFO overflowed: the host or the board was too slow.
-    FifoOverflow,
-    /// Packets are missing by their counter.
-    PacketLost,
-    /// A packet arrived damaged.
-    Crc,
-    /// A consumer's queue was full.
-    QueueFull,
-    /// The board was unplugged, stalled or restarted. Where its own clock or count has not run on, the host's clock says how
-    /// many frames were lost: one more or less may be the truth, and so the numbers of the frames that follow.
-    Disconnected,
-    /// The recording itself lacks them.
-    Recorded,
-}
-
-impl GapReason {
-    /// Name as files and answers spell it.
-    pub fn name(self) -> &'static str {
-        match self {
-            GapReason::FifoOverflow => "fifo_overflow",
-            GapReason::PacketLost => "packet_lost",
-            GapReason::Crc => "crc",
-            GapReason::QueueFull => "queue_full",
-            GapReason::Disconnected => "disconnected",
-            GapReason::Recorded => "recorded",
-        }
-    }
-}
-
-/// A hole in a stream of frames. No frame is ever assembled across one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Gap {
-    /// Sequence number of the first frame lost.
-    pub first_sequence: u64,
-    /// Frames lost; 0 if unknown.
-    pub frames: u64,
-    /// Why.
-    pub reason: GapReason,
-}
-
-/// What a source hands out.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SourceEvent {
-    /// The frame passed in has been filled.
-    Frame,
-    /// Frames are missing here; the frame passed in is untouched.
-    Gap(Gap),
-    /// No more frames.
-    End,
-}
-
-/// Errors of sources are their own; a consumer can show them and see whether to give up.
-pub type SourceError = Box<dyn std::error::Error + Send + Sync>;
-
-/// Where frames come from: a board, a recording, a simulator. The one thing that `driver` and `sim` share.
-pub trait FrameSource: Send {
-    /// Waveform of every frame of this source.
-    fn waveform(&self) -> &Waveform;
-
-    /// Fills `frame` (reusing its memory) with the next one, waiting for it if need be.
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError>;
-
-    /// Frames in total, where the source knows.
-    fn frame_count(&self) -> Option<u64> {
-        None
-    }
-}
-
-impl<S: FrameSource + ?Sized> FrameSource for Box<S> {
-    fn waveform(&self) -> &Waveform {
-        (**self).waveform()
-    }
-    fn next_frame(&mut self, frame: &mut Frame) -> Result<SourceEvent, SourceError> {
-        (**self).next_frame(frame)
-    }
-    fn frame_count(&self) -> Option<u64> {
-        (**self).frame_count()
     }
 }
 

@@ -1,29 +1,31 @@
-//! What the chip transmits and samples, and every quantity that follows from it.
+//! Waveforms: the request, the realisation by the chip, and every quantity that follows from it.
 
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::SPEED_OF_LIGHT_M_PER_S;
+use crate::FrameShape;
 
+/// Speed of light in vacuum, m/s.
+pub const SPEED_OF_LIGHT_M_PER_S: f64 = 299_792_458.0;
 /// Reference clock of the BGT60TR13C; all its timers count its cycles.
 pub const REFERENCE_CLOCK_HZ: f64 = 80e6;
-/// Sampling starts this long after the requested start frequency has been passed: `(8*31 + 1) / 80 MHz`
-/// with the vendor's default timing, so the first part of the requested band is never sampled.
+/// Delay of the first sample after the ramp has passed the requested start frequency, s: `(8*31 + 1) / 80 MHz` with the
+/// vendor's default timing. The first part of the requested band is therefore never sampled.
 pub const ADC_START_DELAY_S: f64 = 249.0 / REFERENCE_CLOCK_HZ;
-/// One step of the ramp register RSU: `640 MHz / 2^20` in each reference clock cycle.
+/// Step of the ramp register RSU, Hz/s: `640 MHz / 2^20` in each reference clock cycle.
 pub const SLOPE_STEP_HZ_PER_S: f64 = 640e6 / 1_048_576.0 * REFERENCE_CLOCK_HZ;
 /// Shortest and longest ADC clock divider.
 pub const ADC_DIVIDER_RANGE: (u32, u32) = (20, 1023);
-/// Chirp intervals are realised in steps of eight reference clock cycles.
+/// Step of the realised chirp intervals, s: eight reference clock cycles.
 pub const CHIRP_INTERVAL_STEP_S: f64 = 8.0 / REFERENCE_CLOCK_HZ;
-/// Time that the chip needs beside the samples in each chirp: ramp start, ADC delay, end delay and baseband reset.
+/// Time that the chip needs in each chirp beside its samples, s: ramp start, ADC delay, end delay and baseband reset.
 pub const CHIRP_OVERHEAD_S: f64 = 8.0e-6;
-/// Frequencies that the synthesiser reaches (datasheet: RF band).
+/// Lowest and highest frequency of the synthesiser, Hz (datasheet: RF band).
 pub const RF_BAND_HZ: (f64, f64) = (57.4e9, 63.6e9);
 /// Samples that the chip's FIFO holds.
 pub const FIFO_SAMPLES: usize = 16_384;
 
-/// Receive antennas in use: bit 0 is RX1.
+/// Set of receive antennas in use: bit 0 is RX1. Serialised as the list of their 1-based numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Vec<u8>", into = "Vec<u8>")]
 pub struct RxMask(u8);
@@ -32,7 +34,10 @@ impl RxMask {
     /// All three receivers.
     pub const ALL: RxMask = RxMask(0b111);
 
-    /// From 1-based antenna numbers, as recordings list them.
+    /// Set of these 1-based antenna numbers.
+    ///
+    /// # Errors
+    /// [`WaveformError::Antennas`] if the list is empty, repeats a number, or has a number out of 1 to 3.
     pub fn from_antennas(antennas: &[u8]) -> Result<Self, WaveformError> {
         let mut mask = 0u8;
         for &antenna in antennas {
@@ -52,13 +57,13 @@ impl RxMask {
         (1..=3).filter(|a| self.0 & (1 << (a - 1)) != 0).collect()
     }
 
-    /// The enabled antennas up to the one with this index among them, 0-based; all of them if there is none.
+    /// Subset of the first `index + 1` enabled antennas; all of them if there are fewer.
     pub fn up_to(self, index: usize) -> Self {
         let beyond = self.antennas().into_iter().skip(index + 1);
         RxMask(beyond.fold(self.0, |mask, antenna| mask & !(1 << (antenna - 1))))
     }
 
-    /// How many receivers are enabled.
+    /// Number of enabled receivers.
     pub fn count(self) -> usize {
         self.0.count_ones() as usize
     }
@@ -82,7 +87,7 @@ impl From<RxMask> for Vec<u8> {
     }
 }
 
-/// What a user, a scene or a recording asks for. Written and read as TOML and JSON with these names.
+/// Waveform as a user, a scene or a recording requests it. Field names are the keys in TOML and JSON.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WaveformRequest {
@@ -96,9 +101,9 @@ pub struct WaveformRequest {
     pub chirps_per_frame: usize,
     /// ADC rate, Hz.
     pub sample_rate_hz: f64,
-    /// From the start of one chirp to that of the next, s.
+    /// Time from the start of one chirp to the start of the next, s.
     pub chirp_interval_s: f64,
-    /// From the start of one frame to that of the next, s.
+    /// Time from the start of one frame to the start of the next, s.
     pub frame_interval_s: f64,
     /// Enabled receivers, 1-based; `[1, 2, 3]` by default.
     #[serde(default = "all_receivers")]
@@ -134,8 +139,10 @@ fn default_anti_alias() -> f64 {
 }
 
 impl WaveformRequest {
-    /// The paper's waveform (paper.md section 3) with what the paper leaves open as DESIGN.md fixes it:
-    /// 882.35 MHz about 60 GHz, 256 samples at 1 MHz, 128 chirps every 500 us, a frame every 100 ms.
+    /// Waveform of Ratto et al., "Indoor Occupancy Classification using a Compact Hybrid Quantum-Classical Model Enabled by a
+    /// Physics-Informed Radar Digital Twin", section 3: 882.35 MHz about 60 GHz, 256 samples at 1 MHz, 128 chirps.
+    ///
+    /// That publication states neither the chirp interval nor the frame interval; they are 500 us and 100 ms here.
     pub fn paper() -> Self {
         WaveformRequest {
             start_frequency_hz: 60e9 - 441.175e6,
@@ -154,12 +161,23 @@ impl WaveformRequest {
     }
 }
 
-/// A waveform as the chip realises it: the request beside what its registers make of it.
+/// Waveform as the chip realises it: the request, and the values on the grids of the chip's registers.
 ///
-/// The band that is *sampled* is narrower than the one requested; all axes follow from the sampled one.
+/// The band that is *sampled* is narrower than the requested one. All axes follow from the sampled band.
+///
+/// ```
+/// use radome_dsp::{Waveform, WaveformRequest};
+///
+/// let request = WaveformRequest { samples_per_chirp: 128, ..WaveformRequest::paper() };
+/// let waveform = Waveform::realise(request)?;
+/// assert_eq!(waveform.shape().to_string(), "3 rx x 128 chirps x 128 samples");
+/// assert!(waveform.sampled_bandwidth_hz() < 882.35e6);
+/// assert!(waveform.range_resolution_m() > 0.17);
+/// # Ok::<(), radome_dsp::WaveformError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Waveform {
-    /// What was asked for.
+    /// Waveform that was requested.
     pub request: WaveformRequest,
     /// Slope of the ramp, Hz/s, on the grid of the ramp register.
     pub slope_hz_per_s: f64,
@@ -171,15 +189,15 @@ pub struct Waveform {
     pub sampled_start_frequency_hz: f64,
 }
 
-/// A waveform that the chip cannot produce.
+/// Error for a waveform that the chip cannot produce.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum WaveformError {
-    /// A value lies outside what the chip can do.
+    /// A value is out of the chip's range.
     #[error("waveform: {name} is {value} {unit}, allowed is {min} to {max} {unit}")]
     OutOfRange {
         /// Field of [`WaveformRequest`].
         name: &'static str,
-        /// What was given.
+        /// Given value.
         value: f64,
         /// Least allowed value.
         min: f64,
@@ -191,15 +209,15 @@ pub enum WaveformError {
     /// The antenna list is empty, repeats one, or names one that the chip lacks.
     #[error("waveform: rx_antennas is {got:?}, expected one to three different numbers out of 1, 2, 3")]
     Antennas {
-        /// What was given.
+        /// Given numbers.
         got: Vec<u8>,
     },
     /// The chirps do not fit between the start of two chirps or frames.
     #[error("waveform: {what} take {needed_s:.6} s, but {interval} is {given_s:.6} s; lengthen it or sample less")]
     DoesNotFit {
-        /// What does not fit.
+        /// Part that does not fit.
         what: &'static str,
-        /// The interval that is too short.
+        /// Interval that is too short.
         interval: &'static str,
         /// Time needed.
         needed_s: f64,
@@ -208,7 +226,7 @@ pub enum WaveformError {
     },
 }
 
-/// Two waveforms whose maps cannot stand for each other.
+/// Error for frames whose waveform differs too much from the one that is needed.
 #[derive(Debug, Clone, PartialEq, Error)]
 #[error(
     "waveforms differ in {what}: {expected} is needed, {got} was given\n\nhint: capture with the waveform that the model names, or train a model for this one"
@@ -231,7 +249,11 @@ fn within(name: &'static str, value: f64, (min, max): (f64, f64), unit: &'static
 }
 
 impl Waveform {
-    /// Checks a request and computes what the chip makes of it (hardware.md section 4).
+    /// Checks a request and computes the values that the chip realises.
+    ///
+    /// # Errors
+    /// - [`WaveformError::OutOfRange`] if a value of the request, or the slope that follows from it, is out of the chip's range.
+    /// - [`WaveformError::DoesNotFit`] if the samples do not fit into the chirp interval, or the chirps into the frame interval.
     pub fn realise(request: WaveformRequest) -> Result<Self, WaveformError> {
         let r = &request;
         within("start_frequency_hz", r.start_frequency_hz, RF_BAND_HZ, "Hz")?;
@@ -277,16 +299,16 @@ impl Waveform {
         Ok(Waveform { slope_hz_per_s, sample_rate_hz, chirp_interval_s, sampled_start_frequency_hz, request })
     }
 
-    /// Receivers, chirps and samples of a frame.
-    pub fn shape(&self) -> crate::FrameShape {
-        crate::FrameShape {
+    /// Shape of a frame: receivers, chirps and samples.
+    pub fn shape(&self) -> FrameShape {
+        FrameShape {
             rx: self.request.rx_antennas.count(),
             chirps: self.request.chirps_per_frame,
             samples: self.request.samples_per_chirp,
         }
     }
 
-    /// From the start of one frame to that of the next, s.
+    /// Time from the start of one frame to the start of the next, s.
     pub fn frame_interval_s(&self) -> f64 {
         self.request.frame_interval_s
     }
@@ -336,13 +358,18 @@ impl Waveform {
         self.wavelength_m() / (2.0 * self.frame_interval_s() * fft_length as f64)
     }
 
-    /// Packed 12-bit samples that leave the chip, bit/s.
+    /// Rate of packed 12-bit samples from the chip, bit/s.
     pub fn data_rate_bit_per_s(&self) -> f64 {
         self.shape().codes() as f64 * 12.0 / self.frame_interval_s()
     }
 
-    /// Whether frames of `self` may be judged by what was made for `needed`: same shape of chirps and samples, range step and
-    /// velocity step within 1 %, frame interval within 5 %. More receivers than needed are no obstacle.
+    /// Checks that frames of `self` can be given to a model that was trained on frames of `needed`.
+    ///
+    /// More receivers than needed are allowed.
+    ///
+    /// # Errors
+    /// [`WaveformMismatch`] with the first quantity that differs: the number of chirps or samples, a missing receiver, a range
+    /// step or an unambiguous velocity off by more than 1 %, or a frame interval off by more than 5 %.
     pub fn check_compatible(&self, needed: &Waveform) -> Result<(), WaveformMismatch> {
         let differ = |what, expected, got| Err(WaveformMismatch { what, expected, got });
         let (a, b) = (&self.request, &needed.request);

@@ -1,27 +1,35 @@
-//! Tapering windows.
+//! Window functions.
 
 use std::f64::consts::TAU;
 
 use serde::{Deserialize, Serialize};
 
-/// A taper over samples or chirps. Periodic (DFT-even) unless the name says symmetric.
+/// Window over samples or chirps. Periodic (DFT-even) unless the name says symmetric.
+///
+/// ```
+/// use radome_dsp::Window;
+///
+/// let weights = Window::Hann.weights(64);
+/// assert!((weights.iter().sum::<f64>() - 32.0).abs() < 1e-12);
+/// assert_eq!(Window::Rectangular.noise_bandwidth_bins(64), 1.0);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Window {
-    /// No taper.
+    /// All weights 1.
     Rectangular,
-    /// `(1 - cos)/2`: sidelobes -31 dB, falling 18 dB an octave.
+    /// `(1 - cos) / 2`: sidelobes -31 dB, falling 18 dB an octave.
     Hann,
-    /// 0.54, 0.46: sidelobes -43 dB.
+    /// `0.54 - 0.46 cos`: sidelobes -43 dB.
     Hamming,
     /// Four-term Blackman-Harris: sidelobes -92 dB.
     BlackmanHarris,
-    /// The same with denominator N - 1, as the vendor's examples build it.
+    /// Four-term Blackman-Harris with period `N - 1`, as in the vendor's examples.
     BlackmanHarrisSymmetric,
 }
 
 impl Window {
-    /// The `length` weights.
+    /// Returns the `length` weights.
     pub fn weights(self, length: usize) -> Vec<f64> {
         const HANN: [f64; 2] = [0.5, 0.5];
         const HAMMING: [f64; 2] = [0.54, 0.46];

@@ -7,7 +7,7 @@ use radome_dsp::rdm::{Channels, PhysicalAxes, SlowTime, StaticRemoval};
 use radome_dsp::{Frame, KernelLevel, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
 
 #[test]
-fn no_chain_allocates_once_it_is_planned() {
+fn no_transform_allocates_once_it_is_planned() {
     let waveform = |chirps: usize, samples: usize| {
         let request = WaveformRequest {
             samples_per_chirp: samples,
@@ -27,7 +27,7 @@ fn no_chain_allocates_once_it_is_planned() {
         RdmSpec { slow_time: SlowTime::Frames { frames: 8 }, ..base },
         RdmSpec { channels: Channels::IncoherentSum, physical_axes: Some(axes), ..base },
     ];
-    // Sizes of the lane kernel, and such as go through the library.
+    // Sizes of the lane transform, and sizes of the library.
     for waveform in [waveform(128, 256), waveform(32, 64), waveform(20, 100)] {
         for spec in specs {
             for level in KernelLevel::ALL.into_iter().filter(|level| level.is_available()) {
@@ -47,7 +47,7 @@ fn no_chain_allocates_once_it_is_planned() {
                 make(0..10);
                 let before = ALLOCATIONS.get();
                 assert!(before > 0, "the allocator counts");
-                // With a jump in between, after which everything begins anew.
+                // The jump of the sequence resets the state.
                 make(10..20);
                 make(30..40);
                 assert_eq!(ALLOCATIONS.get() - before, 0, "{level}, {}, {spec:?}", waveform.shape());

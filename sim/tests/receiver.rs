@@ -4,7 +4,7 @@ mod common;
 
 use common::{hall, parse, scene, simulator};
 use radome_dsp::Frame;
-use radome_dsp::slow_time::SlowTime;
+use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::random::{Purpose, generator};
 use radome_sim::receiver::phase_noise::PhaseRates;
 use radome_sim::receiver::{ClutterDrift, PhaseNoise, Receiver};
@@ -91,7 +91,7 @@ fn clutter_jitters_and_drifts_as_measured() {
     // What static removal leaves.
     let left_db = |scene: &Scene| {
         let simulator = simulator(scene, 1, Some(0));
-        let mut slow_time = SlowTime::new(scene.waveform(), 10.0);
+        let mut slow_time = SlowTimeStatistics::new(scene.waveform(), 10.0);
         (0..100).for_each(|index| slow_time.push(&simulator.render(index)));
         let bin = (2.4 / scene.waveform().range_step_m(256)).round() as usize;
         let power = |of: Option<f64>| 10.0 * of.expect("a window").log10();

@@ -1,4 +1,4 @@
-//! Labels that a classical detector proposes for a recording ([`radome_dsp::people`]): something to correct by hand, not to train on as
+//! Labels that a classical detector proposes for a recording ([`CfarCounter`]): something to correct by hand, not to train on as
 //! it is.
 
 use std::path::Path;
@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::bail;
 use radome_driver::LabelSpan;
 use radome_driver::recording::Recording;
-use radome_dsp::people::{PeopleCounter, Seen};
+use radome_dsp::detect::{CfarCounter, Observation};
 use radome_dsp::{Frame, FrameSource, Occupancy, SourceEvent};
 
 use crate::labels::spans_of;
@@ -21,21 +21,21 @@ const AGREEMENT_S: f64 = 1.5;
 pub fn propose(path: &Path) -> anyhow::Result<Vec<LabelSpan>> {
     let mut recording = Recording::open(path)?;
     let waveform = recording.waveform().clone();
-    let mut counter = PeopleCounter::new(&waveform)?;
+    let mut counter = CfarCounter::new(&waveform)?;
     let frames = counter.slow_frames();
     let mut frame = Frame::zeroed(waveform.shape());
-    let mut looked: Vec<(f64, Seen)> = Vec::new();
+    let mut looked: Vec<(f64, Observation)> = Vec::new();
     loop {
         match recording.next_frame(&mut frame).map_err(anyhow::Error::from_boxed)? {
             SourceEvent::End => break,
             SourceEvent::Gap(_) => counter.reset(),
-            SourceEvent::Frame => looked.push((frame.time_s(), counter.look(&frame)?)),
+            SourceEvent::Frame => looked.push((frame.time_s(), counter.observe(&frame)?)),
         }
     }
     if looked.is_empty() {
         bail!("{}: no frame", path.display());
     }
-    let believe = |index: usize, (time_s, seen): &(f64, Seen)| {
+    let believe = |index: usize, (time_s, seen): &(f64, Observation)| {
         // Who has just left still fills the window of who breathes: it counts where few of its frames held a walker.
         let half = frames / 2;
         let window = looked.get(index.saturating_sub(half)..(index + half).min(looked.len())).unwrap_or(&[]);

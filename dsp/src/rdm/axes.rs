@@ -1,21 +1,21 @@
-//! Axes of a map in metres and metres a second, the same for every waveform.
+//! Axes of a map in m and m/s, the same for every waveform.
 
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::SpecError;
+use super::error::SpecError;
 use crate::Waveform;
 
-/// Bins of a physical axis at most.
+/// Largest number of bins of a physical axis.
 pub const MOST_AXIS_BINS: usize = 1024;
-/// Least sampled band of a waveform whose maps are on physical axes, Hz: its range resolution is 0.5 m.
+/// Narrowest sampled band of a waveform whose maps are on physical axes, Hz: its range resolution is 0.5 m.
 pub const LEAST_SAMPLED_BAND_HZ: f64 = 0.3e9;
-/// Fewest samples of a chirp of such a waveform.
+/// Fewest samples of a chirp of a waveform whose maps are on physical axes.
 pub const LEAST_SAMPLES: usize = 32;
-/// Fewest chirps of a frame of such a waveform.
+/// Fewest chirps of a frame of a waveform whose maps are on physical axes.
 pub const LEAST_CHIRPS: usize = 8;
-/// Samples and chirps of a frame at most: more than the chip can make.
+/// Largest number of samples of a chirp, and of chirps of a frame: the limit of the chip.
 const MOST_SAMPLES: usize = 4095;
 /// Fewest samples or chirps that are transformed, however coarse the axis.
 const LEAST_TRANSFORMED: usize = 8;
@@ -27,13 +27,13 @@ const ROUNDING: f64 = 1e-9;
 /// Frames of any waveform within limits are brought onto them: the discrete Fourier transform of the frame is evaluated at
 /// exactly these ranges and velocities. The limits are [`LEAST_SAMPLED_BAND_HZ`], [`LEAST_SAMPLES`] and [`LEAST_CHIRPS`].
 ///
-/// - Where a frame resolves finer than a step, the fewest samples or chirps in its middle are used whose resolution is the
-///   step: with all of them an echo between two cells would be in neither.
-/// - Where a frame resolves coarser than a step, an echo covers more cells and neighbouring cells are correlated, noise too.
+/// - Where a frame resolves finer than a step, only the fewest samples or chirps in its middle are used whose resolution is the
+///   step. With all of them, an echo between two cells would show in neither.
+/// - Where a frame resolves coarser than a step, an echo covers more cells, and neighbouring cells are correlated. So is noise.
 /// - Cells beyond the unambiguous range or speed of a frame hold noise, see [`RdmProcessor`](super::RdmProcessor).
 /// - Fewer samples or chirps lower an echo over noise by their processing gain. Nothing compensates for that.
 ///
-/// Maps over the chirps of a frame only: velocities across frames would depend on the frame rate.
+/// The velocity axis is over the chirps of a frame only: velocities across frames would depend on the frame rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PhysicalAxes {
@@ -43,20 +43,20 @@ pub struct PhysicalAxes {
     pub range_bins: usize,
     /// Difference between neighbouring velocity cells, m/s.
     pub velocity_step_m_per_s: f64,
-    /// Velocity cells; that with index `velocity_bins / 2` is at 0 m/s.
+    /// Velocity cells; the cell with index `velocity_bins / 2` is at 0 m/s.
     pub velocity_bins: usize,
 }
 
-/// Part of physical axes that the frames of a waveform measure, and what they measure it with.
+/// Part of physical axes that frames of a waveform measure, and the part of the frames that is used.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AxesCoverage {
-    /// Samples of a chirp that are transformed.
+    /// Indices of the samples of a chirp that are transformed.
     pub samples: Range<usize>,
-    /// Chirps of a frame that are transformed.
+    /// Indices of the chirps of a frame that are transformed.
     pub chirps: Range<usize>,
-    /// Range cells that are measured, counted from the nearest.
+    /// Number of range cells that are measured, counted from the nearest.
     pub range_bins: usize,
-    /// Velocity cells that are measured.
+    /// Indices of the velocity cells that are measured.
     pub velocity_bins: Range<usize>,
     /// Range resolution `c / 2B` of the transformed samples, m.
     pub range_resolution_m: f64,
@@ -68,7 +68,7 @@ impl PhysicalAxes {
     /// Checks the axes themselves.
     ///
     /// # Errors
-    /// A step that is not finite and above zero, or a number of bins out of range.
+    /// [`SpecError::Axis`] if a step is not finite and above zero, or if a number of bins is out of range.
     pub(super) fn check(&self) -> Result<(), SpecError> {
         let step = "a finite number above zero";
         let bins = "2 to 1024 bins";
@@ -88,7 +88,7 @@ impl PhysicalAxes {
     /// Checks that frames of a waveform can be brought onto the axes.
     ///
     /// # Errors
-    /// [`SpecError::Waveform`] if the sampled band, the samples or the chirps are out of the limits.
+    /// [`SpecError::Waveform`] if the sampled band, the samples, the chirps or the unambiguous speed are out of the limits.
     pub(super) fn check_waveform(&self, waveform: &Waveform) -> Result<(), SpecError> {
         let refused = |quantity, given: String, needed: String| Err(SpecError::Waveform { quantity, given, needed });
         let band_hz = waveform.sampled_bandwidth_hz();
@@ -115,7 +115,7 @@ impl PhysicalAxes {
         Ok(())
     }
 
-    /// What frames of a waveform measure of the axes, for axes and waveforms within the limits.
+    /// Part of the axes that frames of a waveform measure, for axes and waveforms within the limits.
     pub fn coverage(&self, waveform: &Waveform) -> AxesCoverage {
         let request = &waveform.request;
         let samples = transformed(request.samples_per_chirp, waveform.range_step_m(1) / self.range_step_m);
@@ -146,7 +146,7 @@ fn is_length(bins: usize) -> bool {
     (2..=MOST_AXIS_BINS).contains(&bins)
 }
 
-/// The fewest of `length` in the middle that resolve a step, of which `resolving` do.
+/// Range of the fewest samples in the middle of `length` that resolve a step; `resolving` of them do.
 fn transformed(length: usize, resolving: f64) -> Range<usize> {
     let count = ((resolving * (1.0 - ROUNDING)).ceil() as usize).max(LEAST_TRANSFORMED).min(length);
     let first = (length - count) / 2;

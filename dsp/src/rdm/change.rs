@@ -1,25 +1,25 @@
-//! Change from frame to frame: where people stand, sit or breathe, whom the chirps of one frame do not show.
+//! Change from frame to frame. It shows people who stand, sit or breathe, whom the chirps of one frame do not show.
 //!
-//! Breathing and balance turn the phase of a person's echo by radians within a second; clutter keeps its phase, but for drifts that are
-//! small against its own level. So the change of a range bin is weighed by how much of the bin's power it is.
+//! Breathing and balance turn the phase of a person's echo by radians within a second. Clutter keeps its phase, except for drifts
+//! that are small against its own level. The change of a range bin is therefore weighted by its share of the bin's power.
 
 /// State of one receive channel, by range bin.
 ///
 /// With `z` the sum over the chirps of a frame at zero velocity, nothing removed, `m` its mean and `v` the mean of `|z - m|^2`, both
 /// with weights that fade exponentially over frames, the power of change is `v * v / (v + |m|^2)`: `v` where the phase turns, and
-/// lower by the ratio of the two where something strong moves a little. `v` has the level of the map's noise where nothing changes
-/// but noise.
+/// lower by the ratio of the two where something strong moves a little. `v` has the level of the map's noise where only noise
+/// changes.
 pub(super) struct Change {
-    /// Weight of the newest frame, once there are enough.
+    /// Weight of the newest frame, once there are enough frames.
     alpha: f32,
-    /// Frames since the beginning or a gap.
+    /// Number of frames since the beginning or a gap.
     frames: u32,
     mean: Vec<[f32; 2]>,
     variance: Vec<f32>,
 }
 
 impl Change {
-    /// Creates the state of so many range bins. Weights fade by `1/e` over `time_s`.
+    /// Creates the state for `range` bins. Weights fall by `1/e` over `time_s`.
     pub(super) fn new(range: usize, time_s: f64, frame_interval_s: f64) -> Self {
         let alpha = -(-frame_interval_s / time_s).exp_m1();
         Change { alpha: alpha as f32, frames: 0, mean: vec![[0.0; 2]; range], variance: vec![0.0; range] }
@@ -32,10 +32,10 @@ impl Change {
         self.variance.fill(0.0);
     }
 
-    /// Takes the real and imaginary parts of the next frame's `z` in, and writes or adds the power of change by range bin.
+    /// Takes the real and imaginary parts of the next frame's `z`, and writes or adds the power of change by range bin.
     ///
-    /// The weights are equal until there are enough frames for `alpha`. A bin that is not finite has a power that is not finite, and
-    /// leaves no trace in the state (Welford's update with weights: Finch, "Incremental calculation of weighted mean and variance", 2009).
+    /// The weights are equal until there are enough frames for `alpha`. A bin that is not finite gets a power that is not finite, and
+    /// does not enter the state (Welford's update with weights: Finch, "Incremental calculation of weighted mean and variance", 2009).
     pub(super) fn push(&mut self, real: &[f32], imaginary: &[f32], adds: bool, powers: &mut [f32]) {
         self.frames = self.frames.saturating_add(1);
         let alpha = self.alpha.max(1.0 / self.frames as f32);

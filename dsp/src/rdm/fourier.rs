@@ -1,37 +1,30 @@
-//! The chain for any size, by `realfft` and `rustfft`; also slow time across frames. In f64: beside a strong leakage line f32
-//! would be 0.02 dB off at -100 dBFS, and the sizes that end up here are small or rare.
+//! Maps of any size by `realfft` and `rustfft`; also maps with slow time across frames.
+//!
+//! The transforms are in f64. Beside a strong leakage line, f32 would be 0.02 dB off at -100 dBFS, and the sizes that come here
+//! are small or rare.
 
 use std::sync::Arc;
 
 use num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner, FftPlannerScalar};
 
-use super::RdmShape;
-use super::chain::ChainPlan;
+use super::map::RdmShape;
+use super::plan::MapPlan;
+use crate::spectrum::RangeFft;
 use crate::{FrameShape, KernelLevel};
 
 /// Chirps that are transformed before they are scattered into the range-major matrix: two cache lines of `Complex64`.
 const BLOCK: usize = 8;
 
-/// FFT of one chirp. The library picks its instructions by itself except in its scalar planner, which has no
-/// transform for real input.
-enum RangeFft {
-    Real(Arc<dyn RealToComplex<f64>>),
-    Scalar(Arc<dyn Fft<f64>>),
-}
-
-/// Plans, buffers and the window of frames.
-pub(super) struct FourierChain {
+/// Transforms, buffers and the window of frames.
+pub(super) struct FourierTransform {
     range_window: Vec<f64>,
     doppler_window: Vec<f64>,
     range_fft: RangeFft,
     doppler_fft: Arc<dyn Fft<f64>>,
-    /// Cells of `spectra` for a chirp.
+    /// Number of cells of `spectra` for one chirp.
     bins: usize,
-    windowed: Vec<f64>,
     spectra: Vec<Complex64>,
-    range_scratch: Vec<Complex64>,
     /// `[range][slow time]` of one channel.
     matrix: Vec<Complex64>,
     doppler_scratch: Vec<Complex64>,
@@ -41,31 +34,25 @@ pub(super) struct FourierChain {
     history_next: usize,
 }
 
-impl FourierChain {
-    pub(super) fn new(plan: &ChainPlan, level: KernelLevel) -> Self {
+impl FourierTransform {
+    pub(super) fn new(plan: &MapPlan, level: KernelLevel) -> Self {
         let RdmShape { doppler, range, .. } = plan.shape;
         let length = plan.range_fft_length;
-        let is_scalar = level == KernelLevel::Portable;
-        let (range_fft, doppler_fft) = if is_scalar {
-            let mut planner = FftPlannerScalar::<f64>::new();
-            (RangeFft::Scalar(planner.plan_fft_forward(length)), planner.plan_fft_forward(doppler))
+        let samples = plan.frame_shape.samples;
+        // The library chooses its instructions itself, except in its scalar planner.
+        let (range_fft, doppler_fft) = if level == KernelLevel::Portable {
+            (RangeFft::scalar(samples, length), FftPlannerScalar::<f64>::new().plan_fft_forward(doppler))
         } else {
-            let doppler_fft = FftPlanner::<f64>::new().plan_fft_forward(doppler);
-            (RangeFft::Real(RealFftPlanner::<f64>::new().plan_fft_forward(length)), doppler_fft)
+            (RangeFft::new(samples, length), FftPlanner::<f64>::new().plan_fft_forward(doppler))
         };
-        let (bins, scratch) = match &range_fft {
-            RangeFft::Real(fft) => (length / 2 + 1, fft.get_scratch_len()),
-            RangeFft::Scalar(fft) => (length, fft.get_inplace_scratch_len()),
-        };
+        let bins = range_fft.bins();
         let zero = Complex64::new(0.0, 0.0);
         let history = if plan.is_across_frames { plan.channels.len() * range * plan.slow_length } else { 0 };
-        FourierChain {
+        FourierTransform {
             range_window: plan.range_window.clone(),
             doppler_window: plan.doppler_window.clone(),
             bins,
-            windowed: vec![0.0; length],
             spectra: vec![zero; BLOCK * bins],
-            range_scratch: vec![zero; scratch],
             matrix: vec![zero; range.next_multiple_of(BLOCK) * doppler],
             doppler_scratch: vec![zero; doppler_fft.get_inplace_scratch_len()],
             range_fft,
@@ -76,34 +63,20 @@ impl FourierChain {
         }
     }
 
-    /// Forgets the window of frames.
+    /// Empties the window of frames.
     pub(super) fn reset(&mut self) {
         self.history_frames = 0;
         self.history_next = 0;
     }
 
-    /// Range FFT of one chirp into row `row` of `spectra`.
+    /// Computes the range FFT of one chirp into row `row` of `spectra`.
     fn range_transform(&mut self, chirp: &[f32], row: usize) {
-        let input = &mut self.windowed;
-        for ((y, x), w) in input.iter_mut().zip(chirp).zip(&self.range_window) {
-            *y = f64::from(*x) * w;
-        }
-        input[chirp.len()..].fill(0.0);
-        let output = &mut self.spectra[row * self.bins..(row + 1) * self.bins];
-        match &self.range_fft {
-            RangeFft::Real(fft) => {
-                let planned = fft.process_with_scratch(input, output, &mut self.range_scratch);
-                debug_assert!(planned.is_ok(), "buffers have the planned lengths");
-            }
-            RangeFft::Scalar(fft) => {
-                output.iter_mut().zip(input).for_each(|(y, x)| *y = Complex64::new(*x, 0.0));
-                fft.process_with_scratch(output, &mut self.range_scratch);
-            }
-        }
+        let windowed = chirp.iter().zip(&self.range_window).map(|(x, w)| f64::from(*x) * w);
+        self.range_fft.transform(windowed, &mut self.spectra[row * self.bins..(row + 1) * self.bins]);
     }
 
-    /// Power of one channel's `[chirp][sample]` into the map's cells.
-    pub(super) fn channel(&mut self, plan: &ChainPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
+    /// Computes the power of one channel `[chirp][sample]` into the map's cells.
+    pub(super) fn channel(&mut self, plan: &MapPlan, index: usize, samples: &[f32], cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         let chirp_length = plan.frame_shape.samples;
         for (block, chirps) in samples.chunks(BLOCK * chirp_length).enumerate() {
@@ -123,9 +96,9 @@ impl FourierChain {
         self.doppler_transform(plan, index, cells);
     }
 
-    /// Takes a frame's mean chirps into the window of frames; `samples` of all used channels serve as scratch.
-    /// Returns how many frames are in the window.
-    pub(super) fn push_frame(&mut self, plan: &ChainPlan, samples: &mut [f32]) -> usize {
+    /// Adds a frame's mean chirps to the window of frames, and overwrites `samples` of all used channels.
+    /// Returns the number of frames in the window.
+    pub(super) fn push_frame(&mut self, plan: &MapPlan, samples: &mut [f32]) -> usize {
         let FrameShape { chirps, samples: chirp_length, .. } = plan.frame_shape;
         let range = plan.shape.range;
         for (index, channel) in samples.chunks_exact_mut(plan.channel_length()).enumerate() {
@@ -146,8 +119,8 @@ impl FourierChain {
         self.history_frames
     }
 
-    /// Power of one channel's window of frames into the map's cells.
-    pub(super) fn window(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+    /// Computes the power of one channel's window of frames into the map's cells.
+    pub(super) fn window(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         for bin in 0..range {
             let row = (index * range + bin) * plan.slow_length;
@@ -159,8 +132,8 @@ impl FourierChain {
         self.doppler_transform(plan, index, cells);
     }
 
-    /// Static removal, window, Doppler FFT and power of one channel's matrix.
-    fn doppler_transform(&mut self, plan: &ChainPlan, index: usize, cells: &mut [f32]) {
+    /// Applies static removal, window and Doppler FFT to one channel's matrix, and computes its power.
+    fn doppler_transform(&mut self, plan: &MapPlan, index: usize, cells: &mut [f32]) {
         let RdmShape { doppler, range, .. } = plan.shape;
         let slow = plan.slow_length;
         let adds = plan.adds(index);

@@ -1,96 +1,29 @@
-//! Range-Doppler maps: what to compute ([`RdmSpec`]), how (`RdmProcessor`), and the slow reference.
+//! Range-Doppler maps: their specification ([`RdmSpec`]), the processor ([`RdmProcessor`]) and a slow [`reference`].
+//!
+//! [`RdmProcessor`] checks a specification against a waveform and derives a plan: sizes, windows and scales. One of three
+//! transforms then computes power from samples by that plan:
+//! - `lanes`: both FFTs in vector registers, for sizes that are powers of two;
+//! - `fourier`: `realfft` and `rustfft`, for any size, and for slow time across frames;
+//! - `physical`: discrete Fourier sums at the ranges and velocities of [`PhysicalAxes`].
 
 mod axes;
-mod chain;
 mod change;
+mod error;
 mod fourier;
 mod lanes;
+mod map;
 mod physical;
+mod plan;
 mod processor;
 pub mod reference;
 mod saturation;
 mod spec;
 
 pub use axes::{AxesCoverage, LEAST_CHIRPS, LEAST_SAMPLED_BAND_HZ, LEAST_SAMPLES, MOST_AXIS_BINS, PhysicalAxes};
-pub use processor::{MapError, MapStatus, RdmProcessor};
-pub use spec::{AmplitudeScale, Channels, MapMismatch, RdmSpec, SampleScale, SlowTime, SpecError, StaticRemoval};
-
-/// Lengths of the axes of a map, in order.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-pub struct RdmShape {
-    /// Receive channels (1 for a single channel or an incoherent sum).
-    pub rx: usize,
-    /// Doppler bins, zero velocity at `doppler / 2`.
-    pub doppler: usize,
-    /// Range bins, zero range first.
-    pub range: usize,
-}
-
-impl RdmShape {
-    /// Cells in a map.
-    pub fn cells(self) -> usize {
-        self.rx * self.doppler * self.range
-    }
-}
-
-impl std::fmt::Display for RdmShape {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "{} rx x {} doppler x {} range", self.rx, self.doppler, self.range)
-    }
-}
-
-/// What a map says about its own input.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct MapFlags {
-    /// Codes at either end of the ADC (0 or 4095) in the frame's used channels.
-    pub saturated_samples: u32,
-    /// Cells that are NaN or infinite.
-    pub non_finite_cells: u32,
-}
-
-/// One range-Doppler map, f32 dB `[rx][doppler][range]`.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Rdm {
-    /// Lengths of the axes.
-    pub shape: RdmShape,
-    /// Cells in dB.
-    pub db: Vec<f32>,
-    /// Range of bin 1, m.
-    pub range_step_m: f64,
-    /// Velocity of one Doppler bin, m/s.
-    pub velocity_step_m_per_s: f64,
-    /// Sequence number of the (last) frame that it was made from.
-    pub sequence: u64,
-    /// What its input was like.
-    pub flags: MapFlags,
-}
-
-impl Rdm {
-    /// Cell in dB.
-    ///
-    /// # Panics
-    /// If the indices exceed the shape, as slices do.
-    pub fn at(&self, rx: usize, doppler: usize, range: usize) -> f32 {
-        self.db[(rx * self.shape.doppler + doppler) * self.shape.range + range]
-    }
-
-    /// Velocity of a Doppler index, m/s; positive is receding.
-    pub fn velocity_m_per_s(&self, doppler: usize) -> f64 {
-        (doppler as f64 - (self.shape.doppler / 2) as f64) * self.velocity_step_m_per_s
-    }
-
-    /// Range of a range index, m.
-    pub fn range_m(&self, range: usize) -> f64 {
-        range as f64 * self.range_step_m
-    }
-
-    /// Index `(rx, doppler, range)` of the strongest finite cell; `None` if there is none.
-    pub fn peak(&self) -> Option<(usize, usize, usize)> {
-        let (index, _) = self.db.iter().enumerate().filter(|(_, v)| v.is_finite()).max_by(|a, b| a.1.total_cmp(b.1))?;
-        let RdmShape { doppler, range, .. } = self.shape;
-        Some((index / (doppler * range), index / range % doppler, index % range))
-    }
-}
+pub use error::{MapError, MapMismatch, SpecError};
+pub use map::{MapFlags, Rdm, RdmShape};
+pub use processor::{MapStatus, RdmProcessor};
+pub use spec::{AmplitudeScale, Channels, RdmSpec, SampleScale, SlowTime, StaticRemoval};
 
 #[cfg(test)]
 mod tests;

@@ -1,35 +1,35 @@
 //! Maps on [`PhysicalAxes`]: discrete Fourier sums at exactly the ranges and velocities of their cells.
 //!
-//! Both stages are products of matrices in f32: samples by `[sample][range]`, then `[velocity][chirp]` by the range spectra. Windows,
-//! scale and the removal of the mean over slow time are in the matrices. The sums are in one order at every kernel level, without
-//! fused multiply-add, so that all levels give the same powers to the bit.
+//! Both stages are products of matrices in f32: samples by `[sample][range]`, then `[velocity][chirp]` by the range spectra. The
+//! matrices contain windows, scale and the removal of the mean over slow time. The order of the sums is the same at every kernel
+//! level, without fused multiply-add, so that all levels give the same powers to the bit.
 
 use std::f64::consts::TAU;
 use std::ops::Range;
 
 use num_complex::Complex64;
 
-use super::PhysicalAxes;
-use super::chain::ChainPlan;
+use super::axes::PhysicalAxes;
 use super::change::Change;
+use super::plan::MapPlan;
 use crate::decibel::power_to_db_portable;
 use crate::{KernelLevel, MAX_CODE, Waveform};
 
-/// Receivers that the chip has.
+/// Number of receivers of the chip.
 const MOST_RECEIVERS: usize = 3;
 /// Lower quartile of the mean noise power of one, two and three receivers, in units of its mean: quartiles of gamma distributions.
-/// Of one receiver, whose noise power is exponential, it is `ln(4/3)`.
+/// For one receiver, whose noise power is exponential, it is `ln(4/3)`.
 const QUARTILES: [f32; MOST_RECEIVERS] = [0.287_682_1, 0.480_639_37, 0.575_766_44];
-/// Sets these draws apart from any others of the same sequence number.
+/// Purpose of these draws, which separates them from any others of the same sequence number.
 const PURPOSE: u64 = 0x7068_7973_6963_616c;
 
 /// Matrices and buffers.
-pub(super) struct PhysicalChain {
+pub(super) struct PhysicalTransform {
     level: KernelLevel,
-    /// Samples of a chirp and chirps of a frame that are transformed.
+    /// Indices of the samples of a chirp and of the chirps of a frame that are transformed.
     samples: Range<usize>,
     chirps: Range<usize>,
-    /// Cells that are measured.
+    /// Range cells and velocity cells that are measured.
     range: usize,
     velocity: Range<usize>,
     /// `[sample][real, imaginary][range]`.
@@ -41,23 +41,24 @@ pub(super) struct PhysicalChain {
     /// `[real, imaginary][range]` of the spectra under the real and under the imaginary part of a row of `doppler_matrix`.
     by_real: Vec<f32>,
     by_imaginary: Vec<f32>,
-    /// Change from frame to frame of each used channel, if it has the cells of zero velocity, and those cells.
+    /// State of change of each used channel, empty if the spec asks for none.
     change: Vec<Change>,
+    /// Cells of zero velocity, which hold the change.
     zero: Range<usize>,
     /// Weights of the chirps at zero velocity, `[chirp]`.
     zero_weights: Vec<f32>,
-    /// Which of the used channels go into a mean.
+    /// Whether each of the used channels gives a signal and enters the mean.
     alive: Vec<bool>,
     /// Samples that stand for the lowest and the highest code.
     ends: [f32; 2],
-    beyond: Beyond,
+    unmeasured: UnmeasuredCells,
 }
 
-impl PhysicalChain {
-    /// Creates the chain for a plan of a spec with these axes; `level` must be available. `change_over_s` is
+impl PhysicalTransform {
+    /// Creates the transform for a plan of a spec with these axes; `level` must be available. `change_over_s` is
     /// [`RdmSpec::change_over_s`](super::RdmSpec).
     pub(super) fn new(
-        plan: &ChainPlan,
+        plan: &MapPlan,
         axes: &PhysicalAxes,
         change_over_s: Option<f64>,
         waveform: &Waveform,
@@ -96,7 +97,7 @@ impl PhysicalChain {
         let (factor, offset) = (plan.scale.0 as f32, plan.scale.1 as f32);
         let change = |time_s| Change::new(range, time_s, waveform.frame_interval_s());
         let zero = axes.velocity_bins / 2 * axes.range_bins;
-        PhysicalChain {
+        PhysicalTransform {
             level,
             change: change_over_s
                 .map_or_else(Vec::new, |time_s| plan.channels.clone().map(|_| change(time_s)).collect()),
@@ -107,7 +108,7 @@ impl PhysicalChain {
             by_imaginary: vec![0.0; 2 * range],
             alive: vec![true; plan.channels.len()],
             ends: [0, MAX_CODE].map(|code| f32::from(code) * factor + offset),
-            beyond: Beyond::new(axes, range, &velocity),
+            unmeasured: UnmeasuredCells::new(axes, range, &velocity),
             samples: coverage.samples,
             chirps: coverage.chirps,
             range,
@@ -117,9 +118,9 @@ impl PhysicalChain {
         }
     }
 
-    /// Finds the receivers that say something, by all samples of the used channels as the board sent them. Only a mean over receivers
-    /// asks.
-    pub(super) fn find_alive(&mut self, plan: &ChainPlan, samples: &[f32]) {
+    /// Finds the receivers that give a signal, from all samples of the used channels before any removal. Only a mean over
+    /// receivers needs them.
+    pub(super) fn find_alive(&mut self, plan: &MapPlan, samples: &[f32]) {
         if !plan.is_sum {
             return;
         }
@@ -131,8 +132,8 @@ impl PhysicalChain {
         }
     }
 
-    /// Power of all used channels `[channel][chirp][sample]` into the map's cells.
-    pub(super) fn map(&mut self, plan: &ChainPlan, samples: &[f32], sequence: u64, cells: &mut [f32]) {
+    /// Computes the power of all used channels `[channel][chirp][sample]` into the map's cells.
+    pub(super) fn map(&mut self, plan: &MapPlan, samples: &[f32], sequence: u64, cells: &mut [f32]) {
         let mut adds = false;
         for (index, channel) in samples.chunks_exact(plan.channel_length()).enumerate() {
             if self.alive.get(index) == Some(&true) {
@@ -151,7 +152,7 @@ impl PhysicalChain {
         let receivers = if plan.is_sum { alive } else { 1 };
         for index in 0..plan.shape.rx {
             let cells = &mut cells[plan.cells(index)];
-            self.beyond.fill(plan.shape.range, receivers, [sequence, index as u64], cells);
+            self.unmeasured.fill(plan.shape.range, receivers, [sequence, index as u64], cells);
         }
     }
 
@@ -160,7 +161,7 @@ impl PhysicalChain {
         self.change.iter_mut().for_each(Change::reset);
     }
 
-    /// Change of the channel whose spectra there are, into the cells of zero velocity, or added to it.
+    /// Writes the change of the channel in `spectra` into the cells of zero velocity, or adds it.
     fn change_of(&mut self, index: usize, adds: bool, cells: &mut [f32]) {
         if let Some(change) = self.change.get_mut(index) {
             weighted_sum(self.level, &self.zero_weights, &self.spectra, &mut self.by_real);
@@ -169,16 +170,16 @@ impl PhysicalChain {
         }
     }
 
-    /// Power of one channel `[chirp][sample]` into the measured cells, or added to what is there.
-    fn channel(&mut self, plan: &ChainPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
+    /// Writes the power of one channel `[chirp][sample]` into the measured cells, or adds it.
+    fn channel(&mut self, plan: &MapPlan, samples: &[f32], adds: bool, cells: &mut [f32]) {
         let chirps = samples.chunks_exact(plan.frame_shape.samples).skip(self.chirps.start);
         for (chirp, spectrum) in chirps.zip(self.spectra.chunks_exact_mut(2 * self.range)) {
             weighted_sum(self.level, &chirp[self.samples.clone()], &self.range_matrix, spectrum);
         }
         let chirps = self.chirps.len();
-        let told_elsewhere = if self.change.is_empty() { None } else { Some(self.zero.start / plan.shape.range) };
+        let change_row = if self.change.is_empty() { None } else { Some(self.zero.start / plan.shape.range) };
         for (bin, weights) in self.velocity.clone().zip(self.doppler_matrix.chunks_exact(2 * chirps)) {
-            if told_elsewhere == Some(bin) {
+            if change_row == Some(bin) {
                 continue;
             }
             let (real, imaginary) = weights.split_at(chirps);
@@ -204,38 +205,39 @@ fn phasor(weight: f64, cycles: f64) -> Complex64 {
     Complex64::new(weight * cos, weight * sin)
 }
 
-/// Whether a receiver says nothing: all of its samples are the same, or at least half of them lie at the ends of the ADC.
+/// Returns whether a receiver gives no signal: all of its samples are the same, or at least half of them lie at the ends of the
+/// ADC's range.
 fn is_dead(samples: &[f32], [lowest, highest]: [f32; 2]) -> bool {
     let is_constant = samples.first().is_none_or(|first| samples.iter().all(|x| x == first));
     let at_ends = samples.iter().filter(|x| **x <= lowest || **x >= highest).count();
     is_constant || 2 * at_ends >= samples.len()
 }
 
-/// Cells that the frames of a waveform do not measure, and memory to fill them.
+/// Cells that frames of a waveform do not measure, and the buffers to fill them with noise.
 ///
-/// They are set to noise: independent draws from the distribution that noise has in the measured cells, the mean power of as many
-/// receivers, at the level of the noise in the same range bin. Its level is the lower quartile of the bin's measured cells over the
-/// quartile of that distribution. Range bins of which nothing is measured have the median level of the others. The draws are a
-/// function of sequence number, map and cell. A constant would be a structure that tells the waveform, and would move the
-/// quartile that a bin's noise is measured by; one picture for all frames could be learned by heart.
-struct Beyond {
-    /// Their indices in a map.
+/// The noise consists of independent draws from the distribution that noise has in the measured cells: the mean power of as many
+/// receivers, at the level of the noise in the same range bin. That level is the lower quartile of the bin's measured cells over
+/// the quartile of the distribution. Range bins without measured cells get the median level of the others. The draws are a
+/// function of sequence number, map and cell. A constant would reveal the waveform to a model, and would move the quartile that
+/// estimates a bin's noise. One pattern for all frames could be memorised by a model.
+struct UnmeasuredCells {
+    /// Indices of the cells in a map.
     cells: Vec<usize>,
     range: usize,
     velocity: Range<usize>,
-    /// For each of them: power over the mean, and a draw of one receiver.
+    /// Power of each cell over the mean, and a draw for one receiver.
     power: Vec<f32>,
     draw: Vec<f32>,
-    /// By range bin.
+    /// Noise power by range bin.
     noise: Vec<f32>,
     sorted: Vec<f32>,
 }
 
-impl Beyond {
+impl UnmeasuredCells {
     fn new(axes: &PhysicalAxes, range: usize, velocity: &Range<usize>) -> Self {
         let is_measured = |cell: &usize| velocity.contains(&(cell / axes.range_bins)) && cell % axes.range_bins < range;
         let cells: Vec<usize> = (0..axes.velocity_bins * axes.range_bins).filter(|cell| !is_measured(cell)).collect();
-        Beyond {
+        UnmeasuredCells {
             range,
             velocity: velocity.clone(),
             power: vec![0.0; cells.len()],
@@ -246,8 +248,8 @@ impl Beyond {
         }
     }
 
-    /// Fills the cells of a map `[velocity][range]`, of `bins` range bins, whose measured cells are the mean power of so many
-    /// `receivers`. `key` is the sequence number and the index of the map.
+    /// Fills the cells of a map `[velocity][range]` with `bins` range bins, whose measured cells are the mean power of
+    /// `receivers` receivers. `key` is the sequence number and the index of the map.
     fn fill(&mut self, bins: usize, receivers: usize, key: [u64; 2], map: &mut [f32]) {
         if self.cells.is_empty() {
             return;
@@ -283,7 +285,7 @@ impl Beyond {
     }
 }
 
-/// The value below which one of `parts` parts of the values lies; 0 of none.
+/// Value below which one of `parts` parts of the values lies; 0 if there are none.
 fn quantile(values: &mut [f32], parts: usize) -> f32 {
     let index = values.len() / parts;
     if index >= values.len() {
@@ -300,7 +302,7 @@ fn mix(x: u64) -> u64 {
     x ^ (x >> 31)
 }
 
-/// The sum of `rows`, each as long as `sums`, each times its weight. `level` must be available.
+/// Sums `rows`, each as long as `sums`, each times its weight. `level` must be available.
 fn weighted_sum(level: KernelLevel, weights: &[f32], rows: &[f32], sums: &mut [f32]) {
     match level {
         // SAFETY: the level is available, as the caller has checked.

@@ -1,119 +1,114 @@
-//! Frames to maps, without allocation per frame.
+//! Processor from frames to maps, without allocation per frame.
 
 use std::ops::Range;
 
-use thiserror::Error;
-
-use super::chain::ChainPlan;
-use super::fourier::FourierChain;
-use super::lanes::{Input, LaneChain, Output};
-use super::physical::PhysicalChain;
+use super::error::{MapError, SpecError};
+use super::fourier::FourierTransform;
+use super::lanes::{Input, LaneTransform, Output};
+use super::map::{MapFlags, Rdm, RdmShape};
+use super::physical::PhysicalTransform;
+use super::plan::MapPlan;
 use super::saturation::saturated_codes;
-use super::{Channels, MapFlags, Rdm, RdmShape, RdmSpec, SpecError, StaticRemoval};
-use crate::{Frame, FrameShape, KernelLevel, Waveform, decibel};
+use super::spec::{Channels, RdmSpec, StaticRemoval};
+use crate::{Frame, KernelLevel, Waveform, decibel};
 
-/// Whether a map was made.
+/// Outcome of processing a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum MapStatus {
     /// The map is valid.
     Ready,
-    /// A map over several frames needs more of them; the map is untouched.
+    /// A map over several frames needs more of them; the map is unchanged.
     WarmingUp {
-        /// Frames in the window so far.
+        /// Number of frames in the window.
         have: usize,
-        /// Frames needed.
+        /// Number of frames that are needed.
         need: usize,
     },
 }
 
-/// A frame that does not fit the processor.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-pub enum MapError {
-    /// Another shape than that of the waveform.
-    #[error("frame {sequence} is {got}, expected {expected}: is this from another waveform?")]
-    Shape {
-        /// Sequence number of the frame.
-        sequence: u64,
-        /// Shape of the waveform.
-        expected: FrameShape,
-        /// Shape of the frame.
-        got: FrameShape,
-    },
-    /// Fewer or more samples than the shape says.
-    #[error("frame {sequence} holds {got} samples, expected {expected}")]
-    Length {
-        /// Sequence number of the frame.
-        sequence: u64,
-        /// Samples that the shape calls for.
-        expected: usize,
-        /// Samples there are.
-        got: usize,
-    },
-}
-
-/// Makes maps of frames as its [`RdmSpec`] says. Owns its plans and buffers; nothing is allocated per frame.
+/// Processor from frames to maps by an [`RdmSpec`]. It owns its plans and buffers; nothing is allocated per frame.
 ///
-/// Keeps state between frames where the spec calls for it (MTI background, window of frames, change); it forgets it by itself
-/// when sequence numbers do not follow one another, and on [`reset`](Self::reset).
+/// It keeps state between frames where the spec needs it: the background of recursive MTI, the window of frames, and change. The
+/// state is reset when sequence numbers are not consecutive, and by [`reset`](Self::reset).
 ///
-/// Frames with powers of two on both axes go through a kernel of its own at the machine's [`KernelLevel`], other sizes
-/// and slow time across frames through `realfft`. Maps on [`PhysicalAxes`](super::PhysicalAxes) are sums of products: cells that the
-/// waveform does not measure hold noise at the level of their range bin, drawn by sequence number and cell.
+/// Frames with powers of two on both axes go through a kernel at the machine's [`KernelLevel`]. Other sizes, and slow time across
+/// frames, go through `realfft`. Maps on [`PhysicalAxes`](super::PhysicalAxes) are sums of products. Their cells that the waveform
+/// does not measure hold noise at the level of their range bin, drawn by sequence number and cell.
+///
+/// ```
+/// use radome_dsp::{Frame, MapStatus, RdmProcessor, RdmSpec, Waveform, WaveformRequest};
+///
+/// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
+/// let mut processor = RdmProcessor::new(&RdmSpec::default(), &waveform).expect("the spec suits the waveform");
+/// let mut map = processor.empty_map();
+///
+/// let mut frame = Frame::zeroed(waveform.shape());
+/// frame.codes.fill(2048);
+/// let status = processor.process(&frame, &mut map)?;
+/// assert_eq!(status, MapStatus::Ready);
+/// // No signal: all cells read the floor.
+/// assert!((map.at(0, 64, 10) + 200.0).abs() < 1e-3);
+/// # Ok::<(), radome_dsp::MapError>(())
+/// ```
 pub struct RdmProcessor {
     spec: RdmSpec,
-    plan: ChainPlan,
+    plan: MapPlan,
     steps: (f64, f64),
     level: KernelLevel,
-    chain: Chain,
+    transform: Transform,
     floor_power: f32,
-    /// Lowest power where the lane kernel makes decibels of it at once.
+    /// Lowest power, if the lane transform converts power to decibels itself.
     fused_floor: Option<f32>,
     uses_library_logarithm: bool,
     samples: Vec<f32>,
     last_sequence: Option<u64>,
-    /// First code of a frame that the last map was made of.
+    /// Index of the first code of a frame that the last map was computed from.
     source_start: usize,
     background: Vec<f32>,
     has_background: bool,
 }
 
-enum Chain {
-    Lanes(LaneChain),
-    Fourier(Box<FourierChain>),
-    Physical(Box<PhysicalChain>),
+enum Transform {
+    Lanes(LaneTransform),
+    Fourier(Box<FourierTransform>),
+    Physical(Box<PhysicalTransform>),
 }
 
 impl RdmProcessor {
-    /// Plans the transforms for frames of `waveform`, at the fastest level of this machine.
+    /// Creates the processor for frames of `waveform`, at the fastest level of this machine.
+    ///
+    /// # Errors
+    /// [`SpecError`] under the conditions of [`RdmSpec::shape`].
     pub fn new(spec: &RdmSpec, waveform: &Waveform) -> Result<Self, SpecError> {
         Self::with_kernel(spec, waveform, KernelLevel::detect())
     }
 
-    /// The same at a given level, so that unlike machines agree. With [`KernelLevel::Portable`] `rustfft`, too, keeps
-    /// to its scalar transforms where it is used; at other levels it picks its instructions by itself.
+    /// Creates the processor at a given level, so that different machines agree. With [`KernelLevel::Portable`], `rustfft` uses its
+    /// scalar transforms too. At other levels it chooses its instructions itself.
     ///
     /// # Errors
-    /// [`SpecError::Kernel`] if this machine does not have the level.
+    /// [`SpecError::Kernel`] if this machine does not have the level, and [`SpecError`] under the conditions of
+    /// [`RdmSpec::shape`].
     pub fn with_kernel(spec: &RdmSpec, waveform: &Waveform, level: KernelLevel) -> Result<Self, SpecError> {
         if !level.is_available() {
             return Err(SpecError::Kernel { level, detected: KernelLevel::detect() });
         }
-        let plan = ChainPlan::new(spec, waveform)?;
+        let plan = MapPlan::new(spec, waveform)?;
         let codes = plan.frame_shape.codes();
         let floor_power = 10f64.powf(spec.floor_db / 10.0) as f32;
         let is_recursive = matches!(spec.static_removal, StaticRemoval::RecursiveMti { .. });
-        let chain = if let Some(axes) = spec.physical_axes {
-            Chain::Physical(Box::new(PhysicalChain::new(&plan, &axes, spec.change_over_s, waveform, level)))
-        } else if let Some(lanes) = LaneChain::new(&plan, level) {
-            Chain::Lanes(lanes)
+        let transform = if let Some(axes) = spec.physical_axes {
+            Transform::Physical(Box::new(PhysicalTransform::new(&plan, &axes, spec.change_over_s, waveform, level)))
+        } else if let Some(lanes) = LaneTransform::new(&plan, level) {
+            Transform::Lanes(lanes)
         } else {
-            Chain::Fourier(Box::new(FourierChain::new(&plan, level)))
+            Transform::Fourier(Box::new(FourierTransform::new(&plan, level)))
         };
         Ok(RdmProcessor {
             spec: *spec,
             steps: spec.steps(waveform),
             level,
-            chain,
+            transform,
             floor_power,
             fused_floor: if plan.is_sum { None } else { Some(floor_power) },
             uses_library_logarithm: false,
@@ -126,33 +121,33 @@ impl RdmProcessor {
         })
     }
 
-    /// Level at which maps are made.
+    /// Level at which maps are computed.
     pub fn kernel_level(&self) -> KernelLevel {
         self.level
     }
 
-    /// Whether the sizes suit the kernel whose lanes are transforms.
+    /// Returns whether maps are computed by the lane transform, which needs powers of two.
     pub fn uses_lanes(&self) -> bool {
-        matches!(self.chain, Chain::Lanes(_))
+        matches!(self.transform, Transform::Lanes(_))
     }
 
-    /// Uses the `realfft` chain, which takes any size, even where the lane kernel would do: for benchmarks that
-    /// compare the two. Forgets all frames. Maps on physical axes are made as before.
+    /// Replaces the lane transform by the `realfft` transform, which takes any size, for benchmarks that compare the two. Resets
+    /// the state. Maps on physical axes are computed as before.
     pub fn use_realfft(&mut self) {
         self.reset();
-        if matches!(self.chain, Chain::Physical(_)) {
+        if matches!(self.transform, Transform::Physical(_)) {
             return;
         }
-        self.chain = Chain::Fourier(Box::new(FourierChain::new(&self.plan, self.level)));
+        self.transform = Transform::Fourier(Box::new(FourierTransform::new(&self.plan, self.level)));
     }
 
-    /// Uses the library's `log10` instead of the polynomial: for benchmarks that compare the two.
+    /// Replaces the polynomial logarithm by the library's `log10`, for benchmarks that compare the two.
     pub fn use_library_logarithm(&mut self) {
         self.uses_library_logarithm = true;
         self.fused_floor = None;
     }
 
-    /// The spec.
+    /// Specification of the maps.
     pub fn spec(&self) -> &RdmSpec {
         &self.spec
     }
@@ -162,7 +157,7 @@ impl RdmProcessor {
         self.plan.shape
     }
 
-    /// A map to process into.
+    /// Creates a map of the right shape, at the floor, as a buffer for [`process`](Self::process).
     pub fn empty_map(&self) -> Rdm {
         let shape = self.shape();
         Rdm {
@@ -175,21 +170,25 @@ impl RdmProcessor {
         }
     }
 
-    /// Forgets background and window: call it at a gap or when the scene jumps.
+    /// Resets background, window and change. Call it at a gap, or when the scene changes abruptly.
     pub fn reset(&mut self) {
         self.last_sequence = None;
         self.has_background = false;
-        match &mut self.chain {
-            Chain::Fourier(chain) => chain.reset(),
-            Chain::Physical(chain) => chain.reset(),
-            Chain::Lanes(_) => {}
+        match &mut self.transform {
+            Transform::Fourier(transform) => transform.reset(),
+            Transform::Physical(transform) => transform.reset(),
+            Transform::Lanes(_) => {}
         }
     }
 
-    /// Makes the map of `frame` (and, if the spec says so, of those before it).
+    /// Computes the map of `frame` and, if the spec says so, of the frames before it.
     ///
     /// # Errors
-    /// [`MapError`] if the frame's shape is not the waveform's; state and map are then untouched.
+    /// [`MapError`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape. State and
+    /// map are then unchanged.
+    ///
+    /// # Panics
+    /// If `map` has fewer cells than [`shape`](Self::shape) says.
     pub fn process(&mut self, frame: &Frame, map: &mut Rdm) -> Result<MapStatus, MapError> {
         if frame.shape != self.plan.frame_shape {
             let (expected, got) = (self.plan.frame_shape, frame.shape);
@@ -199,14 +198,14 @@ impl RdmProcessor {
         let used = self.plan.used();
         let source = self.source(frame);
         if source.start != self.source_start {
-            // What was kept between frames is that of another receiver.
+            // The state between frames is that of another receiver.
             self.reset();
             self.source_start = source.start;
         }
         let codes = &frame.codes[source];
         self.follow(frame.sequence);
         let saturated = saturated_codes(self.level, codes);
-        if let Chain::Lanes(lanes) = &mut self.chain
+        if let Transform::Lanes(lanes) = &mut self.transform
             && !matches!(self.spec.static_removal, StaticRemoval::RecursiveMti { .. })
         {
             let channels = codes.chunks_exact(self.plan.channel_length()).map(Input::Codes);
@@ -219,16 +218,22 @@ impl RdmProcessor {
         for (x, code) in self.samples[used].iter_mut().zip(codes) {
             *x = f32::from(*code) * factor + offset;
         }
-        Ok(self.transform(frame.sequence, saturated, map))
+        Ok(self.make_map(frame.sequence, saturated, map))
     }
 
-    /// The same for samples that are already numbers in the spec's scale, `[rx][chirp][sample]` of all channels.
-    /// NaN and infinity go through and are counted in the map's flags.
+    /// Computes the map of samples that are already in the spec's scale, `[rx][chirp][sample]` of all channels. NaN and infinity
+    /// pass through and are counted in the map's flags.
+    ///
+    /// # Errors
+    /// [`MapError::Length`] if the number of samples is not that of a frame. State and map are then unchanged.
+    ///
+    /// # Panics
+    /// If `map` has fewer cells than [`shape`](Self::shape) says.
     pub fn process_samples(&mut self, sequence: u64, samples: &[f32], map: &mut Rdm) -> Result<MapStatus, MapError> {
         self.check_length(sequence, samples.len())?;
         self.follow(sequence);
         self.samples.copy_from_slice(samples);
-        Ok(self.transform(sequence, 0, map))
+        Ok(self.make_map(sequence, 0, map))
     }
 
     fn check_length(&self, sequence: u64, got: usize) -> Result<(), MapError> {
@@ -236,7 +241,7 @@ impl RdmProcessor {
         if got == expected { Ok(()) } else { Err(MapError::Length { sequence, expected, got }) }
     }
 
-    /// Codes of a frame that the map is made of, as [`Channels`] says.
+    /// Range of the codes of a frame that the map is computed from, by [`Channels`].
     fn source(&self, frame: &Frame) -> Range<usize> {
         let used = self.plan.used();
         match self.spec.channels {
@@ -249,7 +254,7 @@ impl RdmProcessor {
         }
     }
 
-    /// Forgets the past if this frame does not follow it.
+    /// Resets the state if this frame does not follow the last one.
     fn follow(&mut self, sequence: u64) {
         if self.last_sequence.is_some_and(|last| last.checked_add(1) != Some(sequence)) {
             self.reset();
@@ -257,11 +262,11 @@ impl RdmProcessor {
         self.last_sequence = Some(sequence);
     }
 
-    /// From `samples` to the map.
-    fn transform(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
+    /// Computes the map of `samples`.
+    fn make_map(&mut self, sequence: u64, saturated_samples: u32, map: &mut Rdm) -> MapStatus {
         let used = self.plan.used();
-        if let Chain::Physical(chain) = &mut self.chain {
-            chain.find_alive(&self.plan, &self.samples[used.clone()]);
+        if let Transform::Physical(transform) = &mut self.transform {
+            transform.find_alive(&self.plan, &self.samples[used.clone()]);
         }
         if self.plan.removes_chirp_mean {
             for chirp in self.samples[used.clone()].chunks_exact_mut(self.plan.frame_shape.samples) {
@@ -273,31 +278,31 @@ impl RdmProcessor {
             self.subtract_background(alpha as f32);
         }
         let (plan, samples) = (&self.plan, &mut self.samples[used]);
-        if let Chain::Fourier(chain) = &mut self.chain
+        if let Transform::Fourier(transform) = &mut self.transform
             && plan.is_across_frames
         {
-            let have = chain.push_frame(plan, samples);
+            let have = transform.push_frame(plan, samples);
             if have < plan.slow_length {
                 return MapStatus::WarmingUp { have, need: plan.slow_length };
             }
             for index in 0..plan.channels.len() {
-                chain.window(plan, index, &mut map.db[plan.cells(index)]);
+                transform.window(plan, index, &mut map.db[plan.cells(index)]);
             }
             return self.finish(sequence, saturated_samples, Cells::Power, map);
         }
         let channels = samples.chunks_exact(plan.channel_length());
-        let cells = match &mut self.chain {
-            Chain::Lanes(chain) => {
-                through_lanes(chain, plan, self.fused_floor, channels.map(Input::Samples), &mut map.db)
+        let cells = match &mut self.transform {
+            Transform::Lanes(transform) => {
+                through_lanes(transform, plan, self.fused_floor, channels.map(Input::Samples), &mut map.db)
             }
-            Chain::Fourier(chain) => {
+            Transform::Fourier(transform) => {
                 for (index, channel) in channels.enumerate() {
-                    chain.channel(plan, index, channel, &mut map.db[plan.cells(index)]);
+                    transform.channel(plan, index, channel, &mut map.db[plan.cells(index)]);
                 }
                 Cells::Power
             }
-            Chain::Physical(chain) => {
-                chain.map(plan, samples, sequence, &mut map.db);
+            Transform::Physical(transform) => {
+                transform.map(plan, samples, sequence, &mut map.db);
                 Cells::Power
             }
         };
@@ -308,7 +313,7 @@ impl RdmProcessor {
         let used = self.plan.used();
         let (samples, background) = (&mut self.samples[used.clone()], &mut self.background[used]);
         if !self.has_background {
-            // As in the vendor's examples the first frame passes unsuppressed (h starts at zero).
+            // As in the vendor's examples, the first frame passes unsuppressed (h starts at zero).
             background.fill(0.0);
             self.has_background = true;
         }
@@ -319,7 +324,7 @@ impl RdmProcessor {
         }
     }
 
-    /// Decibels where there is still power, and the map's flags.
+    /// Converts power to decibels where the transform has not, and sets the map's flags.
     fn finish(&self, sequence: u64, saturated_samples: u32, cells: Cells, map: &mut Rdm) -> MapStatus {
         let count = |db: &[f32]| db.iter().map(|v| u32::from(!v.is_finite())).sum();
         let non_finite_cells = match cells {
@@ -337,19 +342,19 @@ impl RdmProcessor {
     }
 }
 
-/// What a chain has left in the map.
+/// Contents of a map after its transform.
 enum Cells {
     Power,
-    /// If not all are known to be finite, they are to be counted.
+    /// Decibels. Unless all cells are known to be finite, the others must be counted.
     Decibels {
         are_finite: bool,
     },
 }
 
-/// All channels through the lane kernel, to decibels where nothing is to be added up.
+/// Computes all channels by the lane transform, to decibels unless channels are summed.
 fn through_lanes<'a>(
-    chain: &mut LaneChain,
-    plan: &ChainPlan,
+    transform: &mut LaneTransform,
+    plan: &MapPlan,
     floor_power: Option<f32>,
     channels: impl Iterator<Item = Input<'a>>,
     db: &mut [f32],
@@ -360,7 +365,7 @@ fn through_lanes<'a>(
             Some(floor_power) => Output::Decibels { floor_power },
             None => Output::Power { adds: plan.adds(index) },
         };
-        are_finite &= chain.channel(channel, output, &mut db[plan.cells(index)]);
+        are_finite &= transform.channel(channel, output, &mut db[plan.cells(index)]);
     }
     if floor_power.is_some() { Cells::Decibels { are_finite } } else { Cells::Power }
 }

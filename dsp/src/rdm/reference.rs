@@ -1,10 +1,13 @@
-//! The slow, obvious map: discrete Fourier sums in f64, straight from the formula.
+//! Slow reference of maps: discrete Fourier sums in f64, by the formula.
 
 use std::f64::consts::TAU;
 
 use num_complex::Complex64;
 
-use super::{AmplitudeScale, Channels, RdmSpec, SlowTime, SpecError, StaticRemoval};
+use super::axes::AxesCoverage;
+use super::error::SpecError;
+use super::map::RdmShape;
+use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{Frame, Waveform};
 
 /// Map of the last of `frames` in dB, `[rx][doppler][range]`, in f64.
@@ -12,141 +15,26 @@ use crate::{Frame, Waveform};
 /// With `x[m, n]` the samples of slow time `m` and fast time `n`,
 /// `X[l, k] = sum_m sum_n w_m w_n x[m, n] exp(-j 2 pi (l m / M + k n / N))`, and the cell is
 /// `20 log10(a_k |X[l, k]|)` with the scale `a_k` of the spec's [`AmplitudeScale`].
-/// With [`SlowTime::Frames`] exactly the window must be given; recursive MTI and change run over all frames given.
+/// With [`SlowTime::Frames`], `frames` must be exactly the window. Recursive MTI and change run over all of `frames`.
 ///
 /// On physical axes `k / N` is the range of a cell over the range of one cycle per sample, `l / M` its velocity over that of one
-/// cycle per chirp. Cells that the waveform does not measure read the floor: what they hold elsewhere is drawn.
+/// cycle per chirp. Cells that the waveform does not measure read the floor; [`RdmProcessor`](super::RdmProcessor) fills them
+/// with drawn noise.
 ///
 /// # Errors
-/// If the spec cannot be applied to the waveform.
+/// [`SpecError`] under the conditions of [`RdmSpec::shape`].
+///
+/// # Panics
+/// If a frame has another shape than the waveform's, or fewer codes than its shape says.
 pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<f64>, SpecError> {
-    let shape = spec.shape(waveform)?;
-    let frame_shape = waveform.shape();
-    let (n, slow) = (frame_shape.samples, spec.slow_time_length(waveform));
-    let (factor, offset) = spec.scale.affine();
-    let mut channels: Vec<usize> = match spec.channels {
-        Channels::One(index) => vec![index],
-        Channels::All | Channels::IncoherentSum => (0..frame_shape.rx).collect(),
-    };
-    let axes = spec.physical_axes.map(|axes| (axes, axes.coverage(waveform)));
-    if let (Some(_), Some(frame)) = (&axes, frames.last()) {
-        let alive: Vec<usize> = (0..frame_shape.rx).filter(|rx| !frame.is_receiver_dead(*rx)).collect();
-        match (spec.channels, alive.first().copied()) {
-            (Channels::IncoherentSum, Some(_)) => channels = alive,
-            (Channels::One(index), Some(first)) if !alive.contains(&index) => channels = vec![first],
-            _ => {}
-        }
-    }
-    // Samples and chirps that are transformed, and the cells that are measured.
-    let (samples, chirps, range_bins, velocity_bins) = match &axes {
-        Some((_, c)) => (c.samples.clone(), c.chirps.clone(), 0..c.range_bins, c.velocity_bins.clone()),
-        None => (0..n, 0..slow, 0..shape.range, 0..shape.doppler),
-    };
-    let range_window = spec.range_window.weights(samples.len());
-    let doppler_window = spec.doppler_window.weights(chirps.len());
-    let range_fft = spec.range_fft_length.unwrap_or(n);
-    // Phases in cycles.
-    let range_cycles = |k: usize, s: usize| match &axes {
-        Some((axes, _)) => k as f64 * axes.range_step_m / waveform.range_step_m(1) * s as f64,
-        None => ((k * s) % range_fft) as f64 / range_fft as f64,
-    };
-    let doppler_cycles = |i: usize, m: usize| match &axes {
-        Some((axes, _)) => {
-            let velocity_m_per_s = (i as f64 - (shape.doppler / 2) as f64) * axes.velocity_step_m_per_s;
-            velocity_m_per_s / waveform.velocity_step_m_per_s(1) * m as f64
-        }
-        None => {
-            // Index i holds the Doppler bin i - M/2.
-            let l = (i + shape.doppler - shape.doppler / 2) % shape.doppler;
-            ((l * m) % shape.doppler) as f64 / shape.doppler as f64
-        }
-    };
-    let window_sum = range_window.iter().sum::<f64>() * doppler_window.iter().sum::<f64>();
-    let one_sided = |bin: usize| if bin == 0 { 1.0 } else { 2.0 };
-    let amplitude = |bin: usize| match spec.amplitude {
-        AmplitudeScale::FullScaleSine => one_sided(bin) / window_sum,
-        AmplitudeScale::Unnormalised => 1.0,
-        AmplitudeScale::Vendor => one_sided(bin) / (samples.len() * chirps.len()) as f64,
-    };
-
-    let mut power = vec![0.0; channels.len() * shape.doppler * shape.range];
-    for (index, &rx) in channels.iter().enumerate() {
-        // x[frame][chirp][sample] with offset removal.
-        let mut x: Vec<Vec<Vec<f64>>> = frames
-            .iter()
-            .map(|frame| {
-                (0..frame_shape.chirps)
-                    .map(|chirp| {
-                        let mut row: Vec<f64> =
-                            frame.chirp(rx, chirp).iter().map(|c| f64::from(*c) * factor + offset).collect();
-                        if spec.chirp_mean_removal {
-                            let mean = row.iter().sum::<f64>() / n as f64;
-                            row.iter_mut().for_each(|v| *v -= mean);
-                        }
-                        row
-                    })
-                    .collect()
-            })
-            .collect();
-        if let StaticRemoval::RecursiveMti { alpha } = spec.static_removal {
-            let mut background = vec![vec![0.0; n]; frame_shape.chirps];
-            for frame in &mut x {
-                for (row, h) in frame.iter_mut().zip(&mut background) {
-                    for (v, h) in row.iter_mut().zip(h) {
-                        let raw = *v;
-                        *v = raw - *h;
-                        *h = alpha * raw + (1.0 - alpha) * *h;
-                    }
-                }
-            }
-        }
-        let frames_before = x.clone();
-        let slow_time: Vec<Vec<f64>> = match spec.slow_time {
-            SlowTime::Chirps => x.pop().unwrap_or_default(),
-            SlowTime::Frames { .. } => x
-                .iter()
-                .map(|frame| (0..n).map(|s| frame.iter().map(|row| row[s]).sum::<f64>() / frame.len() as f64).collect())
-                .collect(),
-        };
-        let profile_of = |slow_time: &[Vec<f64>], k: usize| -> Vec<Complex64> {
-            let of_chirp = |row: &Vec<f64>| {
-                row[samples.clone()]
-                    .iter()
-                    .zip(&range_window)
-                    .enumerate()
-                    .map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * range_cycles(k, s)))
-                    .sum()
-            };
-            slow_time.iter().take(chirps.end).skip(chirps.start).map(of_chirp).collect()
-        };
-        for k in range_bins.clone() {
-            let mut profile = profile_of(&slow_time, k);
-            if spec.static_removal == StaticRemoval::SlowTimeMean {
-                let mean = profile.iter().sum::<Complex64>() / profile.len() as f64;
-                profile.iter_mut().for_each(|v| *v -= mean);
-            }
-            for i in velocity_bins.clone() {
-                let sum: Complex64 = profile
-                    .iter()
-                    .zip(&doppler_window)
-                    .enumerate()
-                    .map(|(m, (v, w))| v * Complex64::from_polar(*w, -TAU * doppler_cycles(i, m)))
-                    .sum();
-                power[(index * shape.doppler + i) * shape.range + k] = (amplitude(k) * sum.norm()).powi(2);
-            }
-            if let Some(time_s) = spec.change_over_s {
-                let zero_velocity = |frame: &Vec<Vec<f64>>| -> Complex64 {
-                    profile_of(frame, k).iter().zip(&doppler_window).map(|(v, w)| v * w).sum()
-                };
-                let sums: Vec<Complex64> = frames_before.iter().map(zero_velocity).collect();
-                let i = shape.doppler / 2;
-                power[(index * shape.doppler + i) * shape.range + k] =
-                    amplitude(k).powi(2) * change(&sums, waveform.frame_interval_s() / time_s);
-            }
-        }
+    let sums = Sums::new(spec, waveform)?;
+    let cells = sums.shape.doppler * sums.shape.range;
+    let channels = channels(spec, waveform, frames.last());
+    let mut power = vec![0.0; channels.len() * cells];
+    for (rx, power) in channels.iter().zip(power.chunks_exact_mut(cells)) {
+        sums.channel(&samples(spec, waveform, frames, *rx), power);
     }
     if spec.channels == Channels::IncoherentSum {
-        let cells = shape.doppler * shape.range;
         power = (0..cells)
             .map(|cell| power.iter().skip(cell).step_by(cells).sum::<f64>() / channels.len() as f64)
             .collect();
@@ -155,7 +43,157 @@ pub fn map(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> Result<Vec<
     Ok(power.into_iter().map(|p| 10.0 * if p < floor_power { floor_power } else { p }.log10()).collect())
 }
 
-/// Power of change of a sequence, whose weights fade by `exp(-step)` from one to the one before, and are equal at its beginning.
+/// Indices of the channels that the map of a frame shows or sums.
+fn channels(spec: &RdmSpec, waveform: &Waveform, frame: Option<&Frame>) -> Vec<usize> {
+    let all: Vec<usize> = (0..waveform.shape().rx).collect();
+    let is_alive = |rx: &usize| !frame.is_some_and(|frame| frame.is_receiver_dead(*rx));
+    let alive: Vec<usize> = all.iter().copied().filter(is_alive).collect();
+    let chooses = spec.physical_axes.is_some() && !alive.is_empty();
+    match spec.channels {
+        Channels::One(index) if chooses && !alive.contains(&index) => alive.into_iter().take(1).collect(),
+        Channels::One(index) => vec![index],
+        Channels::IncoherentSum if chooses => alive,
+        Channels::All | Channels::IncoherentSum => all,
+    }
+}
+
+/// Samples `[frame][chirp][sample]` of one channel in the spec's scale, after removal of chirp means and recursive MTI.
+fn samples(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame], rx: usize) -> Vec<Vec<Vec<f64>>> {
+    let shape = waveform.shape();
+    let (factor, offset) = spec.scale.affine();
+    let row = |frame: &Frame, chirp: usize| {
+        let mut row: Vec<f64> = frame.chirp(rx, chirp).iter().map(|c| f64::from(*c) * factor + offset).collect();
+        if spec.chirp_mean_removal {
+            let mean = row.iter().sum::<f64>() / shape.samples as f64;
+            row.iter_mut().for_each(|v| *v -= mean);
+        }
+        row
+    };
+    let mut x: Vec<Vec<Vec<f64>>> =
+        frames.iter().map(|frame| (0..shape.chirps).map(|chirp| row(frame, chirp)).collect()).collect();
+    if let StaticRemoval::RecursiveMti { alpha } = spec.static_removal {
+        let mut background = vec![vec![0.0; shape.samples]; shape.chirps];
+        for frame in &mut x {
+            for (row, h) in frame.iter_mut().zip(&mut background) {
+                for (v, h) in row.iter_mut().zip(h) {
+                    let raw = *v;
+                    *v = raw - *h;
+                    *h = alpha * raw + (1.0 - alpha) * *h;
+                }
+            }
+        }
+    }
+    x
+}
+
+/// Fourier sums of a spec over frames of a waveform.
+struct Sums<'a> {
+    spec: &'a RdmSpec,
+    waveform: &'a Waveform,
+    shape: RdmShape,
+    /// Samples and chirps that are transformed, and cells that are measured.
+    coverage: AxesCoverage,
+    range_window: Vec<f64>,
+    doppler_window: Vec<f64>,
+}
+
+impl<'a> Sums<'a> {
+    fn new(spec: &'a RdmSpec, waveform: &'a Waveform) -> Result<Self, SpecError> {
+        let shape = spec.shape(waveform)?;
+        let (range_resolution_m, velocity_resolution_m_per_s) = spec.steps(waveform);
+        let whole = AxesCoverage {
+            samples: 0..waveform.shape().samples,
+            chirps: 0..spec.slow_time_length(waveform),
+            range_bins: shape.range,
+            velocity_bins: 0..shape.doppler,
+            range_resolution_m,
+            velocity_resolution_m_per_s,
+        };
+        let coverage = spec.physical_axes.map_or(whole, |axes| axes.coverage(waveform));
+        let range_window = spec.range_window.weights(coverage.samples.len());
+        let doppler_window = spec.doppler_window.weights(coverage.chirps.len());
+        Ok(Sums { spec, waveform, shape, coverage, range_window, doppler_window })
+    }
+
+    /// Power of the measured cells, `[doppler][range]`, of one channel's samples `[frame][chirp][sample]`.
+    fn channel(&self, frames: &[Vec<Vec<f64>>], power: &mut [f64]) {
+        let mean_chirp = |frame: &Vec<Vec<f64>>| -> Vec<f64> {
+            let samples = 0..self.waveform.shape().samples;
+            samples.map(|s| frame.iter().map(|row| row[s]).sum::<f64>() / frame.len() as f64).collect()
+        };
+        let slow_time: Vec<Vec<f64>> = match self.spec.slow_time {
+            SlowTime::Chirps => frames.last().cloned().unwrap_or_default(),
+            SlowTime::Frames { .. } => frames.iter().map(mean_chirp).collect(),
+        };
+        for k in 0..self.coverage.range_bins {
+            let amplitude = self.amplitude(k);
+            let mut profile = self.profile(&slow_time, k);
+            if self.spec.static_removal == StaticRemoval::SlowTimeMean {
+                let mean = profile.iter().sum::<Complex64>() / profile.len() as f64;
+                profile.iter_mut().for_each(|v| *v -= mean);
+            }
+            for i in self.coverage.velocity_bins.clone() {
+                let terms = profile.iter().zip(&self.doppler_window).enumerate();
+                let sum: Complex64 =
+                    terms.map(|(m, (v, w))| v * Complex64::from_polar(*w, -TAU * self.doppler_cycles(i, m))).sum();
+                power[i * self.shape.range + k] = (amplitude * sum.norm()).powi(2);
+            }
+            if let Some(time_s) = self.spec.change_over_s {
+                let zero_velocity = |frame: &Vec<Vec<f64>>| -> Complex64 {
+                    self.profile(frame, k).iter().zip(&self.doppler_window).map(|(v, w)| v * w).sum()
+                };
+                let sums: Vec<Complex64> = frames.iter().map(zero_velocity).collect();
+                power[self.shape.doppler / 2 * self.shape.range + k] =
+                    amplitude.powi(2) * change(&sums, self.waveform.frame_interval_s() / time_s);
+            }
+        }
+    }
+
+    /// Range bin `k` of each transformed chirp.
+    fn profile(&self, slow_time: &[Vec<f64>], k: usize) -> Vec<Complex64> {
+        let AxesCoverage { samples, chirps, .. } = &self.coverage;
+        let of_chirp = |row: &Vec<f64>| {
+            let terms = row[samples.clone()].iter().zip(&self.range_window).enumerate();
+            terms.map(|(s, (v, w))| Complex64::from_polar(v * w, -TAU * self.range_cycles(k, s))).sum()
+        };
+        slow_time.iter().take(chirps.end).skip(chirps.start).map(of_chirp).collect()
+    }
+
+    /// Phase of range bin `k` at sample `s`, in cycles.
+    fn range_cycles(&self, k: usize, s: usize) -> f64 {
+        if let Some(axes) = self.spec.physical_axes {
+            return k as f64 * axes.range_step_m / self.waveform.range_step_m(1) * s as f64;
+        }
+        let range_fft = self.spec.range_fft_length.unwrap_or(self.waveform.shape().samples);
+        ((k * s) % range_fft) as f64 / range_fft as f64
+    }
+
+    /// Phase of Doppler index `i` at chirp `m`, in cycles.
+    fn doppler_cycles(&self, i: usize, m: usize) -> f64 {
+        let doppler = self.shape.doppler;
+        if let Some(axes) = self.spec.physical_axes {
+            let velocity_m_per_s = (i as f64 - (doppler / 2) as f64) * axes.velocity_step_m_per_s;
+            return velocity_m_per_s / self.waveform.velocity_step_m_per_s(1) * m as f64;
+        }
+        // Index i holds the Doppler bin i - M/2.
+        let l = (i + doppler - doppler / 2) % doppler;
+        ((l * m) % doppler) as f64 / doppler as f64
+    }
+
+    /// Scale of range bin `k`.
+    fn amplitude(&self, k: usize) -> f64 {
+        let one_sided = if k == 0 { 1.0 } else { 2.0 };
+        match self.spec.amplitude {
+            AmplitudeScale::FullScaleSine => {
+                one_sided / (self.range_window.iter().sum::<f64>() * self.doppler_window.iter().sum::<f64>())
+            }
+            AmplitudeScale::Unnormalised => 1.0,
+            AmplitudeScale::Vendor => one_sided / (self.coverage.samples.len() * self.coverage.chirps.len()) as f64,
+        }
+    }
+}
+
+/// Power of change of a sequence. Its weights fall by `exp(-step)` from a frame to the one before, and are equal at the beginning.
 fn change(sums: &[Complex64], step: f64) -> f64 {
     let mut weights: Vec<f64> = Vec::new();
     for count in 1..=sums.len() {

@@ -1,8 +1,8 @@
-//! Counting codes at either end of the ADC.
+//! Count of codes at either end of the ADC's range.
 
 use crate::{KernelLevel, MAX_CODE};
 
-/// How many codes are 0 or [`MAX_CODE`] (or above it, which the chip cannot send). `level` must be available.
+/// Number of codes that are 0, or [`MAX_CODE`] or above (the chip cannot send more). `level` must be available.
 pub(super) fn saturated_codes(level: KernelLevel, codes: &[u16]) -> u32 {
     match level {
         // SAFETY: the level is available, as the caller has checked.

@@ -1,28 +1,21 @@
-//! What a map is made of.
+//! Specification of a map.
 
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
-use super::{PhysicalAxes, RdmShape};
-use crate::{KernelLevel, Waveform, WaveformMismatch, Window};
+use super::axes::PhysicalAxes;
+use super::error::{LEAST_CHANGE_S, MOST_CELLS, MOST_CHANGE_S, MOST_FFT_POINTS, MapMismatch, SpecError};
+use super::map::RdmShape;
+use crate::{Waveform, WaveformMismatch, Window};
 
-/// Points of an FFT at most: eight times the samples that a chirp can have.
-pub const MOST_FFT_POINTS: usize = 1 << 15;
-/// Times over which change is told, s.
-const LEAST_CHANGE_S: f64 = 0.01;
-const MOST_CHANGE_S: f64 = 1000.0;
-/// Cells of a map at most, 256 MiB of them.
-pub const MOST_CELLS: usize = 1 << 26;
-
-/// How codes become numbers.
+/// Conversion of codes to numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SampleScale {
-    /// `(code - 2048) / 2048`: the house scale, in which a full-scale sine has amplitude 1.
+    /// `(code - 2048) / 2048`, the default: a full-scale sine has amplitude 1.
     FullScale,
-    /// `code / 4095`, as the vendor's Avian API.
+    /// `code / 4095`, as in the vendor's Avian API.
     ZeroToOne,
-    /// `2 code / 4095 - 1`, as the vendor's FMCW API and the paper.
+    /// `2 code / 4095 - 1`, as in the vendor's FMCW API and in [`RdmSpec::paper`].
     MinusOneToOne,
 }
 
@@ -37,105 +30,121 @@ impl SampleScale {
     }
 }
 
-/// Which receive channels a map shows.
+/// Selection of receive channels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Channels {
     /// One map for each channel of the frame.
     All,
-    /// One channel by its index in the frame, 0-based. On [`PhysicalAxes`] the first receiver that gives a signal takes the place of one
-    /// that gives none, see [`Frame::is_receiver_dead`](crate::Frame::is_receiver_dead): receivers of a board see the same room.
+    /// One channel by its 0-based index in the frame. On [`PhysicalAxes`], if that receiver gives no signal
+    /// ([`Frame::is_receiver_dead`](crate::Frame::is_receiver_dead)), the first one that gives a signal replaces it: all
+    /// receivers of a board see the same room.
     One(usize),
-    /// One map: the mean power of all channels. On [`PhysicalAxes`] a receiver that gives no signal is left out: one whose samples
-    /// are all the same, or half of them at the ends of the ADC.
+    /// One map of the mean power of all channels. On [`PhysicalAxes`] receivers that give no signal are left out: all of their
+    /// samples are the same, or at least half of them lie at the ends of the ADC's range.
     IncoherentSum,
 }
 
-/// How what does not move is taken out, per channel and range, before the Doppler FFT.
+/// Removal of static echoes before the Doppler FFT, per channel and range.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StaticRemoval {
-    /// It is left in.
+    /// No removal.
     None,
     /// The mean over slow time is subtracted.
     SlowTimeMean,
-    /// `y = x - h; h <- alpha x + (1 - alpha) h` on raw samples from frame to frame, as the vendor's examples do
-    /// (0.8 there). The first frame passes unsuppressed, and so does the first after a gap.
+    /// Recursive moving-target indication on raw samples from frame to frame: `y = x - h; h <- alpha x + (1 - alpha) h`, as in
+    /// the vendor's examples (0.8 there). The first frame, and the first frame after a gap, pass unsuppressed.
     RecursiveMti {
         /// Weight of the newest frame in the background, in (0, 1].
         alpha: f64,
     },
 }
 
-/// What the slow-time axis consists of.
+/// Contents of the slow-time axis.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlowTime {
     /// The chirps of one frame.
     Chirps,
-    /// The last `frames` frames, each the mean of its chirps: seconds of slow time, for people who sit and breathe.
+    /// The last `frames` frames, each as the mean of its chirps: seconds of slow time, for people who sit and breathe.
     Frames {
         /// Length of the window.
         frames: usize,
     },
 }
 
-/// What 0 dB stands for.
+/// Amplitude that reads 0 dB.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AmplitudeScale {
     /// `2|X| / (sum of window products)`, factor 1 at DC and Nyquist: a full-scale sine reads 0 dBFS.
     FullScaleSine,
-    /// `|X|` as it comes, as the paper's statistics are.
+    /// `|X|` without normalisation, as in [`RdmSpec::paper`].
     Unnormalised,
-    /// `2/N |X|` in range and `1/M` in Doppler without window correction, as the vendor's examples do.
+    /// `2/N |X|` in range and `1/M` in Doppler without window correction, as in the vendor's examples.
     Vendor,
 }
 
-/// Everything that decides what a map is, except the waveform. Travels inside datasets and models.
+/// Specification of a map: with the waveform, it determines the map of a frame. Datasets and models contain it.
+///
+/// ```
+/// use radome_dsp::rdm::{Channels, StaticRemoval};
+/// use radome_dsp::{RdmSpec, Waveform, WaveformRequest};
+///
+/// let spec = RdmSpec {
+///     channels: Channels::IncoherentSum,
+///     static_removal: StaticRemoval::SlowTimeMean,
+///     ..RdmSpec::default()
+/// };
+/// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
+/// assert_eq!(spec.shape(&waveform)?.to_string(), "1 rx x 128 doppler x 128 range");
+/// # Ok::<(), radome_dsp::rdm::SpecError>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RdmSpec {
-    /// How codes become numbers.
+    /// Conversion of codes to numbers.
     pub scale: SampleScale,
-    /// Which receive channels.
+    /// Selection of receive channels.
     pub channels: Channels,
     /// Whether each chirp's own mean is subtracted before its window.
     pub chirp_mean_removal: bool,
-    /// How what stands still is removed.
+    /// Removal of static echoes.
     pub static_removal: StaticRemoval,
-    /// Taper over samples.
+    /// Window over samples.
     pub range_window: Window,
-    /// Taper over slow time.
+    /// Window over slow time.
     pub doppler_window: Window,
-    /// Points of the range FFT; the samples of a chirp if absent. Zero-padding is done at the end.
+    /// Points of the range FFT; the samples of a chirp if absent. Zeros are appended.
     #[serde(default)]
     pub range_fft_length: Option<usize>,
     /// Points of the Doppler FFT; the length of slow time if absent.
     #[serde(default)]
     pub doppler_fft_length: Option<usize>,
-    /// Fixed axes in metres and metres a second, on which frames of any waveform make like maps; those of the waveform if absent.
+    /// Fixed axes in m and m/s, on which maps of frames of any waveform are comparable; the axes of the waveform if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub physical_axes: Option<PhysicalAxes>,
-    /// Time over which cells of zero velocity tell change from frame to frame, s; if absent, they tell what moves slowly within a
-    /// frame, as all others do. Only with `physical_axes`.
+    /// Time constant of change, s; only with `physical_axes`. If present, cells of zero velocity hold the change from frame to
+    /// frame; if absent, they hold slow motion within a frame, as all other cells do.
     ///
-    /// People who stand, sit or breathe are seen by it: the phase of their echoes turns within a second, that of clutter does not. Of a
-    /// sum over chirps at zero velocity, from which nothing is removed, `v` is the variance over frames and `m` the mean, with weights
-    /// that fade by 1/e over this time; the cell has the power `v * v / (v + |m|^2)`. It reads `floor_db` in the first frame and after
-    /// a gap.
+    /// Change shows people who stand, sit or breathe: the phase of their echoes turns within a second, that of clutter does not.
+    /// For a sum over chirps at zero velocity, from which nothing is removed, `v` is the variance over frames and `m` the mean,
+    /// with weights that fall by 1/e over this time. The cell has the power `v * v / (v + |m|^2)`. It reads `floor_db` in the
+    /// first frame and after a gap.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub change_over_s: Option<f64>,
-    /// What slow time is.
+    /// Contents of the slow-time axis.
     pub slow_time: SlowTime,
-    /// What 0 dB is.
+    /// Amplitude that reads 0 dB.
     pub amplitude: AmplitudeScale,
-    /// No cell reads less than this, dB.
+    /// Lowest level of a cell, dB.
     pub floor_db: f64,
 }
 
 impl Default for RdmSpec {
-    /// The house's map: codes minus 2048 over 2048, periodic Hann on both axes, nothing removed, dBFS, floor -200 dB.
+    /// Specification of all channels in dBFS: full scale 2048 about code 2048, periodic Hann on both axes, nothing removed,
+    /// floor -200 dB.
     fn default() -> Self {
         RdmSpec {
             scale: SampleScale::FullScale,
@@ -156,7 +165,7 @@ impl Default for RdmSpec {
 }
 
 impl RdmSpec {
-    /// The preset in which the paper's statistics and noise sweep are evaluated (DESIGN.md section 3).
+    /// Specification for the statistics and the noise sweep of Ratto et al., see [`WaveformRequest::paper`](crate::WaveformRequest::paper).
     pub fn paper() -> Self {
         RdmSpec {
             scale: SampleScale::MinusOneToOne,
@@ -167,8 +176,8 @@ impl RdmSpec {
         }
     }
 
-    /// The vendor's example chain: Avian scale, chirp mean removed, MTI 0.8, symmetric Blackman-Harris, padded twofold
-    /// on both axes, its own normalisation.
+    /// Specification of the vendor's example: Avian scale, chirp mean removed, MTI 0.8, symmetric Blackman-Harris, padded
+    /// twofold on both axes, vendor's normalisation.
     pub fn sdk(waveform: &Waveform) -> Self {
         RdmSpec {
             scale: SampleScale::ZeroToOne,
@@ -183,7 +192,7 @@ impl RdmSpec {
         }
     }
 
-    /// Samples of slow time that go into one map.
+    /// Number of samples of slow time in one map.
     pub fn slow_time_length(&self, waveform: &Waveform) -> usize {
         match self.slow_time {
             SlowTime::Chirps => waveform.request.chirps_per_frame,
@@ -191,17 +200,19 @@ impl RdmSpec {
         }
     }
 
-    /// Whether a map tells of its frame alone: it is the same whichever frames came before.
+    /// Returns whether a map depends on its own frame alone, and not on the frames before.
     pub fn is_of_single_frames(&self) -> bool {
         self.slow_time == SlowTime::Chirps
             && self.change_over_s.is_none()
             && !matches!(self.static_removal, StaticRemoval::RecursiveMti { .. })
     }
 
-    /// Shape of the maps that this makes of a waveform's frames.
+    /// Shape of the maps of a waveform's frames.
     ///
     /// # Errors
-    /// [`SpecError`] if the spec contradicts itself or cannot be applied to the waveform.
+    /// [`SpecError`] if a value of the spec is out of range, if two of its keys exclude each other, if a channel does not exist in
+    /// the waveform, if an FFT is shorter than its data or too long, if the map has too many cells, or if the waveform is out of
+    /// the limits of [`PhysicalAxes`].
     pub fn shape(&self, waveform: &Waveform) -> Result<RdmShape, SpecError> {
         let frame = waveform.shape();
         let rx = match self.channels {
@@ -271,11 +282,13 @@ impl RdmSpec {
         axes.check_waveform(waveform)
     }
 
-    /// Checks whether maps of `given` frames may stand beside those of `nominal` frames, which a model was trained on or a dataset
-    /// begins with: the waveforms must be alike ([`Waveform::check_compatible`]), or with physical axes within their limits.
+    /// Checks that maps of `given` frames are comparable with maps of `nominal` frames, which a model was trained on or a dataset
+    /// begins with. The waveforms must be compatible ([`Waveform::check_compatible`]), or, with physical axes, within their
+    /// limits.
     ///
     /// # Errors
-    /// [`MapMismatch`] that names the quantity, what is needed and what was given.
+    /// - [`MapMismatch::Waveform`] if the waveforms, or the shapes of the maps, differ.
+    /// - [`MapMismatch::Spec`] if the spec cannot be applied to one of the waveforms.
     pub fn check_compatible(&self, given: &Waveform, nominal: &Waveform) -> Result<(), MapMismatch> {
         if self.physical_axes.is_none() {
             return Ok(given.check_compatible(nominal)?);
@@ -288,7 +301,7 @@ impl RdmSpec {
         Ok(())
     }
 
-    /// Range and velocity step of the maps that this makes of a waveform's frames: (m, m/s).
+    /// Range step and velocity step of the maps of a waveform's frames: (m, m/s).
     pub fn steps(&self, waveform: &Waveform) -> (f64, f64) {
         if let Some(axes) = self.physical_axes {
             return (axes.range_step_m, axes.velocity_step_m_per_s);
@@ -301,120 +314,4 @@ impl RdmSpec {
         };
         (waveform.range_step_m(range_fft), velocity)
     }
-}
-
-/// Frames whose maps cannot stand beside those of another waveform.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum MapMismatch {
-    /// The waveforms differ, and the axes of the maps with them.
-    #[error(transparent)]
-    Waveform(#[from] WaveformMismatch),
-    /// The waveform is out of the limits of physical axes.
-    #[error(transparent)]
-    Spec(#[from] SpecError),
-}
-
-/// A spec that cannot be applied to a waveform.
-#[derive(Debug, Clone, PartialEq, Error)]
-pub enum SpecError {
-    /// A physical axis is out of range.
-    #[error("map spec: physical_axes.{key} is {value}, expected {expected}")]
-    Axis {
-        /// Key of [`PhysicalAxes`].
-        key: &'static str,
-        /// What was given.
-        value: f64,
-        /// What is allowed.
-        expected: &'static str,
-    },
-    /// Physical axes and another key contradict each other.
-    #[error("map spec: physical_axes and {key} exclude each other\n\nhint: leave one of them out")]
-    AxesExclude {
-        /// The other key.
-        key: &'static str,
-    },
-    /// Frames of the waveform cannot be brought onto physical axes.
-    #[error(
-        "waveform: {quantity} is {given}, maps on physical axes need {needed}\n\nhint: capture with a waveform within this limit; \
-         `radome config` shows the sampled band of one"
-    )]
-    Waveform {
-        /// Quantity that is out of the limits.
-        quantity: &'static str,
-        /// Its value, with unit.
-        given: String,
-        /// Values that are allowed, with unit.
-        needed: String,
-    },
-    /// The channel does not exist.
-    #[error("map spec: channel index {index} asked for, but frames have {rx} channels (0 to {max})", max = rx - 1)]
-    NoSuchChannel {
-        /// Index asked for.
-        index: usize,
-        /// Channels that a frame has.
-        rx: usize,
-    },
-    /// An FFT would cut data off.
-    #[error("map spec: the {axis} FFT has {fft} points but there are {data} samples; zero-padding only lengthens")]
-    FftTooShort {
-        /// Which axis.
-        axis: &'static str,
-        /// Points asked for.
-        fft: usize,
-        /// Samples there are.
-        data: usize,
-    },
-    /// An FFT is longer than any that is computed.
-    #[error("map spec: the {axis} FFT has {fft} points, at most {MOST_FFT_POINTS} are computed")]
-    FftTooLong {
-        /// Which axis.
-        axis: &'static str,
-        /// Points asked for.
-        fft: usize,
-    },
-    /// A map would not fit into memory.
-    #[error("map spec: a map would have {cells} cells, at most {MOST_CELLS} are computed")]
-    TooManyCells {
-        /// Cells of a map.
-        cells: usize,
-    },
-    /// An axis needs at least two samples.
-    #[error("map spec: {axis} has {length} samples, at least 2 are needed")]
-    TooShort {
-        /// Which axis.
-        axis: &'static str,
-        /// Samples there are.
-        length: usize,
-    },
-    /// The MTI weight is out of range.
-    #[error("map spec: MTI alpha is {alpha}, allowed is above 0 and up to 1")]
-    Alpha {
-        /// Weight that was given.
-        alpha: f64,
-    },
-    /// Change is asked for without physical axes.
-    #[error(
-        "map spec: change_over_s is only told on physical_axes\n\nhint: give physical_axes, or leave change_over_s out"
-    )]
-    ChangeWithoutAxes,
-    /// The time over which change is told is out of range.
-    #[error("map spec: change_over_s is {time_s}, allowed is {LEAST_CHANGE_S} to {MOST_CHANGE_S} s")]
-    ChangeTime {
-        /// Time that was given, s.
-        time_s: f64,
-    },
-    /// The floor is not a number that f32 power can hold.
-    #[error("map spec: floor_db is {floor_db}, allowed is -370 dB and above")]
-    Floor {
-        /// Floor that was given, dB.
-        floor_db: f64,
-    },
-    /// The kernel level was forced, and the processor lacks it.
-    #[error("map kernel: {level} asked for, but the best this processor has is {detected}; force that or a lower one")]
-    Kernel {
-        /// Level asked for.
-        level: KernelLevel,
-        /// Best there is.
-        detected: KernelLevel,
-    },
 }

@@ -17,7 +17,7 @@ fn waveform(rx: usize, chirps: usize, samples: usize) -> Waveform {
     .expect("valid")
 }
 
-/// SplitMix64: enough randomness for tests, and seeded.
+/// Random numbers by SplitMix64, seeded.
 struct Random(u64);
 impl Random {
     fn next(&mut self) -> u64 {
@@ -99,7 +99,7 @@ fn error_dbc(db: &[f32], expected: &[f64]) -> f64 {
     20.0 * (errors.fold(1e-12, f64::max) / peak).log10()
 }
 
-/// The worst of all processors.
+/// Worst error of all processors.
 fn worst_error_dbc(spec: &RdmSpec, waveform: &Waveform, frames: &[Frame]) -> f64 {
     let expected = reference::map(spec, waveform, frames).expect("spec fits");
     let errors = processors(spec, waveform).into_iter().map(|mut p| error_dbc(&last_map(&mut p, frames).db, &expected));
@@ -166,7 +166,7 @@ proptest::proptest! {
         proptest::prop_assert!(worst < -125.0, "{worst} dBc");
     }
 
-    /// Sizes and padding of the lane kernel, and what removal does to them.
+    /// Sizes and padding of the lane transform, with and without removal.
     #[test]
     fn any_power_of_two_agrees_with_the_formula(
         log2_chirps in 4u32..7, log2_samples in 5u32..8, log2_padding in (0u32..3, 0u32..3), missing in 0usize..3,
@@ -192,7 +192,7 @@ proptest::proptest! {
     }
 }
 
-/// The paper's frame in the house's spec: each level against the formula, and the levels against each other.
+/// A frame of `WaveformRequest::paper` in the default spec: each level against the formula, and the levels against each other.
 #[test]
 fn every_level_is_within_minus_135_dbc_of_the_formula() {
     let w =
@@ -205,7 +205,7 @@ fn every_level_is_within_minus_135_dbc_of_the_formula() {
         let map = last_map(&mut processor, &frames);
         let error = error_dbc(&map.db, &expected);
         assert!(error < -135.0, "{error} dBc {}", name(&processor));
-        // The same again gives the same bits, whatever went before.
+        // A second run gives the same bits, whatever was processed before.
         processor.process(&busy_frame(w.shape(), 9), &mut processor.empty_map()).expect("frame fits");
         assert_eq!(last_map(&mut processor, &frames).db, map.db, "{}", name(&processor));
         maps.push(map.db);
@@ -220,7 +220,7 @@ fn one_antenna() -> RxMask {
     RxMask::from_antennas(&[1]).expect("exists")
 }
 
-/// Codes and the samples that they stand for give the same map: the kernel scales, removes means and pads in both.
+/// Codes and their samples give the same map: the transform scales, removes means and pads in both.
 #[test]
 fn codes_and_samples_agree() {
     let w = waveform(2, 32, 64);
@@ -277,7 +277,7 @@ fn receding_target_has_positive_velocity() {
     }
 }
 
-/// sbr.md section 5.1: noise of any radar has sigma 5.57 dB, and its dB mean lies 2.507 dB below its mean.
+/// The level of exponentially distributed noise power has sigma 5.57 dB, and its mean lies 2.507 dB below the level of the mean.
 #[test]
 fn noise_has_the_exponential_law_and_the_floor_estimate_finds_its_power() {
     let w = waveform(1, 128, 256);

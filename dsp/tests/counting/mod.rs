@@ -1,4 +1,4 @@
-//! An allocator that counts, by thread: for tests of what allocates nothing, here and in the driver.
+//! Allocator that counts by thread, for tests that nothing is allocated, here and in the driver.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -6,12 +6,12 @@ use std::cell::Cell;
 struct Counting;
 
 thread_local! {
-    /// Blocks that this thread has asked for.
+    /// Number of blocks that this thread has allocated.
     pub static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
 fn count() {
-    // A thread that is ending has no counter any more; nobody asks for it then.
+    // A thread that is ending has no counter any more.
     let _ = ALLOCATIONS.try_with(|counter| counter.set(counter.get() + 1));
 }
 

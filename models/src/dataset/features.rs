@@ -12,7 +12,7 @@ use super::{Dataset, DatasetError};
 use crate::stream;
 
 /// Range bins of leakage, which are not looked at.
-pub use radome_dsp::echo::LEAKAGE_BINS;
+pub use radome_dsp::detect::LEAKAGE_BINS;
 /// Cells at either side of zero Doppler into which a window spreads what is removed there or left.
 const STATIC_CELLS: usize = 1;
 /// A second echo is one so far behind the first, m.

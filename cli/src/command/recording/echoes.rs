@@ -2,8 +2,7 @@ use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
-use radome_dsp::angle::{AngleCalibration, Receivers};
-use radome_dsp::echo::{Echo, EchoFinder, RangeProfile};
+use radome_dsp::detect::{AngleCalibration, Detection, Detector, RangeProfile, Receivers};
 use radome_dsp::{Frame, SourceEvent};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -91,7 +90,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if receivers.baselines().is_empty() {
         eprintln!("these receivers tell no angle: RX3 and RX1 are needed for azimuth, RX3 and RX2 for elevation");
     }
-    let mut finder = EchoFinder::new(&waveform, &receivers.baselines());
+    let mut detector = Detector::new(&waveform, &receivers.baselines());
     let window = (STILL_S / waveform.frame_interval_s()).round().clamp(4.0, 200.0) as usize;
     let mut profiles: VecDeque<RangeProfile> = VecDeque::with_capacity(window + 1);
     let mut frame = Frame::zeroed(waveform.shape());
@@ -103,7 +102,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             SourceEvent::End => break,
             SourceEvent::Gap(_) => profiles.clear(),
             SourceEvent::Frame => {
-                let (moving, profile) = finder.moving(&frame)?;
+                let (moving, profile) = detector.detect_moving(&frame)?;
                 if profiles.len() == most {
                     profiles.pop_front();
                 }
@@ -112,9 +111,9 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 if arguments.reflector.is_none() {
                     let mut echoes = moving;
                     if profiles.len() == window {
-                        let still = finder.still(&profiles.iter().collect::<Vec<_>>());
-                        let is_new = |s: &Echo| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
-                        let new: Vec<Echo> = still.into_iter().filter(is_new).collect();
+                        let still = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
+                        let is_new = |s: &Detection| echoes.iter().all(|e| (e.range_m - s.range_m).abs() > SAME_M);
+                        let new: Vec<Detection> = still.into_iter().filter(is_new).collect();
                         echoes.extend(new);
                     }
                     say(&frame, &echoes, &receivers, arguments.json)?;
@@ -132,7 +131,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
         );
     }
     let profiles: Vec<&RangeProfile> = profiles.iter().collect();
-    let echo = finder.standing(&profiles, range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
+    let echo = detector.find_reflector(&profiles, range_m - REFLECTOR_M..range_m + REFLECTOR_M).with_context(|| {
         format!(
             "no range within {REFLECTOR_M} m of {range_m} m\n\nhint: the waveform reaches {:.1} m",
             waveform.max_range_m()
@@ -179,7 +178,7 @@ fn read(path: &Path) -> anyhow::Result<AngleCalibration> {
     Ok(file.calibration)
 }
 
-fn say(frame: &Frame, echoes: &[Echo], receivers: &Receivers, json: bool) -> anyhow::Result<()> {
+fn say(frame: &Frame, echoes: &[Detection], receivers: &Receivers, json: bool) -> anyhow::Result<()> {
     let said = echoes.iter().map(|echo| {
         let direction = receivers.direction(&echo.cosines);
         Said {

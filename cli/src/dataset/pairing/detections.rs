@@ -1,6 +1,6 @@
 //! Echoes by frame.
 
-use radome_dsp::echo::Echo;
+use radome_dsp::detect::Detection;
 
 /// Echoes of one frame.
 #[derive(Debug, Clone)]
@@ -10,7 +10,7 @@ pub struct Detections {
     /// Number of people by label; 2 without a label.
     pub people: usize,
     /// Echoes, moving and still.
-    pub echoes: Vec<Echo>,
+    pub echoes: Vec<Detection>,
 }
 
 /// Index of a frame and index of an echo in its list.

@@ -6,7 +6,7 @@
 //! repeats off the room's walls included.
 
 use glam::DVec3;
-use radome_dsp::echo::Echo;
+use radome_dsp::detect::Detection;
 
 use super::detections::{Detections, Place};
 use super::smooth::{Sensor, Smoothed, smooth};
@@ -135,7 +135,7 @@ fn at(tracklet: &Tracklet, state: &Smoothed) -> Option<(Smoothed, bool)> {
 }
 
 /// Whether an echo is a part of somebody, or a repeat of them off a wall.
-fn explains(state: &Smoothed, echo: &Echo, sensor: &Sensor) -> bool {
+fn explains(state: &Smoothed, echo: &Detection, sensor: &Sensor) -> bool {
     let own = sensor.expected(state);
     let differs = |range_m: f64, velocity: f64, most_m: f64, most_m_per_s: f64| {
         (echo.range_m - range_m).abs() > most_m
@@ -227,7 +227,7 @@ fn best_chains(detections: &[Detections], free: &[Vec<bool>], sensor: &Sensor) -
 /// Worth of an echo: one that clearly stands out is worth 1, and hardly more if it is stronger: else a chain would change over
 /// from whom is far to
 /// whom is near where they pass each other. Beside a stronger echo within a body's reach it is worth less: that is the trunk's.
-fn worth(echo: &Echo, detected: &Detections) -> f64 {
+fn worth(echo: &Detection, detected: &Detections) -> f64 {
     let near =
         detected.echoes.iter().filter(|e| (e.range_m - echo.range_m).abs() < LIMBS_M && e.is_still == echo.is_still);
     let weaker_db = near.map(|e| e.snr_db - echo.snr_db).fold(0.0, f64::max);
@@ -237,7 +237,7 @@ fn worth(echo: &Echo, detected: &Detections) -> f64 {
 }
 
 /// Improbability that one echo follows another, as half a sum of squares.
-fn step_cost(a: &Echo, b: &Echo, gap_s: f64, sensor: &Sensor) -> f64 {
+fn step_cost(a: &Detection, b: &Detection, gap_s: f64, sensor: &Sensor) -> f64 {
     // Speeds may be folded: the one that people can have and that carries the first echo nearest to the second counts.
     let span = sensor.span_m_per_s;
     let half = 0.5 * sensor.wrapped(b.velocity_m_per_s - a.velocity_m_per_s);

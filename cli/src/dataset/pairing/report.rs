@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::path::Path;
 
 use anyhow::Context;
-use radome_dsp::echo::Echo;
+use radome_dsp::detect::Detection;
 use serde::Serialize;
 use serde_json::json;
 
@@ -153,9 +153,9 @@ fn person(role: &Role, real: &[Detections], mirror: &[Detections], sensor: &Sens
 }
 
 /// The strongest echo of the mirror where somebody should be.
-fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Echo> {
+fn near<'a>(detected: &'a Detections, state: &Smoothed, sensor: &Sensor) -> Option<&'a Detection> {
     let expected = sensor.expected(state);
-    let is_near = |echo: &&Echo| {
+    let is_near = |echo: &&Detection| {
         (echo.range_m - expected.range_m).abs() < NEAR_M
             && sensor.wrapped(echo.velocity_m_per_s - expected.velocity_m_per_s).abs() < NEAR_M_PER_S
     };

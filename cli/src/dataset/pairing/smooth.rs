@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 use glam::{DMat3, DMat4, DVec2, DVec3, DVec4};
 use radome_dsp::Waveform;
-use radome_dsp::angle::Baseline;
+use radome_dsp::detect::Baseline;
 use radome_sim::Scene;
 use radome_sim::field::fresnel;
 use radome_sim::field::image::{BoxRoom, Wall};
@@ -449,7 +449,7 @@ fn once(
 #[cfg(test)]
 mod tests {
     use radome_dsp::WaveformRequest;
-    use radome_dsp::echo::Echo;
+    use radome_dsp::detect::Detection;
 
     use super::*;
 
@@ -477,7 +477,7 @@ mod tests {
         let detected = |i: usize| {
             let expected = sensor.expected(&truth(i));
             let (range, cosine) = if wrong(i) { (0.5, -0.3) } else { (0.0, 0.0) };
-            let echo = Echo {
+            let echo = Detection {
                 range_m: expected.range_m + range,
                 velocity_m_per_s: expected.velocity_m_per_s,
                 snr_db: 30.0,

@@ -2,8 +2,7 @@
 
 use std::collections::VecDeque;
 
-use radome_dsp::angle::Baseline;
-use radome_dsp::echo::{Echo, EchoFinder, RangeProfile};
+use radome_dsp::detect::{Baseline, Detection, Detector, RangeProfile};
 use radome_dsp::{Frame, Truth, Waveform};
 
 use super::detections::Detections;
@@ -28,10 +27,10 @@ pub struct Taken {
 
 /// Finds echoes frame by frame.
 pub struct Watcher {
-    finder: EchoFinder,
-    moving: Vec<Vec<Echo>>,
+    detector: Detector,
+    moving: Vec<Vec<Detection>>,
     profiles: VecDeque<RangeProfile>,
-    still: Vec<Vec<Echo>>,
+    still: Vec<Vec<Detection>>,
     /// Frames of a window.
     window: usize,
 }
@@ -41,7 +40,7 @@ impl Watcher {
     pub fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
         let half = (STILL_HALF_S / waveform.frame_interval_s()).round().clamp(2.0, 200.0) as usize;
         Watcher {
-            finder: EchoFinder::new(waveform, baselines),
+            detector: Detector::new(waveform, baselines),
             moving: Vec::new(),
             profiles: VecDeque::new(),
             still: Vec::new(),
@@ -54,14 +53,14 @@ impl Watcher {
     /// # Errors
     /// The frame is of another shape than the waveform says.
     pub fn take(&mut self, frame: &Frame) -> anyhow::Result<()> {
-        let (echoes, profile) = self.finder.moving(frame)?;
+        let (echoes, profile) = self.detector.detect_moving(frame)?;
         self.moving.push(echoes);
         self.profiles.push_back(profile);
         if self.profiles.len() > self.window {
             self.profiles.pop_front();
         }
         if self.profiles.len() == self.window {
-            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+            self.still.push(self.detector.detect_still(&self.profiles.iter().collect::<Vec<_>>()));
         }
         Ok(())
     }
@@ -70,14 +69,14 @@ impl Watcher {
     /// either end.
     pub fn finish(mut self, times_s: &[f64], taken: &[Taken], waveform: &Waveform) -> Vec<Detections> {
         if self.still.is_empty() && !self.profiles.is_empty() {
-            self.still.push(self.finder.still(&self.profiles.iter().collect::<Vec<_>>()));
+            self.still.push(self.detector.detect_still(&self.profiles.iter().collect::<Vec<_>>()));
         }
         let middle_s = 0.5 * waveform.request.chirps_per_frame as f64 * waveform.chirp_interval_s;
         let half = self.window / 2;
         let moving = std::mem::take(&mut self.moving);
-        let of = |(k, mut echoes): (usize, Vec<Echo>)| {
+        let of = |(k, mut echoes): (usize, Vec<Detection>)| {
             let still = self.still.get(k.saturating_sub(half).min(self.still.len().saturating_sub(1)));
-            let near = |still: &Echo| echoes.iter().any(|e| (e.range_m - still.range_m).abs() < KEEPS_AWAY_M);
+            let near = |still: &Detection| echoes.iter().any(|e| (e.range_m - still.range_m).abs() < KEEPS_AWAY_M);
             let quiet: Vec<_> = still.into_iter().flatten().filter(|s| !near(s)).cloned().collect();
             echoes.extend(quiet);
             Detections {

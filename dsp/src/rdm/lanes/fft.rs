@@ -1,8 +1,8 @@
 //! Complex FFT of power-of-two length over vectors of lanes: decimation in frequency, radix 8 and 4, in place.
 //!
 //! Gentleman and Sande, "Fast Fourier Transforms: for fun and profit", AFIPS 29, 1966. Every lane is a transform of
-//! its own, so an element is a whole register, order in memory costs nothing, and results are left digit-reversed for
-//! the reader to look up ([`Plan::position_of_bin`]).
+//! its own, so an element is a whole register, order in memory costs nothing, and results are left in
+//! digit-reversed order ([`Plan::position_of_bin`]).
 
 use std::f64::consts::{FRAC_1_SQRT_2, TAU};
 use std::ops::{Add, Sub};
@@ -66,12 +66,12 @@ fn butterfly_8<const L: usize, V: Vector<L>>(x: [Complex<V>; 8]) -> [Complex<V>;
     [even[0], a_minus + sum, even[1], minus, even[2], a_minus - sum, even[3], plus]
 }
 
-/// Where a pass takes its inputs.
+/// Input of a transform.
 pub(super) trait Source<const L: usize, V: Vector<L>> {
     fn get(&self, index: usize) -> Complex<V>;
 }
 
-/// Where the last pass leaves its results.
+/// Output of a transform.
 pub(super) trait Sink<const L: usize, V: Vector<L>> {
     fn put(&mut self, position: usize, value: Complex<V>);
 }
@@ -93,9 +93,9 @@ pub(super) struct Plan {
 }
 
 impl Plan {
-    /// For a power of two of 16 and above: as few passes as radices 8 and 4 allow.
+    /// Creates the plan for a power of two of 16 and above, with as few passes as radices 8 and 4 allow.
     pub(super) fn new(length: usize) -> Self {
-        // Radix 4 first: it leaves registers to the source, and the last pass has no twiddle factors to wait for.
+        // Radix 4 first: it leaves registers free for the source, and the last pass has no twiddle factors to wait for.
         let mut radices = match length.trailing_zeros() as usize {
             log2 if log2 % 3 == 0 => vec![8; log2 / 3],
             log2 if log2 % 3 == 2 => [vec![4], vec![8; log2 / 3]].concat(),
@@ -123,7 +123,7 @@ impl Plan {
         Plan { length, passes, last_radix }
     }
 
-    /// Where the result of each bin lies.
+    /// Position of the result of each bin.
     pub(super) fn position_of_bin(&self) -> Vec<usize> {
         let radices = self.passes.iter().map(|pass| match pass {
             Pass::Radix4(_) => 4,
@@ -143,7 +143,7 @@ impl Plan {
             .collect()
     }
 
-    /// The transform from `source` by way of `buffer` (of the plan's length) to `sink`.
+    /// Transforms `source` by way of `buffer` (of the plan's length) into `sink`.
     #[inline(always)]
     pub(super) fn transform<const L: usize, V: Vector<L>>(
         &self,
@@ -158,7 +158,7 @@ impl Plan {
         }
     }
 
-    /// The transform from `source` into `buffer` (of the plan's length).
+    /// Transforms `source` into `buffer` (of the plan's length).
     #[inline(always)]
     pub(super) fn transform_into<const L: usize, V: Vector<L>>(
         &self,

@@ -1,7 +1,7 @@
-//! The fast chain for frames whose sizes are powers of two: vectors across transforms, all stages in the L1 cache.
+//! Fast maps of frames whose sizes are powers of two: vectors across transforms, all stages in the L1 cache.
 //!
-//! Lanes are chirps in the range stage and range bins in the Doppler stage, so butterflies need no shuffles; a
-//! transpose in registers stands before and between the stages. A chirp's even and odd samples are the two parts of a
+//! Lanes are chirps in the range stage and range bins in the Doppler stage, so butterflies need no shuffles. Data
+//! are transposed in registers before and between the stages. A chirp's even and odd samples are the two parts of a
 //! complex number, which halves the range FFT.
 
 mod fft;
@@ -11,33 +11,16 @@ mod vector;
 mod x86;
 
 use stages::Stages;
+pub(super) use stages::{Input, Output};
 
-use super::chain::ChainPlan;
+use super::plan::MapPlan;
 use crate::KernelLevel;
 
 /// Shortest and longest complex FFT on either axis: longer ones leave the cache.
 const FFT_LENGTHS: std::ops::RangeInclusive<usize> = 16..=1024;
 
-/// One channel of a frame.
-#[derive(Clone, Copy)]
-pub(super) enum Input<'a> {
-    /// Raw codes `[chirp][sample]`; scaling, and removal of each chirp's mean, happen on the way.
-    Codes(&'a [u16]),
-    /// Samples `[chirp][sample]` ready for the window.
-    Samples(&'a [f32]),
-}
-
-/// What a channel becomes.
-#[derive(Clone, Copy)]
-pub(super) enum Output {
-    /// Decibels, at least those of `floor_power`.
-    Decibels { floor_power: f32 },
-    /// Power, or power added to what is there.
-    Power { adds: bool },
-}
-
-/// The chain at the level it was made for.
-pub(super) struct LaneChain(Level);
+/// Transform at the level it was created for.
+pub(super) struct LaneTransform(Level);
 
 enum Level {
     Portable(Box<Stages<4, vector::Plain>>),
@@ -47,9 +30,9 @@ enum Level {
     Avx512(Box<Stages<16, x86::F32x16>>),
 }
 
-impl LaneChain {
-    /// `None` where the sizes do not suit; `level` must be available.
-    pub(super) fn new(plan: &ChainPlan, level: KernelLevel) -> Option<Self> {
+impl LaneTransform {
+    /// Creates the transform; `None` if a size is not supported. `level` must be available.
+    pub(super) fn new(plan: &MapPlan, level: KernelLevel) -> Option<Self> {
         let lanes = match level {
             KernelLevel::Portable => 4,
             KernelLevel::Avx2 => 8,
@@ -65,7 +48,7 @@ impl LaneChain {
         if !fits {
             return None;
         }
-        Some(LaneChain(match level {
+        Some(LaneTransform(match level {
             KernelLevel::Portable => Level::Portable(Box::new(Stages::new(plan))),
             #[cfg(target_arch = "x86_64")]
             KernelLevel::Avx2 => Level::Avx2(Box::new(Stages::new(plan))),
@@ -76,12 +59,12 @@ impl LaneChain {
         }))
     }
 
-    /// One channel into `cells` (`[doppler][range]`). Returns whether the channel is finite throughout; if it says
-    /// no, it is worth counting.
+    /// Transforms one channel into `cells`, `[doppler][range]`. Returns true if all cells are finite. If it returns false, there may
+    /// still be none that is not finite.
     pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         match &mut self.0 {
             Level::Portable(stages) => stages.channel(input, output, cells),
-            // SAFETY: a chain of this level is only made where the level is available.
+            // SAFETY: a transform of this level is only created where the level is available.
             #[cfg(target_arch = "x86_64")]
             Level::Avx2(stages) => unsafe { channel_avx2(stages, input, output, cells) },
             // SAFETY: as above.

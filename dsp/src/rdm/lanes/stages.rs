@@ -1,19 +1,36 @@
-//! Codes to cells: the range stage and the Doppler stage of one channel.
+//! Range stage and Doppler stage of one channel, from codes to cells.
 
 use std::f64::consts::TAU;
 
 use super::fft::{Complex, Plan, Sink, Source};
 use super::vector::Vector;
-use super::{Input, Output};
-use crate::rdm::chain::ChainPlan;
+use crate::rdm::plan::MapPlan;
+
+/// One channel of a frame.
+#[derive(Clone, Copy)]
+pub(in crate::rdm) enum Input<'a> {
+    /// Raw codes `[chirp][sample]`; scaling, and removal of each chirp's mean, are part of the transform.
+    Codes(&'a [u16]),
+    /// Samples `[chirp][sample]` ready for the window.
+    Samples(&'a [f32]),
+}
+
+/// Form in which the cells of a channel are written.
+#[derive(Clone, Copy)]
+pub(in crate::rdm) enum Output {
+    /// Decibels; power is raised to `floor_power` first.
+    Decibels { floor_power: f32 },
+    /// Power, written or added to the cells.
+    Power { adds: bool },
+}
 
 /// Range bins that go through the Doppler stage before their cells are written.
 ///
-/// Rows of a map lie a power of two apart, so that lines of the cache in one column compete for a few of its sets. Whole rows, or
-/// long pieces of them, are written faster than a column at a time.
+/// Rows of a map lie a power of two apart, so cache lines in one column compete for a few cache sets. Writing whole rows, or long
+/// pieces of them, is faster than writing columns.
 const BINS_AT_ONCE: usize = 128;
 
-/// How bin `k` follows from the FFT `Z` of `z[n] = x[2n] + j x[2n+1]`, of length `n`:
+/// Coefficients of bin `k` in terms of the FFT `Z` of `z[n] = x[2n] + j x[2n+1]`, of length `n`:
 /// `2 X[k] = (Z[k] + Z*[n-k]) - j W (Z[k] - Z*[n-k])` with `W = exp(-j pi k / n) = cos - j sin`, hence
 /// `2 Re X = (1 - sin) Re Z[k] + (1 + sin) Re Z[n-k] + cos (Im Z[k] + Im Z[n-k])` and
 /// `2 Im X = (1 - sin) Im Z[k] - (1 + sin) Im Z[n-k] - cos (Re Z[k] - Re Z[n-k])`.
@@ -34,11 +51,11 @@ pub(super) struct Stages<const L: usize, V> {
     samples: usize,
     range: usize,
     doppler: usize,
-    /// From one tile of `matrix` to the next: no power of two, lest they all compete for the same cache sets.
+    /// Distance between tiles of `matrix`: no power of two, so that tiles do not compete for the same cache sets.
     tile_length: usize,
     removes_chirp_mean: bool,
     removes_slow_time_mean: bool,
-    /// The code that reads as zero.
+    /// Code that stands for zero.
     zero_code: f32,
     /// Window, scale and the half of [`Untangling`] for even and odd sample; zero in the padding.
     code_gains: Vec<[f32; 2]>,
@@ -47,12 +64,12 @@ pub(super) struct Stages<const L: usize, V> {
     untangling: Vec<Untangling>,
     doppler_window: Vec<f32>,
     doppler_plan: Plan,
-    /// Doppler position that belongs in each row of the map.
+    /// Doppler position of each row of the map.
     position_of_row: Vec<usize>,
     /// `L` chirps, `[pair]` of codes or `[sample]`.
     transposed: Vec<V>,
     buffer: Vec<Complex<V>>,
-    /// `L` bins of `L` chirps on their way into `matrix`: kept here, they need not be set to zero each time.
+    /// Buffer of `L` bins of `L` chirps on their way into `matrix`. It is kept, to save setting it to zero each time.
     untangled: Vec<Complex<V>>,
     /// `[range / L][chirp]`, padded with zeros to the Doppler FFT and then to `tile_length`.
     matrix: Vec<Complex<V>>,
@@ -61,8 +78,8 @@ pub(super) struct Stages<const L: usize, V> {
 }
 
 impl<const L: usize, V: Vector<L>> Stages<L, V> {
-    /// For sizes that [`LaneChain::new`](super::LaneChain::new) has found to suit.
-    pub(super) fn new(plan: &ChainPlan) -> Self {
+    /// Creates the stages for sizes that [`LaneTransform::new`](super::LaneTransform::new) has checked.
+    pub(super) fn new(plan: &MapPlan) -> Self {
         let (range, doppler) = (plan.shape.range, plan.shape.doppler);
         let gains = |factor: f64| {
             let gain = |n: usize| plan.range_window.get(n).map_or(0.0, |w| (0.5 * w * factor) as f32);
@@ -116,7 +133,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         }
     }
 
-    /// One channel into `cells` (`[doppler][range]`); whether all are finite.
+    /// Transforms one channel into `cells`, `[doppler][range]`. Returns whether all are finite.
     #[inline(always)]
     pub(super) fn channel(&mut self, input: Input<'_>, output: Output, cells: &mut [f32]) -> bool {
         for first in (0..self.chirps).step_by(L) {
@@ -144,7 +161,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         is_finite
     }
 
-    /// Packed range FFT of `L` chirps into `buffer`.
+    /// Computes the packed range FFT of `L` chirps of codes into `buffer`.
     #[inline(always)]
     fn transform_codes(&mut self, rows: &[u16]) {
         let samples = self.samples;
@@ -168,7 +185,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         self.range_plan.transform_into(&source, &mut self.buffer[..self.range]);
     }
 
-    /// The same for samples.
+    /// Computes the packed range FFT of `L` chirps of samples into `buffer`.
     #[inline(always)]
     fn transform_samples(&mut self, rows: &[f32]) {
         let samples = self.samples;
@@ -183,7 +200,7 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         self.range_plan.transform_into(&source, &mut self.buffer[..self.range]);
     }
 
-    /// Spectra of real chirps from the packed ones in `buffer`, transposed into `matrix`.
+    /// Computes the spectra of real chirps from the packed ones in `buffer`, and transposes them into `matrix`.
     #[inline(always)]
     fn untangle(&mut self, first_chirp: usize) {
         let z = &self.buffer[..self.range];
@@ -212,7 +229,8 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         }
     }
 
-    /// Static removal, window, Doppler FFT and power of the range bins from `first_bin` on; whether all of it is finite.
+    /// Applies static removal, window and Doppler FFT to the range bins from `first_bin` on, and computes their power. Returns
+    /// whether all of it is finite.
     #[inline(always)]
     fn doppler_transforms<const REMOVES_MEAN: bool>(&mut self, first_bin: usize) -> bool {
         let buffer = &mut self.buffer[..self.doppler];
@@ -241,11 +259,11 @@ impl<const L: usize, V: Vector<L>> Stages<L, V> {
         total.is_finite()
     }
 
-    /// Cells of `powers` in the rows of the map, from `first_bin` on.
+    /// Writes `powers` into the rows of the map, from `first_bin` on.
     #[inline(always)]
     fn write_rows(&self, first_bin: usize, output: Output, is_finite: bool, cells: &mut [f32]) {
         match output {
-            // Logarithms that guard make of NaN and infinity what they are, and take longer.
+            // The guarded logarithm below keeps NaN and infinity, and takes longer.
             Output::Decibels { floor_power } if is_finite => {
                 let floor_power = V::splat(floor_power);
                 self.write(first_bin, cells, |power, _| power.finite_to_db(floor_power));
@@ -287,7 +305,7 @@ impl<const L: usize, V: Vector<L>> Source<L, V> for CodeSource<'_, V> {
     }
 }
 
-/// Pairs of samples.
+/// Pairs of samples as complex numbers: even sample, odd sample.
 struct SampleSource<'a, V> {
     samples: &'a [[V; 2]],
     gains: &'a [[f32; 2]],
@@ -321,7 +339,7 @@ impl<const L: usize, V: Vector<L>, const REMOVES_MEAN: bool> Source<L, V> for Sl
     }
 }
 
-/// Power where the FFT leaves it.
+/// Power of the results, at the positions where the FFT leaves them.
 struct PowerSink<'a, V> {
     powers: &'a mut [V],
     /// Sum of all powers: finite only if they are.

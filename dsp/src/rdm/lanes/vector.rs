@@ -1,49 +1,49 @@
-//! A register of `f32`, each lane another transform: what the stages are written in.
+//! Vector of `f32`, each lane another transform. The stages are generic over it.
 
 use std::ops::{Add, Mul, Sub};
 
 use crate::decibel::{self, SQRT_HALF_BITS};
 
-/// `L` numbers that are computed with at once.
+/// Vector of `L` numbers.
 ///
 /// Implementations for registers that not every processor has must be used only inside functions that were entered
-/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available); `dispatch` in the parent module
-/// is the one place. Every method is inlined into such a function, which is what makes it one instruction.
+/// after a check of [`KernelLevel::is_available`](crate::KernelLevel::is_available); `channel` of the parent module's transform
+/// is the one place. Every method is inlined into such a function, and so becomes one instruction.
 pub(super) trait Vector<const L: usize>:
     Copy + Send + Sync + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self>
 {
-    /// The same number in all lanes.
+    /// Returns a vector with the same number in all lanes.
     fn splat(x: f32) -> Self;
-    /// The first `L` numbers of a slice.
+    /// Loads the first `L` numbers of a slice.
     fn load(x: &[f32]) -> Self;
-    /// Into the first `L` numbers of a slice.
+    /// Stores the lanes into the first `L` numbers of a slice.
     fn store(self, x: &mut [f32]);
-    /// The bits of `2 L` codes: two neighbours in each lane.
+    /// Loads the bits of `2 L` codes, two neighbours in each lane.
     fn load_code_pairs(codes: &[u16]) -> Self;
-    /// The two codes of each lane as numbers, first one first.
+    /// Converts the two codes of each lane to numbers, the first ones in the first vector.
     fn split_code_pairs(self) -> (Self, Self);
     /// `self * a + b`.
     fn mul_add(self, a: Self, b: Self) -> Self;
     /// `b - self * a`.
     fn neg_mul_add(self, a: Self, b: Self) -> Self;
-    /// `self`, but `floor` where that is larger; NaN stays.
+    /// Returns the larger of `self` and `floor`; NaN stays.
     fn at_least(self, floor: Self) -> Self;
     /// `(e, m)` with `self = m 2^e` and `m` in [sqrt(1/2), sqrt(2)), for positive normal numbers.
     fn split_binade(self) -> (Self, Self);
-    /// `self`, but `original` where that is NaN or infinite.
+    /// Returns `self`, but `original` where `original` is NaN or infinite.
     fn unless_non_finite(self, original: Self) -> Self;
-    /// Whether all lanes are finite, for numbers that are not negative.
+    /// Returns whether all lanes are finite, for numbers that are not negative.
     fn is_finite(self) -> bool;
-    /// Lane `i` of vector `j` becomes lane `j` of vector `i`.
+    /// Transposes: lane `i` of vector `j` becomes lane `j` of vector `i`.
     fn transpose(tile: [Self; L]) -> [Self; L];
 
-    /// Power to decibels: [`decibel::power_to_db`] in lanes.
+    /// Converts power to decibels, as [`decibel::power_to_db`] does.
     #[inline(always)]
     fn to_db(self, floor_power: Self) -> Self {
         self.finite_to_db(floor_power).unless_non_finite(self.at_least(floor_power))
     }
 
-    /// The same for finite powers; of others it makes numbers.
+    /// Converts finite power to decibels. Results for NaN and infinity are arbitrary numbers.
     #[inline(always)]
     fn finite_to_db(self, floor_power: Self) -> Self {
         let clamped = self.at_least(floor_power);
@@ -58,7 +58,7 @@ pub(super) trait Vector<const L: usize>:
     }
 }
 
-/// Plain numbers for processors without a kernel of their own; compilers make one register of them where they can.
+/// Four scalars, for processors without a level of their own. Compilers put them into one register where they can.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(16))]
 pub(super) struct Plain([f32; 4]);

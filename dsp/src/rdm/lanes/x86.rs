@@ -1,8 +1,8 @@
-//! Registers of AVX2 and AVX-512.
+//! Vectors of AVX2 and AVX-512.
 //!
-//! Every `unsafe` here rests on the same two facts. The instruction exists: the types are private to the lane kernel,
-//! which is entered only through `dispatch` after the processor has been asked. Memory is in bounds: loads and
-//! stores are made through slices whose length is checked first.
+//! Every `unsafe` here relies on the same two facts. The instruction exists: the types are private to the lane transform, which
+//! is created only for a level that is available. Memory is in bounds: loads and stores are made through slices whose length is
+//! checked first.
 
 use std::arch::x86_64::*;
 use std::ops::{Add, Mul, Sub};

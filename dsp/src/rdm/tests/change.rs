@@ -81,7 +81,7 @@ fn it_is_that_of_the_slow_formula() {
     }
 }
 
-/// A chest moves by millimetres in seconds and is seen; a wall of a hundred times its power that drifts by a hundredth is not.
+/// A chest that moves by millimetres in seconds shows; a wall of a hundred times its power that drifts by a hundredth does not.
 #[test]
 fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
     let w = realised(|_| ());
@@ -119,7 +119,7 @@ fn who_breathes_is_seen_and_clutter_that_drifts_is_not() {
     assert!(map.db[row..row + AXES.range_bins].iter().all(|cell| f64::from(*cell) == spec().floor_db));
 }
 
-/// sbr.md section 5.1: where nothing changes but noise, and nothing stands still, change has the level of noise.
+/// Where only noise changes, and nothing is static, change has the level of noise.
 #[test]
 fn of_noise_alone_it_is_noise() {
     let w = realised(|_| ());

@@ -52,7 +52,7 @@ fn one_not_a_number_stays_visible_and_is_flagged_in_its_channel() {
                     let poisoned = chirps * padded / 2;
                     assert_eq!(map.flags.non_finite_cells as usize, poisoned, "{bad} at {at}, {}", name(&processor));
                     assert!(map.db[..poisoned].iter().all(|v| !v.is_finite()));
-                    // It does not outlive its frame.
+                    // The value does not affect the next frame.
                     x[at] = 0.25;
                     processor.process_samples(1, &x, &mut map).expect("length fits");
                     assert_eq!(map.flags.non_finite_cells, 0, "{}", name(&processor));
@@ -76,7 +76,7 @@ fn power_beyond_f32_is_infinite_and_counted() {
     }
 }
 
-/// Codes that twelve bits cannot hold are numbers like others, and saturated.
+/// Codes beyond twelve bits are processed as other numbers, and count as saturated.
 #[test]
 fn codes_beyond_twelve_bits_are_counted_and_scaled() {
     let w = waveform(1, 16, 32);
@@ -98,7 +98,7 @@ fn a_level_that_the_machine_lacks_is_refused_by_name() {
     }
 }
 
-/// A frame may be sparse in one direction only: sizes at the edge of what the lane kernel takes.
+/// Sizes at the limits of the lane transform, small on one axis only.
 #[test]
 fn sizes_beside_the_lane_kernel_go_the_general_way() {
     for (chirps, samples, lanes) in [(16, 32, true), (8, 32, false), (16, 16, false), (20, 32, false), (16, 48, false)]
@@ -110,7 +110,7 @@ fn sizes_beside_the_lane_kernel_go_the_general_way() {
     }
 }
 
-/// dsp.md section 2: in f32 a target 90 dB below DC is right to a few thousandths of a dB.
+/// In f32, a target 90 dB below DC is right to a few thousandths of a dB.
 #[test]
 fn target_ninety_decibels_below_dc_leakage_is_exact() {
     let w = waveform(1, 128, 256);

@@ -181,7 +181,7 @@ fn echoes_of_equal_power_over_noise_are_equal_in_all_waveforms() {
     }
 }
 
-/// What is not measured looks like noise: its level and its quartile are those of the same range bin, and each frame differs.
+/// Cells that are not measured look like noise: their level and quartile are those of the same range bin, and frames differ.
 #[test]
 fn cells_that_are_not_measured_hold_noise() {
     for (antennas, quartile) in [(&[1u8][..], 0.287_682), (&[1, 2][..], 0.480_639), (&[1, 2, 3][..], 0.575_766)] {
@@ -228,7 +228,7 @@ fn cells_that_are_not_measured_hold_noise() {
     }
 }
 
-/// A receiver that says nothing is left out of the mean: the map is that of the others.
+/// A receiver without signal is left out of the mean: the map is that of the others.
 #[test]
 fn a_dead_receiver_is_left_out() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);
@@ -256,7 +256,7 @@ fn a_dead_receiver_is_left_out() {
     assert!(map.db.iter().all(|db| db.is_finite() && *db < -100.0));
 }
 
-/// The first receiver that gives a signal takes the place of one that gives none, and of no other.
+/// The first receiver that gives a signal replaces one that gives none, and no other.
 #[test]
 fn a_dead_receiver_is_replaced_by_another() {
     let w = realised(|w| w.rx_antennas = RxMask::ALL);

@@ -1,8 +1,7 @@
 //! Simulated copies of what recordings show, each of another seed.
 
 use anyhow::Context;
-use radome_dsp::distance::Regions;
-use radome_dsp::slow_time::{Line, SlowTime};
+use radome_dsp::statistics::{MotionLine, Regions, SlowTimeStatistics};
 use radome_dsp::{Frame, FrameSource, SourceEvent, Waveform};
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, ChannelFit, LEAST_FRAMES};
@@ -29,7 +28,7 @@ pub struct Simulated {
     /// Of all of them.
     pub channels: Vec<ChannelFit>,
     /// Line of the moving person in each.
-    pub lines: Vec<Option<Line>>,
+    pub lines: Vec<Option<MotionLine>>,
 }
 
 impl Copies {
@@ -73,7 +72,7 @@ impl Copies {
         let (mut samples, mut lines) = (Vec::new(), Vec::new());
         let bar = output::progress(copies as u64, "simulating");
         for seed in self.seeds.clone() {
-            let (mut sample, mut slow_time) = (Sample::default(), SlowTime::new(waveform, WINDOW_S));
+            let (mut sample, mut slow_time) = (Sample::default(), SlowTimeStatistics::new(waveform, WINDOW_S));
             calibration.begin_recording();
             self.each_frame(receiver, seed, self.people, |frame| {
                 calibration.push(frame)?;
@@ -93,13 +92,13 @@ impl Copies {
     ///
     /// # Errors
     /// The simulation fails.
-    pub fn clutter(&self, receiver: &Receiver) -> anyhow::Result<SlowTime> {
+    pub fn clutter(&self, receiver: &Receiver) -> anyhow::Result<SlowTimeStatistics> {
         let mut quiet = receiver.clone();
         for rx in &mut quiet.rx {
             rx.leakage.clear();
             rx.transient.clear();
         }
-        let mut slow_time = SlowTime::new(self.scene.waveform(), WINDOW_S);
+        let mut slow_time = SlowTimeStatistics::new(self.scene.waveform(), WINDOW_S);
         self.each_frame(&quiet, self.seeds.start, Some(0), |frame| {
             slow_time.push(frame);
             Ok(())

@@ -6,8 +6,8 @@
 use std::collections::BTreeMap;
 
 use radome_dsp::Waveform;
-use radome_dsp::distance::{MapSample, Regions};
-use radome_dsp::echo::LEAKAGE_BINS;
+use radome_dsp::detect::LEAKAGE_BINS;
+use radome_dsp::statistics::{MapStatistics, Regions};
 use radome_sim::receiver::calibration::ChannelFit;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -155,12 +155,12 @@ impl Real {
     }
 
     /// All figures of one channel of two samples, the second with noise of its own.
-    fn figures(&self, rx: usize, a: &MapSample, b: &MapSample, other_noise: &[ChannelFit]) -> Figures {
+    fn figures(&self, rx: usize, a: &MapStatistics, b: &MapStatistics, other_noise: &[ChannelFit]) -> Figures {
         let mut figures = Figures::new();
         let noise = |channels: &[ChannelFit]| {
             channels.get(rx).map(|c| cell_noise_db(&c.density_lsb2, &self.waveform)).unwrap_or_default()
         };
-        let raised = |sample: &MapSample, channels: &[ChannelFit]| sample.raised(&noise(channels));
+        let raised = |sample: &MapStatistics, channels: &[ChannelFit]| sample.raised(&noise(channels));
         let raised = [raised(a, &self.channels), raised(b, other_noise)];
         figures.extend([
             ("mean_real_db", a.all.mean_db()),
@@ -202,14 +202,14 @@ fn merged(samples: &[Sample]) -> Sample {
 }
 
 /// One channel of all samples.
-fn of_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> MapSample {
-    let mut all = MapSample::default();
+fn of_channel<'a>(samples: impl IntoIterator<Item = &'a Sample>, rx: usize) -> MapStatistics {
+    let mut all = MapStatistics::default();
     samples.into_iter().filter_map(|sample| sample.maps.get(rx)).for_each(|maps| all.merge(maps));
     all
 }
 
 /// As many as there are, each as likely every time.
-fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapSample {
+fn draw(samples: &[Sample], rx: usize, rng: &mut StdRng) -> MapStatistics {
     of_channel((0..samples.len()).filter_map(|_| samples.get(rng.random_range(0..samples.len()))), rx)
 }
 

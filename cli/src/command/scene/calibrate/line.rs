@@ -1,6 +1,6 @@
 //! Lines of moving people in the recordings and in their simulated copies.
 
-use radome_dsp::slow_time::Line;
+use radome_dsp::statistics::MotionLine;
 use serde::Serialize;
 
 /// The strongest line of slow time, real and simulated.
@@ -40,8 +40,8 @@ pub struct Many {
 }
 
 impl Lines {
-    pub fn new(real: Option<Line>, before: &[Option<Line>], after: &[Option<Line>]) -> Self {
-        let one = |line: Line| One {
+    pub fn new(real: Option<MotionLine>, before: &[Option<MotionLine>], after: &[Option<MotionLine>]) -> Self {
+        let one = |line: MotionLine| One {
             level_dbfs: line.level_dbfs,
             range_m: line.range_m,
             breath_hz: line.breath_hz,
@@ -53,8 +53,8 @@ impl Lines {
 }
 
 impl Many {
-    fn of(lines: &[Option<Line>], real: Option<One>) -> Option<Self> {
-        let sorted = |of: &dyn Fn(&Line) -> Option<f64>| {
+    fn of(lines: &[Option<MotionLine>], real: Option<One>) -> Option<Self> {
+        let sorted = |of: &dyn Fn(&MotionLine) -> Option<f64>| {
             let mut values: Vec<f64> = lines.iter().flatten().filter_map(of).collect();
             values.sort_unstable_by(f64::total_cmp);
             values

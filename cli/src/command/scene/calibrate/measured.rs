@@ -1,6 +1,6 @@
 //! Measurements of a receiver from recordings.
 
-use radome_dsp::slow_time::SlowTime;
+use radome_dsp::statistics::SlowTimeStatistics;
 use radome_sim::receiver::Receiver;
 use radome_sim::receiver::calibration::{Calibration, Fit};
 
@@ -14,9 +14,9 @@ pub struct Measured {
     /// Fit to the other parts, which judge.
     pub judged: Fit,
     /// Slow time of the first parts.
-    pub fitted_slow_time: SlowTime,
+    pub fitted_slow_time: SlowTimeStatistics,
     /// Slow time of whole recordings.
-    pub slow_time: SlowTime,
+    pub slow_time: SlowTimeStatistics,
 }
 
 /// Measures noise, leakage and slow time.
@@ -27,7 +27,8 @@ pub fn measure(arguments: &Arguments, recordings: &Recordings, base: &Receiver) 
     let waveform = recordings.waveform();
     let mut fitted = Calibration::new(waveform, recordings.frames_fitted() as usize)?;
     let mut judged = Calibration::new(waveform, recordings.frames_judged() as usize)?;
-    let (mut fitted_slow_time, mut slow_time) = (SlowTime::new(waveform, WINDOW_S), SlowTime::new(waveform, WINDOW_S));
+    let (mut fitted_slow_time, mut slow_time) =
+        (SlowTimeStatistics::new(waveform, WINDOW_S), SlowTimeStatistics::new(waveform, WINDOW_S));
     for recording in recordings.all() {
         fitted.begin_recording();
         judged.begin_recording();

@@ -1,8 +1,8 @@
 //! Samples of frames for comparison: their maps, receiver by receiver.
 
-use radome_dsp::distance::{MapSample, Regions};
-use radome_dsp::echo::LEAKAGE_BINS;
+use radome_dsp::detect::LEAKAGE_BINS;
 use radome_dsp::rdm::StaticRemoval;
+use radome_dsp::statistics::{MapStatistics, Regions};
 use radome_dsp::{Frame, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform, Window};
 
 /// Range bins to either side of who is there that are looked at by themselves.
@@ -25,7 +25,7 @@ pub struct Sampler {
 /// The maps of some frames, by receiver.
 #[derive(Default, Clone)]
 pub struct Sample {
-    pub maps: Vec<MapSample>,
+    pub maps: Vec<MapStatistics>,
 }
 
 impl Sampler {
@@ -45,7 +45,7 @@ impl Sampler {
     /// # Errors
     /// The frame is of another shape than the waveform says.
     pub fn add(&mut self, frame: &Frame, sample: &mut Sample) -> anyhow::Result<()> {
-        sample.maps.resize(frame.shape.rx, MapSample::default());
+        sample.maps.resize(frame.shape.rx, MapStatistics::default());
         let [moving, all] = &mut self.processors;
         if moving.process(frame, &mut self.map)? == MapStatus::Ready {
             for (rx, maps) in sample.maps.iter_mut().enumerate() {
@@ -63,7 +63,7 @@ impl Sampler {
 
 impl Sample {
     pub fn merge(&mut self, other: &Sample) {
-        self.maps.resize(self.maps.len().max(other.maps.len()), MapSample::default());
+        self.maps.resize(self.maps.len().max(other.maps.len()), MapStatistics::default());
         self.maps.iter_mut().zip(&other.maps).for_each(|(a, b)| a.merge(b));
     }
 }

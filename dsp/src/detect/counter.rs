@@ -1,89 +1,101 @@
-//! How many people a frame shows, by a classical detector: what networks are held against.
+//! Classical counter of people, the baseline of networks.
 //!
-//! Two looks at every frame, each with what stands still taken out: the chirps of the frame, for who walks, by 2-D CFAR in
-//! range and Doppler; and the mean chirp of the last seconds, for who sits and breathes, whose slow-time energy over range
-//! goes through a CFAR of its own and must be more than what the echo of a wall drifts by. Detections that hang together in range
-//! are one person; a weaker group behind another is taken for its echo off the walls.
+//! There are two maps of every frame, each without static echoes. The map over the chirps of the frame shows people who walk, by
+//! 2-D CFAR in range and Doppler. The map over the mean chirps of the last seconds shows people who sit and breathe: its
+//! slow-time energy over range must exceed a CFAR threshold along range, and the drift of a wall's echo. Detections that are close
+//! in range are one person. A weaker group behind another is taken for its echo off the walls.
 
 use std::collections::VecDeque;
 
 use thiserror::Error;
 
-use crate::cfar::{CellReach, Cfar, CfarError, CfarMethod, CfarSpec, Detection};
+use super::cfar::{CellDetection, CellReach, Cfar, CfarError, CfarSpec};
 use crate::rdm::{Channels, SlowTime, SpecError, StaticRemoval};
 use crate::{Frame, MapError, MapStatus, Rdm, RdmProcessor, RdmSpec, Waveform};
 
-/// Chance that noise alone is somebody, in a cell.
+/// False-alarm rate in a cell of the map over chirps.
 const FALSE_ALARM_RATE: f64 = 1e-6;
-/// The same in a range of the slow look.
+/// False-alarm rate in a range bin of the energy over slow time.
 const SLOW_FALSE_ALARM_RATE: f64 = 1e-4;
-/// Rank of the training cell that is the level: targets may fill a quarter of the window.
+/// Rank of the training cell that is the level; targets may fill a quarter of the window.
 const RANK: f64 = 0.75;
-/// Velocity cells at either side of zero that hold what static removal leaves.
-const LEFT_OVERS: usize = 1;
-/// Ranges nearer than this are the package's own echo, m.
+/// Velocity cells on either side of zero that hold the residue of static removal.
+const RESIDUE_CELLS: usize = 1;
+/// Range below which the echo is the package's own, m.
 const NEAREST_M: f64 = 0.25;
-/// Cells that make somebody: one alone is a false alarm every few thousand frames.
+/// Least number of cells of a person: a single cell is a false alarm every few thousand frames.
 const LEAST_CELLS: usize = 3;
-/// Groups of detections that are farther apart than this are different people, m.
+/// Distance above which groups of detections are different people, m.
 const APART_M: f64 = 0.8;
-/// A second group that is weaker than the first by more than this, with the way there and back made good, is its echo, dB.
-const ECHO_DB: f64 = 12.0;
-/// Length of slow time for who sits still, s: a breath of four seconds is then two cells from zero, clear of the window's
-/// main lobe.
+/// Difference of level, corrected for range, above which a weaker group is a multipath ghost of the strongest, dB.
+const GHOST_DB: f64 = 12.0;
+/// Length of slow time for people who sit still, s: a breath of four seconds is then two cells from zero, outside of the
+/// window's main lobe.
 const BREATH_S: f64 = 8.0;
-/// What breathes returns at least so much of its energy in motion: walls and furniture, whose echo only drifts and jitters,
+/// Least share of energy in motion in the echo of a person who breathes. Walls and furniture, whose echo only drifts and jitters,
 /// return less.
 const LEAST_MOVING_SHARE: f64 = 0.05;
-/// Who has just left still fills the window of who breathes: it counts where at most this share of its frames held a walker.
+/// Largest share of frames with a walker in the window in which breathing counts: a person who has just left still fills it.
 const MOST_WALKED_SHARE: f64 = 0.25;
 
-/// Frames that no counter can be made for, or that it cannot take.
+/// Error of a counter.
 #[derive(Debug, Error)]
-pub enum PeopleError {
-    /// No map can be made of such frames.
+pub enum CounterError {
+    /// Frames of the waveform have no map.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// No map can be made of this frame.
+    /// The frame does not fit the waveform.
     #[error(transparent)]
     Map(#[from] MapError),
     /// The detector's window does not fit the maps.
     #[error("{source}\n\nhint: frames of at least 8 chirps and 16 samples can be counted in")]
     Cfar {
-        /// Why.
+        /// Cause.
         #[from]
         source: CfarError,
     },
 }
 
-/// What a frame shows.
+/// Observation of people in a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Seen {
-    /// People who move within it.
+pub struct Observation {
+    /// Number of people who move within the frame.
     pub walking: usize,
-    /// Whether, in the seconds that end with it, somebody breathes; `false` until there are so many seconds.
+    /// Whether a person breathes in the seconds that end with the frame; `false` until that time has passed.
     pub breathes: bool,
 }
 
-/// Counts people in one frame after the other. Owns its plans, maps and windows.
-pub struct PeopleCounter {
+/// Counter of people by CFAR detection, frame by frame. Owns its plans, maps and windows.
+///
+/// ```
+/// use radome_dsp::detect::CfarCounter;
+/// use radome_dsp::{Frame, Waveform, WaveformRequest};
+///
+/// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
+/// let mut counter = CfarCounter::new(&waveform)?;
+/// let observation = counter.observe(&Frame::zeroed(waveform.shape()))?;
+/// assert_eq!(counter.people(observation), 0);
+/// # Ok::<(), radome_dsp::detect::CounterError>(())
+/// ```
+pub struct CfarCounter {
     moving: RdmProcessor,
     still: RdmProcessor,
     cfar: Cfar,
     energy_cfar: Cfar,
     map: Rdm,
     slow_map: Rdm,
-    /// Of the frames of slow time, whether somebody walked.
+    /// Whether a person walked, for each of the frames of slow time.
     walked: VecDeque<bool>,
     slow_frames: usize,
 }
 
-impl PeopleCounter {
-    /// For frames of a waveform.
+impl CfarCounter {
+    /// Creates the counter for frames of a waveform.
     ///
     /// # Errors
-    /// Frames so small that no window of training cells fits their maps.
-    pub fn new(waveform: &Waveform) -> Result<Self, PeopleError> {
+    /// [`CounterError::Spec`] if frames of the waveform have no map, and [`CounterError::Cfar`] if they are so small that no window
+    /// of training cells fits their maps.
+    pub fn new(waveform: &Waveform) -> Result<Self, CounterError> {
         let moving_spec = RdmSpec {
             channels: Channels::IncoherentSum,
             chirp_mean_removal: true,
@@ -101,7 +113,7 @@ impl PeopleCounter {
         let still = RdmProcessor::new(&still_spec, waveform)?;
         let shape = moving.shape();
         let cfar = Cfar::new(cfar_spec(looks, shape.doppler, shape.range), shape.doppler, shape.range)?;
-        // The sum over slow time is of as many looks as there are frames: far more than a threshold needs, and not independent.
+        // The sum over slow time has as many looks as there are frames: far more than a threshold needs, and not independent.
         let energy_spec = CfarSpec {
             guard: reach(0, 2),
             training: reach(0, 8),
@@ -111,31 +123,31 @@ impl PeopleCounter {
         let energy_cfar = Cfar::new(energy_spec, 1, shape.range)?;
         let (map, slow_map) = (moving.empty_map(), still.empty_map());
         let walked = VecDeque::with_capacity(slow_frames);
-        Ok(PeopleCounter { moving, still, cfar, energy_cfar, map, slow_map, walked, slow_frames })
+        Ok(CfarCounter { moving, still, cfar, energy_cfar, map, slow_map, walked, slow_frames })
     }
 
-    /// Frames of slow time in which somebody who breathes is looked for.
+    /// Number of frames of slow time in which breathing is detected.
     pub fn slow_frames(&self) -> usize {
         self.slow_frames
     }
 
-    /// The newest map of who moves: all receivers together, less what stands still.
+    /// Newest map over chirps: mean power of all receivers, without static echoes.
     pub fn map(&self) -> &Rdm {
         &self.map
     }
 
-    /// Forgets what must not reach across missing frames.
+    /// Resets the state between frames. Call it where frames are missing.
     pub fn reset(&mut self) {
         self.moving.reset();
         self.still.reset();
         self.walked.clear();
     }
 
-    /// Looks at the next frame.
+    /// Observes the next frame.
     ///
     /// # Errors
-    /// A frame of another shape than the waveform's.
-    pub fn look(&mut self, frame: &Frame) -> Result<Seen, PeopleError> {
+    /// [`CounterError::Map`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
+    pub fn observe(&mut self, frame: &Frame) -> Result<Observation, CounterError> {
         let is_map = self.moving.process(frame, &mut self.map)? == MapStatus::Ready;
         let walking = if is_map { count(&self.cfar.detect(&self.map, 0), &self.map) } else { 0 };
         let is_slow_map = self.still.process(frame, &mut self.slow_map)? == MapStatus::Ready;
@@ -144,14 +156,15 @@ impl PeopleCounter {
             self.walked.pop_front();
         }
         self.walked.push_back(walking > 0);
-        Ok(Seen { walking, breathes })
+        Ok(Observation { walking, breathes })
     }
 
-    /// People in the room by what has been seen so far: who walks, or somebody who breathes where nobody has walked for long.
-    pub fn people(&self, seen: Seen) -> usize {
+    /// Number of people in the room, at most 2, by the observation and the frames before: the people who walk, or one who breathes
+    /// where few of the frames before held a walker.
+    pub fn people(&self, observation: Observation) -> usize {
         let walked = self.walked.iter().filter(|walked| **walked).count();
         let is_calm = walked as f64 <= MOST_WALKED_SHARE * self.walked.len() as f64;
-        seen.walking.max(usize::from(seen.breathes && is_calm)).min(2)
+        observation.walking.max(usize::from(observation.breathes && is_calm)).min(2)
     }
 }
 
@@ -160,11 +173,11 @@ fn reach(doppler: usize, range: usize) -> CellReach {
 }
 
 fn cfar_spec(looks: usize, doppler: usize, range: usize) -> CfarSpec {
-    // A window that fits small maps too.
+    // The window fits small maps too.
     let (across, along) = ((doppler.saturating_sub(1) / 2).min(6), (range / 4).min(8));
     let guard = reach(across / 3, along / 4);
     CfarSpec {
-        method: CfarMethod::OrderedStatistic { rank: RANK },
+        rank: RANK,
         guard,
         training: reach(across - guard.doppler, along.max(1) - guard.range.min(along.max(1) - 1)),
         false_alarm_rate: FALSE_ALARM_RATE,
@@ -172,10 +185,10 @@ fn cfar_spec(looks: usize, doppler: usize, range: usize) -> CfarSpec {
     }
 }
 
-/// People among the detections of a frame.
-fn count(detections: &[Detection], map: &Rdm) -> usize {
+/// Counts people among the detections of a frame.
+fn count(detections: &[CellDetection], map: &Rdm) -> usize {
     let zero = map.shape.doppler / 2;
-    let moves = |d: &&Detection| d.doppler.abs_diff(zero) > LEFT_OVERS && map.range_m(d.range) >= NEAREST_M;
+    let moves = |d: &&CellDetection| d.doppler.abs_diff(zero) > RESIDUE_CELLS && map.range_m(d.range) >= NEAREST_M;
     let mut cells: Vec<(f64, f64)> = detections
         .iter()
         .filter(moves)
@@ -198,10 +211,10 @@ fn count(detections: &[Detection], map: &Rdm) -> usize {
     }
     groups.retain(|group| group.2 >= LEAST_CELLS);
     let strongest_db = groups.iter().map(|group| group.1).fold(f64::NEG_INFINITY, f64::max);
-    groups.iter().filter(|group| group.1 >= strongest_db - ECHO_DB).count()
+    groups.iter().filter(|group| group.1 >= strongest_db - GHOST_DB).count()
 }
 
-/// Whether the energy over slow time, less what stands still, stands out at some range and is much of what is there.
+/// Returns whether the energy over slow time, without static echoes, exceeds its threshold and its least share at some range.
 fn breathes(cfar: &Cfar, map: &Rdm) -> bool {
     let (range, zero) = (map.shape.range, map.shape.doppler / 2);
     let (mut energy, mut still) = (vec![0.0; range], vec![0.0; range]);
@@ -259,16 +272,16 @@ mod tests {
 
     fn counts(bodies: &[(f64, f64, f64)], frames: u64) -> Vec<usize> {
         let waveform = Waveform::realise(WaveformRequest::paper()).expect("valid");
-        let mut counter = PeopleCounter::new(&waveform).expect("fits");
+        let mut counter = CfarCounter::new(&waveform).expect("fits");
         (0..frames)
             .map(|number| {
-                let seen = counter.look(&frame(&waveform, number, bodies)).expect("a frame");
-                counter.people(seen)
+                let observation = counter.observe(&frame(&waveform, number, bodies)).expect("a frame");
+                counter.people(observation)
             })
             .collect()
     }
 
-    /// Noise alone is nobody; bodies apart, as strong as their range lets them be, are counted.
+    /// Noise alone is no person. Bodies at different ranges, with levels that fall with range, are counted.
     #[test]
     fn bodies_apart_in_range_are_counted() {
         assert!(counts(&[], 40).iter().all(|people| *people == 0));
@@ -279,15 +292,15 @@ mod tests {
     mod hard_cases {
         use super::*;
 
-        /// What stands still is nobody, however strong it is.
+        /// A static echo is not a person, however strong it is.
         #[test]
-        fn walls_are_nobody() {
+        fn walls_are_not_people() {
             assert!(counts(&[(3.0, 0.0, 400.0)], 100).iter().all(|people| *people == 0));
         }
 
-        /// A weak second body far behind the first is its echo off a wall.
+        /// A weak second body far behind the first is the ghost of the first.
         #[test]
-        fn an_echo_by_the_wall_is_nobody() {
+        fn a_multipath_ghost_is_not_a_person() {
             assert!(counts(&[(2.0, 0.8, 200.0), (4.0, 0.8, 2.0)], 5).iter().all(|people| *people == 1));
         }
 
@@ -295,7 +308,7 @@ mod tests {
         fn frames_too_small_for_a_window_are_refused() {
             let request = WaveformRequest { samples_per_chirp: 8, chirps_per_frame: 2, ..WaveformRequest::paper() };
             let waveform = Waveform::realise(request).expect("valid");
-            if let Err(error) = PeopleCounter::new(&waveform) {
+            if let Err(error) = CfarCounter::new(&waveform) {
                 assert!(error.to_string().contains("hint:"), "{error}");
             }
         }

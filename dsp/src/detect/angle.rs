@@ -1,7 +1,7 @@
 //! Directions from the phase between two receivers.
 //!
-//! A target in the direction of the unit vector `u` is nearer to receiver `a` than to `b` by `d u.e`, where `d e` is the way
-//! from `b` to `a`. Nearer is earlier, and the phase of a beat at positive frequency falls with the delay
+//! A target in the direction of the unit vector `u` is nearer to receiver `a` than to `b` by `d u.e`, where `d e` is the vector
+//! from `b` to `a`. Its echo reaches `a` earlier, and the phase of a beat at positive frequency falls with the delay
 //! (crate page, signs): `arg(X_a conj(X_b)) = -2 pi d (u.e) / lambda`.
 
 use std::f64::consts::TAU;
@@ -14,47 +14,59 @@ use crate::RxMask;
 /// Distance between neighbouring receivers on the package, m (BGT60TR13C datasheet V2.4.9, table 72).
 pub const RECEIVER_SPACING_M: f64 = 2.5e-3;
 
-/// Two receivers whose phases are compared.
+/// Baseline between two receivers whose phases are compared.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Baseline {
-    /// Index in the frame of the receiver that it leads to.
+    /// Index in the frame of the receiver at its end.
     pub to: usize,
-    /// Index of the one that it comes from.
+    /// Index in the frame of the receiver at its beginning.
     pub from: usize,
-    /// Its length, m.
+    /// Length, m.
     pub length_m: f64,
-    /// `arg(X_to conj(X_from))` of what comes from broadside, rad: 0 of receivers that are alike.
+    /// Phase offset `arg(X_to conj(X_from))` of an echo from broadside, rad: 0 for identical receivers.
     pub phase_rad: f64,
 }
 
 impl Baseline {
-    /// Cosine of the angle between a target's direction and this baseline, from `X_to conj(X_from)`.
+    /// Cosine of the angle between a target's direction and this baseline, from `cross = X_to conj(X_from)`. `None` if the phase
+    /// belongs to no direction.
     pub fn cosine(&self, cross: Complex64, wavelength_m: f64) -> Option<f64> {
         direction_cosine(cross * Complex64::from_polar(1.0, -self.phase_rad), self.length_m, wavelength_m)
     }
 }
 
-/// What the receivers of one board are unlike in: phases of what comes from straight ahead, rad. Told by a reflector in a
+/// Phase offsets between the receivers of one board, as of an echo from straight ahead. They are measured with a reflector in a
 /// known direction ([`Receivers::calibrate`]).
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AngleCalibration {
-    /// Of RX1 over RX3.
+    /// Phase of RX1 relative to RX3, rad.
     pub azimuth_phase_rad: f64,
-    /// Of RX2 over RX3.
+    /// Phase of RX2 relative to RX3, rad.
     pub elevation_phase_rad: f64,
 }
 
-/// Where something is seen, in the radar's frame: x ahead, y to the left, z up. rad.
+/// Direction of a detection in the radar's frame: x ahead, y to the left, z up.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Direction {
-    /// From straight ahead, positive to the left.
+    /// Azimuth from straight ahead, positive to the left, rad; `None` where it cannot be measured.
     pub azimuth_rad: Option<f64>,
-    /// Above the horizon of the radar.
+    /// Elevation above the radar's horizon, rad; `None` where it cannot be measured.
     pub elevation_rad: Option<f64>,
 }
 
-/// The receivers that a waveform uses, as an L with RX3 in its corner: RX1 lies to the left of it, RX2 above.
+/// Receivers that a waveform uses. They form an L with RX3 in its corner: RX1 lies to the left of it, RX2 above.
+///
+/// ```
+/// use radome_dsp::RxMask;
+/// use radome_dsp::detect::{AngleCalibration, Receivers};
+///
+/// let receivers = Receivers::new(RxMask::ALL, AngleCalibration::default());
+/// assert_eq!(receivers.baselines().len(), 2);
+/// let direction = receivers.direction(&[Some(0.5), Some(0.0)]);
+/// assert!((direction.azimuth_rad.expect("measured").to_degrees() - 30.0).abs() < 1e-9);
+/// assert_eq!(direction.elevation_rad, Some(0.0));
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Receivers {
     azimuth: Option<Baseline>,
@@ -62,7 +74,8 @@ pub struct Receivers {
 }
 
 impl Receivers {
-    /// Those of a waveform, as a calibration says that they are. Without RX3 or its neighbour there is no angle on that side.
+    /// Creates the receivers of a waveform with their calibration. Without RX3 there is no angle, without RX1 no azimuth, without RX2
+    /// no elevation.
     pub fn new(mask: RxMask, calibration: AngleCalibration) -> Self {
         let antennas = mask.antennas();
         let index = |antenna: u8| antennas.iter().position(|a| *a == antenna);
@@ -75,13 +88,13 @@ impl Receivers {
         }
     }
 
-    /// The pairs that there are, azimuth first: what an [`EchoFinder`](crate::echo::EchoFinder) asks for.
+    /// Baselines that exist, azimuth first, for a [`Detector`](super::Detector).
     pub fn baselines(&self) -> Vec<Baseline> {
         self.azimuth.into_iter().chain(self.elevation).collect()
     }
 
-    /// Direction from the cosines of [`Receivers::baselines`]. Where only one side is told, azimuth is taken in the radar's
-    /// horizon; `None` where no point in front of the radar has both cosines.
+    /// Direction from the cosines of [`Receivers::baselines`]. Without an elevation, the target is taken to lie in the radar's
+    /// horizon. Both angles are `None` if no point in front of the radar has both cosines.
     pub fn direction(&self, cosines: &[Option<f64>]) -> Direction {
         let mut cosines = cosines.iter().copied();
         let left = self.azimuth.and_then(|_| cosines.next().flatten());
@@ -94,16 +107,16 @@ impl Receivers {
         }
     }
 
-    /// What receivers are unlike in, from cosines that these (perhaps calibrated already) told of a reflector that is really in
-    /// the direction `truth`; a side that told nothing stays as it is.
+    /// Computes the calibration from the cosines that these receivers, with their present calibration, measured of a reflector in
+    /// the direction `truth`, `(azimuth_rad, elevation_rad)`. A baseline without a cosine keeps its phase.
     pub fn calibrate(&self, cosines: &[Option<f64>], truth: (f64, f64), wavelength_m: f64) -> AngleCalibration {
         let (azimuth_rad, elevation_rad) = truth;
         let expected = [elevation_rad.cos() * azimuth_rad.sin(), elevation_rad.sin()];
         let mut cosines = cosines.iter().copied();
         let mut phase = |baseline: Option<Baseline>, expected: f64| {
             let Some(baseline) = baseline else { return 0.0 };
-            let told = cosines.next().flatten().unwrap_or(expected);
-            let phase = baseline.phase_rad - TAU * baseline.length_m / wavelength_m * (told - expected);
+            let measured = cosines.next().flatten().unwrap_or(expected);
+            let phase = baseline.phase_rad - TAU * baseline.length_m / wavelength_m * (measured - expected);
             phase - TAU * (phase / TAU).round()
         };
         let [left, up] = expected;
@@ -117,9 +130,9 @@ impl Receivers {
 /// Cosine of the angle between a target's direction and the baseline from receiver `b` to receiver `a`, from their
 /// cross-spectrum `X_a conj(X_b)`.
 ///
-/// Baselines up to half a wavelength have one answer; of longer ones this is the answer nearest to broadside. `None` where
-/// nothing was received, and where what was received comes from no direction: noise, or several echoes in one cell.
-pub fn direction_cosine(cross: Complex64, baseline_m: f64, wavelength_m: f64) -> Option<f64> {
+/// The result is unique for baselines up to half a wavelength. For longer ones it is the result nearest to broadside. `None`
+/// without power, and where the phase belongs to no direction: noise, or several echoes in one cell.
+fn direction_cosine(cross: Complex64, baseline_m: f64, wavelength_m: f64) -> Option<f64> {
     let cosine = -cross.arg() * wavelength_m / (TAU * baseline_m);
     (cross.norm_sqr() > 0.0 && cosine.abs() <= 1.0).then_some(cosine)
 }
@@ -148,7 +161,7 @@ mod tests {
         Receivers::new(RxMask::from_antennas(&[1, 2, 3]).expect("three"), calibration)
     }
 
-    /// Cross-spectra of a far target by the definition of the phase, with receivers that are unlike.
+    /// Cosines of a far target by the definition of the phase, with phase offsets between the receivers.
     fn cosines(of: &Receivers, direction: (f64, f64), unlike: AngleCalibration, wavelength_m: f64) -> Vec<Option<f64>> {
         let (azimuth, elevation) = direction;
         let along = [elevation.cos() * azimuth.sin(), elevation.sin()];
@@ -171,7 +184,7 @@ mod tests {
         }
     }
 
-    /// A reflector in a known direction tells what receivers are unlike in; then every direction is told right.
+    /// A reflector in a known direction gives the calibration; then every direction is measured right.
     #[test]
     fn one_reflector_calibrates_all_directions() {
         let unlike = AngleCalibration { azimuth_phase_rad: 0.7, elevation_phase_rad: -1.1 };

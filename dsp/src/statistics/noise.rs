@@ -2,11 +2,14 @@
 
 use crate::Rdm;
 
-/// Mean noise power of each range bin of one channel in dB: the median of the power over Doppler, over `ln 2`.
+/// Mean noise power of each range bin of one channel, `[range]`, dB: the median of the power over Doppler, divided by `ln 2`.
 ///
-/// The power of complex Gaussian noise is exponential, whose median is `ln 2` of its mean; targets and clutter fill few
-/// Doppler cells and hardly move a median. `guard_bins` cells on either side of zero Doppler are left out.
-/// Non-finite cells are left out too; a bin without any finite cell reads NaN.
+/// The power of complex Gaussian noise is exponential, and its median is `ln 2` of its mean. Targets and clutter fill few Doppler
+/// cells and hardly change the median. `guard_bins` cells on either side of zero Doppler, zero Doppler itself and cells that are
+/// not finite are left out. A bin without any cell reads NaN.
+///
+/// # Panics
+/// If the map has no channel `rx`.
 pub fn noise_floor_db(map: &Rdm, rx: usize, guard_bins: usize) -> Vec<f32> {
     let zero = map.shape.doppler / 2;
     let mut column = Vec::with_capacity(map.shape.doppler);

@@ -1,19 +1,26 @@
-//! Which vector instructions the fast routines use.
+//! Levels of vector instructions.
 
 use serde::{Deserialize, Serialize};
 
-/// Instruction set of the kernels that make maps, and of those of networks.
+/// Instruction set of the kernels that compute maps and networks.
 ///
-/// The same binary at the same level gives the same bits on any machine that has the level; unlike levels differ in
-/// rounding (fused multiply-add or not), by some -140 dBc. Ordered from slow to fast.
+/// The same binary at the same level gives the same bits on any machine that has the level. Different levels differ in
+/// rounding (fused multiply-add or not), by about -140 dBc. Levels are ordered from slow to fast.
+///
+/// ```
+/// use radome_dsp::KernelLevel;
+///
+/// let level = KernelLevel::detect();
+/// assert!(level.is_available() && level >= KernelLevel::Portable);
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum KernelLevel {
-    /// Plain arithmetic that every processor has, without fused multiply-add.
+    /// Scalar arithmetic of every processor, without fused multiply-add.
     Portable,
     /// x86-64 with AVX2 and FMA: 8 lanes.
     Avx2,
-    /// x86-64 with AVX-512 F, BW, DQ and VL beside the above: 16 lanes.
+    /// x86-64 with AVX2, FMA and AVX-512 F, BW, DQ and VL: 16 lanes.
     Avx512,
 }
 
@@ -21,12 +28,12 @@ impl KernelLevel {
     /// All levels, slow to fast.
     pub const ALL: [KernelLevel; 3] = [KernelLevel::Portable, KernelLevel::Avx2, KernelLevel::Avx512];
 
-    /// The fastest level that this machine has.
+    /// Returns the fastest level that this machine has.
     pub fn detect() -> Self {
         Self::ALL.into_iter().rfind(|level| level.is_available()).unwrap_or(KernelLevel::Portable)
     }
 
-    /// Whether this machine has it.
+    /// Returns whether this machine has the level.
     #[cfg(target_arch = "x86_64")]
     pub fn is_available(self) -> bool {
         let has_avx2 = || std::is_x86_feature_detected!("avx2") && std::is_x86_feature_detected!("fma");
@@ -43,18 +50,18 @@ impl KernelLevel {
         }
     }
 
-    /// Whether this machine has it.
+    /// Returns whether this machine has the level.
     #[cfg(not(target_arch = "x86_64"))]
     pub fn is_available(self) -> bool {
         self == KernelLevel::Portable
     }
 
-    /// This level, or the fastest below it that the machine has.
+    /// Returns this level, or the fastest level below it that the machine has.
     pub fn available(self) -> Self {
         Self::ALL.into_iter().rfind(|level| *level <= self && level.is_available()).unwrap_or(KernelLevel::Portable)
     }
 
-    /// Name as people write it.
+    /// Name for people to read.
     pub fn name(self) -> &'static str {
         match self {
             KernelLevel::Portable => "portable",

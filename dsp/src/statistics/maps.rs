@@ -1,47 +1,60 @@
-//! How far two sets of maps are apart: what a simulation has yet to meet.
+//! Statistics of sets of maps, and distances between two sets, such as recorded and simulated maps.
 //!
-//! Samples count their cells in a histogram, so that they take no more memory for more maps and add up: a resampled set of
-//! recordings is the sum of its recordings' samples.
+//! Cells are counted in histograms, so memory does not grow with the number of maps, and statistics add up: those of a resampled
+//! set of recordings are the sum of those of its recordings.
 
 use std::ops::Range;
 
 use crate::Rdm;
 
-/// Cells are counted in steps of so much, dB, from [`LEAST_DB`] on; what is beyond either end counts in the last step there.
+/// Width of the steps of a histogram, dB. They begin at [`LEAST_DB`]; cells beyond either end count in the last step there.
 const STEP_DB: f64 = 0.05;
 const LEAST_DB: f64 = -250.0;
 const STEPS: usize = 7000;
-/// Mean of an exponentially distributed power in dB over the dB of its mean, and its variance, dB^2.
+/// Mean of the level of an exponentially distributed power, over the level of its mean, dB.
 const NOISE_MEAN_DB: f64 = -2.506_818;
+/// Variance of the level of an exponentially distributed power, dB^2.
 const NOISE_VARIANCE_DB2: f64 = 31.025_36;
-/// A mean that is raised by less says nothing: noise itself is not known better.
+/// Least significant excess of a mean, dB: the noise itself is not known better.
 const LEAST_RAISED_DB: f64 = 0.05;
 
-/// The distribution of some cells, dB.
+/// Distribution of the levels of cells, dB.
+///
+/// ```
+/// use radome_dsp::statistics::CellHistogram;
+///
+/// let (mut first, mut second) = (CellHistogram::default(), CellHistogram::default());
+/// for cell_db in [-61.0, -60.0, -59.0] {
+///     first.add(cell_db);
+///     second.add(cell_db + 2.0);
+/// }
+/// let distance = first.distance_to(&second).expect("neither is empty");
+/// assert!((distance.mean_db - 2.0).abs() < 1e-9);
+/// ```
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Cells {
+pub struct CellHistogram {
     count: u64,
     sum: f64,
     squares: f64,
-    /// By step; empty while there are none.
+    /// Counts by step; empty while there are no cells.
     counts: Vec<u64>,
 }
 
-/// Differences between two distributions of cells: the second less the first where there is a sign.
+/// Differences between two distributions of cells: the second less the first where they have a sign.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct CellDistance {
-    /// Of the means, dB.
+    /// Difference of the means, dB.
     pub mean_db: f64,
-    /// Of the standard deviations, dB.
+    /// Difference of the standard deviations, dB.
     pub sigma_db: f64,
-    /// Kolmogorov's and Smirnov's distance, 0..1.
+    /// Kolmogorov-Smirnov distance, 0 to 1.
     pub kolmogorov_smirnov: f64,
-    /// Wasserstein's distance of order one, dB.
+    /// Wasserstein distance of order one, dB.
     pub wasserstein_db: f64,
 }
 
-impl Cells {
-    /// Counts a cell; one that is not finite is left out.
+impl CellHistogram {
+    /// Counts a cell. A level that is not finite is left out.
     pub fn add(&mut self, cell_db: f64) {
         if !cell_db.is_finite() {
             return;
@@ -56,8 +69,8 @@ impl Cells {
         self.squares += cell_db * cell_db;
     }
 
-    /// Counts another distribution's cells too.
-    pub fn merge(&mut self, other: &Cells) {
+    /// Adds the cells of another distribution.
+    pub fn merge(&mut self, other: &CellHistogram) {
         self.counts.resize(self.counts.len().max(other.counts.len()), 0);
         self.counts.iter_mut().zip(&other.counts).for_each(|(a, b)| *a += b);
         self.count += other.count;
@@ -65,23 +78,23 @@ impl Cells {
         self.squares += other.squares;
     }
 
-    /// How many there are.
+    /// Number of cells.
     pub fn count(&self) -> u64 {
         self.count
     }
 
-    /// Their mean, dB; zero of none.
+    /// Mean, dB; 0 if there are no cells.
     pub fn mean_db(&self) -> f64 {
         self.sum / self.count.max(1) as f64
     }
 
-    /// Their standard deviation, dB.
+    /// Standard deviation, dB; 0 if there are no cells.
     pub fn sigma_db(&self) -> f64 {
         (self.squares / self.count.max(1) as f64 - self.mean_db().powi(2)).max(0.0).sqrt()
     }
 
-    /// How far another distribution is from this one; `None` where either is empty.
-    pub fn distance_to(&self, other: &Cells) -> Option<CellDistance> {
+    /// Distance of another distribution from this one; `None` if either is empty.
+    pub fn distance_to(&self, other: &CellHistogram) -> Option<CellDistance> {
         if self.count == 0 || other.count == 0 {
             return None;
         }
@@ -103,28 +116,29 @@ impl Cells {
     }
 }
 
-/// Where to look in maps.
+/// Range bins of maps that enter the statistics.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Regions {
-    /// The first range bin that says anything: leakage lies below.
+    /// First range bin that is used; bins below hold leakage.
     pub first_bin: usize,
-    /// Range bins of who is there.
+    /// Range bins of a person; empty if there is none.
     pub target: Range<usize>,
 }
 
-/// What is compared of a set of maps: distributions of cells, and how power lies along velocity and range.
+/// Statistics of a set of maps: distributions of cells, and profiles of power along velocity and range.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct MapSample {
-    /// All cells.
-    pub all: Cells,
-    /// Those of the range bins in which somebody is.
-    pub target: Cells,
-    /// The row of zero Doppler of maps in which what stands still was left.
-    pub zero_doppler: Cells,
-    /// Cells beside zero Doppler, by range bin.
+pub struct MapStatistics {
+    /// Cells of all range bins that are used.
+    pub all: CellHistogram,
+    /// Cells of the range bins of a person.
+    pub target: CellHistogram,
+    /// Cells of zero Doppler of maps without static removal.
+    pub zero_doppler: CellHistogram,
+    /// Moments of the cells beside zero Doppler, by range bin.
     beside: Vec<Moments>,
-    /// Power of each Doppler row and of each range column.
+    /// Power of each Doppler row.
     doppler: Vec<f64>,
+    /// Power of each range column.
     range: Vec<f64>,
 }
 
@@ -132,39 +146,39 @@ pub struct MapSample {
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 struct Moments([f64; 3]);
 
-/// Differences between two samples.
+/// Differences between the statistics of two sets of maps.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Distance {
-    /// Of all cells.
+pub struct MapDistance {
+    /// Distance of all cells.
     pub all: CellDistance,
-    /// Of those about who is there; `None` where there are none.
+    /// Distance of the cells of a person; `None` if either set has none.
     pub target: Option<CellDistance>,
-    /// Of zero Doppler; `None` where there are none.
+    /// Distance of the cells of zero Doppler; `None` if either set has none.
     pub zero_doppler: Option<CellDistance>,
-    /// Wasserstein's distance between the profiles of power along velocity, in cells.
+    /// Wasserstein distance between the profiles of power along velocity, in cells.
     pub doppler_cells: f64,
-    /// The same along range.
+    /// Wasserstein distance between the profiles of power along range, in cells.
     pub range_cells: f64,
 }
 
-/// A mixture of noise and noise raised: a summary of what stands above noise by two numbers.
+/// Model of cells as a mixture of noise and raised noise: two numbers that summarise everything above the noise.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Raised {
+pub struct RaisedCells {
     /// Share of the cells that are raised, 0..1.
     pub fraction: f64,
-    /// By how much, dB.
+    /// Excess of the raised cells over noise, dB.
     pub level_db: f64,
 }
 
-impl MapSample {
-    /// Takes in one receiver of a map from which what stands still was removed.
+impl MapStatistics {
+    /// Adds one receiver of a map with static removal.
     pub fn add(&mut self, map: &Rdm, rx: usize, regions: &Regions) {
         let (doppler, range) = (map.shape.doppler, map.shape.range);
         self.doppler.resize(doppler, 0.0);
         self.range.resize(range, 0.0);
         self.beside.resize(range, Moments::default());
         for (row, cells) in map.db.chunks(range.max(1)).skip(rx * doppler).take(doppler).enumerate() {
-            // Removal takes noise away too, as far as the window of slow time reaches.
+            // Static removal removes noise too, within the main lobe of the window over slow time.
             let is_beside = row.abs_diff(doppler / 2) > 1;
             for (bin, &cell) in cells.iter().enumerate().skip(regions.first_bin).filter(|(_, cell)| cell.is_finite()) {
                 let cell = f64::from(cell);
@@ -185,15 +199,15 @@ impl MapSample {
         }
     }
 
-    /// Takes in the row of zero Doppler of one receiver of a map in which what stands still was left.
+    /// Adds the row of zero Doppler of one receiver of a map without static removal.
     pub fn add_zero_doppler(&mut self, map: &Rdm, rx: usize, regions: &Regions) {
         let (doppler, range) = (map.shape.doppler, map.shape.range);
         let row = map.db.chunks(range.max(1)).nth(rx * doppler + doppler / 2).unwrap_or_default();
         row.iter().skip(regions.first_bin).for_each(|&cell| self.zero_doppler.add(f64::from(cell)));
     }
 
-    /// Takes in another sample.
-    pub fn merge(&mut self, other: &MapSample) {
+    /// Adds the statistics of another set.
+    pub fn merge(&mut self, other: &MapStatistics) {
         self.all.merge(&other.all);
         self.target.merge(&other.target);
         self.zero_doppler.merge(&other.zero_doppler);
@@ -207,9 +221,9 @@ impl MapSample {
         }
     }
 
-    /// The share of cells that stand above noise and by how much, from their mean and variance over those of noise, whose mean
-    /// power by range bin is given in dB. `None` where nothing stands above it.
-    pub fn raised(&self, noise_db: &[f64]) -> Option<Raised> {
+    /// Share and excess of the cells above noise, from the mean and variance of all cells beside zero Doppler. `noise_db` is the mean
+    /// noise power by range bin, dB. `None` if nothing exceeds the noise.
+    pub fn raised(&self, noise_db: &[f64]) -> Option<RaisedCells> {
         let (mut count, mut sum, mut squares) = (0.0, 0.0, 0.0);
         for (Moments([n, cells, square]), noise) in self.beside.iter().zip(noise_db) {
             count += n;
@@ -218,17 +232,17 @@ impl MapSample {
         }
         let mean = sum / count - NOISE_MEAN_DB;
         let variance = squares / count - (sum / count).powi(2) - NOISE_VARIANCE_DB2;
-        // Of no cells neither is a number.
+        // Both are NaN without cells.
         if !(mean > LEAST_RAISED_DB && variance > 0.0) {
             return None;
         }
         let level_db = variance / mean + mean;
-        Some(Raised { fraction: mean / level_db, level_db })
+        Some(RaisedCells { fraction: mean / level_db, level_db })
     }
 
-    /// How far another sample is from this one; `None` where either is empty.
-    pub fn distance_to(&self, other: &MapSample) -> Option<Distance> {
-        Some(Distance {
+    /// Distance of another set from this one; `None` if either is empty.
+    pub fn distance_to(&self, other: &MapStatistics) -> Option<MapDistance> {
+        Some(MapDistance {
             all: self.all.distance_to(&other.all)?,
             target: self.target.distance_to(&other.target),
             zero_doppler: self.zero_doppler.distance_to(&other.zero_doppler),
@@ -238,7 +252,7 @@ impl MapSample {
     }
 }
 
-/// Wasserstein's distance between two profiles of the same length, each as a distribution over its cells.
+/// Wasserstein distance between two profiles of the same length, each as a distribution over its cells.
 fn profile_distance(a: &[f64], b: &[f64]) -> f64 {
     let (whole_a, whole_b) = (a.iter().sum::<f64>(), b.iter().sum::<f64>());
     let (mut apart, mut distance) = (0.0, 0.0);
@@ -254,8 +268,8 @@ mod tests {
     use super::*;
     use crate::{RdmProcessor, RdmSpec, Waveform, WaveformRequest};
 
-    fn cells(values: impl IntoIterator<Item = f64>) -> Cells {
-        let mut cells = Cells::default();
+    fn cells(values: impl IntoIterator<Item = f64>) -> CellHistogram {
+        let mut cells = CellHistogram::default();
         values.into_iter().for_each(|value| cells.add(value));
         cells
     }
@@ -272,7 +286,7 @@ mod tests {
         assert_eq!((same.kolmogorov_smirnov, same.wasserstein_db), (0.0, 0.0));
         // Of other lengths.
         assert!(of(0.0, 1).distance_to(&of(0.0, 2)).expect("cells").wasserstein_db < 0.01);
-        assert_eq!(of(0.0, 1).distance_to(&Cells::default()), None);
+        assert_eq!(of(0.0, 1).distance_to(&CellHistogram::default()), None);
     }
 
     #[test]
@@ -290,7 +304,8 @@ mod tests {
         let mut map = RdmProcessor::new(&RdmSpec::default(), &waveform).expect("a processor").empty_map();
         let regions = Regions { first_bin: 3, target: 10..13 };
         let noise_db = vec![-60.0; map.shape.range];
-        let (mut plain, mut raised, mut halves) = (MapSample::default(), MapSample::default(), MapSample::default());
+        let (mut plain, mut raised, mut halves) =
+            (MapStatistics::default(), MapStatistics::default(), MapStatistics::default());
         for (sample, step) in [(&mut plain, usize::MAX), (&mut raised, 20)] {
             for (i, cell) in map.db.iter_mut().enumerate() {
                 // Golden-ratio sequence: even over 0..1.

@@ -1,87 +1,110 @@
-//! Echoes of what moves, finer than a cell: range, radial speed and direction of each.
+//! Detections of people and objects, finer than a cell: range, radial speed and direction.
 //!
-//! Two looks. What moves within a frame ([`EchoFinder::moving`]) has cells of its own in the frame's range-Doppler maps, one
-//! complex map a receiver. What sits or stands moves too little for that; but it changes from frame to frame
-//! ([`EchoFinder::still`]), and what changes at a range has a direction as well.
+//! There are two methods. Anything that moves within a frame ([`Detector::detect_moving`]) has cells of its own in the frame's
+//! range-Doppler maps, one complex map a receiver. A person who sits or stands moves too little for that, but changes from frame
+//! to frame ([`Detector::detect_still`]). The change at a range has a direction too.
 //!
-//! Ranges are those of the echo itself in the middle of the frame: a beat is `S tau + 2 v f / c`, and the second term, range
-//! bias by speed, is taken off.
+//! Ranges are those in the middle of the frame. A beat frequency is `S tau + 2 v f / c`; the range bias by the second term is
+//! subtracted.
 
 use std::sync::Arc;
 
 use num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
 use rustfft::{Fft, FftPlanner};
 
-use crate::angle::Baseline;
+use super::angle::Baseline;
+use crate::spectrum::{RangeFft, peak_offset};
 use crate::{Frame, MapError, Waveform, Window};
 
-/// Points of the range transform for each sample: peaks between bins are told from the shape of the window's main lobe.
+/// Points of the range FFT for each sample. Padding lets the offset of a peak from its bin be interpolated.
 const RANGE_PADDING: usize = 2;
-/// An echo is a local maximum so far above the noise of its range, dB: noise alone, of three receivers together, reaches it
-/// once in some ten million cells.
+/// Least level of a local maximum over the noise of its range, dB. Noise alone, of three receivers together, reaches it once in
+/// about ten million cells.
 const LEAST_SNR_DB: f64 = 12.0;
-/// Echoes of a frame, the strongest.
-const MOST_ECHOES: usize = 12;
-/// Two maxima nearer than this to each other are one echo: in range resolutions, and in m/s.
+/// Largest number of detections of a frame; the strongest are kept.
+const MOST_DETECTIONS: usize = 12;
+/// Largest difference of two maxima of one detection, in range resolutions.
 const SAME_RANGE: f64 = 1.5;
+/// Largest difference of two maxima of one detection, m/s.
 const SAME_VELOCITY_M_PER_S: f64 = 0.3;
-/// Half the width of Doppler about a maximum that makes up a trunk's speed: the parts of a trunk differ by as much, m/s.
+/// Half width of the Doppler interval about a maximum over which the speed is averaged, m/s: the parts of a trunk differ by as
+/// much.
 const TRUNK_M_PER_S: f64 = 0.15;
-/// Of what is alive at least so much of the energy changes between frames: the echo of walls and furniture only drifts and
+/// Least share of the energy of a person's echo that changes between frames. The echo of walls and furniture only drifts and
 /// jitters.
 const LEAST_CHANGING: f64 = 0.05;
-/// Range bins, from the first, that hold what leaks from transmitter to receiver and how a chirp begins: no map tells anything
-/// there.
+/// Number of the first range bins, which hold leakage from transmitter to receiver and the transient of a chirp. Nothing can be
+/// detected there.
 pub const LEAKAGE_BINS: usize = 3;
 
-/// An echo.
+/// Detection of an echo.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Echo {
+pub struct Detection {
     /// Range, m.
     pub range_m: f64,
-    /// Radial speed, positive receding, m/s; within the unambiguous span. 0 of what is still.
+    /// Radial velocity, positive receding, m/s, within the unambiguous span. 0 if `is_still`.
     pub velocity_m_per_s: f64,
-    /// Its cell over the noise at its range, dB.
+    /// Power of its cell over the noise at its range, dB.
     pub snr_db: f64,
-    /// Cosine of the angle to each baseline; `None` where there is none.
+    /// Cosine of the angle to each baseline of the detector; `None` where the phases give none.
     pub cosines: Vec<Option<f64>>,
-    /// Whether it was found between frames.
+    /// Whether it was found by its change between frames, not by motion within a frame.
     pub is_still: bool,
 }
 
-/// A frame's mean chirp as a range profile of each receiver, `[rx][range]`: what [`EchoFinder::still`] compares.
+/// Range profiles of the mean chirp of a frame, `[rx][range]`, for [`Detector::detect_still`].
 #[derive(Debug, Clone, PartialEq)]
 pub struct RangeProfile(Vec<Complex64>);
 
-/// Finds echoes in frames of a waveform. Owns its plans and buffers.
-pub struct EchoFinder {
+/// Detector of echoes in frames of a waveform. Owns its plans and buffers.
+///
+/// ```
+/// use radome_dsp::detect::{AngleCalibration, Detector, Receivers};
+/// use radome_dsp::{Frame, Waveform, WaveformRequest};
+///
+/// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
+/// let receivers = Receivers::new(waveform.request.rx_antennas, AngleCalibration::default());
+/// let mut detector = Detector::new(&waveform, &receivers.baselines());
+///
+/// let (detections, _profile) = detector.detect_moving(&Frame::zeroed(waveform.shape()))?;
+/// for detection in &detections {
+///     let direction = receivers.direction(&detection.cosines);
+///     println!("{:.2} m, {:.2} m/s, {direction:?}", detection.range_m, detection.velocity_m_per_s);
+/// }
+/// assert!(detections.is_empty(), "a frame without signal");
+/// # Ok::<(), radome_dsp::MapError>(())
+/// ```
+pub struct Detector {
     waveform: Waveform,
     baselines: Vec<Baseline>,
     range_window: Vec<f64>,
     doppler_window: Vec<f64>,
-    range_fft: Arc<dyn RealToComplex<f64>>,
+    range_fft: RangeFft,
+    /// Spectrum of one chirp.
+    spectrum: Vec<Complex64>,
     doppler_fft: Arc<dyn Fft<f64>>,
-    /// Range bins, padded.
+    /// Number of range bins with padding.
     bins: usize,
     /// `[rx][range][chirp]`, later `[rx][range][doppler]` with zero Doppler in the middle.
     cells: Vec<Complex64>,
-    /// `[range][doppler]`, all receivers.
+    /// `[range][doppler]`, sum of all receivers.
     power: Vec<f64>,
 }
 
-impl EchoFinder {
-    /// For frames of a waveform, with the pairs of receivers that tell direction.
+impl Detector {
+    /// Creates the detector for frames of a waveform, with the pairs of receivers that measure direction.
     pub fn new(waveform: &Waveform, baselines: &[Baseline]) -> Self {
         let shape = waveform.shape();
         let length = RANGE_PADDING * shape.samples;
         let bins = length / 2;
-        EchoFinder {
+        let range_fft = RangeFft::new(shape.samples, length);
+        Detector {
             waveform: waveform.clone(),
             baselines: baselines.to_vec(),
             range_window: Window::Hann.weights(shape.samples),
             doppler_window: Window::Hann.weights(shape.chirps),
-            range_fft: RealFftPlanner::new().plan_fft_forward(length),
+            spectrum: vec![Complex64::default(); range_fft.bins()],
+            range_fft,
             doppler_fft: FftPlanner::new().plan_fft_forward(shape.chirps),
             bins,
             cells: vec![Complex64::default(); shape.rx * bins * shape.chirps],
@@ -89,11 +112,11 @@ impl EchoFinder {
         }
     }
 
-    /// What moves within a frame, the strongest first; and the frame's profile, for [`EchoFinder::still`].
+    /// Detects motion within a frame, the strongest first. Returns the frame's profile too, for [`Detector::detect_still`].
     ///
     /// # Errors
-    /// A frame of another shape than the waveform's.
-    pub fn moving(&mut self, frame: &Frame) -> Result<(Vec<Echo>, RangeProfile), MapError> {
+    /// [`MapError`] if the frame's shape is not the waveform's, or if the number of its codes is not that of its shape.
+    pub fn detect_moving(&mut self, frame: &Frame) -> Result<(Vec<Detection>, RangeProfile), MapError> {
         let profile = self.transform(frame)?;
         let (doppler, bins) = (self.doppler_window.len(), self.bins);
         let noise: Vec<f64> =
@@ -105,7 +128,7 @@ impl EchoFinder {
         for range in (RANGE_PADDING * LEAKAGE_BINS)..bins.saturating_sub(1) {
             for d in 0..doppler {
                 let cell = at(range, d);
-                // Static removal leaves nothing at zero Doppler; velocity goes round.
+                // Static removal leaves nothing at zero Doppler. The velocity axis is periodic.
                 if d == zero || cell <= least * noise.get(range).copied().unwrap_or(f64::INFINITY) {
                     continue;
                 }
@@ -119,36 +142,36 @@ impl EchoFinder {
             }
         }
         peaks.sort_by(|a, b| b.0.total_cmp(&a.0));
-        let mut echoes: Vec<Echo> = Vec::new();
+        let mut detections: Vec<Detection> = Vec::new();
         for (power, range, d) in peaks {
-            let echo = self.echo_at(range, d, ratio_db(power, noise.get(range).copied().unwrap_or(power)));
+            let detection = self.detection_at(range, d, ratio_db(power, noise.get(range).copied().unwrap_or(power)));
             let span = 2.0 * self.waveform.max_velocity_m_per_s();
-            let is_known = echoes.iter().any(|other| {
-                let apart = other.velocity_m_per_s - echo.velocity_m_per_s;
+            let is_known = detections.iter().any(|other| {
+                let apart = other.velocity_m_per_s - detection.velocity_m_per_s;
                 let apart = apart - span * (apart / span).round();
-                (other.range_m - echo.range_m).abs() < SAME_RANGE * self.waveform.range_resolution_m()
+                (other.range_m - detection.range_m).abs() < SAME_RANGE * self.waveform.range_resolution_m()
                     && apart.abs() < SAME_VELOCITY_M_PER_S
             });
             if !is_known {
-                echoes.push(echo);
+                detections.push(detection);
             }
-            if echoes.len() == MOST_ECHOES {
+            if detections.len() == MOST_DETECTIONS {
                 break;
             }
         }
-        Ok((echoes, profile))
+        Ok((detections, profile))
     }
 
-    /// What changes between frames, the strongest first: profiles of a few seconds, whatever stands out at its range from
-    /// what changes at most ranges.
-    pub fn still(&self, profiles: &[&RangeProfile]) -> Vec<Echo> {
+    /// Detects change between the frames of a few seconds, the strongest first: ranges at which more changes than at most ranges.
+    /// Fewer than three profiles give no detection.
+    pub fn detect_still(&self, profiles: &[&RangeProfile]) -> Vec<Detection> {
         let rx = self.waveform.shape().rx;
         if profiles.len() < 3 {
             return Vec::new();
         }
         let count = profiles.len() as f64;
         let row = |profile: &&RangeProfile, cell: usize| profile.0.get(cell).copied().unwrap_or_default();
-        // What is left of each cell when its mean over the frames is taken out.
+        // Each cell less its mean over the frames.
         let changes: Vec<Vec<Complex64>> = (0..rx * self.bins)
             .map(|cell| {
                 let mean = profiles.iter().map(|p| row(p, cell)).sum::<Complex64>() / count;
@@ -160,7 +183,7 @@ impl EchoFinder {
             (0..self.bins).map(|range| (0..rx).map(|rx| power_of(rx * self.bins + range)).sum()).collect();
         let noise = noise_power(power.iter().skip(RANGE_PADDING * LEAKAGE_BINS).copied());
         let mean_power = |cell: usize| profiles.iter().map(|p| row(p, cell)).sum::<Complex64>().norm_sqr() / count;
-        let mut echoes = Vec::new();
+        let mut detections = Vec::new();
         for range in (RANGE_PADDING * LEAKAGE_BINS)..self.bins.saturating_sub(1) {
             let [before, cell, after] = [range - 1, range, range + 1].map(|i| power.get(i).copied().unwrap_or(0.0));
             let snr_db = ratio_db(cell, noise);
@@ -176,22 +199,24 @@ impl EchoFinder {
                 let cross = pair(range - 1) + pair(range) + pair(range + 1);
                 baseline.cosine(cross, self.waveform.wavelength_m())
             });
-            echoes.push(Echo {
-                range_m: (range as f64 + vertex(before, cell, after)) * self.bin_m(),
+            detections.push(Detection {
+                range_m: (range as f64 + peak_offset(before, cell, after)) * self.bin_m(),
                 velocity_m_per_s: 0.0,
                 snr_db,
                 cosines: cosines.collect(),
                 is_still: true,
             });
         }
-        echoes.sort_by(|a, b| b.snr_db.total_cmp(&a.snr_db));
-        echoes.truncate(MOST_ECHOES);
-        echoes
+        detections.sort_by(|a, b| b.snr_db.total_cmp(&a.snr_db));
+        detections.truncate(MOST_DETECTIONS);
+        detections
     }
 
-    /// The strongest of what stands still between two ranges, m, in the mean of profiles: a reflector that was put there.
-    /// Its level is over the noise of a cell as ranges about it show it, which is no noise where rooms are full.
-    pub fn standing(&self, profiles: &[&RangeProfile], within_m: std::ops::Range<f64>) -> Option<Echo> {
+    /// Finds the strongest static echo between two ranges, m, in the mean of profiles, such as a calibration reflector. `None` if no
+    /// range bin lies between them.
+    ///
+    /// Its `snr_db` is the level over the median cell of all ranges, which is clutter rather than noise in a furnished room.
+    pub fn find_reflector(&self, profiles: &[&RangeProfile], within_m: std::ops::Range<f64>) -> Option<Detection> {
         let rx = self.waveform.shape().rx;
         let mean = |cell: usize| {
             profiles.iter().map(|p| p.0.get(cell).copied().unwrap_or_default()).sum::<Complex64>()
@@ -208,8 +233,8 @@ impl EchoFinder {
             let pair = |range: usize| cell(baseline.to, range) * cell(baseline.from, range).conj();
             baseline.cosine(pair(range - 1) + pair(range) + pair(range + 1), self.waveform.wavelength_m())
         });
-        Some(Echo {
-            range_m: (range as f64 + vertex(at(range - 1), at(range), at(range + 1))) * self.bin_m(),
+        Some(Detection {
+            range_m: (range as f64 + peak_offset(at(range - 1), at(range), at(range + 1))) * self.bin_m(),
             velocity_m_per_s: 0.0,
             snr_db: ratio_db(at(range), noise_power(power.iter().copied())),
             cosines: cosines.collect(),
@@ -217,11 +242,12 @@ impl EchoFinder {
         })
     }
 
+    /// Width of a padded range bin, m.
     fn bin_m(&self) -> f64 {
         self.waveform.range_step_m(RANGE_PADDING * self.range_window.len())
     }
 
-    /// Complex maps of all receivers, and their power; returns the mean chirps' profiles.
+    /// Computes the complex maps of all receivers and their power. Returns the profiles of the mean chirps.
     fn transform(&mut self, frame: &Frame) -> Result<RangeProfile, MapError> {
         let shape = self.waveform.shape();
         if frame.shape != shape {
@@ -231,19 +257,13 @@ impl EchoFinder {
             return Err(MapError::Length { sequence: frame.sequence, expected: shape.codes(), got: frame.codes.len() });
         }
         let (bins, chirps) = (self.bins, shape.chirps);
-        let mut input = self.range_fft.make_input_vec();
-        let mut output = self.range_fft.make_output_vec();
         let mut profile = vec![Complex64::default(); shape.rx * bins];
         for (index, chirp) in frame.codes.chunks_exact(shape.samples).enumerate() {
             let (rx, m) = (index / chirps, index % chirps);
             let mean = chirp.iter().map(|&code| f64::from(code)).sum::<f64>() / shape.samples as f64;
-            input.fill(0.0);
-            for ((x, &code), w) in input.iter_mut().zip(chirp).zip(&self.range_window) {
-                *x = (f64::from(code) - mean) * w;
-            }
-            let planned = self.range_fft.process(&mut input, &mut output);
-            debug_assert!(planned.is_ok(), "buffers have the planned lengths");
-            for (bin, value) in output.iter().take(bins).enumerate() {
+            let windowed = chirp.iter().zip(&self.range_window).map(|(&code, w)| (f64::from(code) - mean) * w);
+            self.range_fft.transform(windowed, &mut self.spectrum);
+            for (bin, value) in self.spectrum.iter().take(bins).enumerate() {
                 if let Some(cell) = self.cells.get_mut((rx * bins + bin) * chirps + m) {
                     *cell = *value;
                 }
@@ -270,8 +290,8 @@ impl EchoFinder {
         Ok(RangeProfile(profile))
     }
 
-    /// The echo about a local maximum.
-    fn echo_at(&self, range: usize, d: usize, snr_db: f64) -> Echo {
+    /// Detection at a local maximum.
+    fn detection_at(&self, range: usize, d: usize, snr_db: f64) -> Detection {
         let doppler = self.doppler_window.len();
         let step = self.waveform.velocity_step_m_per_s(doppler);
         let half = ((TRUNK_M_PER_S / step).round() as isize).clamp(1, (doppler as isize - 1) / 2);
@@ -289,7 +309,7 @@ impl EchoFinder {
         let cells = d as f64 + if sum > 0.0 { moment / sum } else { 0.0 } - (doppler / 2) as f64;
         let velocity_m_per_s = cells * step;
         let near = |range: usize| at(range, d - 1) + at(range, d) + at(range, d + 1);
-        let place = range as f64 + vertex(near(range - 1), near(range), near(range + 1));
+        let place = range as f64 + peak_offset(near(range - 1), near(range), near(range + 1));
         // c f_D / 2 S = v f / S.
         let by_speed_m = velocity_m_per_s * self.waveform.centre_frequency_hz() / self.waveform.slope_hz_per_s;
         let cosines = self.baselines.iter().map(|baseline| {
@@ -305,7 +325,7 @@ impl EchoFinder {
             }
             baseline.cosine(cross, self.waveform.wavelength_m())
         });
-        Echo {
+        Detection {
             range_m: place * self.bin_m() - by_speed_m,
             velocity_m_per_s,
             snr_db,
@@ -315,21 +335,13 @@ impl EchoFinder {
     }
 }
 
-/// Where between -1/2 and 1/2 a parabola through the decibels of three neighbours has its top. With a Hann window padded twice
-/// it is right within a two-hundredth of a range resolution.
-fn vertex(before: f64, middle: f64, after: f64) -> f64 {
-    let [a, b, c] = [before, middle, after].map(|p| p.max(f64::MIN_POSITIVE).ln());
-    let curvature = a - 2.0 * b + c;
-    if curvature < 0.0 { (0.5 * (a - c) / curvature).clamp(-0.5, 0.5) } else { 0.0 }
-}
-
-/// Power over noise, dB: of nothing none, and no more than a 12-bit sample can hold where there is no noise.
+/// Ratio of power to noise, dB: 0 without power, and at most what a 12-bit sample can represent where there is no noise.
 fn ratio_db(power: f64, noise: f64) -> f64 {
     const MOST_DB: f64 = 120.0;
     if power > 0.0 { (10.0 * (power / noise).log10()).min(MOST_DB) } else { 0.0 }
 }
 
-/// Mean of exponentially distributed noise from its median, which targets hardly move.
+/// Mean of exponentially distributed noise, estimated from the median, which targets hardly change.
 fn noise_power(values: impl Iterator<Item = f64>) -> f64 {
     let mut values: Vec<f64> = values.collect();
     values.sort_unstable_by(f64::total_cmp);
@@ -372,16 +384,17 @@ mod tests {
     #[test]
     fn range_speed_and_direction_of_a_point_are_told_within_a_cell() {
         let waveform = waveform();
-        let mut finder = EchoFinder::new(&waveform, &[BASELINE]);
+        let mut detector = Detector::new(&waveform, &[BASELINE]);
         for (range_m, velocity, sine) in
             [(2.0, 1.2, 0.1), (2.043, -1.13, -0.4), (5.51, 0.31, 0.0), (9.99, -2.2, 0.7), (3.3, 0.777, -0.2)]
         {
-            let (echoes, _) = finder.moving(&frame(&waveform, range_m, velocity, sine, 200.0)).expect("a frame");
-            let echo = echoes.first().expect("an echo");
-            assert!((echo.range_m - range_m).abs() < 0.005, "{range_m} m: {echo:?}");
-            assert!((echo.velocity_m_per_s - velocity).abs() < 0.005, "{velocity} m/s: {echo:?}");
-            let told = echo.cosines.first().copied().flatten().expect("a direction");
-            assert!((told - sine).abs() < 0.005, "{sine}: {echo:?}");
+            let (detections, _) =
+                detector.detect_moving(&frame(&waveform, range_m, velocity, sine, 200.0)).expect("a frame");
+            let detection = detections.first().expect("an echo");
+            assert!((detection.range_m - range_m).abs() < 0.005, "{range_m} m: {detection:?}");
+            assert!((detection.velocity_m_per_s - velocity).abs() < 0.005, "{velocity} m/s: {detection:?}");
+            let told = detection.cosines.first().copied().flatten().expect("a direction");
+            assert!((told - sine).abs() < 0.005, "{sine}: {detection:?}");
         }
     }
 
@@ -389,33 +402,34 @@ mod tests {
     #[test]
     fn what_only_breathes_is_found_between_frames() {
         let waveform = waveform();
-        let mut finder = EchoFinder::new(&waveform, &[BASELINE]);
+        let mut detector = Detector::new(&waveform, &[BASELINE]);
         let profiles: Vec<RangeProfile> = (0..20)
             .map(|i| {
                 let range_m = 3.02 + 1e-3 * (0.3 * f64::from(i)).sin();
-                let (echoes, profile) = finder.moving(&frame(&waveform, range_m, 0.0, 0.25, 100.0)).expect("a frame");
-                assert!(echoes.iter().all(|e| (e.range_m - 3.02).abs() > 0.1), "nothing moves within a frame");
+                let (detections, profile) =
+                    detector.detect_moving(&frame(&waveform, range_m, 0.0, 0.25, 100.0)).expect("a frame");
+                assert!(detections.iter().all(|e| (e.range_m - 3.02).abs() > 0.1), "nothing moves within a frame");
                 profile
             })
             .collect();
-        let echoes = finder.still(&profiles.iter().collect::<Vec<_>>());
-        let echo = echoes.first().expect("an echo");
-        assert!((echo.range_m - 3.02).abs() < 0.01, "{echo:?}");
-        assert!((echo.cosines[0].expect("a direction") - 0.25).abs() < 0.01, "{echo:?}");
+        let detections = detector.detect_still(&profiles.iter().collect::<Vec<_>>());
+        let detection = detections.first().expect("an echo");
+        assert!((detection.range_m - 3.02).abs() < 0.01, "{detection:?}");
+        assert!((detection.cosines[0].expect("a direction") - 0.25).abs() < 0.01, "{detection:?}");
     }
 
     #[test]
     fn a_reflector_that_stands_there_is_found_between_its_ranges() {
         let waveform = waveform();
-        let mut finder = EchoFinder::new(&waveform, &[BASELINE]);
+        let mut detector = Detector::new(&waveform, &[BASELINE]);
         let mut scene = frame(&waveform, 2.5, 0.0, -0.3, 60.0);
         let wall = frame(&waveform, 5.0, 0.0, 0.1, 300.0);
         scene.codes.iter_mut().zip(&wall.codes).for_each(|(a, b)| *a = *a + *b - 2048);
-        let (_, profile) = finder.moving(&scene).expect("a frame");
-        let echo = finder.standing(&[&profile, &profile], 2.0..3.0).expect("an echo");
-        assert!((echo.range_m - 2.5).abs() < 0.01, "{echo:?}");
-        assert!((echo.cosines[0].expect("a direction") + 0.3).abs() < 0.01, "{echo:?}");
-        assert_eq!(finder.standing(&[&profile], 100.0..200.0), None);
+        let (_, profile) = detector.detect_moving(&scene).expect("a frame");
+        let detection = detector.find_reflector(&[&profile, &profile], 2.0..3.0).expect("an echo");
+        assert!((detection.range_m - 2.5).abs() < 0.01, "{detection:?}");
+        assert!((detection.cosines[0].expect("a direction") + 0.3).abs() < 0.01, "{detection:?}");
+        assert_eq!(detector.find_reflector(&[&profile], 100.0..200.0), None);
     }
 
     mod hard_cases {
@@ -424,16 +438,16 @@ mod tests {
         #[test]
         fn empty_and_foreign_frames() {
             let waveform = waveform();
-            let mut finder = EchoFinder::new(&waveform, &[]);
-            let (echoes, profile) = finder.moving(&Frame::zeroed(waveform.shape())).expect("a frame");
-            assert!(echoes.is_empty());
-            assert!(finder.still(&[&profile; 5]).is_empty() && finder.still(&[]).is_empty());
+            let mut detector = Detector::new(&waveform, &[]);
+            let (detections, profile) = detector.detect_moving(&Frame::zeroed(waveform.shape())).expect("a frame");
+            assert!(detections.is_empty());
+            assert!(detector.detect_still(&[&profile; 5]).is_empty() && detector.detect_still(&[]).is_empty());
             let mut other = waveform.shape();
             other.chirps += 1;
-            assert!(matches!(finder.moving(&Frame::zeroed(other)), Err(MapError::Shape { .. })));
+            assert!(matches!(detector.detect_moving(&Frame::zeroed(other)), Err(MapError::Shape { .. })));
             let mut cut = Frame::zeroed(waveform.shape());
             cut.codes.pop();
-            assert!(matches!(finder.moving(&cut), Err(MapError::Length { .. })));
+            assert!(matches!(detector.detect_moving(&cut), Err(MapError::Length { .. })));
         }
 
         #[test]
@@ -442,14 +456,14 @@ mod tests {
             let mut both = frame(&waveform, 4.0, 1.0, 0.2, 300.0);
             let other = frame(&waveform, 4.05, -0.8, -0.2, 200.0);
             both.codes.iter_mut().zip(&other.codes).for_each(|(a, b)| *a = *a + *b - 2048);
-            let mut finder = EchoFinder::new(&waveform, &[BASELINE]);
-            let (echoes, _) = finder.moving(&both).expect("a frame");
+            let mut detector = Detector::new(&waveform, &[BASELINE]);
+            let (detections, _) = detector.detect_moving(&both).expect("a frame");
             let near = |v: f64, sine: f64| {
-                echoes.iter().any(|e| {
+                detections.iter().any(|e| {
                     (e.velocity_m_per_s - v).abs() < 0.02 && e.cosines[0].is_some_and(|c| (c - sine).abs() < 0.02)
                 })
             };
-            assert!(near(1.0, 0.2) && near(-0.8, -0.2), "{echoes:?}");
+            assert!(near(1.0, 0.2) && near(-0.8, -0.2), "{detections:?}");
         }
     }
 }

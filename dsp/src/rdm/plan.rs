@@ -1,22 +1,25 @@
-//! What both chains need to know of a spec and a waveform, worked out once.
+//! Plan of a map: sizes, windows and switches that follow from a spec and a waveform.
 
-use super::{AmplitudeScale, Channels, RdmShape, RdmSpec, SlowTime, SpecError, StaticRemoval};
+use super::error::SpecError;
+use super::map::RdmShape;
+use super::spec::{AmplitudeScale, Channels, RdmSpec, SlowTime, StaticRemoval};
 use crate::{FrameShape, Waveform};
 
-/// Sizes, weights and switches of a chain from samples to power.
-pub(super) struct ChainPlan {
+/// Sizes, weights and switches of the computation from samples to power.
+pub(super) struct MapPlan {
     pub frame_shape: FrameShape,
     pub shape: RdmShape,
     /// Samples of slow time in a map.
     pub slow_length: usize,
     pub range_fft_length: usize,
-    /// Channels of the frame that are used.
+    /// Indices of the channels of the frame that are used.
     pub channels: std::ops::Range<usize>,
     /// `(factor, offset)` from code to sample.
     pub scale: (f64, f64),
-    /// Normalised so that power comes out in the spec's amplitude scale, shared among channels if they are summed. As long as what is
-    /// transformed of a chirp and of slow time.
+    /// Window over the transformed samples. With `doppler_window` it is normalised so that power comes out in the spec's amplitude
+    /// scale, as a share of the mean if channels are summed.
     pub range_window: Vec<f64>,
+    /// Window over the transformed samples of slow time.
     pub doppler_window: Vec<f64>,
     /// Factor on range bin 0: a one-sided amplitude counts DC once, not twice.
     pub dc_amplitude: f64,
@@ -26,7 +29,7 @@ pub(super) struct ChainPlan {
     pub removes_slow_time_mean: bool,
 }
 
-impl ChainPlan {
+impl MapPlan {
     pub(super) fn new(spec: &RdmSpec, waveform: &Waveform) -> Result<Self, SpecError> {
         let shape = spec.shape(waveform)?;
         let frame_shape = waveform.shape();
@@ -36,7 +39,7 @@ impl ChainPlan {
             Channels::All | Channels::IncoherentSum => 0..frame_shape.rx,
         };
         let is_sum = spec.channels == Channels::IncoherentSum;
-        // On physical axes a part of the frame may do.
+        // On physical axes, only a part of the frame may be used.
         let coverage = spec.physical_axes.map(|axes| axes.coverage(waveform));
         let (samples, slow) =
             coverage.map_or((frame_shape.samples, slow_length), |c| (c.samples.len(), c.chirps.len()));
@@ -50,7 +53,7 @@ impl ChainPlan {
             AmplitudeScale::Vendor => (2.0 / samples as f64, 1.0 / slow as f64),
         };
         let share = if is_sum { (1.0 / channels.len() as f64).sqrt() } else { 1.0 };
-        Ok(ChainPlan {
+        Ok(MapPlan {
             frame_shape,
             shape,
             slow_length,
@@ -67,24 +70,24 @@ impl ChainPlan {
         })
     }
 
-    /// Samples of a channel.
+    /// Number of samples of a channel.
     pub(super) fn channel_length(&self) -> usize {
         self.frame_shape.chirps * self.frame_shape.samples
     }
 
-    /// Samples of the channels in use.
+    /// Range of the samples of the channels in use, within a frame.
     pub(super) fn used(&self) -> std::ops::Range<usize> {
         self.channels.start * self.channel_length()..self.channels.end * self.channel_length()
     }
 
-    /// Cells of the map that the channel with this index among those used writes or adds to.
+    /// Range of the map's cells for the used channel with this index.
     pub(super) fn cells(&self, index: usize) -> std::ops::Range<usize> {
         let cells = self.shape.doppler * self.shape.range;
         let first = if self.is_sum { 0 } else { index * cells };
         first..first + cells
     }
 
-    /// Whether the channel with this index adds to what those before it left.
+    /// Returns whether the used channel with this index adds to the cells of those before it.
     pub(super) fn adds(&self, index: usize) -> bool {
         self.is_sum && index > 0
     }

@@ -1,88 +1,103 @@
-//! Seconds of slow time: the range profile of each frame's mean chirp, what of it stands still and what changes.
+//! Statistics of slow time over seconds, from the range profile of each frame's mean chirp.
 //!
-//! Frames are taken in windows of some seconds. What a window's profiles have in common stands still; the power of what is left
-//! is what moves. Who breathes shows as a line there: a range bin with more of it than those around.
-
-use std::sync::Arc;
+//! Frames are divided into windows of some seconds. The mean profile of a window is static; the power of the remainder is motion.
+//! A person who breathes shows as a line: a range bin with more motion than the bins around it.
 
 use num_complex::Complex64;
-use realfft::{RealFftPlanner, RealToComplex};
 
+use crate::detect::LEAKAGE_BINS;
+use crate::spectrum::{RangeFft, peak_offset};
 use crate::{Frame, Waveform, Window};
 
-/// A line stands at least so far above the median bin, as power.
+/// Least ratio of the power of a line to the power of the median bin.
 const LINE_OVER_MEDIAN: f64 = 10.0;
-/// Breathing is looked for between these rates, Hz, in steps of this.
+/// Lowest and highest rate of breathing, Hz.
 const BREATH_HZ: (f64, f64) = (0.1, 0.7);
+/// Step of the rates of breathing that are tried, Hz.
 const BREATH_STEP_HZ: f64 = 0.005;
 
-/// Takes frames in, says what stands still and what moves.
-pub struct SlowTime {
+/// Static power, moving power and breathing by receiver and range bin, over all windows.
+///
+/// ```
+/// use radome_dsp::statistics::SlowTimeStatistics;
+/// use radome_dsp::{Frame, Waveform, WaveformRequest};
+///
+/// let waveform = Waveform::realise(WaveformRequest::paper()).expect("the chip can produce it");
+/// let mut statistics = SlowTimeStatistics::new(&waveform, 1.0);
+/// let mut frame = Frame::zeroed(waveform.shape());
+/// for sequence in 0..10 {
+///     frame.sequence = sequence;
+///     statistics.push(&frame);
+/// }
+/// assert_eq!(statistics.moving(0, 20), Some(0.0));
+/// ```
+pub struct SlowTimeStatistics {
     waveform: Waveform,
-    /// Frames of a window.
+    /// Number of frames of a window.
     window: usize,
     taper: Vec<f64>,
-    fft: Arc<dyn RealToComplex<f64>>,
-    /// `[frame][rx][bin]` of the window under way.
+    fft: RangeFft,
+    /// Profiles `[frame][rx][bin]` of the current window.
     profiles: Vec<Vec<Complex64>>,
     last_sequence: u64,
     windows: usize,
-    /// Sums over windows, `[rx][bin]`: power of what stands still, and of what moves.
+    /// Sum of the static power over windows, `[rx][bin]`.
     still: Vec<f64>,
+    /// Sum of the moving power over windows, `[rx][bin]`.
     moving: Vec<f64>,
-    /// And how what stands still changes.
-    changes: Vec<Changes>,
+    /// Sum of the changes of the static echo over windows, `[rx][bin]`.
+    changes: Vec<StaticChanges>,
     breath_hz: Vec<f64>,
 }
 
-/// How an echo that stands still changes all the same, noise contained: mean squares.
+/// Mean squares of the changes of a static echo, noise included.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Changes {
-    /// Half of the square of its phase's step from frame to frame, rad^2.
+pub struct StaticChanges {
+    /// Half of the mean square step of its phase from frame to frame, rad^2.
     pub phase_rad2: f64,
-    /// The same of its amplitude, relative.
+    /// Half of the mean square step of its amplitude from frame to frame, relative to the amplitude.
     pub amplitude: f64,
-    /// Square of its phase's change over ten seconds, rad^2, taking it for a random walk.
+    /// Mean square change of its phase over ten seconds, as of a random walk, rad^2.
     pub drift_rad2_per_10s: f64,
 }
 
-/// Who moves, by their line.
+/// Line of a person in the moving power.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Line {
-    /// Where, m: between bins by a parabola through the strongest and its neighbours.
+pub struct MotionLine {
+    /// Range, m, interpolated between bins.
     pub range_m: f64,
-    /// Power of what moves in the strongest bin, mean of windows and receivers, dBFS: 0 dB is a full-scale sine's.
+    /// Moving power in the strongest bin, mean of windows and receivers, dBFS: 0 dB is the power of a full-scale sine.
     pub level_dbfs: f64,
-    /// Rate of the phase's strongest swing, median of the windows, Hz; `None` where windows are too short for one.
+    /// Rate of the strongest oscillation of the phase, median of the windows, Hz; `None` if windows are too short for one.
     pub breath_hz: Option<f64>,
-    /// Its range bin.
+    /// Range bin.
     pub bin: usize,
-    /// Windows that it was found in.
+    /// Number of windows.
     pub windows: usize,
 }
 
-impl SlowTime {
-    /// Nothing yet, for frames of a waveform in windows of so many seconds.
+impl SlowTimeStatistics {
+    /// Creates empty statistics for frames of a waveform in windows of `window_s` seconds.
     pub fn new(waveform: &Waveform, window_s: f64) -> Self {
         let shape = waveform.shape();
         let window = (window_s / waveform.frame_interval_s()).round().clamp(4.0, 1e6) as usize;
         let cells = shape.rx * (shape.samples / 2);
-        SlowTime {
+        SlowTimeStatistics {
             waveform: waveform.clone(),
             window,
             taper: Window::Hann.weights(shape.samples),
-            fft: RealFftPlanner::new().plan_fft_forward(shape.samples),
+            fft: RangeFft::new(shape.samples, shape.samples),
             profiles: Vec::new(),
             last_sequence: 0,
             windows: 0,
             still: vec![0.0; cells],
             moving: vec![0.0; cells],
-            changes: vec![Changes::default(); cells],
+            changes: vec![StaticChanges::default(); cells],
             breath_hz: Vec::new(),
         }
     }
 
-    /// Takes in a frame; one of another shape is passed over. A window ends where frames are missing.
+    /// Adds a frame. A frame of another shape is ignored. A window ends where frames are missing.
     pub fn push(&mut self, frame: &Frame) {
         let shape = self.waveform.shape();
         if frame.shape != shape || frame.codes.len() != shape.codes() {
@@ -94,7 +109,7 @@ impl SlowTime {
         self.last_sequence = frame.sequence;
         // Amplitude of a sine over full scale.
         let scale = 2.0 / (self.taper.iter().sum::<f64>() * 2048.0);
-        let (mut chirp, mut spectrum) = (vec![0.0; shape.samples], self.fft.make_output_vec());
+        let (mut chirp, mut spectrum) = (vec![0.0; shape.samples], vec![Complex64::default(); self.fft.bins()]);
         let mut profile = Vec::with_capacity(self.still.len());
         for codes in frame.codes.chunks(shape.chirps * shape.samples) {
             chirp.fill(0.0);
@@ -102,12 +117,9 @@ impl SlowTime {
                 chirp.iter_mut().zip(one).for_each(|(sum, &code)| *sum += f64::from(code));
             }
             let mean = chirp.iter().sum::<f64>() / shape.samples as f64;
-            for (x, w) in chirp.iter_mut().zip(&self.taper) {
-                *x = (*x - mean) * w * scale / shape.chirps as f64;
-            }
-            if self.fft.process(&mut chirp, &mut spectrum).is_ok() {
-                profile.extend(spectrum.iter().take(shape.samples / 2));
-            }
+            let windowed = chirp.iter().zip(&self.taper).map(|(x, w)| (x - mean) * w * scale / shape.chirps as f64);
+            self.fft.transform(windowed, &mut spectrum);
+            profile.extend(spectrum.iter().take(shape.samples / 2));
         }
         self.profiles.push(profile);
         if self.profiles.len() == self.window {
@@ -115,7 +127,7 @@ impl SlowTime {
         }
     }
 
-    /// Ends the window under way: it counts if it is at least half full.
+    /// Ends the current window. It counts if it is at least half full.
     pub fn end(&mut self) {
         let profiles = std::mem::take(&mut self.profiles);
         if 2 * profiles.len() < self.window {
@@ -142,6 +154,7 @@ impl SlowTime {
         }
     }
 
+    /// Adds the changes of one cell over a window.
     fn add_changes(&mut self, profiles: &[Vec<Complex64>], cell: usize, level: f64) {
         let interval_s = self.waveform.frame_interval_s();
         let second = ((1.0 / interval_s).round() as usize).clamp(1, profiles.len() / 2);
@@ -151,7 +164,7 @@ impl SlowTime {
             phase += (b * a.conj()).arg().powi(2);
             amplitude += ((b.norm() - a.norm()) / level).powi(2);
         }
-        // Seconds, so that jitter is no drift.
+        // Means over a second, so that jitter does not count as drift.
         let sum = |part: &[Vec<Complex64>]| part.iter().map(|p| p[cell]).sum::<Complex64>();
         let (first, last) = (sum(&profiles[..second]), sum(&profiles[profiles.len() - second..]));
         let apart_s = (profiles.len() - second) as f64 * interval_s;
@@ -162,31 +175,34 @@ impl SlowTime {
         changes.drift_rad2_per_10s += (last * first.conj()).arg().powi(2) * 10.0 / apart_s;
     }
 
-    /// Range bins of a profile.
+    /// Number of range bins of a profile.
     pub fn bins(&self) -> usize {
         (self.waveform.request.samples_per_chirp / 2).max(1)
     }
 
-    /// Leakage lies below this bin.
+    /// First bin beyond leakage.
     fn first_bin(&self) -> usize {
-        3.min(self.bins())
+        LEAKAGE_BINS.min(self.bins())
     }
 
-    /// Mean power of what stands still in a window, over full scale; `None` before the first window's end.
+    /// Mean static power of a range bin over windows, relative to a full-scale sine; `None` before the end of the first window, and
+    /// if there is no such bin.
     pub fn still(&self, rx: usize, bin: usize) -> Option<f64> {
         self.cell(&self.still, rx, bin)
     }
 
-    /// Mean power of what moves.
+    /// Mean moving power of a range bin over windows, relative to a full-scale sine; `None` before the end of the first window, and
+    /// if there is no such bin.
     pub fn moving(&self, rx: usize, bin: usize) -> Option<f64> {
         self.cell(&self.moving, rx, bin)
     }
 
-    /// Changes of what stands still, mean of the windows.
-    pub fn changes(&self, rx: usize, bin: usize) -> Option<Changes> {
+    /// Changes of the static echo of a range bin, mean of the windows; `None` before the end of the first window, and if there is no
+    /// such bin.
+    pub fn changes(&self, rx: usize, bin: usize) -> Option<StaticChanges> {
         let sums = self.changes.get(rx * self.bins() + bin).filter(|_| bin < self.bins() && self.windows > 0)?;
         let windows = self.windows as f64;
-        Some(Changes {
+        Some(StaticChanges {
             phase_rad2: sums.phase_rad2 / windows,
             amplitude: sums.amplitude / windows,
             drift_rad2_per_10s: sums.drift_rad2_per_10s / windows,
@@ -198,8 +214,8 @@ impl SlowTime {
         Some(value / self.windows as f64)
     }
 
-    /// The strongest line; `None` where nothing stands out.
-    pub fn line(&self) -> Option<Line> {
+    /// Strongest line; `None` if no bin exceeds the median by enough.
+    pub fn line(&self) -> Option<MotionLine> {
         let receivers = self.waveform.shape().rx.max(1);
         let power = |bin: usize| {
             (0..receivers).filter_map(|rx| self.moving(rx, bin)).sum::<f64>().max(1e-30) / receivers as f64
@@ -211,17 +227,15 @@ impl SlowTime {
         if self.windows == 0 || power(bin) < LINE_OVER_MEDIAN * sorted.get(sorted.len() / 2)? {
             return None;
         }
-        let beside = if bin > first && bin + 1 < self.bins() {
-            let [a, b, c] = [bin - 1, bin, bin + 1].map(|bin| power(bin).ln());
-            let bend = a - 2.0 * b + c;
-            if bend < 0.0 { (0.5 * (a - c) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+        let offset = if bin > first && bin + 1 < self.bins() {
+            peak_offset(power(bin - 1), power(bin), power(bin + 1))
         } else {
             0.0
         };
         let mut rates = self.breath_hz.clone();
         rates.sort_unstable_by(f64::total_cmp);
-        Some(Line {
-            range_m: (bin as f64 + beside) * self.waveform.range_step_m(self.waveform.request.samples_per_chirp),
+        Some(MotionLine {
+            range_m: (bin as f64 + offset) * self.waveform.range_step_m(self.waveform.request.samples_per_chirp),
             level_dbfs: 10.0 * power(bin).log10(),
             breath_hz: rates.get(rates.len() / 2).map(|upper| 0.5 * (upper + rates[(rates.len() - 1) / 2])),
             bin,
@@ -230,8 +244,8 @@ impl SlowTime {
     }
 }
 
-/// Rate of the strongest swing of a phase about the centre of the circle that it follows, Hz. `None` where there are less than
-/// two of the slowest.
+/// Rate of the strongest oscillation of a phase about the centre of the circle that a series follows, Hz. `None` if the series is
+/// too short, or lies on a line.
 fn swing_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
     let span_s = series.len() as f64 * interval_s;
     let (least, most) = (BREATH_HZ.0.max(1.5 / span_s), BREATH_HZ.1.min(0.4 / interval_s));
@@ -248,7 +262,7 @@ fn swing_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
         last = angle;
         phase.push(turned);
     }
-    // Without its straight line, under a window.
+    // The phase less its linear trend, windowed.
     let n = phase.len() as f64;
     let mean = phase.iter().sum::<f64>() / n;
     let middle = 0.5 * (n - 1.0);
@@ -272,7 +286,8 @@ fn swing_hz(series: &[Complex64], interval_s: f64) -> Option<f64> {
     rates.map(|hz| (hz, power(hz))).max_by(|a, b| a.1.total_cmp(&b.1)).map(|(hz, _)| hz)
 }
 
-/// The centre of the circle through points, by least squares (Kasa); `None` where they lie on a line.
+/// Centre of the circle through points, by least squares (Kasa, "A circle fitting procedure and its error analysis", 1976); `None`
+/// if they lie on a line.
 fn circle_centre(points: &[Complex64]) -> Option<Complex64> {
     let n = points.len() as f64;
     let mean = points.iter().sum::<Complex64>() / n;
@@ -320,7 +335,7 @@ mod tests {
                 let t = (i % shape.samples) as f64 / w.sample_rate_hz;
                 let cycles = delay_s * (w.sampled_start_frequency_hz + w.slope_hz_per_s * t);
                 let still = 150.0 * (0.9 + 6e9 * w.slope_hz_per_s / 1e15 * 1e-3 * t * 1e3).cos();
-                // Rounding would add up over chirps that are alike.
+                // Dither: rounding errors of identical chirps would add up.
                 let mixed = (i as u64 + 1_000_003 * sequence).wrapping_mul(0x9e37_79b9_7f4a_7c15);
                 let mixed = (mixed ^ (mixed >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
                 let dither = (mixed >> 40) as f64 / (1u64 << 24) as f64 - 0.5;
@@ -332,8 +347,8 @@ mod tests {
         (0..count).map(frame).collect()
     }
 
-    fn seen(frames: &[Frame]) -> SlowTime {
-        let mut slow_time = SlowTime::new(&waveform(), 10.0);
+    fn seen(frames: &[Frame]) -> SlowTimeStatistics {
+        let mut slow_time = SlowTimeStatistics::new(&waveform(), 10.0);
         frames.iter().for_each(|frame| slow_time.push(frame));
         slow_time.end();
         slow_time
@@ -348,7 +363,7 @@ mod tests {
             assert_eq!(line.windows, 2);
             assert!((line.range_m - 0.5).abs() < 0.01, "{line:?}");
             assert!(line.breath_hz.is_some_and(|found| (found - hz).abs() < 0.02), "{line:?}");
-            // All of it moves where the phase goes round; of a small swing what its sidebands hold.
+            // All power is moving if the phase turns fully; for a small oscillation only the sidebands are.
             let m = 4.0 * std::f64::consts::PI * swing_m / waveform().wavelength_m();
             let still: f64 =
                 (0..4000).map(|i| (m * (std::f64::consts::TAU * f64::from(i) / 4000.0).sin()).cos()).sum::<f64>() / 4e3;
@@ -400,7 +415,7 @@ mod tests {
             let seen = seen(&all);
             // 57 to 60 frames, 100, and 40, which is less than half a window.
             assert_eq!(seen.windows, 2);
-            assert!(SlowTime::new(&waveform(), 10.0).line().is_none());
+            assert!(SlowTimeStatistics::new(&waveform(), 10.0).line().is_none());
             assert!(seen.moving(0, 1000).is_none() && seen.moving(9, 0).is_none());
         }
     }
