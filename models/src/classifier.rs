@@ -95,6 +95,10 @@ pub enum ClassifyError {
 
 impl Classifier {
     /// Loads a model file: safetensors, or ONNX if it is called so (`.onnx`), which onnxruntime is then needed for.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if onnxruntime
+    /// is missing or refuses an ONNX file.
     pub fn load(path: &Path) -> Result<Self, ModelError> {
         if !is_onnx(path) {
             return Ok(Self::new(Model::load(path)?));
@@ -156,6 +160,10 @@ impl Classifier {
     }
 
     /// Probabilities of empty, one, two; they sum to one.
+    ///
+    /// # Errors
+    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails or
+    /// puts out a number that is not finite.
     pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
@@ -164,6 +172,9 @@ impl Classifier {
 
     /// The numbers that the HQNN reduces the map to before the circuit, before their standardisation; none for other networks and
     /// for ONNX files.
+    ///
+    /// # Errors
+    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails.
     pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(&map.db, map.shape, map.sequence)?;
@@ -177,6 +188,9 @@ impl Classifier {
     }
 
     /// [`Classifier::classify`] for bare cells `[rx][doppler][range]` dB.
+    ///
+    /// # Errors
+    /// Those of [`Classifier::classify`].
     pub fn classify_cells(&mut self, db: &[f32], shape: RdmShape) -> Result<[f32; 3], ClassifyError> {
         self.check_unlabelled()?;
         self.check_sequence(db, shape, 0)?;
@@ -184,6 +198,9 @@ impl Classifier {
     }
 
     /// The same for a map of a dataset, whose row tells scene and label to models that cannot do without.
+    ///
+    /// # Errors
+    /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.
     pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
         self.check_sequence(db, shape, row.frame)?;
         self.run(db, shape, Some((&row.scene, row.label)))

@@ -70,6 +70,9 @@ impl Metrics {
 }
 
 /// Scores of a classifier over the maps `indices` of a dataset.
+///
+/// # Errors
+/// [`ClassifyError`] for the first map that cannot be read or classified.
 pub fn evaluate(classifier: &mut Classifier, dataset: &Dataset, indices: &[usize]) -> Result<Metrics, ClassifyError> {
     let mut pairs = Vec::with_capacity(indices.len());
     for &index in indices {

@@ -11,6 +11,8 @@
 //! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
 //!   the same kernel level ([`layer::KernelLevel`]).
 
+#![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
+
 pub mod ablation;
 pub mod bounded_file;
 pub mod calibration;

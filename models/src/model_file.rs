@@ -200,6 +200,10 @@ pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
 
 impl Model {
     /// Writes the model under a temporary name and renames it, so that a file of this name is whole.
+    ///
+    /// # Errors
+    /// [`ModelError::Card`] if the card cannot be written as JSON, [`ModelError::Network`] if the numbers cannot be read, and
+    /// [`ModelError::Io`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<(), ModelError> {
         let io = |action: &'static str| {
             let path = path.to_owned();
@@ -224,11 +228,18 @@ impl Model {
     }
 
     /// Reads a model and checks that it is whole and makes sense.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`] if the file cannot be read or has more than [`MODEL_LIMIT_BYTES`], and those of [`Model::from_bytes`].
     pub fn load(path: &Path) -> Result<Self, ModelError> {
         Self::from_bytes(path, &read(path)?)
     }
 
     /// Reads a model from the bytes of the file `path` (used in errors only).
+    ///
+    /// # Errors
+    /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers that
+    /// are not finite.
     pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
         let card = ModelCard::of_safetensors(path, data)?;
         let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;
@@ -260,6 +271,10 @@ impl Model {
 
 impl ModelCard {
     /// The card of a model file, safetensors or ONNX, without its numbers.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the file cannot be read, has more than [`MODEL_LIMIT_BYTES`], is damaged, has no card, or the card makes no
+    /// sense.
     pub fn load(path: &Path) -> Result<Self, ModelError> {
         let data = read(path)?;
         if is_onnx(path) { onnx::read_card(path, &data) } else { Self::of_safetensors(path, &data) }

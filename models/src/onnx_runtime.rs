@@ -73,6 +73,10 @@ pub struct OnnxSession {
 
 impl OnnxSession {
     /// Opens the bytes of the file `path` (used in errors only) for maps of `rows` x `columns`.
+    ///
+    /// # Errors
+    /// [`OnnxError::NoLibrary`] or [`OnnxError::Library`] if onnxruntime cannot be loaded, [`OnnxError::Refused`] if it refuses the
+    /// file, and [`OnnxError::Signature`] if input or output are others than those of a network here.
     pub fn new(path: &Path, data: &[u8], rows: usize, columns: usize) -> Result<Self, OnnxError> {
         let refused = |reason: String| OnnxError::Refused { path: path.to_owned(), reason };
         let threads = rayon::current_num_threads();
@@ -102,6 +106,9 @@ impl OnnxSession {
     }
 
     /// Logits `[batch][3]` of standardised maps `[batch][row][column]`.
+    ///
+    /// # Errors
+    /// [`OnnxError::Run`] if the number of cells is not that of whole maps, or onnxruntime fails.
     pub fn logits(&mut self, maps: &[f32]) -> Result<Vec<f32>, OnnxError> {
         let failed = |error: ort::Error| OnnxError::Run { reason: error.to_string() };
         let [rows, columns] = self.size;

@@ -119,6 +119,10 @@ struct MapFeatures {
 }
 
 /// Features of the first channel of the maps with these indices.
+///
+/// # Errors
+/// [`FeatureError::TooSmall`] if the maps have too few bins, [`FeatureError::Dataset`] if a map cannot be read, and
+/// [`FeatureError::Spec`] if the dataset's map spec cannot be applied.
 pub fn features(dataset: &Dataset, indices: &[usize]) -> Result<Features, FeatureError> {
     let header = dataset.header();
     let (range, doppler) = (header.shape.range, header.shape.doppler);

@@ -106,6 +106,10 @@ impl Dataset {
     }
 
     /// A dataset in memory. Hashes of the rows are filled in.
+    ///
+    /// # Errors
+    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for the first map of another shape than the header's or with a cell
+    /// that is not finite.
     pub fn from_maps(header: DatasetHeader, maps: Vec<(Rdm, ManifestRow)>) -> Result<Self, DatasetError> {
         let mut rows = Vec::with_capacity(maps.len());
         let mut cells = Vec::with_capacity(maps.len());
@@ -139,6 +143,10 @@ impl Dataset {
     }
 
     /// Cells of a map, `[rx][doppler][range]` dB, all finite.
+    ///
+    /// # Errors
+    /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read, and
+    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite.
     pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
         let db = match &self.cells {
@@ -167,6 +175,9 @@ impl Dataset {
     }
 
     /// One channel of a map as a network sees it, `[range][doppler]` dB.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::map`], and [`DatasetError::Inconsistent`] if the maps have no channel `rx`.
     pub fn input(&self, index: usize, rx: usize) -> Result<Vec<f32>, DatasetError> {
         let shape = self.header.shape;
         network_input(&self.map(index)?, shape, rx).ok_or_else(|| DatasetError::Inconsistent {
@@ -177,6 +188,9 @@ impl Dataset {
     }
 
     /// The split of each map ([`SplitSpec::assign`]).
+    ///
+    /// # Errors
+    /// Those of [`SplitSpec::assign`].
     pub fn splits(&self, spec: &SplitSpec) -> Result<Vec<Split>, DatasetError> {
         spec.assign(&self.rows)
     }
@@ -193,11 +207,17 @@ impl Dataset {
     }
 
     /// Reads every map and compares it with its hash; the first that differs is an error.
+    ///
+    /// # Errors
+    /// The first error of [`Dataset::verified_map`].
     pub fn verify(&self) -> Result<(), DatasetError> {
         (0..self.len()).try_for_each(|index| self.verified_map(index).map(|_| ()))
     }
 
     /// Cells of a map, compared with its hash.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::map`], and [`DatasetError::Hash`] if the cells are not those that were hashed.
     pub fn verified_map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let map = self.map(index)?;
         let found = map_hash(&map);

@@ -101,6 +101,10 @@ impl SplitSpec {
     /// classes that they show, ordered within a stratum by a seeded hash of their name, and dealt out: test first, then
     /// validation, each rounded to the nearest whole group, and at least one for training. So neither thread, order of
     /// rows nor machine matters, and every split sees every class where there are enough groups.
+    ///
+    /// # Errors
+    /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no sequence
+    /// to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what must stay whole.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         let fraction = |f: f64| (0.0..1.0).contains(&f);
         if !fraction(self.validation) || !fraction(self.test) || self.validation + self.test >= 1.0 {

@@ -70,6 +70,9 @@ pub struct CellStatistics {
 }
 
 /// The table over the maps with these indices, by domain, scene and class.
+///
+/// # Errors
+/// Those of [`Dataset::map`].
 pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatistics>, DatasetError> {
     let mut cells: BTreeMap<(Domain, &str, Occupancy), (usize, Moments)> = BTreeMap::new();
     for &index in indices {

@@ -53,6 +53,10 @@ pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: 
 
 impl DatasetWriter {
     /// Starts a dataset that will be at `dir`, which must not exist.
+    ///
+    /// # Errors
+    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, and [`DatasetError::Io`] if its
+    /// files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
         if dir.exists() {
             return Err(DatasetError::Exists { path: dir.to_owned() });
@@ -83,6 +87,10 @@ impl DatasetWriter {
     }
 
     /// Appends a map; its hash is filled in here. A map with NaN, infinity or another shape is refused.
+    ///
+    /// # Errors
+    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for a map that is refused, [`DatasetError::Io`] or
+    /// [`DatasetError::Json`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
         self.push_checked(&map.db, row)
@@ -107,6 +115,9 @@ impl DatasetWriter {
     }
 
     /// Puts a file of another kind beside the maps: it appears when they do.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] if the file cannot be written.
     pub fn add_file(&mut self, name: &str, content: &[u8]) -> Result<(), DatasetError> {
         let path = self.temporary.join(name);
         let write = || File::create(&path).and_then(|mut f| f.write_all(content).and(f.sync_all()));
@@ -142,6 +153,9 @@ impl DatasetWriter {
     }
 
     /// Writes what is left and gives the folder its name.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] or [`DatasetError::Json`] if a file cannot be written or the folder cannot be renamed.
     pub fn finish(mut self) -> Result<(), DatasetError> {
         self.write_shard()?;
         let path = self.temporary.join("manifest.jsonl");

@@ -159,6 +159,9 @@ dispatch! {
 }
 
 /// The activation of every value of a tensor of any shape.
+///
+/// # Errors
+/// The tensor is not f32 on the CPU.
 pub fn activation(input: &Tensor, activation: Activation, level: KernelLevel) -> Result<Tensor> {
     apply(&[input], Activate { activation, level: level.available() })
 }
@@ -203,6 +206,9 @@ fn sum_relu_generic<const FUSED: bool>(a: &[f32], b: &[f32], output: &mut [f32])
 dispatch! { fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) = sum_relu_generic }
 
 /// `max(a + b, 0)`: the end of a residual block.
+///
+/// # Errors
+/// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add_relu(a: &Tensor, b: &Tensor, level: KernelLevel) -> Result<Tensor> {
     apply(&[a, b], AddRelu { level: level.available() })
 }

@@ -16,6 +16,9 @@ const NAME: &str = "adaptive_average_pool";
 /// PyTorch's `AdaptiveAvgPool2d` and `Flatten` would, so that weights are interchangeable.
 ///
 /// Bin `i` of `n` over a length `l` runs from `floor(i l / n)` to `ceil((i + 1) l / n)`.
+///
+/// # Errors
+/// An axis or a number of bins is 0, the input has another number of axes, or it is not f32 on the CPU.
 pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Result<Tensor> {
     apply(&[input], AveragePool { rows, columns })
 }
@@ -104,6 +107,9 @@ fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: u
 
 impl Feature {
     /// [`adaptive_average_pool`] without a graph of gradients: `[batch][1][1][channel * rows * columns]`.
+    ///
+    /// # Errors
+    /// An axis or a number of bins is 0.
     pub fn adaptive_average_pool(&self, rows: usize, columns: usize, output: &mut Feature) -> Result<()> {
         let pool = AveragePool { rows, columns };
         let sizes @ [batch, _, _, channels] = pool.sizes(&self.dims())?;

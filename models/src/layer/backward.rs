@@ -16,6 +16,9 @@ use super::with_values;
 /// candle's own pass fills an array with zeros for each gradient, adds to it and copies the sum; here gradients are handed
 /// from layer to layer. Where it meets an operation that is not one of this crate's layers, candle does that operation and
 /// everything before it: right, but no faster than before. Gradients of tensors that are not variables are not kept.
+///
+/// # Errors
+/// A layer of the graph has no gradient by an input that asks for one, or a tensor operation fails.
 pub fn backward(loss: &Tensor) -> Result<GradStore> {
     let order = loss.sorted_nodes();
     let tracked: HashSet<TensorId> = order.iter().map(|t| t.id()).collect();

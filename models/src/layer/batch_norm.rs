@@ -86,6 +86,9 @@ impl RunningStatistics {
     }
 
     /// Sets both, as from a file. Both need a value for each channel.
+    ///
+    /// # Errors
+    /// The number of means or of variances is not the number of channels.
     pub fn set(&self, mean: Vec<f32>, variance: Vec<f32>) -> Result<()> {
         if mean.len() != self.channels || variance.len() != self.channels {
             candle_core::bail!(
@@ -115,6 +118,9 @@ impl RunningStatistics {
 ///
 /// `input` is `[batch][..][channel]`, `weight` and `bias` `[channel]`. A batch with a single value for each channel has no
 /// variance: an error in training.
+///
+/// # Errors
+/// Shapes differ from those above, a training batch has one value for each channel, or a tensor is not f32 on the CPU.
 pub fn batch_norm(
     input: &Tensor,
     weight: &Tensor,

@@ -15,6 +15,9 @@ const ROWS: usize = 1024;
 
 /// `[<ZI>, <IZ>]` of [`crate::quantum::circuit`] for each row of `input` `[batch][2]` (radians) at `theta` `[4]`
 /// (radians).
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn circuit(input: &Tensor, theta: &Tensor) -> Result<Tensor> {
     circuit_of(input, theta, &Circuit::new(&CircuitSpec::default()).map_err(failed)?)
 }
@@ -23,11 +26,17 @@ pub fn circuit(input: &Tensor, theta: &Tensor) -> Result<Tensor> {
 /// in the order of [`CircuitSpec::observables`].
 ///
 /// With shots, outcomes are a function of the seed, of how many calls the circuit has had, and of the row.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn circuit_of(input: &Tensor, theta: &Tensor, circuit: &Circuit) -> Result<Tensor> {
     circuit_of_call(input, theta, circuit, circuit.next_call())
 }
 
 /// [`circuit_of`] with a call's number of the caller's choice: the same number, the same shots.
+///
+/// # Errors
+/// Those of [`circuit_of`].
 pub fn circuit_of_call(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
     apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }

@@ -45,6 +45,10 @@ impl ConvGeometry {
 ///
 /// `input` is `[batch][row][column][i]`, `weight` `[o][i / groups][kernel row][kernel column]`, `bias` `[o]`; the result
 /// is `[batch][row][column][o]`.
+///
+/// # Errors
+/// Shapes differ from those above, an axis or the stride is 0, the groups are neither 1 nor the number of channels, the kernel
+/// does not fit into the padded input, or a tensor is not f32 on the CPU.
 pub fn conv2d(
     input: &Tensor,
     weight: &Tensor,
@@ -81,6 +85,9 @@ pub(super) struct ConvSizes {
 
 impl ConvSizes {
     /// Sizes of a convolution, or an error that names `layer`.
+    ///
+    /// # Errors
+    /// The sizes contradict each other, one of them is 0, or the kernel does not fit into the padded input.
     pub fn new(
         layer: &str,
         input: &[usize],

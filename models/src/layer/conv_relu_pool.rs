@@ -28,6 +28,9 @@ pub enum InputGradient {
 ///
 /// `input` is `[batch][row][column][input channel]`, `weight` `[output][input][3][3]`, `bias` `[output]`; the result is
 /// `[batch][row / 2][column / 2][output]`. An odd last row or column feeds the convolution but is not pooled.
+///
+/// # Errors
+/// Shapes differ from those above, the input has fewer than two rows or columns, or a tensor is not f32 on the CPU.
 pub fn conv_relu_pool(
     input: &Tensor,
     weight: &Tensor,

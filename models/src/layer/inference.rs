@@ -23,6 +23,9 @@ pub struct Feature {
 
 impl Feature {
     /// Maps of these values.
+    ///
+    /// # Errors
+    /// The number of values is not the product of `dims`.
     pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
         if dims.iter().product::<usize>() != values.len() {
             return Err(Error::Msg(format!(
@@ -86,6 +89,10 @@ pub struct Affine<'a> {
 impl PreparedConv {
     /// Prepares `activation((conv(x, weight) + bias) * scale + shift)`, `weight` `[o][i / groups][kernel row][kernel
     /// column]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `weight_dims` asks for, there are no weights, the stride is 0, or the groups are neither
+    /// 1 nor the number of outputs.
     pub fn new(
         weight: &[f32],
         weight_dims: [usize; 4],
@@ -134,6 +141,9 @@ impl PreparedConv {
     }
 
     /// `output = activation(conv(input) + residual)`. `output` takes the shape it needs and keeps its memory.
+    ///
+    /// # Errors
+    /// The input has another number of channels or is smaller than the kernel, or the residual has another shape than the output.
     pub fn run(&self, input: &Feature, residual: Option<&Feature>, output: &mut Feature) -> Result<()> {
         let sizes = ConvSizes::new("prepared convolution", &input.dims, &self.weight_dims, None, self.geometry)?;
         if let Some(residual) = residual

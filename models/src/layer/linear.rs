@@ -12,6 +12,9 @@ use super::weight_gradient::{column_sums, weight_gradient};
 const NAME: &str = "linear";
 
 /// `input weight^T + bias`: `input` `[batch][i]`, `weight` `[o][i]`, `bias` `[o]`, result `[batch][o]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, level: KernelLevel) -> Result<Tensor> {
     apply(&[input, weight, bias], Linear { tiles: Tiles::new(level) })
 }

@@ -14,6 +14,10 @@ const NAME: &str = "max_pool2d";
 
 /// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window; padding never wins, a NaN always does,
 /// and of equals the first in row-major order.
+///
+/// # Errors
+/// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is
+/// smaller than the kernel or has an empty axis, or it is not f32 on the CPU.
 pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize, level: KernelLevel) -> Result<Tensor> {
     apply(&[input], MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() })
 }
@@ -89,6 +93,9 @@ impl MaxPool {
 
 impl Feature {
     /// [`max_pool2d`] without a graph of gradients.
+    ///
+    /// # Errors
+    /// Those of [`max_pool2d`].
     pub fn max_pool2d(
         &self,
         kernel: usize,

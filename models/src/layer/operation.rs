@@ -99,6 +99,9 @@ impl Drop for Node {
 
 impl Node {
     /// Gradients of the inputs from the gradient of the output.
+    ///
+    /// # Errors
+    /// A tensor is not f32 on the CPU, or the layer has no such gradient.
     pub fn backward(&self, output: &Tensor, gradient: Vec<f32>) -> Result<Gradients> {
         let name = self.operation.name();
         let contiguous = self.inputs.iter().map(|t| t.contiguous()).collect::<Result<Vec<_>>>()?;

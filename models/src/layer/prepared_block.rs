@@ -36,6 +36,9 @@ thread_local! {
 
 impl PreparedBlock {
     /// Prepares weights `[o][i][3][3]`, `shape` `[o, i]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `shape` asks for, or there are no weights.
     pub fn new(
         weight: &[f32],
         shape: [usize; 2],
@@ -68,6 +71,9 @@ impl PreparedBlock {
     }
 
     /// `input` `[batch][row][column][i]`; `output` becomes `[batch][row / 2][column / 2][o]` and keeps its memory.
+    ///
+    /// # Errors
+    /// The input has another number of channels, or fewer than two rows or columns.
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, inputs] = input.dims();
         if inputs != self.inputs || rows < 2 || columns < 2 {

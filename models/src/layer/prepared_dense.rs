@@ -24,6 +24,9 @@ pub struct PreparedDense {
 
 impl PreparedDense {
     /// Prepares weights `[o][i]`, `shape` `[o, i]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `shape` asks for, or there are no weights.
     pub fn new(
         weight: &[f32],
         shape: [usize; 2],
@@ -53,6 +56,9 @@ impl PreparedDense {
     }
 
     /// `input` `[batch][i]`, however `i` is made up of rows, columns and channels; `output` becomes `[batch][1][1][o]`.
+    ///
+    /// # Errors
+    /// The input has another number of features.
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, channels] = input.dims();
         if rows * columns * channels != self.inputs {

@@ -10,6 +10,9 @@ use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 const NAME: &str = "scale_channels";
 
 /// `input` `[batch][row][column][channel]` times `scale` `[batch][channel]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn scale_channels(input: &Tensor, scale: &Tensor) -> Result<Tensor> {
     apply(&[input, scale], ScaleChannels)
 }
@@ -34,6 +37,9 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
 
 impl Feature {
     /// [`scale_channels`] in place; `scale` is `[batch][1][1][channel]`.
+    ///
+    /// # Errors
+    /// Shapes differ from those above, or an axis is empty.
     pub fn scale_channels(&mut self, scale: &Feature) -> Result<()> {
         let ([batch, rows, columns, channels], [b, 1, 1, c]) = (self.dims(), scale.dims()) else {
             candle_core::bail!("{NAME}: expected a scale [batch, 1, 1, c], got {:?}", scale.dims());

@@ -12,6 +12,9 @@ const NAME: &str = "squash";
 ///
 /// `penalty` times the mean of `u^2` counts as part of the loss: its gradient is added on the way back, which keeps `u` off the
 /// flat ends of the sigmoid. The output does not know of it.
+///
+/// # Errors
+/// The tensor is not f32 on the CPU.
 pub fn squash(input: &Tensor, penalty: f32) -> Result<Tensor> {
     apply(&[input], Squash { penalty })
 }

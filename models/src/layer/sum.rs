@@ -7,6 +7,9 @@ use super::activation::CHUNK;
 use super::operation::{Argument, Gradients, Operation, apply, unwritten};
 
 /// `a + b`, of one shape.
+///
+/// # Errors
+/// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     apply(&[a, b], Add)
 }
@@ -38,6 +41,9 @@ impl Operation for Add {
 }
 
 /// `[batch][a]` and `[batch][b]` to `[batch][a + b]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn concatenate(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     apply(&[a, b], Concatenate)
 }

@@ -210,6 +210,9 @@ impl Sweep {
     ///
     /// Cells of the target that the grid does not reach are left alone. Every cell is summed in the same order whoever
     /// does it.
+    ///
+    /// # Panics
+    /// Lengths of `source`, `target` and `weights` differ from the sizes of the product.
     pub fn run(&self, source: &[f32], weights: &Packed, start: Option<&[f32]>, target: &mut [f32]) {
         let cells = self.cells();
         if cells == 0 {

@@ -79,6 +79,9 @@ impl Winograd {
 
     /// `source` `[batch][row][column][i]` to `target` `[batch][row / 2][column / 2][o]` where it is pooled,
     /// `[batch][row][column][o]` otherwise.
+    ///
+    /// # Panics
+    /// Lengths of `source`, `target` and the residual differ from the shapes above.
     pub fn run(&self, source: &[f32], [batch, rows, columns]: [usize; 3], finish: Finish<'_>, target: &mut [f32]) {
         let (grid, cells) = match finish {
             Finish::Pool => ([rows / 2, columns / 2], rows / 2 * (columns / 2)),

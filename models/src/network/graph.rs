@@ -128,6 +128,9 @@ impl Graph {
     }
 
     /// Sizes of all values for maps of `range x doppler`, or the node that such maps are too small for.
+    ///
+    /// # Errors
+    /// The first node that has nothing left to work on.
     pub fn sizes(&self, range: usize, doppler: usize) -> Result<Vec<Size>, &Node> {
         let mut sizes = vec![Size::Map { rows: range, columns: doppler, channels: 1 }];
         for node in &self.nodes {

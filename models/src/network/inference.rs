@@ -86,6 +86,9 @@ enum Kernel {
 
 impl Inference {
     /// Prepares a network as it is now.
+    ///
+    /// # Errors
+    /// A layer's numbers contradict its sizes, or the circuit is none.
     pub fn new(network: &Network) -> Result<Self> {
         let graph = network.graph();
         let needed = graph.needed(&[graph.output], &[]);
@@ -107,11 +110,17 @@ impl Inference {
     }
 
     /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`.
+    ///
+    /// # Errors
+    /// The number of cells is not that of `shape` or is 0, or a layer cannot read maps of this size.
     pub fn logits(&mut self, maps: &[f32], shape: [usize; 3]) -> Result<&[f32]> {
         self.logits_step_by_step(maps, shape, |_| ())
     }
 
     /// [`Inference::logits`] that calls `after` behind each step, with its name: to see what they take.
+    ///
+    /// # Errors
+    /// Those of [`Inference::logits`].
     pub fn logits_step_by_step(
         &mut self,
         maps: &[f32],

@@ -166,6 +166,9 @@ pub struct Network {
 
 impl Network {
     /// A network with random parameters: functions of seed, name of the array and attempt.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn initialise(spec: &NetworkSpec, seed: u64, attempt: u64, level: KernelLevel) -> Result<Self> {
         let graph = spec.graph();
         let parameters = Parameters::initialise(&graph, seed, attempt)?;
@@ -173,6 +176,9 @@ impl Network {
     }
 
     /// A network with these numbers, named and as long as [`NetworkSpec::layout`] says.
+    ///
+    /// # Errors
+    /// An array is missing or has another length.
     pub fn from_values(spec: &NetworkSpec, values: &BTreeMap<String, Vec<f32>>, level: KernelLevel) -> Result<Self> {
         let graph = spec.graph();
         let parameters = Parameters::from_values(&graph, values)?;
@@ -195,6 +201,9 @@ impl Network {
     }
 
     /// Everything that travels with a model, by name.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn values(&self) -> Result<BTreeMap<String, Vec<f32>>> {
         self.parameters.values(false)
     }
@@ -202,6 +211,9 @@ impl Network {
     /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
     ///
     /// Prepares an [`Inference`] for this one call; whoever calls often prepares one and keeps it.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
     pub fn logits(&self, input: &Tensor) -> Result<Tensor> {
         let (batch, range, doppler) = input.dims3()?;
         let mut inference = Inference::new(self)?;
@@ -212,6 +224,9 @@ impl Network {
     }
 
     /// The latent before its standardisation, `[batch][width]`; nothing for networks without one.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
     pub fn latent(&self, input: &Tensor) -> Result<Option<Tensor>> {
         match self.raw_latent() {
             Some(value) => Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?)),
@@ -251,6 +266,9 @@ impl Network {
     /// Averages of rectified values are all positive, with means far larger than what distinguishes one map from another, and
     /// descriptors are in unlike units: either makes the dense layer behind them badly conditioned. Centring and scaling them is
     /// a change of variables of that layer, so that a network without it is the same network.
+    ///
+    /// # Errors
+    /// No dense layer reads the features, or a tensor operation failed.
     pub fn fold_features(&mut self) -> Result<()> {
         let Some(centring) = self.parameters.centring("features").cloned() else { return Ok(()) };
         let behind = self.graph.value("features").and_then(|value| {

@@ -46,6 +46,9 @@ fn is_transient(name: &str) -> bool {
 
 impl Parameters {
     /// Random parameters, each a function of seed, name and attempt.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn initialise(graph: &Graph, seed: u64, attempt: u64) -> Result<Self> {
         let start = |declaration: &Declaration| {
             let mut rng = stream(seed, &declaration.name, attempt);
@@ -63,6 +66,9 @@ impl Parameters {
     }
 
     /// Parameters by name. What only training needs may be missing; anything else is named in the error.
+    ///
+    /// # Errors
+    /// An array is missing or has another length.
     pub fn from_values(graph: &Graph, values: &BTreeMap<String, Vec<f32>>) -> Result<Self> {
         let start = |declaration: &Declaration| match values.get(&declaration.name) {
             None if is_transient(&declaration.name) => Some(vec![0.0; declaration.shape.iter().product()]),
@@ -100,6 +106,9 @@ impl Parameters {
     }
 
     /// The array of this name.
+    ///
+    /// # Errors
+    /// There is no array of this name.
     pub fn get(&self, name: &str) -> Result<&Tensor> {
         match self.index.get(name).and_then(|&index| self.list.get(index)) {
             Some(parameter) => Ok(parameter.variable.as_tensor()),
@@ -108,6 +117,9 @@ impl Parameters {
     }
 
     /// Running statistics of a batch normalisation.
+    ///
+    /// # Errors
+    /// There is no batch normalisation of this name.
     pub fn statistics(&self, name: &str) -> Result<&RunningStatistics> {
         match self.statistics.get(name) {
             Some(statistics) => Ok(statistics),
@@ -130,11 +142,17 @@ impl Parameters {
     }
 
     /// Copies of an array's numbers.
+    ///
+    /// # Errors
+    /// There is no array of this name.
     pub fn numbers(&self, name: &str) -> Result<Vec<f32>> {
         self.get(name)?.flatten_all()?.to_vec1()
     }
 
     /// Overwrites an array's numbers.
+    ///
+    /// # Errors
+    /// There is no array of this name, or it has another length.
     pub fn set_numbers(&self, name: &str, values: &[f32]) -> Result<()> {
         let Some(parameter) = self.index.get(name).and_then(|&index| self.list.get(index)) else {
             candle_core::bail!("there is no parameter {name}");
@@ -144,6 +162,9 @@ impl Parameters {
     }
 
     /// Copies of everything that travels with a model, by name; of what only training needs too if `all`.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn values(&self, all: bool) -> Result<BTreeMap<String, Vec<f32>>> {
         let mut values = BTreeMap::new();
         for Parameter { name, variable } in &self.list {
@@ -159,6 +180,9 @@ impl Parameters {
     }
 
     /// Overwrites what [`Parameters::values`] gave.
+    ///
+    /// # Errors
+    /// An array is missing or has another length.
     pub fn set_values(&self, values: &BTreeMap<String, Vec<f32>>) -> Result<()> {
         for Parameter { name, variable } in &self.list {
             match values.get(name) {

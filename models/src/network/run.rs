@@ -51,6 +51,9 @@ impl Values<'_> {
     }
 
     /// Name of the first layer whose output holds a NaN or an infinity.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn first_non_finite(&self) -> Result<Option<&str>> {
         for (node, tensor) in self.graph.nodes.iter().zip(self.tensors.iter().skip(1)) {
             if let Some(tensor) = tensor

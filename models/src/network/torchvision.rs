@@ -90,6 +90,9 @@ pub struct TorchvisionWeights {
 
 impl TorchvisionWeights {
     /// Reads weights for a network.
+    ///
+    /// # Errors
+    /// [`WeightsError::Io`] if the file cannot be read or is too long, and those of [`TorchvisionWeights::from_bytes`].
     pub fn load(path: &Path, spec: &NetworkSpec) -> Result<Self, WeightsError> {
         let data =
             read(path, MODEL_LIMIT_BYTES).map_err(|source| WeightsError::Io { path: path.to_owned(), source })?;
@@ -97,6 +100,10 @@ impl TorchvisionWeights {
     }
 
     /// Weights in the bytes of the file `path` (used in errors only).
+    ///
+    /// # Errors
+    /// [`WeightsError`] if torchvision has no such network, the bytes are no safetensors, or arrays are missing, of another shape or
+    /// not finite.
     pub fn from_bytes(path: &Path, data: &[u8], spec: &NetworkSpec) -> Result<Self, WeightsError> {
         let (stem, head) = match spec.kind {
             NetworkKind::ResNet18 => ("conv1.weight", "fc."),
@@ -172,6 +179,9 @@ impl TorchvisionWeights {
     }
 
     /// Overwrites a network's numbers.
+    ///
+    /// # Errors
+    /// The network is another one than the weights were read for.
     pub fn apply(&self, network: &Network) -> candle_core::Result<()> {
         let mut values = network.parameters().values(true)?;
         values.extend(self.values.iter().map(|(name, numbers)| (name.clone(), numbers.clone())));

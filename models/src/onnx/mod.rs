@@ -64,6 +64,9 @@ pub enum ExportError {
 }
 
 /// The bytes of an ONNX file.
+///
+/// # Errors
+/// [`ExportError`] if a layer has no ONNX form, or the card or the numbers cannot be read.
 pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
     let [_, range, doppler] = model.card.input_shape;
     let card = serde_json::to_string(&model.card)?;
@@ -72,6 +75,9 @@ pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
 }
 
 /// The bytes of an ONNX file of a network without a card, for maps of `range x doppler` bins.
+///
+/// # Errors
+/// [`ExportError`] if a layer has no ONNX form, or the numbers cannot be read.
 pub fn export_network(network: &Network, range: usize, doppler: usize) -> Result<Vec<u8>, ExportError> {
     Ok(file(graph(network, range, doppler)?, Vec::new()))
 }

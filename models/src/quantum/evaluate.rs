@@ -68,6 +68,9 @@ impl Circuit {
 
     /// `<Z>` of each qubit at inputs `x` (radians) and angles `theta` (radians), in the order of
     /// [`CircuitSpec::observables`]. All NaN if one of the numbers is not finite.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
     pub fn expectations(&self, x: &[f64], theta: &[f64], draw: Draw) -> Result<Vec<f64>, CircuitError> {
         self.check_counts(x, theta)?;
         if !are_finite(x, theta) {
@@ -88,6 +91,9 @@ impl Circuit {
     }
 
     /// Gradients by `x` and by `theta` of the expectations' sum weighted by `cotangent`. All NaN if a number is not finite.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs, of angles or of cotangents is not the circuit's.
     pub fn gradients(
         &self,
         x: &[f64],
@@ -118,6 +124,9 @@ impl Circuit {
     }
 
     /// Expectations and all their gradients.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
     pub fn jacobian(&self, x: &[f64], theta: &[f64], draw: Draw) -> Result<Jacobian, CircuitError> {
         let expectations = self.expectations(x, theta, draw)?;
         if self.is_closed_form()

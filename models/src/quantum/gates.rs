@@ -74,6 +74,9 @@ pub(super) fn pairs(qubits: usize) -> impl Iterator<Item = (usize, usize)> {
 
 impl Circuit {
     /// The circuit of these settings, or what is wrong with them.
+    ///
+    /// # Errors
+    /// Those of [`CircuitSpec::check`].
     pub fn new(spec: &CircuitSpec) -> Result<Self, CircuitError> {
         spec.check()?;
         let qubits = spec.qubits;

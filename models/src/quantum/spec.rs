@@ -149,6 +149,9 @@ impl CircuitSpec {
     }
 
     /// Checks every setting.
+    ///
+    /// # Errors
+    /// [`CircuitError::Setting`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), CircuitError> {
         let demand = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
             true => Ok(()),

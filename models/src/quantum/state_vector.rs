@@ -90,6 +90,9 @@ pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
 
 /// State at the end of the circuit at inputs `x` and angles `theta`, before the measurement; noise and shots are not
 /// looked at.
+///
+/// # Errors
+/// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
 pub fn run(circuit: &Circuit, x: &[f64], theta: &[f64]) -> Result<State, CircuitError> {
     circuit.check_counts(x, theta)?;
     Ok(run_at(circuit, &circuit.gate_angles(x, theta)))
@@ -107,6 +110,9 @@ pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
 impl Circuit {
     /// The trained part of the circuit at angles `theta`, a real orthogonal matrix `[from][to]` over the `2^qubits` basis
     /// states: row `k` is what becomes of state `k`.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of angles is not the circuit's.
     pub fn trained_matrix(&self, theta: &[f64]) -> Result<Vec<f64>, CircuitError> {
         let nowhere = vec![0.0; self.qubits()];
         self.check_counts(&nowhere, theta)?;

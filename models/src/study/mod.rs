@@ -264,6 +264,9 @@ impl StudySpec {
     }
 
     /// The network of a variant.
+    ///
+    /// # Errors
+    /// [`StudyError::Setting`] if there is no network of this name.
     pub fn network(&self, variant: &Variant) -> Result<NetworkSpec, StudyError> {
         let name = variant.network.as_ref().unwrap_or(&variant.name);
         let known = match (NetworkSpec::named(name), &variant.head) {
@@ -326,6 +329,10 @@ pub struct Study<'a> {
 
 impl<'a> Study<'a> {
     /// Opens or begins a study in a folder.
+    ///
+    /// # Errors
+    /// Those of [`StudySpec::check`], [`StudyError::Foreign`] if the folder holds another study, and [`StudyError::File`] if it cannot
+    /// be written or read.
     pub fn open(
         spec: &'a StudySpec,
         dataset: &'a Dataset,
@@ -349,6 +356,10 @@ impl<'a> Study<'a> {
     }
 
     /// Runs what is not done yet until `go_on` says no; gives all outcomes there are.
+    ///
+    /// # Errors
+    /// [`StudyError`] for the first training that cannot be done, model that cannot be evaluated, or file that cannot be written or
+    /// read. A training that ends in a number that is not finite is an outcome and no error.
     pub fn run(&self, go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<Vec<Outcome>, StudyError> {
         let held_out = self.held_out();
         let rates = self.spec.rates();
@@ -390,6 +401,9 @@ impl<'a> Study<'a> {
     }
 
     /// Learning rate of each variant: the best on the validation split, once all rates have been tried.
+    ///
+    /// # Errors
+    /// Those of [`Study::outcomes`].
     pub fn chosen_rates(&self) -> Result<BTreeMap<String, f64>, StudyError> {
         let rates = self.spec.rates();
         if let [rate] = rates[..] {
@@ -424,6 +438,9 @@ impl<'a> Study<'a> {
     }
 
     /// All outcomes that are there, in the order of their files' names.
+    ///
+    /// # Errors
+    /// [`StudyError::File`] if the folder or a file of it cannot be read or understood.
     pub fn outcomes(&self) -> Result<Vec<Outcome>, StudyError> {
         let folder = self.folder.join("results");
         let mut paths: Vec<PathBuf> = std::fs::read_dir(&folder)
@@ -440,6 +457,9 @@ impl<'a> Study<'a> {
     }
 
     /// The report of what is there.
+    ///
+    /// # Errors
+    /// Those of [`Study::outcomes`].
     pub fn report(&self) -> Result<Report, StudyError> {
         Ok(report(self.spec, self.dataset, &self.chosen_rates()?, &self.outcomes()?))
     }

@@ -16,6 +16,9 @@ pub struct NoisyMaps<'a> {
 /// standardisation. One draw for each map and ratio, the same for every model.
 ///
 /// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
+///
+/// # Errors
+/// [`ClassifyError::Dataset`] if a map cannot be read.
 pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> Result<NoisyMaps<'a>, ClassifyError> {
     let mut maps = Vec::with_capacity(indices.len());
     for &index in indices {
@@ -34,6 +37,9 @@ pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> R
 
 impl NoisyMaps<'_> {
     /// Scores of a classifier.
+    ///
+    /// # Errors
+    /// Those of [`Classifier::classify_row`].
     pub fn evaluate(&self, classifier: &mut Classifier) -> Result<Metrics, ClassifyError> {
         let shape = self.dataset.header().shape;
         let mut pairs = Vec::with_capacity(self.maps.len());

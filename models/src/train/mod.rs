@@ -417,6 +417,10 @@ impl TrainSpec {
 /// Trains a network. `report` is called after each epoch.
 ///
 /// The same dataset, spec and kernel level give the same model, bit for bit, on any number of threads.
+///
+/// # Errors
+/// [`TrainError`] if a setting is out of range, the dataset cannot be read, split or standardised or does not fit the network,
+/// weights to start from do not fit, or a number becomes NaN or infinite.
 pub fn train(
     dataset: &Dataset,
     spec: &TrainSpec,
@@ -427,6 +431,9 @@ pub fn train(
 
 /// [`train`] that writes `checkpoint` after each epoch, carries on from it if it is there, and removes it at the end. A training
 /// that was killed and carried on with gives the model that it would have given undisturbed.
+///
+/// # Errors
+/// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.
 pub fn train_with_checkpoint(
     dataset: &Dataset,
     spec: &TrainSpec,
