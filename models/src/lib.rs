@@ -19,6 +19,7 @@ pub mod calibration;
 mod classifier;
 pub mod dataset;
 pub mod evaluate;
+mod kernel;
 mod large_blocks;
 pub mod layer;
 mod model_file;

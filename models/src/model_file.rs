@@ -11,7 +11,7 @@ use thiserror::Error;
 use crate::bounded_file;
 use crate::evaluate::Metrics;
 use crate::layer::KernelLevel;
-use crate::network::{Centring, Head, MOST_POOLED, Network, NetworkKind, NetworkSpec, PAPER_POOLED};
+use crate::network::{Head, MOST_POOLED, Network, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::onnx;
 use crate::onnx_runtime::OnnxError;
@@ -76,7 +76,7 @@ pub struct ModelCard {
     #[serde(default = "Smoothing::of_old_models")]
     pub smoothing: Smoothing,
     /// Standardisation of the latent; empty where there is none.
-    pub latent: Centring,
+    pub latent: Normalisation,
     /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
     pub temperature: f64,
     /// Hash of the dataset trained on.
@@ -350,7 +350,7 @@ impl ModelCard {
                 format!("{:?}", self.input_shape),
             );
         }
-        let Centring { mean, sigma } = &self.latent;
+        let Normalisation { mean, sigma } = &self.latent;
         let width = if self.network.has_latent() { self.head.width() } else { 0 };
         if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
             let found = format!("{} means and {} sigmas", mean.len(), sigma.len());

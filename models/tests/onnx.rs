@@ -7,7 +7,7 @@ use std::path::Path;
 
 use candle_core::{Device, Tensor};
 use radome_models::layer::KernelLevel;
-use radome_models::network::{Centring, Head, Network, Placement};
+use radome_models::network::{Head, Network, Normalisation, Placement};
 use radome_models::onnx::{self, ExportError};
 use radome_models::onnx_runtime::{OnnxError, OnnxSession};
 use radome_models::quantum::{CircuitSpec, Encoding, Execution, Noise, Shots};
@@ -56,7 +56,7 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
             let rows: Vec<Vec<f32>> = latent.to_vec2().expect("two rows");
             let of = |f: fn(f32, f32) -> f32| rows[0].iter().zip(&rows[1]).map(|(&a, &b)| f(a, b)).collect();
             let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
-            network.set_latent_constants(Centring { mean, sigma });
+            network.set_latent_constants(Normalisation { mean, sigma });
         }
         network
     };

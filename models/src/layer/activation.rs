@@ -3,9 +3,10 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
-use super::level::{dispatch, multiply_add};
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::{dispatch, multiply_add};
 
 /// Values that one task passes over.
 pub(super) const CHUNK: usize = 1 << 14;

@@ -3,10 +3,12 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::crew::for_each_chunk;
-use super::level::dispatch;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
-use super::{Feature, KernelLevel};
+use super::feature::Feature;
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::dispatch;
+use crate::kernel::spin_pool::for_each_chunk;
 
 /// Channels that are added up at once.
 const LANES: usize = 16;

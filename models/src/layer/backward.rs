@@ -9,7 +9,7 @@ use rayon::prelude::*;
 
 use super::activation::CHUNK;
 use super::operation::node_of;
-use super::with_values;
+use super::tensor::with_values;
 
 /// Gradients of all variables that the scalar `loss` depends on: what `loss.backward()` computes, several times faster.
 ///

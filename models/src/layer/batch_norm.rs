@@ -5,10 +5,11 @@ use std::sync::{Arc, OnceLock, RwLock};
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
 use super::activation::{Activation, activate, by_activation, descend};
-use super::level::{dispatch, multiply_add};
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::{dispatch, multiply_add};
 
 const NAME: &str = "batch_norm";
 

@@ -14,9 +14,9 @@
 
 use candle_core::{Error, Result, Shape, Tensor};
 
-use super::Feature;
-use super::crew::for_each_chunk;
+use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::spin_pool::for_each_chunk;
 
 /// Numbers that describe a map.
 pub const DESCRIPTORS: usize = 43;
@@ -48,7 +48,7 @@ const NAME: &str = "map_descriptors";
 
 /// Where a cell is in range, held against the strongest one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
+enum RelativeRange {
     Nearer,
     Farther,
     Same,
@@ -163,9 +163,9 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
     let peak = cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best });
     let toward = if peak.speed < 0 { -1 } else { 1 };
     let place = |cell: &Cell| match cell.row as i64 - peak.row as i64 {
-        bins if bins < -SAME_RANGE_BINS => Place::Nearer,
-        bins if bins > SAME_RANGE_BINS => Place::Farther,
-        _ => Place::Same,
+        bins if bins < -SAME_RANGE_BINS => RelativeRange::Nearer,
+        bins if bins > SAME_RANGE_BINS => RelativeRange::Farther,
+        _ => RelativeRange::Same,
     };
     let is_opposite = |cell: &Cell| cell.speed * toward < -SLOW_BINS;
     let is_along = |cell: &Cell| cell.speed * toward > SLOW_BINS;
@@ -186,14 +186,14 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
         values.push(level_of(region));
         values.push(energy_db(cells.iter().filter(|cell| region(cell))) - total_db);
     };
-    let places = [Place::Nearer, Place::Farther, Place::Same];
+    let places = [RelativeRange::Nearer, RelativeRange::Farther, RelativeRange::Same];
     for at in places {
         level_and_energy(&|cell| is_opposite(cell) && place(cell) == at);
     }
     for at in places {
         level_and_energy(&|cell| is_other(cell) && place(cell) == at);
     }
-    for at in [Place::Nearer, Place::Farther] {
+    for at in [RelativeRange::Nearer, RelativeRange::Farther] {
         level_and_energy(&|cell| !is_other(cell) && place(cell) == at);
     }
     values.extend(places.map(|at| level_of(&|cell| is_slow(cell) && place(cell) == at)));
@@ -212,7 +212,9 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
         logarithm_of(cells.iter().filter(|cell| cell.level_db > least && region(cell)).count())
     };
     values.extend(COUNTED_DB.map(|within_db| count(within_db, &is_opposite)));
-    values.extend(COUNTED_DB.map(|within_db| count(within_db, &|cell| is_other(cell) && place(cell) != Place::Same)));
+    values.extend(
+        COUNTED_DB.map(|within_db| count(within_db, &|cell| is_other(cell) && place(cell) != RelativeRange::Same)),
+    );
     values
 }
 

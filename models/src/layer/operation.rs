@@ -5,7 +5,7 @@ use std::sync::{Arc, LazyLock, Mutex, MutexGuard, OnceLock, Weak};
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, CustomOp3, Layout, Result, Shape, Storage, Tensor, TensorId};
 
-use super::{values, with_values};
+use super::tensor::{values, with_values};
 
 /// One input of a layer: its values in row-major order and its shape.
 #[derive(Clone, Copy)]
@@ -29,23 +29,13 @@ pub(super) trait Operation: Send + Sync + 'static {
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
-/// An array for a layer's result with arbitrary values, all of which the layer overwrites: filling tens of megabytes with zeros
-/// first would take as long as many a layer.
-#[allow(clippy::uninit_vec)]
-pub(super) fn unwritten(length: usize) -> Vec<f32> {
-    if cfg!(miri) || !cfg!(any(target_arch = "x86_64", target_arch = "aarch64")) {
-        return vec![0.0; length];
-    }
-    let mut values = Vec::<f32>::with_capacity(length);
-    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
-    // SAFETY: the capacity is `length`, and any bits are an f32. The assembly stands for code that writes arbitrary bits to the
-    // whole block, of which leaving what is there is one way; the compiler has to assume such writes, so that the block is
-    // initialised behind it.
-    unsafe {
-        std::arch::asm!("/* {} */", in(reg) values.as_mut_ptr(), options(nostack, preserves_flags));
-        values.set_len(length);
-    }
-    values
+/// Whether the backward pass computes the gradient of a layer's input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InputGradient {
+    /// The input comes from another layer.
+    Needed,
+    /// The input is data.
+    Unused,
 }
 
 /// Applies `operation` to tensors as one node of candle's graph.

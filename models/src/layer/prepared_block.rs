@@ -6,11 +6,12 @@ use std::cell::RefCell;
 
 use candle_core::{Error, Result};
 
-use super::crew::for_each_chunk;
-use super::kernel::{Block, LANES};
-use super::level::{dispatch, multiply_add};
-use super::winograd::{Finish, Winograd};
-use super::{Affine, Feature, KernelLevel};
+use super::feature::{Affine, Feature};
+use crate::kernel::KernelLevel;
+use crate::kernel::conv_pool::{Block, LANES};
+use crate::kernel::level::{dispatch, multiply_add};
+use crate::kernel::spin_pool::for_each_chunk;
+use crate::kernel::winograd::{Finish, Winograd};
 
 /// Pooled rows of a strip of a single channel, which is one task.
 const STRIP_ROWS: usize = 2;
@@ -24,7 +25,7 @@ pub struct PreparedBlock {
 }
 
 enum Weight {
-    /// Of a single input channel `[output / 16][row][column][output % 16]`, and what sums start from, padded alike.
+    /// Of a single input channel `[output / 16][row][column][output % 16]`, and what sums init from, padded alike.
     Single(Vec<f32>, Vec<f32>),
     Winograd(Winograd),
 }
@@ -59,13 +60,13 @@ impl PreparedBlock {
         }
         let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
         let folded: Vec<f32> = weight.iter().enumerate().map(|(k, w)| w * scale(k / (9 * inputs))).collect();
-        let mut start: Vec<f32> =
+        let mut init: Vec<f32> =
             (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
         let weight = if inputs == 1 {
-            start.resize(outputs.next_multiple_of(LANES), 0.0);
-            Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), start)
+            init.resize(outputs.next_multiple_of(LANES), 0.0);
+            Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)
         } else {
-            Weight::Winograd(Winograd::new(&folded, shape, &start, level))
+            Weight::Winograd(Winograd::new(&folded, shape, &init, level))
         };
         Ok(PreparedBlock { inputs, outputs, weight, level: level.available() })
     }
@@ -90,7 +91,7 @@ impl PreparedBlock {
             Weight::Winograd(winograd) => {
                 winograd.run(input.values(), [batch, rows, columns], Finish::Pool, output.values_mut());
             }
-            Weight::Single(weight, start) => {
+            Weight::Single(weight, init) => {
                 let row = pooled_columns * self.outputs;
                 for_each_chunk(output.values_mut(), STRIP_ROWS * row, |strip, output| {
                     PADDED.with_borrow_mut(|padded| {
@@ -103,7 +104,7 @@ impl PreparedBlock {
                                 2 * pooled_row,
                                 padded,
                             );
-                            single(self.level, padded, weight, start, self.outputs, output);
+                            single(self.level, padded, weight, init, self.outputs, output);
                         }
                     });
                 });
@@ -130,29 +131,23 @@ fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
 
 dispatch! {
     /// A pooled row from four padded rows of a single channel, whose every cell is read once for a window.
-    fn single(padded: &[f32], weight: &[f32], start: &[f32], outputs: usize, output: &mut [f32]) = single_generic
+    fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) = single_generic
 }
 
 #[inline(always)]
-fn single_generic<const FUSED: bool>(
-    padded: &[f32],
-    weight: &[f32],
-    start: &[f32],
-    outputs: usize,
-    output: &mut [f32],
-) {
+fn single_generic<const FUSED: bool>(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
     let line = padded.len() / 4;
     let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[k * line..(k + 1) * line]);
-    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(start.as_chunks::<LANES>().0);
-    for (group, (weight, start)) in groups.enumerate() {
+    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(init.as_chunks::<LANES>().0);
+    for (group, (weight, init)) in groups.enumerate() {
         let lanes = LANES.min(outputs - group * LANES);
         {
             for (column, output) in output.chunks_exact_mut(outputs).enumerate() {
                 let patch: [&[f32; 4]; 4] = lines.map(|line| line[2 * column..].first_chunk().unwrap_or(&[0.0; 4]));
-                let mut sums = [*start; 4];
-                for (tap, weight) in weight.iter().enumerate() {
+                let mut sums = [*init; 4];
+                for (offset, weight) in weight.iter().enumerate() {
                     for (cell, sum) in sums.iter_mut().enumerate() {
-                        let value = patch[cell / 2 + tap / 3][cell % 2 + tap % 3];
+                        let value = patch[cell / 2 + offset / 3][cell % 2 + offset % 3];
                         for lane in 0..LANES {
                             sum[lane] = multiply_add::<FUSED>(value, weight[lane], sum[lane]);
                         }

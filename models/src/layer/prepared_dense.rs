@@ -4,8 +4,9 @@
 use candle_core::{Error, Result};
 
 use super::activation::{Activation, in_place};
-use super::level::dispatch;
-use super::{Feature, KernelLevel};
+use super::feature::Feature;
+use crate::kernel::KernelLevel;
+use crate::kernel::level::dispatch;
 
 /// Outputs that are summed at once, in registers.
 const LANES: usize = 32;
@@ -50,9 +51,9 @@ impl PreparedDense {
                 packed[(o / LANES * inputs + i) * LANES + o % LANES] = w;
             }
         }
-        let mut start = bias.to_vec();
-        start.resize(groups * LANES, 0.0);
-        Ok(PreparedDense { inputs, outputs, weight: packed, bias: start, activation, level: level.available() })
+        let mut padded = bias.to_vec();
+        padded.resize(groups * LANES, 0.0);
+        Ok(PreparedDense { inputs, outputs, weight: packed, bias: padded, activation, level: level.available() })
     }
 
     /// `input` `[batch][i]`, however `i` is made up of rows, columns and channels; `output` becomes `[batch][1][1][o]`.

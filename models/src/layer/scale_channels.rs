@@ -3,9 +3,10 @@
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Feature;
-use super::crew::for_each_chunk;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::feature::Feature;
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::buffer::unwritten;
+use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "scale_channels";
 

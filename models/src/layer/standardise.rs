@@ -1,4 +1,4 @@
-//! Centring and scaling by constants.
+//! Normalisation by constants.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;

@@ -4,7 +4,8 @@ use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::activation::CHUNK;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::buffer::unwritten;
 
 /// `a + b`, of one shape.
 ///

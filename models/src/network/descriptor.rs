@@ -96,7 +96,7 @@ mod tests {
 
     use super::*;
     use crate::layer::{KernelLevel, backward};
-    use crate::network::{Centring, Inference, Mode, Network, NetworkSpec, Parameter, Placement};
+    use crate::network::{Inference, Mode, Network, NetworkSpec, Normalisation, Parameter, Placement};
     use crate::quantum::{CircuitSpec, Encoding};
 
     const SHAPE: [usize; 3] = [4, 24, 33];
@@ -137,7 +137,7 @@ mod tests {
         let mean: Vec<f32> = (0..DESCRIPTORS).map(|k| rows.iter().map(|row| row[k] / SHAPE[0] as f32).sum()).collect();
         let largest = |k: usize| rows.iter().fold(0.1f32, |most, row| most.max((row[k] - mean[k]).abs()));
         let sigma = (0..DESCRIPTORS).map(largest).collect();
-        network.parameters_mut().set_centring("features", Centring { mean, sigma });
+        network.parameters_mut().set_normalisation("features", Normalisation { mean, sigma });
         network
     }
 

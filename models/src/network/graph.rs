@@ -41,7 +41,7 @@ pub(crate) enum Layer {
     /// `(x - mean) / sigma` by constants that travel with the model or are folded into the layer behind.
     Standardise { width: usize },
     /// `pi * sigmoid(x)`: radians in (0, pi).
-    Squash,
+    ScaledSigmoid,
     /// Expectations of a quantum circuit at angles that are trained, or stay as they were drawn.
     Circuit { circuit: CircuitSpec, frozen: bool },
     /// The five features of which the two-qubit circuit is a linear combination (see [`crate::quantum`]).
@@ -242,7 +242,7 @@ impl Layer {
                 | Layer::Dropout { .. }
                 | Layer::DropSamples { .. }
                 | Layer::Standardise { .. }
-                | Layer::Squash,
+                | Layer::ScaledSigmoid,
                 _,
             ) => Some(first),
             _ => None,

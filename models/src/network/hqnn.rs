@@ -90,7 +90,7 @@ impl Head {
     }
 
     /// Whether the latent goes through `pi * sigmoid`.
-    pub fn squashes(&self) -> bool {
+    pub fn uses_scaled_sigmoid(&self) -> bool {
         !matches!(self, Head::Linear | Head::Dequantization)
     }
 }
@@ -131,15 +131,15 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
         Head::Linear => linear(&mut g, "head", width, CLASSES, latent),
         Head::Dequantization => dequantized(&mut g, width, latent),
         Head::SquashedLinear => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             linear(&mut g, "head", width, CLASSES, squashed)
         }
         Head::SquashedDequantization => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             dequantized(&mut g, width, squashed)
         }
         Head::Trigonometric => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             let features = g.add("trigonometric", Layer::Trigonometric, &[squashed]);
             linear(&mut g, "head", 5, CLASSES, features)
         }
@@ -164,7 +164,7 @@ fn latent(g: &mut Graph, inputs: usize, width: usize, from: Value) -> Value {
 }
 
 fn circuit_node(g: &mut Graph, circuit: &CircuitSpec, frozen: bool, latent: Value) -> Value {
-    let squashed = g.add("squash", Layer::Squash, &[latent]);
+    let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
     g.add("circuit", Layer::Circuit { circuit: circuit.clone(), frozen }, &[squashed])
 }
 

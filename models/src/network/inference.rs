@@ -9,10 +9,11 @@ use candle_core::{Result, bail};
 use rayon::prelude::*;
 
 use super::graph::{INPUT, Layer, Node, Value};
-use super::{Centring, Network};
+use super::{Network, Normalisation};
+use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Crew, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
-    for_each_chunk, squashed, trigonometric_features,
+    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
+    scaled_sigmoid_of, trigonometric_features,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
@@ -28,7 +29,7 @@ pub struct Inference {
     /// Results of the steps. A buffer is used again once everybody has read it.
     buffers: Vec<Feature>,
     output: usize,
-    crew: Crew,
+    pool: SpinPool,
 }
 
 /// A layer, or several that are one: the buffers that it reads, and the one that it writes.
@@ -74,7 +75,7 @@ enum Kernel {
         mean: Vec<f32>,
         factor: Vec<f32>,
     },
-    Squash,
+    ScaledSigmoid,
     ClosedForm(Trained),
     Circuit {
         circuit: Circuit,
@@ -134,8 +135,8 @@ impl Inference {
             input.reshape([batch, range, doppler, 1]);
             input.values_mut().copy_from_slice(maps);
         }
-        let Inference { steps, buffers, output, crew } = self;
-        crew.lead(|| {
+        let Inference { steps, buffers, output, pool } = self;
+        pool.run(|| {
             steps.iter().try_for_each(|step| {
                 let mut output = std::mem::take(&mut buffers[step.output]);
                 let done = step.run(buffers, &mut output);
@@ -174,7 +175,7 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
         buffer_of[index + 1] = step.output;
         free.extend(done.into_iter().filter(|&buffer| buffer != step.output));
     }
-    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], crew: Crew::default() }
+    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], pool: SpinPool::default() }
 }
 
 /// Steps as they are found.
@@ -240,9 +241,9 @@ impl Plan<'_> {
                 Kernel::Block(PreparedBlock::new(&weight, [*outputs, *i], Some(&bias), None, level)?)
             }
             Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass(value, &inputs),
-            Layer::Standardise { .. } => match self.network.parameters().centring(&node.name) {
+            Layer::Standardise { .. } => match self.network.parameters().normalisation(&node.name) {
                 None => return self.pass(value, &inputs),
-                Some(Centring { mean, sigma }) => {
+                Some(Normalisation { mean, sigma }) => {
                     Kernel::Standardise { mean: mean.clone(), factor: sigma.iter().map(|sigma| 1.0 / sigma).collect() }
                 }
             },
@@ -257,7 +258,7 @@ impl Plan<'_> {
             &Layer::AveragePool { rows, columns } => Kernel::AveragePool { rows, columns },
             Layer::ScaleChannels => Kernel::ScaleChannels,
             Layer::Add { rectified } => Kernel::Add { rectified: *rectified },
-            Layer::Squash => Kernel::Squash,
+            Layer::ScaledSigmoid => Kernel::ScaledSigmoid,
             Layer::Circuit { circuit, .. } => {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let theta: Vec<f64> = self.numbers(node, "theta")?.into_iter().map(f64::from).collect();
@@ -361,7 +362,7 @@ impl Kernel {
     /// Whether the first input may be overwritten by the output.
     fn is_in_place(&self) -> bool {
         use Kernel::*;
-        matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | Squash)
+        matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | ScaledSigmoid)
     }
 }
 
@@ -434,7 +435,7 @@ impl Step {
                         .for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
                 }
             }
-            Kernel::Squash => output.values_mut().iter_mut().for_each(|x| *x = squashed(*x)),
+            Kernel::ScaledSigmoid => output.values_mut().iter_mut().for_each(|x| *x = scaled_sigmoid_of(*x)),
             Kernel::ClosedForm(trained) => {
                 let input = input(0)?;
                 output.reshape(input.dims());

@@ -23,7 +23,7 @@ pub use descriptor::UnreadableMaps;
 pub(crate) use graph::{Graph, INPUT, Layer, Node, Size, Value};
 pub use hqnn::{Head, MOST_POOLED, PAPER_POOLED, Placement};
 pub use inference::Inference;
-pub use parameters::{Centring, Parameter};
+pub use parameters::{Normalisation, Parameter};
 pub use run::{Mode, Values};
 pub use torchvision::{TorchvisionWeights, WeightsError};
 
@@ -252,13 +252,13 @@ impl Network {
     }
 
     /// Constants that standardise the latent before the squash; empty where it is left as it is.
-    pub fn latent_constants(&self) -> Centring {
-        self.parameters.centring("latent").cloned().unwrap_or_default()
+    pub fn latent_constants(&self) -> Normalisation {
+        self.parameters.normalisation("latent").cloned().unwrap_or_default()
     }
 
     /// Sets [`Network::latent_constants`].
-    pub fn set_latent_constants(&mut self, constants: Centring) {
-        self.parameters.set_centring("latent", constants);
+    pub fn set_latent_constants(&mut self, constants: Normalisation) {
+        self.parameters.set_normalisation("latent", constants);
     }
 
     /// Moves the centring and scaling of the features into the weights and the bias of the dense layer behind them.
@@ -270,7 +270,7 @@ impl Network {
     /// # Errors
     /// No dense layer reads the features, or a tensor operation failed.
     pub fn fold_features(&mut self) -> Result<()> {
-        let Some(centring) = self.parameters.centring("features").cloned() else { return Ok(()) };
+        let Some(normalisation) = self.parameters.normalisation("features").cloned() else { return Ok(()) };
         let behind = self.graph.value("features").and_then(|value| {
             self.graph.nodes.iter().find(|node| node.inputs == [value] && matches!(node.layer, Layer::Linear { .. }))
         });
@@ -278,9 +278,9 @@ impl Network {
         let [weight_name, bias_name] = ["weight", "bias"].map(|what| format!("{}.{what}", node.name));
         let mut weight = self.parameters.numbers(&weight_name)?;
         let mut bias = self.parameters.numbers(&bias_name)?;
-        for (row, bias) in weight.chunks_exact_mut(centring.mean.len().max(1)).zip(&mut bias) {
+        for (row, bias) in weight.chunks_exact_mut(normalisation.mean.len().max(1)).zip(&mut bias) {
             let mut shift = 0.0f64;
-            for ((w, sigma), mean) in row.iter_mut().zip(&centring.sigma).zip(&centring.mean) {
+            for ((w, sigma), mean) in row.iter_mut().zip(&normalisation.sigma).zip(&normalisation.mean) {
                 *w /= sigma;
                 shift += f64::from(*w) * f64::from(*mean);
             }
@@ -288,7 +288,7 @@ impl Network {
         }
         self.parameters.set_numbers(&weight_name, &weight)?;
         self.parameters.set_numbers(&bias_name, &bias)?;
-        self.parameters.set_centring("features", Centring::default());
+        self.parameters.set_normalisation("features", Normalisation::default());
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use crate::stream;
 
 /// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Centring {
+pub struct Normalisation {
     /// Subtracted.
     pub mean: Vec<f32>,
     /// Divided by.
@@ -33,7 +33,7 @@ pub(crate) struct Parameters {
     list: Vec<Parameter>,
     index: HashMap<String, usize>,
     statistics: BTreeMap<String, RunningStatistics>,
-    centrings: BTreeMap<String, Centring>,
+    normalisations: BTreeMap<String, Normalisation>,
 }
 
 /// Names of what a batch normalisation keeps besides its parameters, as PyTorch's.
@@ -97,7 +97,7 @@ impl Parameters {
             .batch_norms()
             .map(|(name, channels)| (name.to_owned(), RunningStatistics::new(channels, BatchNormConstants::default())))
             .collect();
-        Ok(Parameters { list, index, statistics, centrings: BTreeMap::new() })
+        Ok(Parameters { list, index, statistics, normalisations: BTreeMap::new() })
     }
 
     /// Trained arrays in the order of the layers.
@@ -128,16 +128,16 @@ impl Parameters {
     }
 
     /// Constants of a standardisation; none leaves values as they are.
-    pub fn centring(&self, name: &str) -> Option<&Centring> {
-        self.centrings.get(name)
+    pub fn normalisation(&self, name: &str) -> Option<&Normalisation> {
+        self.normalisations.get(name)
     }
 
     /// Sets the constants of a standardisation; empty ones remove them.
-    pub fn set_centring(&mut self, name: &str, centring: Centring) {
-        if centring.mean.is_empty() {
-            self.centrings.remove(name);
+    pub fn set_normalisation(&mut self, name: &str, normalisation: Normalisation) {
+        if normalisation.mean.is_empty() {
+            self.normalisations.remove(name);
         } else {
-            self.centrings.insert(name.to_owned(), centring);
+            self.normalisations.insert(name.to_owned(), normalisation);
         }
     }
 

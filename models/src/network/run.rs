@@ -3,11 +3,11 @@
 use candle_core::{Result, Tensor};
 
 use super::graph::{Graph, INPUT, Layer, Node, Value};
-use super::{Centring, Network};
+use super::{Network, Normalisation};
 use crate::layer::{
     BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
     concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels,
-    squash, standardise, trigonometric,
+    scaled_sigmoid, standardise, trigonometric,
 };
 use crate::quantum::Circuit;
 
@@ -20,7 +20,7 @@ pub enum Mode {
         seed: u64,
         /// Number of the step.
         step: u64,
-        /// Weight of the mean square of what is squashed, in the loss: its gradient only ([`crate::layer::squash`]).
+        /// Weight of the mean square of what is squashed, in the loss: its gradient only ([`crate::layer::scaled_sigmoid`]).
         penalty: f32,
     },
     /// Running statistics, nothing dropped, no gradients.
@@ -145,11 +145,13 @@ impl Network {
                 Mode::Evaluation => Ok(first.clone()),
                 Mode::Training { seed, step, .. } => drop_samples(first, *probability, seed, mask(index, step)),
             },
-            Layer::Standardise { .. } => match self.parameters().centring(&node.name) {
+            Layer::Standardise { .. } => match self.parameters().normalisation(&node.name) {
                 None => Ok(first.clone()),
-                Some(Centring { mean, sigma }) => standardise(first, mean, sigma),
+                Some(Normalisation { mean, sigma }) => standardise(first, mean, sigma),
             },
-            Layer::Squash => squash(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 }),
+            Layer::ScaledSigmoid => {
+                scaled_sigmoid(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 })
+            }
             Layer::Circuit { circuit, .. } => {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let call = if let Mode::Training { step, .. } = mode { step } else { 0 };

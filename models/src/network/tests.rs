@@ -46,9 +46,9 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
     let input = maps(2, 40, 48);
     let mut rng = crate::stream(5, "features", 0);
     let features = 32 * 3 * 4;
-    network.parameters_mut().set_centring(
+    network.parameters_mut().set_normalisation(
         "features",
-        Centring {
+        Normalisation {
             mean: (0..features).map(|_| rng.random_range(0.0..1.0)).collect(),
             sigma: (0..features).map(|_| rng.random_range(0.5..2.0)).collect(),
         },

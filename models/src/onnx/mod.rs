@@ -275,16 +275,16 @@ impl Writer<'_> {
             Layer::Dropout { .. } | Layer::DropSamples { .. } => {
                 self.op("Identity", &[first], &output, Vec::new());
             }
-            Layer::Standardise { width } => match self.network.parameters().centring(name).cloned() {
+            Layer::Standardise { width } => match self.network.parameters().normalisation(name).cloned() {
                 None => drop(self.op("Identity", &[first], &output, Vec::new())),
-                Some(centring) => {
-                    let mean = self.constant(&named("mean"), &[*width], &centring.mean);
-                    let sigma = self.constant(&named("sigma"), &[*width], &centring.sigma);
+                Some(normalisation) => {
+                    let mean = self.constant(&named("mean"), &[*width], &normalisation.mean);
+                    let sigma = self.constant(&named("sigma"), &[*width], &normalisation.sigma);
                     let centred = self.op("Sub", &[first, &mean], &named("centred"), Vec::new());
                     self.op("Div", &[&centred, &sigma], &output, Vec::new());
                 }
             },
-            Layer::Squash => {
+            Layer::ScaledSigmoid => {
                 let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
                 let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"), Vec::new());
                 self.op("Mul", &[&sigmoid, &pi], &output, Vec::new());

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::run::Best;
 use super::{EpochReport, TrainError};
 use crate::bounded_file::read;
-use crate::network::Centring;
+use crate::network::Normalisation;
 use crate::whole_file;
 
 /// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
@@ -26,7 +26,7 @@ pub(super) struct RunState {
     pub head_step: usize,
     pub adam_steps: i32,
     pub latest_loss: f64,
-    pub centrings: BTreeMap<String, Centring>,
+    pub normalisations: BTreeMap<String, Normalisation>,
     /// Parameters and running statistics.
     pub values: BTreeMap<String, Vec<f32>>,
     /// Adam's.
@@ -66,7 +66,8 @@ struct RunNumbers {
     adam_steps: i32,
     /// Nothing for infinity, which JSON lacks.
     latest_loss: Option<f64>,
-    centrings: BTreeMap<String, Centring>,
+    #[serde(rename = "centrings")]
+    normalisations: BTreeMap<String, Normalisation>,
     best: Option<BestNumbers>,
 }
 
@@ -75,7 +76,7 @@ struct BestNumbers {
     balanced_accuracy: f64,
     loss: f64,
     epoch: usize,
-    latent: Centring,
+    latent: Normalisation,
 }
 
 impl Checkpoint {
@@ -154,7 +155,7 @@ impl Checkpoint {
                 head_step: numbers.head_step,
                 adam_steps: numbers.adam_steps,
                 latest_loss: numbers.latest_loss.unwrap_or(f64::INFINITY),
-                centrings: numbers.centrings,
+                normalisations: numbers.normalisations,
                 values: take("value"),
                 moments: take("moment"),
                 best,
@@ -180,7 +181,7 @@ impl RunState {
             head_step: self.head_step,
             adam_steps: self.adam_steps,
             latest_loss: self.latest_loss.is_finite().then_some(self.latest_loss),
-            centrings: self.centrings.clone(),
+            normalisations: self.normalisations.clone(),
             best: self.best.as_ref().map(|best| BestNumbers {
                 balanced_accuracy: best.balanced_accuracy,
                 loss: best.loss,

@@ -192,7 +192,7 @@ mod tests {
                 latents: &latents,
                 labels: &labels,
                 class_weights: &[1.0; 3],
-                penalty: if spec.head.squashes() { 0.02 } else { 0.0 },
+                penalty: if spec.head.uses_scaled_sigmoid() { 0.02 } else { 0.0 },
                 move_latent: true,
                 sigma: 0.7,
             };

@@ -11,11 +11,13 @@ use super::adam::Adam;
 use super::checkpoint::RunState;
 use super::data::Data;
 use super::head_start;
-use super::start::{self, collect, descriptor_centring, feature_centring, moments, place_hidden, place_latent};
+use super::start::{
+    self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
+};
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, backward, cross_entropy};
-use crate::network::{Centring, Mode, Network, NetworkKind, TorchvisionWeights, Value};
+use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
 use crate::stream;
 
 pub(super) struct Run<'a> {
@@ -41,7 +43,7 @@ pub(super) struct Best {
     pub loss: f64,
     pub epoch: usize,
     pub values: BTreeMap<String, Vec<f32>>,
-    pub latent: Centring,
+    pub latent: Normalisation,
 }
 
 impl<'a> Run<'a> {
@@ -66,7 +68,7 @@ impl<'a> Run<'a> {
         if spec.network.reads_descriptors() {
             // Of all maps: some descriptors are other than zero on few of them.
             let descriptors = of(&run.network, "descriptors", &positions)?;
-            run.network.parameters_mut().set_centring("features", descriptor_centring(&descriptors));
+            run.network.parameters_mut().set_normalisation("features", descriptor_normalisation(&descriptors));
         }
         if !spec.network.has_latent() {
             return Ok(run);
@@ -75,7 +77,9 @@ impl<'a> Run<'a> {
         positions.truncate(start::START_MAPS);
         if spec.network == NetworkKind::Hqnn {
             let features = of(&run.network, "pool", &positions)?;
-            run.network.parameters_mut().set_centring("features", feature_centring(&features, spec.feature_sigma));
+            run.network
+                .parameters_mut()
+                .set_normalisation("features", feature_normalisation(&features, spec.feature_sigma));
         }
         // In front of the latent there may be no hidden layer.
         let graph = run.network.graph();
@@ -120,8 +124,8 @@ impl<'a> Run<'a> {
         let network = Network::initialise(&spec.network_spec(), spec.seed, state.start, level)?;
         let mut run = Self::around(data, spec, state.start, network);
         run.network.parameters().set_values(&state.values)?;
-        for (name, centring) in state.centrings {
-            run.network.parameters_mut().set_centring(&name, centring);
+        for (name, normalisation) in state.normalisations {
+            run.network.parameters_mut().set_normalisation(&name, normalisation);
         }
         let names: Vec<String> = run.network.trained().iter().map(|p| p.name.clone()).collect();
         run.adam
@@ -139,9 +143,9 @@ impl<'a> Run<'a> {
     /// Everything that [`Run::resume`] needs.
     pub(super) fn state(&self) -> Result<RunState, TrainError> {
         let parameters = self.network.parameters();
-        let centrings = ["features", "latent"]
+        let normalisations = ["features", "latent"]
             .iter()
-            .filter_map(|name| Some(((*name).to_owned(), parameters.centring(name)?.clone())));
+            .filter_map(|name| Some(((*name).to_owned(), parameters.normalisation(name)?.clone())));
         Ok(RunState {
             start: self.start,
             epoch: self.epoch,
@@ -150,7 +154,7 @@ impl<'a> Run<'a> {
             head_step: self.head_step,
             adam_steps: self.adam.steps(),
             latest_loss: self.latest_loss,
-            centrings: centrings.collect(),
+            normalisations: normalisations.collect(),
             values: parameters.values(true)?,
             moments: self.adam.arrays(self.network.trained().iter().map(|p| p.name.as_str())),
             best: self.best.clone(),
@@ -165,7 +169,7 @@ impl<'a> Run<'a> {
         positions.truncate(start::START_MAPS);
         let move_latent = self.spec.latent == LatentStandardisation::None;
         let mut rows = collect(&self.network, self.data, &self.data.train, &positions, latent)?;
-        let found = if move_latent { moments(&rows) } else { Centring::default() };
+        let found = if move_latent { moments(&rows) } else { Normalisation::default() };
         for row in &mut rows {
             for ((z, mean), sigma) in row.iter_mut().zip(&found.mean).zip(&found.sigma) {
                 *z = (*z - mean) / sigma;
@@ -192,7 +196,7 @@ impl<'a> Run<'a> {
     }
 
     /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
-    fn place(&self, placing: &head_start::Placing, found: &Centring) -> Result<(), TrainError> {
+    fn place(&self, placing: &head_start::Placing, found: &Normalisation) -> Result<(), TrainError> {
         let parameters = self.network.parameters();
         let (weight, bias) = (parameters.numbers("fc2.weight")?, parameters.numbers("fc2.bias")?);
         let width = bias.len();
@@ -233,7 +237,11 @@ impl<'a> Run<'a> {
 
     /// Weight of the mean square of the latent: heads that squash need it small.
     fn penalty(&self) -> f64 {
-        if self.spec.network.has_latent() && self.spec.head.squashes() { self.spec.latent_penalty } else { 0.0 }
+        if self.spec.network.has_latent() && self.spec.head.uses_scaled_sigmoid() {
+            self.spec.latent_penalty
+        } else {
+            0.0
+        }
     }
 
     /// Trains for one epoch.

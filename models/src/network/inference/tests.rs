@@ -40,7 +40,7 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
         let of = |f: fn(f32, f32) -> f32| (0..width).map(|k| f(latent[0][k], latent[1][k])).collect();
         let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
-        network.set_latent_constants(Centring { mean, sigma });
+        network.set_latent_constants(Normalisation { mean, sigma });
     }
     network
 }

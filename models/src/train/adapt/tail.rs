@@ -102,7 +102,7 @@ fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usi
 }
 
 /// Mean and deviation of each feature, by the samples' weights.
-fn centring(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
+fn normalisation(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
     let total: f64 = samples.iter().map(|sample| sample.weight).sum();
     let mut moments = vec![(0.0f64, 0.0f64); inputs];
     for sample in samples {
@@ -173,10 +173,10 @@ impl<'a> Tail<'a> {
     }
 
     /// Parameters for features `(x - mean) / sigma`, of those for features `x`.
-    fn standardised(&self, numbers: &[f64], centring: &[(f64, f64)]) -> Vec<f64> {
+    fn standardised(&self, numbers: &[f64], normalisation: &[(f64, f64)]) -> Vec<f64> {
         let mut numbers = numbers.to_vec();
         for row in 0..self.outputs {
-            for (column, (mean, sigma)) in centring.iter().enumerate() {
+            for (column, (mean, sigma)) in normalisation.iter().enumerate() {
                 let at = self.weight + row * self.inputs + column;
                 numbers[self.bias + row] += numbers[at] * mean;
                 numbers[at] *= sigma;
@@ -229,14 +229,14 @@ impl<'a> Tail<'a> {
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
         let mut samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
-        let centring = centring(&samples, self.inputs);
+        let normalisation = normalisation(&samples, self.inputs);
         let standardise = |sample: &Sample| -> Vec<f32> {
             let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
-            sample.features.iter().zip(&centring).map(of).collect()
+            sample.features.iter().zip(&normalisation).map(of).collect()
         };
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
-        let origin = self.standardised(before, &centring);
+        let origin = self.standardised(before, &normalisation);
         let is_empty_only = !shows_people(recordings);
         if is_empty_only {
             self.set(&origin)?;
@@ -263,7 +263,7 @@ impl<'a> Tail<'a> {
             raised[self.empty] += minimum(origin.clone(), empty_strength(recordings))?[self.empty] - origin[self.empty];
             return Ok(vec![raised; strengths.len()]);
         }
-        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
         let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
         for strength in strengths {
             numbers = minimum(numbers, *strength)?;
@@ -337,9 +337,9 @@ mod tests {
         let features: Vec<f32> = samples.iter().flat_map(|sample| sample.features.to_vec()).collect();
         let features = Tensor::from_vec(features, (samples.len(), DESCRIPTORS), &Device::Cpu).expect("tensor");
         let numbers = tail.numbers().expect("numbers");
-        let centring: Vec<(f64, f64)> = (0..DESCRIPTORS).map(|k| (k as f64 - 7.0, 0.1 + k as f64)).collect();
-        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
-        let there_and_back = tail.standardised(&tail.standardised(&numbers, &centring), &back);
+        let normalisation: Vec<(f64, f64)> = (0..DESCRIPTORS).map(|k| (k as f64 - 7.0, 0.1 + k as f64)).collect();
+        let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let there_and_back = tail.standardised(&tail.standardised(&numbers, &normalisation), &back);
         assert!(numbers.len() > 90 && there_and_back.iter().zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-9));
         let (_, gradient) = tail.loss(&numbers, &features, &samples).expect("loss");
         for k in (0..numbers.len()).step_by(7) {

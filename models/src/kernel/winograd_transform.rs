@@ -1,12 +1,12 @@
 //! Windows of 2x2 cells there and back: the transforms of F(2x2, 3x3) (`winograd.rs`), a vector of channels at a time.
 
-use super::KernelLevel;
+use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
 
 /// The 4x4 cells that a window looks at.
-pub(super) struct Patch {
+pub(crate) struct InputWindow {
     /// Where the first cell is, or would be if it were in the map.
     pub corner: *const f32,
     /// Values from row to row.
@@ -21,7 +21,7 @@ pub(super) struct Patch {
 }
 
 /// Four cells of a convolution from the 16 sums of their transformed window.
-pub(super) struct Window {
+pub(crate) struct OutputWindow {
     /// Sums of the window's first point; whole vectors of them.
     pub sums: *const f32,
     /// From point to point of `sums`.
@@ -67,7 +67,7 @@ unsafe fn back<V: Vector>(m: [V; 4]) -> [V; 2] {
 /// `B^T d B`. `BORDER` if some cells are not in the map.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
-unsafe fn transform<V: Vector, const BORDER: bool>(patch: &Patch) {
+unsafe fn transform<V: Vector, const BORDER: bool>(patch: &InputWindow) {
     // SAFETY: whoever fills a patch or a window in gives addresses that are valid for its sizes, and has the instructions of V.
     unsafe {
         let [top, bottom] = patch.rows;
@@ -98,7 +98,7 @@ unsafe fn transform<V: Vector, const BORDER: bool>(patch: &Patch) {
 /// `A^T m A`, and what comes behind it.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
-unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &Window) {
+unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
     // SAFETY: as in `transform`.
     unsafe {
         let zero = V::splat(0.0);
@@ -142,13 +142,13 @@ unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &Window) {
 macro_rules! kernels {
     ($transform:ident, $back:ident, $v:ty, $(#[$feature:meta])*) => {
         $(#[$feature])*
-        unsafe fn $transform<const BORDER: bool>(patch: &Patch) {
+        unsafe fn $transform<const BORDER: bool>(patch: &InputWindow) {
             // SAFETY: passed on.
             unsafe { transform::<$v, BORDER>(patch) }
         }
 
         $(#[$feature])*
-        unsafe fn $back<const POOLED: bool>(window: &Window) {
+        unsafe fn $back<const POOLED: bool>(window: &OutputWindow) {
             // SAFETY: passed on.
             unsafe { transform_back::<$v, POOLED>(window) }
         }
@@ -164,7 +164,7 @@ kernels!(
     #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")]
 );
 
-impl Patch {
+impl InputWindow {
     /// Transforms the cells.
     ///
     /// # Safety
@@ -188,7 +188,7 @@ impl Patch {
     }
 }
 
-impl Window {
+impl OutputWindow {
     /// Transforms the sums back, to the largest of the four cells or zero where they are `pooled`.
     ///
     /// # Safety

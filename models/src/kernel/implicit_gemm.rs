@@ -2,22 +2,22 @@
 
 use std::cell::RefCell;
 
-use super::crew::for_each_task;
 use super::packed::Packed;
+use super::spin_pool::for_each_task;
 use super::tile::{RowTile, Shared, part};
 
-/// One tap of a kernel: where it looks, and where its weights are.
+/// One offset of a kernel: where it looks, and where its weights are.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Tap {
+pub(crate) struct KernelOffset {
     /// Rows and columns from the cell's corner in the source.
-    pub offset: [isize; 2],
+    pub by: [isize; 2],
     /// Index in the packed weights.
     pub index: u32,
 }
 
 /// Which cells of a source each cell of a grid looks at, and where its result goes.
 #[derive(Debug, Clone)]
-pub(super) struct Sweep {
+pub(crate) struct ImplicitGemm {
     pub batch: usize,
     /// Rows and columns of cells.
     pub grid: [usize; 2],
@@ -25,10 +25,10 @@ pub(super) struct Sweep {
     pub source: [usize; 2],
     /// Channels of the source.
     pub channels: usize,
-    /// Source row of cell row `r` is `source_step r + source_start`, plus the tap's offset.
+    /// Source row of cell row `r` is `source_step r + source_start`, plus the offset's offset.
     pub source_step: isize,
     pub source_start: [isize; 2],
-    pub taps: Vec<Tap>,
+    pub offsets: Vec<KernelOffset>,
     /// Rows and columns of the target.
     pub target: [usize; 2],
     /// Target row of cell row `r` is `target_step r + target_start`.
@@ -45,17 +45,17 @@ const FEW_CHANNELS: usize = 8;
 /// Packed weights up to this many values stay in the second-level cache while tiles go by.
 const SMALL_WEIGHTS: usize = 1 << 16;
 
-impl Sweep {
+impl ImplicitGemm {
     /// Over the rows of a matrix `[row][channel]`.
     pub fn rows(rows: usize, channels: usize) -> Self {
-        Sweep {
+        ImplicitGemm {
             batch: rows,
             grid: [1; 2],
             source: [1; 2],
             channels,
             source_step: 1,
             source_start: [0; 2],
-            taps: vec![Tap { offset: [0; 2], index: 0 }],
+            offsets: vec![KernelOffset { by: [0; 2], index: 0 }],
             target: [1; 2],
             target_step: 1,
             target_start: [0; 2],
@@ -73,14 +73,14 @@ impl Sweep {
         [cell / (rows * columns), cell / columns % rows, cell % columns]
     }
 
-    /// Whether taps are gathered before the product.
+    /// Whether offsets are gathered before the product.
     pub fn is_gathered(&self) -> bool {
-        let all_in_order = || self.taps.iter().enumerate().all(|(k, tap)| tap.index as usize == k);
-        self.channels < FEW_CHANNELS && self.taps.len() > 1 && all_in_order()
+        let all_in_order = || self.offsets.iter().enumerate().all(|(k, offset)| offset.index as usize == k);
+        self.channels < FEW_CHANNELS && self.offsets.len() > 1 && all_in_order()
     }
 
-    /// Addresses of what the taps of `cells` look at, `[tap][cell]`, written to `addresses`; `zeros` stands for padding.
-    /// Where the sweep is gathered there is one address a cell, into `patches`.
+    /// Addresses of what the offsets of `cells` look at, `[offset][cell]`, written to `addresses`; `zeros` stands for padding.
+    /// Where the gemm is gathered there is one address a cell, into `patches`.
     pub fn addresses(
         &self,
         cells: std::ops::Range<usize>,
@@ -92,7 +92,7 @@ impl Sweep {
         self.look_up(cells, source, zeros, self.is_gathered().then_some(patches), addresses);
     }
 
-    /// [`Sweep::addresses`] that never gathers.
+    /// [`ImplicitGemm::addresses`] that never gathers.
     pub fn cell_addresses(
         &self,
         cells: std::ops::Range<usize>,
@@ -111,7 +111,7 @@ impl Sweep {
         mut patches: Option<&mut [f32]>,
         addresses: &mut [*const f32],
     ) {
-        let (count, taps) = (cells.len(), self.taps.len());
+        let (count, offsets) = (cells.len(), self.offsets.len());
         let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
         let step = self.source_step;
         let mut first = 0;
@@ -120,7 +120,7 @@ impl Sweep {
             let [image, row, column] = self.place(cells.start + first);
             let run = (self.grid[1] - column).min(count - first);
             if let Some(patches) = &mut patches {
-                let length = taps * self.channels;
+                let length = offsets * self.channels;
                 let patches = &mut patches[first * length..(first + run) * length];
                 for (k, patch) in patches.chunks_exact_mut(length).enumerate() {
                     self.gather([image, row, column + k], source, patch);
@@ -128,9 +128,9 @@ impl Sweep {
                 first += run;
                 continue;
             }
-            for (t, tap) in self.taps.iter().enumerate() {
-                let source_row = step * row as isize + self.source_start[0] + tap.offset[0];
-                let corner = step * column as isize + self.source_start[1] + tap.offset[1];
+            for (t, offset) in self.offsets.iter().enumerate() {
+                let source_row = step * row as isize + self.source_start[0] + offset.by[0];
+                let corner = step * column as isize + self.source_start[1] + offset.by[1];
                 // Cells from `left` to `right` look inside the source, the others at padding.
                 let inside = (0..rows).contains(&source_row);
                 let reach = |column: isize| if column <= 0 { 0 } else { ((column + step - 1) / step) as usize };
@@ -153,25 +153,25 @@ impl Sweep {
             first += run;
         }
         if let Some(patches) = patches {
-            for (address, patch) in addresses.iter_mut().zip(patches.chunks_exact(taps * self.channels)) {
+            for (address, patch) in addresses.iter_mut().zip(patches.chunks_exact(offsets * self.channels)) {
                 *address = patch.as_ptr();
             }
         }
     }
 
-    /// Copies what all taps of a cell look at. Neighbouring taps of one row are contiguous in the source, too.
+    /// Copies what all offsets of a cell look at. Neighbouring offsets of one row are contiguous in the source, too.
     fn gather(&self, [image, row, column]: [usize; 3], source: &[f32], patch: &mut [f32]) {
         let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
         let row = self.source_step * row as isize + self.source_start[0];
         let column = self.source_step * column as isize + self.source_start[1];
-        let neighbours = self.taps.chunk_by(|a, b| a.offset[0] == b.offset[0] && a.offset[1] + 1 == b.offset[1]);
+        let neighbours = self.offsets.chunk_by(|a, b| a.by[0] == b.by[0] && a.by[1] + 1 == b.by[1]);
         let mut patch = patch;
-        for taps in neighbours {
-            let (values, rest) = patch.split_at_mut(taps.len() * self.channels);
+        for offsets in neighbours {
+            let (values, rest) = patch.split_at_mut(offsets.len() * self.channels);
             patch = rest;
-            let [y, x] = taps[0].offset;
+            let [y, x] = offsets[0].by;
             let (row, column) = (row + y, column + x);
-            let end = column + taps.len() as isize;
+            let end = column + offsets.len() as isize;
             let line = (image as isize * rows + row) * columns;
             if !(0..rows).contains(&row) || end <= 0 || column >= columns {
                 values.fill(0.0);
@@ -206,14 +206,14 @@ impl Sweep {
         }
     }
 
-    /// `target = start + source * weights` for all cells. `start` has a value for each of the weights' columns.
+    /// `target = init + source * weights` for all cells. `init` has a value for each of the weights' columns.
     ///
     /// Cells of the target that the grid does not reach are left alone. Every cell is summed in the same order whoever
     /// does it.
     ///
     /// # Panics
     /// Lengths of `source`, `target` and `weights` differ from the sizes of the product.
-    pub fn run(&self, source: &[f32], weights: &Packed, start: Option<&[f32]>, target: &mut [f32]) {
+    pub fn run(&self, source: &[f32], weights: &Packed, init: Option<&[f32]>, target: &mut [f32]) {
         let cells = self.cells();
         if cells == 0 {
             return;
@@ -221,8 +221,8 @@ impl Sweep {
         let tiles = weights.tiles;
         assert_eq!(source.len(), self.batch * self.source[0] * self.source[1] * self.channels);
         assert_eq!(target.len(), self.batch * self.target[0] * self.target[1] * weights.columns);
-        assert!(self.taps.iter().all(|t| (t.index as usize + 1) * self.channels <= weights.depth));
-        let start = start.map(|values| weights.pad(values));
+        assert!(self.offsets.iter().all(|t| (t.index as usize + 1) * self.channels <= weights.depth));
+        let init = init.map(|values| weights.pad(values));
         let zeros = vec![0.0f32; self.channels];
         let row_tasks = cells.div_ceil(TILES_PER_TASK * tiles.rows);
         let panels = weights.panels();
@@ -232,7 +232,7 @@ impl Sweep {
             let cells = part(cells, row_tasks, index / panel_tasks);
             let panels = part(panels, panel_tasks, index % panel_tasks);
             SCRATCH.with_borrow_mut(|scratch| {
-                self.task(scratch, cells, panels, source, weights, start.as_deref(), &zeros, shared);
+                self.task(scratch, cells, panels, source, weights, init.as_deref(), &zeros, shared);
             });
         });
     }
@@ -245,21 +245,21 @@ impl Sweep {
         panels: std::ops::Range<usize>,
         source: &[f32],
         weights: &Packed,
-        start: Option<&[f32]>,
+        init: Option<&[f32]>,
         zeros: &[f32],
         target: Shared,
     ) {
         let tiles = weights.tiles;
         let gathered = self.is_gathered();
-        let (taps, channels) =
-            if gathered { (1, self.taps.len() * self.channels) } else { (self.taps.len(), self.channels) };
-        scratch.taps.clear();
-        scratch.taps.extend(self.taps.iter().map(|t| t.index));
+        let (offsets, channels) =
+            if gathered { (1, self.offsets.len() * self.channels) } else { (self.offsets.len(), self.channels) };
+        scratch.offsets.clear();
+        scratch.offsets.extend(self.offsets.iter().map(|t| t.index));
         if gathered {
-            // Patches hold the taps in order: a gathered sweep uses all of them.
-            scratch.taps[0] = 0;
+            // Patches hold the offsets in order: a gathered gemm uses all of them.
+            scratch.offsets[0] = 0;
         }
-        scratch.addresses.resize(taps * cells.len(), std::ptr::null());
+        scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
         scratch.patches.resize(if gathered { channels * cells.len() } else { 0 }, 0.0);
         self.targets(cells.clone(), weights.columns, target, &mut scratch.targets);
         self.addresses(cells.clone(), source, zeros, &mut scratch.patches, &mut scratch.addresses);
@@ -270,18 +270,18 @@ impl Sweep {
             let row_tile = RowTile {
                 cells: scratch.addresses[rows.start..].as_ptr(),
                 cell_stride: cells.len(),
-                taps: scratch.taps.as_ptr(),
-                tap_count: taps,
+                offsets: scratch.offsets.as_ptr(),
+                offset_count: offsets,
                 channels,
                 panel: weights.values[first * weights.depth..].as_ptr(),
-                start: start.map_or(std::ptr::null(), |s| s[first..].as_ptr()),
+                init: init.map_or(std::ptr::null(), |s| s[first..].as_ptr()),
                 // Each row's place in the target, moved to the panel's first column below.
                 targets: scratch.targets[rows.start..].as_ptr(),
                 first,
                 columns: tiles.width().min(weights.columns - first),
             };
             // SAFETY: addresses are of whole cells of the source, of zeros or of patches, each `channels` long; panel
-            // and start are padded to the tile's width; no other task writes to these rows and columns.
+            // and init are padded to the tile's width; no other task writes to these rows and columns.
             unsafe { tiles.row_tile(rows.len(), &row_tile) };
         };
         if weights.values.len() <= SMALL_WEIGHTS {
@@ -295,7 +295,7 @@ impl Sweep {
 /// What a task needs and the next one uses again.
 #[derive(Default)]
 struct Scratch {
-    taps: Vec<u32>,
+    offsets: Vec<u32>,
     addresses: Vec<*const f32>,
     targets: Vec<*mut f32>,
     patches: Vec<f32>,

@@ -1,9 +1,9 @@
-//! Gradients of weights: a product over all cells of a sweep.
+//! Gradients of weights: a product over all cells of a gemm.
 
 use rayon::prelude::*;
 
-use super::operation::unwritten;
-use super::sweep::Sweep;
+use super::buffer::unwritten;
+use super::implicit_gemm::ImplicitGemm;
 use super::tile::{OuterTile, Shared, Tiles, part};
 
 /// Cells whose operands stay in the caches while all tiles go by.
@@ -13,31 +13,31 @@ const TASKS: usize = 8;
 /// Weights up to this many values are summed by parts of the batch; larger ones by parts of the outputs.
 const SMALL_WEIGHTS: usize = 1 << 17;
 
-/// Gradient `[output][channel][tap]` of a convolution's weights, where `gradient` `[cell][output]` belongs to what
-/// `sweep` computes from `source`.
+/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to what
+/// `gemm` computes from `source`.
 ///
 /// The parts depend on shapes only and are added up in their order: the same bits for any number of threads.
-pub(super) fn weight_gradient(
-    sweep: &Sweep,
+pub(crate) fn weight_gradient(
+    gemm: &ImplicitGemm,
     source: &[f32],
     gradient: &[f32],
     outputs: usize,
     tiles: Tiles,
 ) -> Vec<f32> {
-    let cells = sweep.cells();
-    let gathered = sweep.is_gathered();
-    let all_taps = sweep.taps.len();
-    let (taps, channels) = if gathered { (1, all_taps * sweep.channels) } else { (all_taps, sweep.channels) };
+    let cells = gemm.cells();
+    let gathered = gemm.is_gathered();
+    let all_offsets = gemm.offsets.len();
+    let (offsets, channels) = if gathered { (1, all_offsets * gemm.channels) } else { (all_offsets, gemm.channels) };
     assert_eq!(gradient.len(), cells * outputs);
-    assert_eq!(source.len(), sweep.batch * sweep.source[0] * sweep.source[1] * sweep.channels);
-    let size = taps * outputs * channels;
+    assert_eq!(source.len(), gemm.batch * gemm.source[0] * gemm.source[1] * gemm.channels);
+    let size = offsets * outputs * channels;
     let groups = if size <= SMALL_WEIGHTS { TASKS.min(cells.div_ceil(BLOCK)).max(1) } else { 1 };
     let output_tiles = outputs.div_ceil(tiles.rows);
     let splits = TASKS.div_ceil(groups).min(output_tiles);
-    // [group][tap][output][channel]
+    // [group][offset][output][channel]
     let mut sums = vec![0.0f32; groups * size];
     let shared = Shared::new(&mut sums);
-    let zeros = vec![0.0f32; sweep.channels];
+    let zeros = vec![0.0f32; gemm.channels];
     let task = |scratch: &mut Scratch, index: usize| {
         let (group, split) = (index / splits, index % splits);
         let cells = part(cells, groups, group);
@@ -45,18 +45,18 @@ pub(super) fn weight_gradient(
         for block in 0..blocks {
             let block = part(cells.len(), blocks, block);
             let block = cells.start + block.start..cells.start + block.end;
-            scratch.addresses.resize(taps * block.len(), std::ptr::null());
+            scratch.addresses.resize(offsets * block.len(), std::ptr::null());
             scratch.patches.resize(if gathered { channels * block.len() } else { 0 }, 0.0);
-            sweep.addresses(block.clone(), source, &zeros, &mut scratch.patches, &mut scratch.addresses);
-            for tap in 0..taps {
+            gemm.addresses(block.clone(), source, &zeros, &mut scratch.patches, &mut scratch.addresses);
+            for offset in 0..offsets {
                 for first_channel in (0..channels).step_by(tiles.width()) {
                     for output_tile in part(output_tiles, splits, split) {
                         let rows = part(outputs, output_tiles, output_tile);
-                        let at = group * size + (tap * outputs + rows.start) * channels + first_channel;
+                        let at = group * size + (offset * outputs + rows.start) * channels + first_channel;
                         let tile = OuterTile {
                             left: gradient[block.start * outputs + rows.start..].as_ptr(),
                             left_stride: outputs,
-                            right: scratch.addresses[tap * block.len()..].as_ptr(),
+                            right: scratch.addresses[offset * block.len()..].as_ptr(),
                             right_offset: first_channel,
                             cells: block.len(),
                             // SAFETY: inside `sums`: at most its last row of channels.
@@ -81,20 +81,20 @@ pub(super) fn weight_gradient(
         }
     });
     sums.truncate(size);
-    if all_taps == 1 {
+    if all_offsets == 1 {
         return sums;
     }
     let mut ordered = unwritten(size);
-    let row = all_taps * sweep.channels;
+    let row = all_offsets * gemm.channels;
     ordered.par_chunks_exact_mut(row).enumerate().for_each(|(output, to)| {
-        for tap in 0..all_taps {
+        for offset in 0..all_offsets {
             let from = if gathered {
-                &sums[output * row + tap * sweep.channels..][..sweep.channels]
+                &sums[output * row + offset * gemm.channels..][..gemm.channels]
             } else {
-                &sums[(tap * outputs + output) * channels..][..channels]
+                &sums[(offset * outputs + output) * channels..][..channels]
             };
             for (channel, &value) in from.iter().enumerate() {
-                to[channel * all_taps + tap] = value;
+                to[channel * all_offsets + offset] = value;
             }
         }
     });
@@ -102,7 +102,7 @@ pub(super) fn weight_gradient(
 }
 
 /// Sums over cells of each column of `[cell][column]`, in blocks added up in f64: a bias's gradient.
-pub(super) fn column_sums(values: &[f32], columns: usize) -> Vec<f32> {
+pub(crate) fn column_sums(values: &[f32], columns: usize) -> Vec<f32> {
     if columns == 0 {
         return Vec::new();
     }

@@ -6,7 +6,7 @@
 /// All methods: the processor has the instructions of the implementing type, and pointers are valid for the lanes that
 /// are touched.
 #[allow(clippy::missing_safety_doc)]
-pub(super) trait Vector: Copy {
+pub(crate) trait Vector: Copy {
     /// Values in it.
     const LANES: usize;
     /// Rows of a tile of sums, two vectors wide, that stay in registers.
@@ -28,7 +28,7 @@ pub(super) trait Vector: Copy {
 
 /// Plain Rust.
 #[derive(Clone, Copy)]
-pub(super) struct Plain([f32; 8]);
+pub(crate) struct Plain([f32; 8]);
 
 impl Vector for Plain {
     const LANES: usize = 8;
@@ -88,7 +88,7 @@ impl Vector for Plain {
 }
 
 #[cfg(target_arch = "x86_64")]
-pub(super) use x86::{Avx2, Avx512};
+pub(crate) use x86::{Avx2, Avx512};
 
 #[cfg(target_arch = "x86_64")]
 mod x86 {
@@ -96,7 +96,7 @@ mod x86 {
     use std::arch::x86_64::*;
 
     #[derive(Clone, Copy)]
-    pub(in super::super) struct Avx2(__m256);
+    pub(crate) struct Avx2(__m256);
 
     // SAFETY of all blocks: the trait's contract gives the instructions and the pointers.
     #[allow(clippy::undocumented_unsafe_blocks)]
@@ -161,7 +161,7 @@ mod x86 {
     }
 
     #[derive(Clone, Copy)]
-    pub(in super::super) struct Avx512(__m512);
+    pub(crate) struct Avx512(__m512);
 
     #[inline(always)]
     fn mask(count: usize) -> __mmask16 {

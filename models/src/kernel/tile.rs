@@ -1,28 +1,28 @@
 //! The two products that dense layers are made of, one tile of sums in registers at a time.
 //!
 //! Neither wants its operands copied together first: channels are contiguous in channel-last maps, so a product over
-//! channels and taps needs no more than the addresses of the cells (an indirect convolution: Dukhan, "The Indirect
+//! channels and offsets needs no more than the addresses of the cells (an indirect convolution: Dukhan, "The Indirect
 //! Convolution Algorithm", 2019).
 
-use super::KernelLevel;
+use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
 
-/// `target[r][column] = start[column] + sum over taps and channels of cells[tap][r][channel] panel[tap][channel][column]`.
-pub(super) struct RowTile {
-    /// Addresses of the rows' operands, `[tap][row]`.
+/// `target[r][column] = init[column] + sum over offsets and channels of cells[offset][r][channel] panel[offset][channel][column]`.
+pub(crate) struct RowTile {
+    /// Addresses of the rows' operands, `[offset][row]`.
     pub cells: *const *const f32,
-    /// From tap to tap of `cells`.
+    /// From offset to offset of `cells`.
     pub cell_stride: usize,
-    /// Which of the panel's taps each tap is.
-    pub taps: *const u32,
-    pub tap_count: usize,
+    /// Which of the panel's offsets each offset is.
+    pub offsets: *const u32,
+    pub offset_count: usize,
     pub channels: usize,
-    /// Weights `[tap][channel][column]`, as wide as the tile.
+    /// Weights `[offset][channel][column]`, as wide as the tile.
     pub panel: *const f32,
     /// What the sums start from, as wide as the tile, or null for zero.
-    pub start: *const f32,
+    pub init: *const f32,
     /// Addresses of the rows' results.
     pub targets: *const *mut f32,
     /// Column of the results that the tile starts at.
@@ -32,7 +32,7 @@ pub(super) struct RowTile {
 }
 
 /// `target[r][column] += sum over cells of left[cell][r] right[cell][column]`.
-pub(super) struct OuterTile {
+pub(crate) struct OuterTile {
     /// First row of the first cell.
     pub left: *const f32,
     /// From cell to cell of `left`.
@@ -48,19 +48,19 @@ pub(super) struct OuterTile {
     pub columns: usize,
 }
 
-/// `target[r][channel] = start[channel] + sum over taps of cells[tap][r][channel] weights[tap][channel]`.
-pub(super) struct ChannelTile {
-    /// Addresses of the rows' operands, `[tap][row]`.
+/// `target[r][channel] = init[channel] + sum over offsets of cells[offset][r][channel] weights[offset][channel]`.
+pub(crate) struct ChannelTile {
+    /// Addresses of the rows' operands, `[offset][row]`.
     pub cells: *const *const f32,
-    /// From tap to tap of `cells`.
+    /// From offset to offset of `cells`.
     pub cell_stride: usize,
-    /// Which of the weights' taps each tap is.
-    pub taps: *const u32,
-    pub tap_count: usize,
-    /// `[tap][channel]`.
+    /// Which of the weights' offsets each offset is.
+    pub offsets: *const u32,
+    pub offset_count: usize,
+    /// `[offset][channel]`.
     pub weights: *const f32,
     /// A value for each channel, or null for zero.
-    pub start: *const f32,
+    pub init: *const f32,
     /// Addresses of the rows' results.
     pub targets: *const *mut f32,
     pub channels: usize,
@@ -71,9 +71,9 @@ impl ChannelTile {
     pub const ROWS: usize = 6;
 }
 
-/// `target[tap][channel] += sum over cells of cells[tap][cell][channel] gradient[cell][channel]`.
-pub(super) struct TapTile {
-    /// Addresses of the operands, `[tap][cell]`.
+/// `target[offset][channel] += sum over cells of cells[offset][cell][channel] gradient[cell][channel]`.
+pub(crate) struct OffsetTile {
+    /// Addresses of the operands, `[offset][cell]`.
     pub cells: *const *const f32,
     pub cell_count: usize,
     pub gradient: *const f32,
@@ -87,20 +87,20 @@ unsafe fn row_tile<V: Vector, const R: usize, const N: usize>(tile: &RowTile) {
     // SAFETY: whoever fills a tile in gives addresses that are valid for its sizes, and has the instructions of V.
     unsafe {
         let mut sums = [[V::splat(0.0); N]; R];
-        if !tile.start.is_null() {
+        if !tile.init.is_null() {
             for n in 0..N {
-                let start = V::load(tile.start.add(n * V::LANES));
+                let init = V::load(tile.init.add(n * V::LANES));
                 for sums in &mut sums {
-                    sums[n] = start;
+                    sums[n] = init;
                 }
             }
         }
-        for tap in 0..tile.tap_count {
+        for offset in 0..tile.offset_count {
             let mut cells = [std::ptr::null::<f32>(); R];
             for (r, cell) in cells.iter_mut().enumerate() {
-                *cell = *tile.cells.add(tap * tile.cell_stride + r);
+                *cell = *tile.cells.add(offset * tile.cell_stride + r);
             }
-            let mut weights = tile.panel.add(*tile.taps.add(tap) as usize * tile.channels * N * V::LANES);
+            let mut weights = tile.panel.add(*tile.offsets.add(offset) as usize * tile.channels * N * V::LANES);
             for channel in 0..tile.channels {
                 let mut w = [V::splat(0.0); N];
                 for (n, w) in w.iter_mut().enumerate() {
@@ -174,12 +174,13 @@ unsafe fn channel_tile<V: Vector, const R: usize>(tile: &ChannelTile) {
         for channel in (0..tile.channels).step_by(V::LANES) {
             let left = tile.channels - channel;
             let load = |from: *const f32| if left >= V::LANES { V::load(from) } else { V::load_first(from, left) };
-            let start = if tile.start.is_null() { V::splat(0.0) } else { load(tile.start.add(channel)) };
-            let mut sums = [start; R];
-            for tap in 0..tile.tap_count {
-                let weight = load(tile.weights.add(*tile.taps.add(tap) as usize * tile.channels + channel));
+            let init = if tile.init.is_null() { V::splat(0.0) } else { load(tile.init.add(channel)) };
+            let mut sums = [init; R];
+            for offset in 0..tile.offset_count {
+                let weight = load(tile.weights.add(*tile.offsets.add(offset) as usize * tile.channels + channel));
                 for (r, sum) in sums.iter_mut().enumerate() {
-                    *sum = load((*tile.cells.add(tap * tile.cell_stride + r)).add(channel)).multiply_add(weight, *sum);
+                    *sum =
+                        load((*tile.cells.add(offset * tile.cell_stride + r)).add(channel)).multiply_add(weight, *sum);
                 }
             }
             for (r, sum) in sums.into_iter().enumerate() {
@@ -191,7 +192,7 @@ unsafe fn channel_tile<V: Vector, const R: usize>(tile: &ChannelTile) {
 }
 
 #[inline(always)]
-unsafe fn tap_tile<V: Vector, const R: usize>(tile: &TapTile) {
+unsafe fn offset_tile<V: Vector, const R: usize>(tile: &OffsetTile) {
     // SAFETY: as in `row_tile`.
     unsafe {
         for channel in (0..tile.channels).step_by(V::LANES) {
@@ -215,9 +216,9 @@ unsafe fn tap_tile<V: Vector, const R: usize>(tile: &TapTile) {
 }
 
 /// A kernel for row tiles.
-pub(super) type RowKernel = unsafe fn(&RowTile);
+pub(crate) type RowKernel = unsafe fn(&RowTile);
 /// A kernel for outer tiles.
-pub(super) type OuterKernel = unsafe fn(&OuterTile);
+pub(crate) type OuterKernel = unsafe fn(&OuterTile);
 
 macro_rules! by_rows {
     ($rows:expr, $f:ident, [], $($r:literal)*) => {
@@ -232,7 +233,7 @@ macro_rules! by_rows {
 }
 
 macro_rules! kernels {
-    ($rows:ident, $outer:ident, $channels:ident, $taps:ident, $v:ty, $(#[$feature:meta])*, $($r:literal)*) => {
+    ($rows:ident, $outer:ident, $channels:ident, $offsets:ident, $v:ty, $(#[$feature:meta])*, $($r:literal)*) => {
         fn $rows(rows: usize, wide: bool) -> RowKernel {
             $(#[$feature])*
             unsafe fn kernel<const R: usize, const N: usize>(tile: &RowTile) {
@@ -265,11 +266,11 @@ macro_rules! kernels {
             by_rows!(rows, kernel, [], 1 2 3 4 5 6)
         }
 
-        fn $taps(rows: usize) -> unsafe fn(&TapTile) {
+        fn $offsets(rows: usize) -> unsafe fn(&OffsetTile) {
             $(#[$feature])*
-            unsafe fn kernel<const R: usize>(tile: &TapTile) {
+            unsafe fn kernel<const R: usize>(tile: &OffsetTile) {
                 // SAFETY: passed on.
-                unsafe { tap_tile::<$v, R>(tile) }
+                unsafe { offset_tile::<$v, R>(tile) }
             }
             by_rows!(rows, kernel, [], $($r)*)
         }
@@ -277,24 +278,24 @@ macro_rules! kernels {
 }
 
 kernels!(
-    plain_rows, plain_outer, plain_channels, plain_taps, Plain, , 1 2 3 4 5 6
+    plain_rows, plain_outer, plain_channels, plain_offsets, Plain, , 1 2 3 4 5 6
 );
 #[cfg(target_arch = "x86_64")]
 kernels!(
-    avx2_rows, avx2_outer, avx2_channels, avx2_taps, Avx2,
+    avx2_rows, avx2_outer, avx2_channels, avx2_offsets, Avx2,
     #[target_feature(enable = "avx2,fma")],
     1 2 3 4 5 6
 );
 #[cfg(target_arch = "x86_64")]
 kernels!(
-    avx512_rows, avx512_outer, avx512_channels, avx512_taps, Avx512,
+    avx512_rows, avx512_outer, avx512_channels, avx512_offsets, Avx512,
     #[target_feature(enable = "avx2,fma,avx512f,avx512bw,avx512dq,avx512vl")],
     1 2 3 4 5 6 7 8 9 10 11 12 13 14
 );
 
 /// Sizes of the tiles of one kernel level, and its kernels.
 #[derive(Clone, Copy)]
-pub(super) struct Tiles {
+pub(crate) struct Tiles {
     pub level: KernelLevel,
     /// Values in a vector.
     pub lanes: usize,
@@ -324,7 +325,7 @@ impl Tiles {
     /// Computes a tile of `rows` rows, one or two vectors wide.
     ///
     /// # Safety
-    /// All addresses in `tile` are valid for its sizes; `start` and `panel` as wide as the tile.
+    /// All addresses in `tile` are valid for its sizes; `init` and `panel` as wide as the tile.
     pub unsafe fn row_tile(self, rows: usize, tile: &RowTile) {
         let wide = tile.columns > self.lanes;
         let kernel = match self.level {
@@ -370,17 +371,17 @@ impl Tiles {
         unsafe { kernel(tile) }
     }
 
-    /// Adds to `taps` rows of a depthwise product's weight gradient.
+    /// Adds to `offsets` rows of a depthwise product's weight gradient.
     ///
     /// # Safety
     /// All addresses in `tile` are valid for its sizes.
-    pub unsafe fn tap_tile(self, taps: usize, tile: &TapTile) {
+    pub unsafe fn offset_tile(self, offsets: usize, tile: &OffsetTile) {
         let kernel = match self.level {
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx512 => avx512_taps(taps),
+            KernelLevel::Avx512 => avx512_offsets(offsets),
             #[cfg(target_arch = "x86_64")]
-            KernelLevel::Avx2 => avx2_taps(taps),
-            _ => plain_taps(taps),
+            KernelLevel::Avx2 => avx2_offsets(offsets),
+            _ => plain_offsets(offsets),
         };
         // SAFETY: the level is available, the addresses are the caller's word.
         unsafe { kernel(tile) }
@@ -388,13 +389,13 @@ impl Tiles {
 }
 
 /// Part `index` of `0..length` cut into `parts` parts that differ by one at most.
-pub(super) fn part(length: usize, parts: usize, index: usize) -> std::ops::Range<usize> {
+pub(crate) fn part(length: usize, parts: usize, index: usize) -> std::ops::Range<usize> {
     length * index / parts..length * (index + 1) / parts
 }
 
 /// A place in memory that several threads write to, each its own part.
 #[derive(Clone, Copy)]
-pub(super) struct Shared(*mut f32);
+pub(crate) struct Shared(*mut f32);
 
 // SAFETY: an address. Who writes through it answers for the parts being disjoint.
 unsafe impl Send for Shared {}

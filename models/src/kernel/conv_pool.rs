@@ -3,13 +3,13 @@
 use super::level::{dispatch, multiply_add};
 
 /// Output channels that the convolution kernel handles at once.
-pub(super) const LANES: usize = 16;
+pub(crate) const LANES: usize = 16;
 /// Index of a pooling window whose maximum is not above zero: ReLU passes no gradient.
-pub(super) const DEAD: u8 = 4;
+pub(crate) const DEAD: u8 = 4;
 
 /// Geometry of a 3x3 convolution with padding 1 followed by 2x2 pooling.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Block {
+pub(crate) struct Block {
     /// Rows of the input.
     pub rows: usize,
     /// Columns of the input.
@@ -32,13 +32,13 @@ impl Block {
     }
 
     /// Cells of one output channel's kernel.
-    pub fn taps(&self) -> usize {
+    pub fn kernel_length(&self) -> usize {
         9 * self.inputs
     }
 
     /// Length of weights packed by [`Block::pack`].
     pub fn packed_length(&self) -> usize {
-        self.outputs.div_ceil(LANES) * self.taps() * LANES
+        self.outputs.div_ceil(LANES) * self.kernel_length() * LANES
     }
 
     /// Copies an input `[row][column][channel]` into the middle of a padded one whose border is zero.
@@ -61,10 +61,10 @@ impl Block {
     /// forward pass.
     pub fn pack(&self, weight: &[f32]) -> Vec<f32> {
         let mut packed = vec![0.0; self.packed_length()];
-        for (o, kernel) in weight.chunks_exact(self.taps()).enumerate() {
+        for (o, kernel) in weight.chunks_exact(self.kernel_length()).enumerate() {
             for (i, plane) in kernel.chunks_exact(9).enumerate() {
                 for (t, &w) in plane.iter().enumerate() {
-                    packed[((o / LANES) * self.taps() + t * self.inputs + i) * LANES + o % LANES] = w;
+                    packed[((o / LANES) * self.kernel_length() + t * self.inputs + i) * LANES + o % LANES] = w;
                 }
             }
         }
@@ -74,7 +74,9 @@ impl Block {
     /// Weights `[output][input][row][column]` to channel-last `[output][row][column][input]`, for the backward pass.
     pub fn to_channel_last(self, weight: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; weight.len()];
-        for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
+        for (source, target) in
+            weight.chunks_exact(self.kernel_length()).zip(out.chunks_exact_mut(self.kernel_length()))
+        {
             for (k, value) in target.iter_mut().enumerate() {
                 *value = source[(k % self.inputs) * 9 + k / self.inputs];
             }
@@ -85,7 +87,9 @@ impl Block {
     /// Reverse of [`Block::to_channel_last`].
     pub fn to_channel_first(self, weight: &[f32]) -> Vec<f32> {
         let mut out = vec![0.0; weight.len()];
-        for (source, target) in weight.chunks_exact(self.taps()).zip(out.chunks_exact_mut(self.taps())) {
+        for (source, target) in
+            weight.chunks_exact(self.kernel_length()).zip(out.chunks_exact_mut(self.kernel_length()))
+        {
             for (k, &value) in source.iter().enumerate() {
                 target[(k % self.inputs) * 9 + k / self.inputs] = value;
             }
@@ -97,7 +101,7 @@ impl Block {
 dispatch! {
     /// Convolution, bias, ReLU and pooling of one sample. `winner` gets the index 0..4 of the largest cell of each
     /// window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
-    pub(super) fn forward(
+    pub(crate) fn forward(
         block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
     ) = forward_generic
 }
@@ -113,18 +117,18 @@ fn forward_generic<const FUSED: bool>(
 ) {
     let Block { rows, columns, inputs, outputs } = block;
     let line = (columns + 2) * inputs;
-    let tile = block.taps() * LANES;
+    let tile = block.kernel_length() * LANES;
     for (group, weights) in packed.chunks_exact(tile).enumerate() {
         let first = group * LANES;
         let lanes = LANES.min(outputs - first);
-        let mut start = [0.0f32; LANES];
-        start[..lanes].copy_from_slice(&bias[first..first + lanes]);
+        let mut init = [0.0f32; LANES];
+        init[..lanes].copy_from_slice(&bias[first..first + lanes]);
         for y in 0..rows / 2 {
             for x in 0..columns / 2 {
                 let corner = 2 * y * line + 2 * x * inputs;
-                let mut sums = [start; 4];
+                let mut sums = [init; 4];
                 for ky in 0..3 {
-                    // Three taps of one row are contiguous in channel-last order; so are their weights.
+                    // Three offsets of one row are contiguous in channel-last order; so are their weights.
                     let at = |row: usize, column: usize| {
                         let from = corner + (ky + row) * line + column * inputs;
                         &padded[from..from + 3 * inputs]
@@ -156,10 +160,10 @@ fn forward_generic<const FUSED: bool>(
 #[inline(always)]
 fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4], weights: &[f32]) {
     let mut acc = *sums;
-    let taps = weights.len() / LANES;
-    let [c0, c1, c2, c3] = cells.map(|c| &c[..taps]);
+    let length = weights.len() / LANES;
+    let [c0, c1, c2, c3] = cells.map(|c| &c[..length]);
     let (weights, _) = weights.as_chunks::<LANES>();
-    for k in 0..taps {
+    for k in 0..length {
         let w = &weights[k];
         for (sum, cell) in acc.iter_mut().zip([c0[k], c1[k], c2[k], c3[k]]) {
             for lane in 0..LANES {
@@ -173,7 +177,7 @@ fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4
 dispatch! {
     /// Gradients of one sample. `gradient` belongs to the pooled output; weights and `weight_gradient` are
     /// channel-last. `input_gradient` is padded, or empty where nobody needs it. All gradients are added to.
-    pub(super) fn backward(
+    pub(crate) fn backward(
         block: Block, padded: &[f32], weight: &[f32], winner: &[u8], gradient: &[f32],
         weight_gradient: &mut [f32], bias_gradient: &mut [f32], input_gradient: &mut [f32]
     ) = backward_generic
@@ -196,7 +200,7 @@ fn backward_generic<const FUSED: bool>(
         return backward_of_data::<FUSED>(block, padded, winner, gradient, weight_gradient, bias_gradient);
     }
     let line = (columns + 2) * inputs;
-    let (taps, run) = (block.taps(), 3 * inputs);
+    let (length, run) = (block.kernel_length(), 3 * inputs);
     for y in 0..rows / 2 {
         for x in 0..columns / 2 {
             let at = (y * (columns / 2) + x) * outputs;
@@ -208,13 +212,13 @@ fn backward_generic<const FUSED: bool>(
                 }
                 bias_gradient[o] += g;
                 let corner = (2 * y + index / 2) * line + (2 * x + index % 2) * inputs;
-                let kernel_gradient = &mut weight_gradient[o * taps..(o + 1) * taps];
+                let kernel_gradient = &mut weight_gradient[o * length..(o + 1) * length];
                 for (ky, kernel_gradient) in kernel_gradient.chunks_exact_mut(run).enumerate() {
                     let from = corner + ky * line;
                     add_scaled::<FUSED>(kernel_gradient, g, &padded[from..from + run]);
                 }
                 if !input_gradient.is_empty() {
-                    let kernel = &weight[o * taps..(o + 1) * taps];
+                    let kernel = &weight[o * length..(o + 1) * length];
                     for (ky, kernel) in kernel.chunks_exact(run).enumerate() {
                         let from = corner + ky * line;
                         add_scaled::<FUSED>(&mut input_gradient[from..from + run], g, kernel);
@@ -225,7 +229,7 @@ fn backward_generic<const FUSED: bool>(
     }
 }
 
-/// [`backward`] for a single input channel that is data. Runs of three taps are too short for vectors, so here the
+/// [`backward`] for a single input channel that is data. Runs of three offsets are too short for vectors, so here the
 /// vectors run over outputs: the gradient is spread over the four cells of the window, zero but for the winner's.
 #[inline(always)]
 fn backward_of_data<const FUSED: bool>(
@@ -240,7 +244,7 @@ fn backward_of_data<const FUSED: bool>(
     let line = columns + 2;
     for first in (0..outputs).step_by(LANES) {
         let lanes = LANES.min(outputs - first);
-        let mut taps = [[0.0f32; LANES]; 9];
+        let mut offsets = [[0.0f32; LANES]; 9];
         let mut biases = [0.0f32; LANES];
         for y in 0..rows / 2 {
             for x in 0..columns / 2 {
@@ -255,11 +259,11 @@ fn backward_of_data<const FUSED: bool>(
                         biases[lane] += spread[lane];
                     }
                     let corner = (2 * y + candidate as usize / 2) * line + 2 * x + candidate as usize % 2;
-                    for (ky, taps) in taps.chunks_exact_mut(3).enumerate() {
+                    for (ky, offsets) in offsets.chunks_exact_mut(3).enumerate() {
                         let cells = &padded[corner + ky * line..corner + ky * line + 3];
-                        for (tap, &cell) in taps.iter_mut().zip(cells) {
+                        for (offset, &cell) in offsets.iter_mut().zip(cells) {
                             for lane in 0..LANES {
-                                tap[lane] = multiply_add::<FUSED>(cell, spread[lane], tap[lane]);
+                                offset[lane] = multiply_add::<FUSED>(cell, spread[lane], offset[lane]);
                             }
                         }
                     }
@@ -268,8 +272,8 @@ fn backward_of_data<const FUSED: bool>(
         }
         for lane in 0..lanes {
             bias_gradient[first + lane] += biases[lane];
-            for (tap, sums) in taps.iter().enumerate() {
-                weight_gradient[(first + lane) * 9 + tap] += sums[lane];
+            for (offset, sums) in offsets.iter().enumerate() {
+                weight_gradient[(first + lane) * 9 + offset] += sums[lane];
             }
         }
     }
@@ -292,5 +296,5 @@ fn add_scaled<const FUSED: bool>(target: &mut [f32], factor: f32, source: &[f32]
 
 dispatch! {
     /// `target += factor * source`.
-    pub(super) fn axpy(target: &mut [f32], factor: f32, source: &[f32]) = add_scaled
+    pub(crate) fn axpy(target: &mut [f32], factor: f32, source: &[f32]) = add_scaled
 }

@@ -8,11 +8,11 @@
 
 use std::cell::RefCell;
 
-use super::KernelLevel;
-use super::crew::for_each_task;
+use super::level::KernelLevel;
 use super::packed::{Packed, Side};
+use super::spin_pool::for_each_task;
 use super::tile::{RowTile, Shared, Tiles, part};
-use super::window::{Patch, Window};
+use super::winograd_transform::{InputWindow, OutputWindow};
 
 /// Numbers of a transformed window.
 const POINTS: usize = 16;
@@ -26,16 +26,16 @@ const TASKS: usize = 8;
 const WIDTH: usize = 32;
 
 /// A convolution's transformed weights, and what its sums start from.
-pub(super) struct Winograd {
+pub(crate) struct Winograd {
     inputs: usize,
     outputs: usize,
     weight: Packed,
-    start: Vec<f32>,
+    init: Vec<f32>,
 }
 
 /// What becomes of the four cells of a window.
 #[derive(Clone, Copy)]
-pub(super) enum Finish<'a> {
+pub(crate) enum Finish<'a> {
     /// The largest, or zero: ReLU and 2x2 max-pooling. Cells of an odd last row or column are left out.
     Pool,
     /// Each by itself, plus the cell of a map of the same shape, then ReLU if asked for.
@@ -57,8 +57,8 @@ thread_local! {
 }
 
 impl Winograd {
-    /// Of weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `start`, a value an output.
-    pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], start: &[f32], level: KernelLevel) -> Self {
+    /// Of weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, a value an output.
+    pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], level: KernelLevel) -> Self {
         const G: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5], [0.0, 0.0, 1.0]];
         let transformed: Vec<f32> = weight
             .as_chunks::<9>()
@@ -73,8 +73,8 @@ impl Winograd {
             })
             .collect();
         let weight = Packed::new(&transformed, [outputs, inputs, POINTS], Side::Forward, Tiles::new(level));
-        let start = weight.pad(start);
-        Winograd { inputs, outputs, weight, start }
+        let init = weight.pad(init);
+        Winograd { inputs, outputs, weight, init }
     }
 
     /// `source` `[batch][row][column][i]` to `target` `[batch][row / 2][column / 2][o]` where it is pooled,
@@ -133,25 +133,25 @@ impl Winograd {
             let first = panel * tiles.width();
             let columns = tiles.width().min(self.outputs - first);
             for point in 0..POINTS {
-                let taps = [point as u32];
+                let offsets = [point as u32];
                 for tile in 0..row_tiles {
                     let rows = part(count, row_tiles, tile);
                     let at = point * count + rows.start;
                     let tile = RowTile {
                         cells: sources[at..].as_ptr(),
                         cell_stride: 0,
-                        taps: taps.as_ptr(),
-                        tap_count: 1,
+                        offsets: offsets.as_ptr(),
+                        offset_count: 1,
                         channels: inputs,
                         panel: self.weight.values[first * self.weight.depth..].as_ptr(),
-                        start: if point == CENTRE { self.start[first..].as_ptr() } else { std::ptr::null() },
+                        init: if point == CENTRE { self.init[first..].as_ptr() } else { std::ptr::null() },
                         targets: targets[at..].as_ptr(),
                         first: 0,
                         // Whole vectors: there is room for them.
                         columns: columns.next_multiple_of(tiles.lanes),
                     };
                     // SAFETY: sources are windows of `inputs` values each, targets rows as wide as the widest tile; panel
-                    // and start are padded to the tile's width.
+                    // and init are padded to the tile's width.
                     unsafe { tiles.row_tile(rows.len(), &tile) };
                 }
             }
@@ -182,12 +182,12 @@ impl Map<'_> {
     }
 
     /// The cells that a window looks at.
-    fn patch(&self, window: usize, channels: usize, target: *mut f32, stride: usize) -> Patch {
+    fn patch(&self, window: usize, channels: usize, target: *mut f32, stride: usize) -> InputWindow {
         let [image, row, column] = self.place(window);
         // Of four cells from cell `2 index - 1` on, those from the first to the end are among `length`.
         let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
         let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
-        Patch {
+        InputWindow {
             corner: self.source.as_ptr().wrapping_add(first).wrapping_sub((self.columns + 1) * channels),
             line: self.columns * channels,
             channels,
@@ -210,12 +210,12 @@ impl Map<'_> {
         target: Shared,
         sums: *const f32,
         stride: usize,
-    ) -> Window {
+    ) -> OutputWindow {
         let [image, row, column] = self.place(window);
         let (mut targets, mut residual) = ([std::ptr::null_mut(); 4], [std::ptr::null(); 4]);
         let Finish::Cells { residual: others, rectified } = finish else {
             targets[0] = target.get().wrapping_add(window * outputs + first);
-            return Window { sums, stride, columns, targets, residual, rectified: true };
+            return OutputWindow { sums, stride, columns, targets, residual, rectified: true };
         };
         for k in 0..4 {
             let (row, column) = (2 * row + k / 2, 2 * column + k % 2);
@@ -225,6 +225,6 @@ impl Map<'_> {
                 residual[k] = others.map_or(std::ptr::null(), |others| others[at..at + columns].as_ptr());
             }
         }
-        Window { sums, stride, columns, targets, residual, rectified }
+        OutputWindow { sums, stride, columns, targets, residual, rectified }
     }
 }

@@ -1,4 +1,4 @@
-//! From a latent to angles.
+//! Sigmoid scaled to (0, pi): latent to angles.
 
 use std::f32::consts::PI;
 
@@ -6,7 +6,7 @@ use candle_core::{Result, Shape, Tensor};
 
 use super::operation::{Argument, Gradients, Operation, apply};
 
-const NAME: &str = "squash";
+const NAME: &str = "scaled_sigmoid";
 
 /// `pi * sigmoid(u)` of each value: radians in (0, pi).
 ///
@@ -15,27 +15,27 @@ const NAME: &str = "squash";
 ///
 /// # Errors
 /// The tensor is not f32 on the CPU.
-pub fn squash(input: &Tensor, penalty: f32) -> Result<Tensor> {
-    apply(&[input], Squash { penalty })
+pub fn scaled_sigmoid(input: &Tensor, penalty: f32) -> Result<Tensor> {
+    apply(&[input], ScaledSigmoid { penalty })
 }
 
-struct Squash {
+struct ScaledSigmoid {
     penalty: f32,
 }
 
 /// Half a hyperbolic tangent of half the argument, which does not overflow.
-pub(crate) fn squashed(u: f32) -> f32 {
+pub(crate) fn scaled_sigmoid_of(u: f32) -> f32 {
     0.5 * PI * (1.0 + (0.5 * u).tanh())
 }
 
-impl Operation for Squash {
+impl Operation for ScaledSigmoid {
     fn name(&self) -> &'static str {
         NAME
     }
 
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)> {
         let [input] = inputs else { candle_core::bail!("{NAME}: expected one input") };
-        Ok((input.values.iter().map(|&u| squashed(u)).collect(), Shape::from(input.dims)))
+        Ok((input.values.iter().map(|&u| scaled_sigmoid_of(u)).collect(), Shape::from(input.dims)))
     }
 
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], mut gradient: Vec<f32>) -> Result<Gradients> {

@@ -1,64 +1,19 @@
-//! Convolutions prepared once and run often, without a graph of gradients: what inference is made of.
+//! Convolution prepared for inference: weights packed or transformed once, batch normalisation and activation fused.
 
 use super::activation::{Activation, CHUNK, add_in_place, in_place};
 use super::conv2d::{ConvGeometry, ConvSizes};
-use super::crew::for_each_chunk;
-use super::packed::{Packed, Side};
-use super::tile::Tiles;
-use super::winograd::{Finish, Winograd};
-use super::{KernelLevel, depthwise};
+use super::feature::{Affine, Feature};
+use crate::kernel::packed::{Packed, Side};
+use crate::kernel::spin_pool::for_each_chunk;
+use crate::kernel::tile::Tiles;
+use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::{KernelLevel, depthwise};
 use candle_core::{Error, Result};
 
 /// Inputs from which on windows of cells are worth their transforms.
 const FEW_CHANNELS: usize = 8;
 /// Weights up to which they are: there are 16 for nine, and to fetch more of them takes longer than the sums that are saved.
 const MOST_TRANSFORMED: usize = 1 << 16;
-
-/// Maps `[batch][row][column][channel]` in a buffer that keeps its memory from one use to the next.
-#[derive(Debug, Clone, Default)]
-pub struct Feature {
-    dims: [usize; 4],
-    values: Vec<f32>,
-}
-
-impl Feature {
-    /// Maps of these values.
-    ///
-    /// # Errors
-    /// The number of values is not the product of `dims`.
-    pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
-        if dims.iter().product::<usize>() != values.len() {
-            return Err(Error::Msg(format!(
-                "feature: {dims:?} needs {} values, got {}",
-                dims.iter().product::<usize>(),
-                values.len()
-            ))
-            .bt());
-        }
-        Ok(Feature { dims, values })
-    }
-
-    /// Batch, rows, columns, channels.
-    pub fn dims(&self) -> [usize; 4] {
-        self.dims
-    }
-
-    /// The values, in row-major order.
-    pub fn values(&self) -> &[f32] {
-        &self.values
-    }
-
-    /// The values, to be overwritten.
-    pub fn values_mut(&mut self) -> &mut [f32] {
-        &mut self.values
-    }
-
-    /// Takes another shape. Values are what they were, or zero where there were none: to be overwritten.
-    pub fn reshape(&mut self, dims: [usize; 4]) {
-        self.dims = dims;
-        self.values.resize(dims.iter().product(), 0.0);
-    }
-}
 
 /// A convolution with batch normalisation folded into its weights, its bias and the activation behind it.
 pub struct PreparedConv {
@@ -75,15 +30,6 @@ enum Weight {
     Dense(Packed),
     Winograd(Winograd),
     Depthwise(Vec<f32>),
-}
-
-/// `x scale + shift` for each channel behind a convolution: batch normalisation at evaluation.
-#[derive(Debug, Clone, Copy)]
-pub struct Affine<'a> {
-    /// A factor for each output.
-    pub scale: &'a [f32],
-    /// Added to each output.
-    pub shift: &'a [f32],
 }
 
 impl PreparedConv {
@@ -133,7 +79,7 @@ impl PreparedConv {
         let weight = if in_windows {
             Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
         } else if geometry.groups > 1 {
-            Weight::Depthwise(depthwise::tap_first(&folded, rows * columns))
+            Weight::Depthwise(depthwise::offset_first(&folded, rows * columns))
         } else {
             Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
         };
@@ -157,11 +103,11 @@ impl PreparedConv {
             .bt());
         }
         output.reshape(sizes.output_shape());
-        let sweep = sizes.forward_sweep();
+        let gemm = sizes.forward_gemm();
         match &self.weight {
-            Weight::Dense(weight) => sweep.run(&input.values, weight, Some(&self.bias), &mut output.values),
+            Weight::Dense(weight) => gemm.run(&input.values, weight, Some(&self.bias), &mut output.values),
             Weight::Depthwise(weight) => {
-                depthwise::run(&sweep, &input.values, weight, Some(&self.bias), &mut output.values, self.tiles);
+                depthwise::run(&gemm, &input.values, weight, Some(&self.bias), &mut output.values, self.tiles);
             }
             Weight::Winograd(winograd) => {
                 let [batch, rows, columns, _] = input.dims;

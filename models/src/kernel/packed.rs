@@ -4,9 +4,9 @@ use rayon::prelude::*;
 
 use super::tile::Tiles;
 
-/// Weights `[panel][tap][channel][column of the panel]`: each panel as wide as a tile, the last one a single vector if
+/// Weights `[panel][offset][channel][column of the panel]`: each panel as wide as a tile, the last one a single vector if
 /// that is enough, filled up with zeros.
-pub(super) struct Packed {
+pub(crate) struct Packed {
     pub values: Vec<f32>,
     /// Taps times channels.
     pub depth: usize,
@@ -15,7 +15,7 @@ pub(super) struct Packed {
 }
 
 /// Which way a product goes.
-pub(super) enum Side {
+pub(crate) enum Side {
     /// Columns are outputs, channels inputs.
     Forward,
     /// Columns are inputs, channels outputs.
@@ -23,13 +23,13 @@ pub(super) enum Side {
 }
 
 impl Packed {
-    /// Packs `[output][input][tap]`.
-    pub fn new(weight: &[f32], [outputs, inputs, taps]: [usize; 3], side: Side, tiles: Tiles) -> Self {
+    /// Packs `[output][input][offset]`.
+    pub fn new(weight: &[f32], [outputs, inputs, offsets]: [usize; 3], side: Side, tiles: Tiles) -> Self {
         let (columns, channels) = match side {
             Side::Forward => (outputs, inputs),
             Side::Backward => (inputs, outputs),
         };
-        let depth = taps * channels;
+        let depth = offsets * channels;
         let panels = columns.div_ceil(tiles.width());
         let mut values = vec![0.0; Self::length(columns, tiles) * depth];
         let pack = |panel: usize, target: &mut [f32]| {
@@ -41,21 +41,21 @@ impl Packed {
                     // One stream a column, so that both sides go through memory in order.
                     let streams: Vec<&[f32]> = columns.map(|o| &weight[o * depth..(o + 1) * depth]).collect();
                     for channel in 0..channels {
-                        for tap in 0..taps {
-                            let target = &mut target[(tap * channels + channel) * width..][..streams.len()];
+                        for offset in 0..offsets {
+                            let target = &mut target[(offset * channels + channel) * width..][..streams.len()];
                             for (value, stream) in target.iter_mut().zip(&streams) {
-                                *value = stream[channel * taps + tap];
+                                *value = stream[channel * offsets + offset];
                             }
                         }
                     }
                 }
                 Side::Backward => {
                     for o in 0..outputs {
-                        let source = &weight[o * inputs * taps..(o + 1) * inputs * taps];
-                        for tap in 0..taps {
-                            let target = &mut target[(tap * channels + o) * width..][..columns.len()];
+                        let source = &weight[o * inputs * offsets..(o + 1) * inputs * offsets];
+                        for offset in 0..offsets {
+                            let target = &mut target[(offset * channels + o) * width..][..columns.len()];
                             for (value, i) in target.iter_mut().zip(columns.clone()) {
-                                *value = source[i * taps + tap];
+                                *value = source[i * offsets + offset];
                             }
                         }
                     }

@@ -10,7 +10,7 @@ macro_rules! dispatch {
     ($(#[$doc:meta])* $vis:vis fn $name:ident($($arg:ident: $type:ty),* $(,)?) $(-> $ret:ty)? = $generic:ident) => {
         $(#[$doc])*
         #[allow(clippy::too_many_arguments)]
-        $vis fn $name(level: $crate::layer::KernelLevel, $($arg: $type),*) $(-> $ret)? {
+        $vis fn $name(level: $crate::kernel::KernelLevel, $($arg: $type),*) $(-> $ret)? {
             #[cfg(target_arch = "x86_64")]
             {
                 #[target_feature(enable = "avx2,fma")]
@@ -25,10 +25,10 @@ macro_rules! dispatch {
                 }
                 match level.available() {
                     // SAFETY: `available` returned this level, so the processor has its instructions.
-                    $crate::layer::KernelLevel::Avx512 => return unsafe { avx512($($arg),*) },
+                    $crate::kernel::KernelLevel::Avx512 => return unsafe { avx512($($arg),*) },
                     // SAFETY: as above.
-                    $crate::layer::KernelLevel::Avx2 => return unsafe { avx2($($arg),*) },
-                    $crate::layer::KernelLevel::Portable => {}
+                    $crate::kernel::KernelLevel::Avx2 => return unsafe { avx2($($arg),*) },
+                    $crate::kernel::KernelLevel::Portable => {}
                 }
             }
             let _ = level;
@@ -36,9 +36,9 @@ macro_rules! dispatch {
         }
     };
 }
-pub(super) use dispatch;
+pub(crate) use dispatch;
 
 #[inline(always)]
-pub(super) fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
+pub(crate) fn multiply_add<const FUSED: bool>(a: f32, b: f32, c: f32) -> f32 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }
 }

@@ -4,61 +4,61 @@ use std::cell::RefCell;
 
 use rayon::prelude::*;
 
-use super::crew::for_each_task;
-use super::sweep::Sweep;
-use super::tile::{ChannelTile, Shared, TapTile, Tiles, part};
+use super::implicit_gemm::ImplicitGemm;
+use super::spin_pool::for_each_task;
+use super::tile::{ChannelTile, OffsetTile, Shared, Tiles, part};
 
 /// Cells that a task takes at most, and at least if there are more.
 const CELLS_PER_TASK: [usize; 2] = [256, 16];
 /// Tasks that a map is cut into at least, where it can be.
 const TASKS: usize = 8;
 
-/// Weights `[channel][tap]` to `[tap][channel]`.
-pub(super) fn tap_first(weight: &[f32], taps: usize) -> Vec<f32> {
-    let channels = weight.len() / taps;
+/// Weights `[channel][offset]` to `[offset][channel]`.
+pub(crate) fn offset_first(weight: &[f32], offsets: usize) -> Vec<f32> {
+    let channels = weight.len() / offsets;
     let mut ordered = vec![0.0; weight.len()];
-    for (channel, values) in weight.chunks_exact(taps).enumerate() {
-        for (tap, &value) in values.iter().enumerate() {
-            ordered[tap * channels + channel] = value;
+    for (channel, values) in weight.chunks_exact(offsets).enumerate() {
+        for (offset, &value) in values.iter().enumerate() {
+            ordered[offset * channels + channel] = value;
         }
     }
     ordered
 }
 
-/// `target = start + sum over taps of source * weight`, for all cells of a sweep; `weight` is `[tap][channel]`, `start`
+/// `target = init + sum over offsets of source * weight`, for all cells of a gemm; `weight` is `[offset][channel]`, `init`
 /// has a value for each channel.
-pub(super) fn run(
-    sweep: &Sweep,
+pub(crate) fn run(
+    gemm: &ImplicitGemm,
     source: &[f32],
     weight: &[f32],
-    start: Option<&[f32]>,
+    init: Option<&[f32]>,
     target: &mut [f32],
     tiles: Tiles,
 ) {
-    let (cells, channels, taps) = (sweep.cells(), sweep.channels, sweep.taps.len());
-    assert_eq!(source.len(), sweep.batch * sweep.source[0] * sweep.source[1] * channels);
-    assert_eq!(target.len(), sweep.batch * sweep.target[0] * sweep.target[1] * channels);
-    assert!(sweep.taps.iter().all(|t| (t.index as usize + 1) * channels <= weight.len()));
-    let indices: Vec<u32> = sweep.taps.iter().map(|t| t.index).collect();
+    let (cells, channels, offsets) = (gemm.cells(), gemm.channels, gemm.offsets.len());
+    assert_eq!(source.len(), gemm.batch * gemm.source[0] * gemm.source[1] * channels);
+    assert_eq!(target.len(), gemm.batch * gemm.target[0] * gemm.target[1] * channels);
+    assert!(gemm.offsets.iter().all(|t| (t.index as usize + 1) * channels <= weight.len()));
+    let indices: Vec<u32> = gemm.offsets.iter().map(|t| t.index).collect();
     let zeros = vec![0.0f32; channels];
     let [most, least] = CELLS_PER_TASK;
     let tasks = cells.div_ceil(most).max(cells.div_ceil(least).min(TASKS));
     let shared = Shared::new(target);
     let task = |scratch: &mut Scratch, index: usize| {
         let cells = part(cells, tasks, index);
-        scratch.addresses.resize(taps * cells.len(), std::ptr::null());
-        sweep.cell_addresses(cells.clone(), source, &zeros, &mut scratch.addresses);
-        sweep.targets(cells.clone(), channels, shared, &mut scratch.targets);
+        scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
+        gemm.cell_addresses(cells.clone(), source, &zeros, &mut scratch.addresses);
+        gemm.targets(cells.clone(), channels, shared, &mut scratch.targets);
         let row_tiles = cells.len().div_ceil(ChannelTile::ROWS);
         for tile in 0..row_tiles {
             let rows = part(cells.len(), row_tiles, tile);
             let tile = ChannelTile {
                 cells: scratch.addresses[rows.start..].as_ptr(),
                 cell_stride: cells.len(),
-                taps: indices.as_ptr(),
-                tap_count: taps,
+                offsets: indices.as_ptr(),
+                offset_count: offsets,
                 weights: weight.as_ptr(),
-                start: start.map_or(std::ptr::null(), <[f32]>::as_ptr),
+                init: init.map_or(std::ptr::null(), <[f32]>::as_ptr),
                 targets: scratch.targets[rows.start..].as_ptr(),
                 channels,
             };
@@ -69,31 +69,31 @@ pub(super) fn run(
     for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
-/// Gradient `[channel][tap]` of the weights, where `gradient` belongs to what `sweep` computes from `source`: summed by
+/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to what `gemm` computes from `source`: summed by
 /// parts of a fixed size, which are added up in their order.
-pub(super) fn weight_gradient(sweep: &Sweep, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
+pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
     const BLOCK: usize = 64;
     const BLOCKS_PER_TASK: usize = 16;
-    let (cells, channels, taps) = (sweep.cells(), sweep.channels, sweep.taps.len());
-    assert_eq!(source.len(), sweep.batch * sweep.source[0] * sweep.source[1] * channels);
+    let (cells, channels, offsets) = (gemm.cells(), gemm.channels, gemm.offsets.len());
+    assert_eq!(source.len(), gemm.batch * gemm.source[0] * gemm.source[1] * channels);
     assert_eq!(gradient.len(), cells * channels);
     let zeros = vec![0.0f32; channels];
-    let tap_tiles = taps.div_ceil(tiles.rows);
+    let offset_tiles = offsets.div_ceil(tiles.rows);
     let tasks = cells.div_ceil(BLOCK * BLOCKS_PER_TASK);
     let partials: Vec<Vec<f32>> = (0..tasks)
         .into_par_iter()
         .map_init(Scratch::default, |scratch, index| {
-            let mut sums = vec![0.0f32; taps * channels];
+            let mut sums = vec![0.0f32; offsets * channels];
             let cells = part(cells, tasks, index);
             let blocks = cells.len().div_ceil(BLOCK);
             for block in 0..blocks {
                 let block = part(cells.len(), blocks, block);
                 let block = cells.start + block.start..cells.start + block.end;
-                scratch.addresses.resize(taps * block.len(), std::ptr::null());
-                sweep.cell_addresses(block.clone(), source, &zeros, &mut scratch.addresses);
-                for tap_tile in 0..tap_tiles {
-                    let rows = part(taps, tap_tiles, tap_tile);
-                    let tile = TapTile {
+                scratch.addresses.resize(offsets * block.len(), std::ptr::null());
+                gemm.cell_addresses(block.clone(), source, &zeros, &mut scratch.addresses);
+                for offset_tile in 0..offset_tiles {
+                    let rows = part(offsets, offset_tiles, offset_tile);
+                    let tile = OffsetTile {
                         cells: scratch.addresses[rows.start * block.len()..].as_ptr(),
                         cell_count: block.len(),
                         gradient: gradient[block.start * channels..].as_ptr(),
@@ -101,20 +101,20 @@ pub(super) fn weight_gradient(sweep: &Sweep, source: &[f32], gradient: &[f32], t
                         channels,
                     };
                     // SAFETY: all addresses are of `channels` values.
-                    unsafe { tiles.tap_tile(rows.len(), &tile) };
+                    unsafe { tiles.offset_tile(rows.len(), &tile) };
                 }
             }
             sums
         })
         .collect();
-    let mut total = vec![0.0f32; taps * channels];
+    let mut total = vec![0.0f32; offsets * channels];
     for partial in &partials {
         total.iter_mut().zip(partial).for_each(|(t, &p)| *t += p);
     }
-    let mut ordered = vec![0.0f32; taps * channels];
-    for (tap, values) in total.chunks_exact(channels).enumerate() {
+    let mut ordered = vec![0.0f32; offsets * channels];
+    for (offset, values) in total.chunks_exact(channels).enumerate() {
         for (channel, &value) in values.iter().enumerate() {
-            ordered[channel * taps + tap] = value;
+            ordered[channel * offsets + offset] = value;
         }
     }
     ordered

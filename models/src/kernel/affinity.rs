@@ -1,13 +1,13 @@
-//! Threads of a crew on processors of their own.
+//! CPU affinity of a spinning pool's threads: each gets a processor of its own.
 //!
-//! A virtual machine's kernel does not trust a processor that its host has put to sleep, and wakes a thread beside the one that
-//! calls it: a helper would wait for its own leader, for milliseconds. So whoever finds itself where another of the crew is keeps
-//! off those processors for as long as it helps.
+//! In a virtual machine, the kernel avoids processors that the host has put to sleep. It wakes a helper on the processor of the thread
+//! that called it, where the helper waits for its own leader for milliseconds. A helper that starts on a processor of another thread of
+//! the pool therefore excludes those processors from its affinity mask while it helps.
 
 #[cfg(not(target_os = "linux"))]
-pub(super) use elsewhere::Places;
+pub(crate) use elsewhere::Affinity;
 #[cfg(target_os = "linux")]
-pub(super) use linux::Places;
+pub(crate) use linux::Affinity;
 
 #[cfg(target_os = "linux")]
 mod linux {
@@ -15,9 +15,9 @@ mod linux {
 
     use rustix::thread::{CpuSet, sched_getaffinity, sched_getcpu, sched_setaffinity};
 
-    /// Processors that the threads of a crew are on.
+    /// Processors that the threads of a pool run on.
     #[derive(Default)]
-    pub struct Places {
+    pub struct Affinity {
         leader: Mutex<usize>,
         helpers: Mutex<Vec<usize>>,
     }
@@ -26,22 +26,22 @@ mod linux {
         mutex.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A helper's place; given back, and the helper free to go anywhere again, when this is dropped.
-    pub struct Place<'a> {
-        places: &'a Places,
+    /// Processor of a helper. Dropping it frees the processor and restores the helper's affinity mask.
+    pub struct Placement<'a> {
+        affinity: &'a Affinity,
         processor: usize,
-        /// Where the helper may be otherwise, if it was moved.
+        /// Affinity mask of the helper before it was moved, if it was.
         allowed: Option<CpuSet>,
     }
 
-    impl Places {
-        /// Notes where the leader is, which calls this.
-        pub fn lead(&self) {
+    impl Affinity {
+        /// Records the processor of the calling thread as the leader's.
+        pub fn set_leader(&self) {
             *lock(&self.leader) = sched_getcpu();
         }
 
-        /// Moves the calling thread to a processor that nobody of the crew is on, if it may go there.
-        pub fn help(&self) -> Place<'_> {
+        /// Moves the calling thread to a processor that no thread of the pool runs on, if its mask allows one.
+        pub fn place_helper(&self) -> Placement<'_> {
             let mut helpers = lock(&self.helpers);
             let mut allowed = None;
             let taken = |processor| processor == *lock(&self.leader) || helpers.contains(&processor);
@@ -56,36 +56,36 @@ mod linux {
             }
             let processor = sched_getcpu();
             helpers.push(processor);
-            Place { places: self, processor, allowed }
+            Placement { affinity: self, processor, allowed }
         }
     }
 
-    impl Drop for Place<'_> {
+    impl Drop for Placement<'_> {
         fn drop(&mut self) {
-            let mut helpers = lock(&self.places.helpers);
+            let mut helpers = lock(&self.affinity.helpers);
             if let Some(index) = helpers.iter().position(|&processor| processor == self.processor) {
                 helpers.swap_remove(index);
             }
             if let Some(allowed) = &self.allowed {
-                // It was allowed before. Should it not be now, there is another mask by somebody else's will.
+                // This fails only where the mask was changed from outside meanwhile, and then that one counts.
                 _ = sched_setaffinity(None, allowed);
             }
         }
     }
 }
 
-/// Where threads cannot be moved they stay where they are.
+/// Affinity on systems without such masks: threads stay where they are.
 #[cfg(not(target_os = "linux"))]
 mod elsewhere {
     #[derive(Default)]
-    pub struct Places;
-    pub struct Place;
+    pub struct Affinity;
+    pub struct Placement;
 
-    impl Places {
-        pub fn lead(&self) {}
+    impl Affinity {
+        pub fn set_leader(&self) {}
 
-        pub fn help(&self) -> Place {
-            Place
+        pub fn place_helper(&self) -> Placement {
+            Placement
         }
     }
 }
@@ -95,35 +95,35 @@ mod tests {
     use super::*;
     use rustix::thread::{sched_getaffinity, sched_getcpu};
 
-    /// A helper that begins where its leader is goes elsewhere, and may be anywhere again afterwards.
+    /// A helper that starts on its leader's processor moves to another one, and has its former mask afterwards.
     #[test]
     fn a_helper_leaves_its_leaders_processor() {
         let before = sched_getaffinity(None).expect("a mask");
         for _ in 0..20 {
-            let places = Places::default();
-            places.lead();
+            let affinity = Affinity::default();
+            affinity.set_leader();
             let here = sched_getcpu();
-            let place = places.help();
+            let placement = affinity.place_helper();
             if before.count() > 1 && sched_getaffinity(None).expect("a mask") != before {
                 assert_ne!(sched_getcpu(), here);
             }
-            drop(place);
+            drop(placement);
             assert!(sched_getaffinity(None).expect("a mask") == before);
         }
     }
 
-    /// More helpers than processors stay where they may be.
+    /// With more helpers than processors, masks stay valid.
     #[test]
-    fn nobody_is_sent_away_from_everywhere() {
+    fn no_helper_is_excluded_from_all_processors() {
         let before = sched_getaffinity(None).expect("a mask");
-        let places = Places::default();
-        places.lead();
+        let affinity = Affinity::default();
+        affinity.set_leader();
         std::thread::scope(|scope| {
             for _ in 0..2 * before.count() {
                 scope.spawn(|| {
-                    let place = places.help();
+                    let placement = affinity.place_helper();
                     assert!(sched_getaffinity(None).expect("a mask").count() > 0);
-                    drop(place);
+                    drop(placement);
                     assert!(sched_getaffinity(None).expect("a mask") == before);
                 });
             }
