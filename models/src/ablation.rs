@@ -6,9 +6,10 @@
 use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape};
 
 use crate::dataset::{Dataset, LEAKAGE_BINS, network_input};
-use crate::evaluate::{Metrics, most_probable};
+use crate::metrics::{Metrics, most_probable};
+use crate::model::{Classifier, ClassifyError, ModelCard};
+use crate::random::stream;
 use crate::standardise::{DB, bin_noise_db, echo_share, noise_power};
-use crate::{Classifier, ClassifyError, ModelCard, stream};
 
 /// Seed of the noise that replaces cells.
 const SEED: u64 = 1;

@@ -11,6 +11,9 @@ use thiserror::Error;
 /// Longest spec, header or other single document that is read: those of this project have 6 kB at most.
 pub const TEXT_LIMIT_BYTES: u64 = 1 << 20;
 
+/// Largest model that is read, bytes: the largest network here has 45 MB.
+pub const MODEL_LIMIT_BYTES: u64 = 512 << 20;
+
 /// Reason why a file is not read. It comes inside an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 pub enum Refused {

@@ -3,7 +3,7 @@
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::most_probable;
+use crate::metrics::most_probable;
 
 /// Bins of confidence, of equal width from 0 to 1. With three classes those below 1/3 stay empty.
 pub const BINS: usize = 10;

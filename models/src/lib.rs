@@ -16,17 +16,15 @@
 pub mod ablation;
 pub mod bounded_file;
 pub mod calibration;
-mod classifier;
 pub mod dataset;
 pub mod evaluate;
 mod kernel;
 mod large_blocks;
 pub mod layer;
-mod model_file;
+pub mod metrics;
+pub mod model;
 pub mod network;
 pub mod occupancy_filter;
-pub mod onnx;
-pub mod onnx_runtime;
 pub mod quantum;
 mod random;
 pub mod standardise;
@@ -34,11 +32,13 @@ pub mod study;
 pub mod train;
 mod whole_file;
 
-pub use classifier::{Classifier, ClassifyError};
+pub use bounded_file::MODEL_LIMIT_BYTES;
 pub use dataset::Dataset;
-pub use evaluate::Metrics;
 pub use large_blocks::LargeBlocks;
-pub use model_file::{MODEL_FORMAT_VERSION, MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainingSummary};
+pub use metrics::Metrics;
+pub use model::{
+    Classifier, ClassifyError, MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, onnx, onnx_runtime,
+};
 pub use network::{NetworkInfo, NetworkSpec, networks};
 pub use random::stream;
 pub use train::{EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint};

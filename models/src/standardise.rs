@@ -333,7 +333,7 @@ mod tests {
     #[test]
     fn over_noise_neither_gain_nor_colour_is_left() {
         let (range, doppler, skip) = (24, 64, 3);
-        let mut rng = crate::stream(3, "noise", 0);
+        let mut rng = crate::random::stream(3, "noise", 0);
         let mut map = vec![0.0f32; range * doppler];
         for (bin, row) in map.chunks_exact_mut(doppler).enumerate() {
             let level_db = -40.0 - 0.8 * bin as f32;
@@ -418,7 +418,7 @@ mod tests {
             let powers: Vec<f32> = (0..2000).map(|i| 10f32.powf(0.003 * i as f32 - 2.0)).collect();
             assert!(powers.windows(2).all(|p| gain_of_echo(p[0], gain_db) < gain_of_echo(p[1], gain_db)));
         }
-        let mut rng = crate::stream(5, "noise", 0);
+        let mut rng = crate::random::stream(5, "noise", 0);
         let noise: Vec<f32> = (0..20_000).map(|_| noise_power(&mut rng)).collect();
         let mean_db = |gain_db: f32| {
             let levels = noise.iter().map(|p| 10.0 * f64::from(1.0 + gain_of_echo(*p, gain_db)).log10());

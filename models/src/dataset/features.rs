@@ -9,7 +9,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::{Dataset, DatasetError};
-use crate::stream;
+use crate::random::stream;
 
 /// Range bins of leakage, which are not looked at.
 pub use radome_dsp::echo::LEAKAGE_BINS;

@@ -152,7 +152,7 @@ impl Operation for CircuitLayer {
 mod tests {
     use super::*;
     use crate::quantum::{self, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
-    use crate::stream;
+    use crate::random::stream;
     use candle_core::{Device, Var};
     use rand::Rng;
     use std::f32::consts::PI;

@@ -340,7 +340,7 @@ mod tests {
     }
 
     fn noise(rows: usize, columns: usize, seed: u64) -> Vec<f32> {
-        let mut rng = crate::stream(seed, "noise", 0);
+        let mut rng = crate::random::stream(seed, "noise", 0);
         let mut cell = || 10.0 * (1.0 - rng.random_range(f32::MIN_POSITIVE..1.0).ln()).log10();
         (0..rows * columns).map(|_| cell()).collect()
     }

@@ -5,7 +5,7 @@ use rand::Rng;
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::stream;
+use crate::random::stream;
 
 const NAME: &str = "drop_samples";
 

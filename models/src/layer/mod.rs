@@ -23,7 +23,7 @@
 //! let weight = Tensor::new(&[[3f32, 4.0]], &Device::Cpu)?;
 //! let bias = Tensor::new(&[5f32], &Device::Cpu)?;
 //! let output = linear(&input, &weight, &bias, KernelLevel::detect())?;
-//! assert_eq!(output.to_vec2::<f32>()?, [[16.0]]);
+//! assert_eq!(output.to_vec2::<f32>()?, [[16f32]]);
 //! # Ok::<(), candle_core::Error>(())
 //! ```
 

@@ -103,7 +103,7 @@ mod tests {
 
     /// Noise and echoes up to 40 dB, more of them in each map than in the one before.
     fn maps() -> Vec<f32> {
-        let mut rng = crate::stream(5, "maps", 0);
+        let mut rng = crate::random::stream(5, "maps", 0);
         let [batch, rows, columns] = SHAPE;
         let mut maps: Vec<f32> = (0..batch * rows * columns).map(|_| rng.random_range(0.0..9.0)).collect();
         for (k, map) in maps.chunks_exact_mut(rows * columns).enumerate() {

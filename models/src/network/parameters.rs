@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::graph::{Declaration, Graph, Layer, Start};
 use crate::layer::{BatchNormConstants, RunningStatistics};
-use crate::stream;
+use crate::random::stream;
 
 /// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]

@@ -4,7 +4,7 @@ use candle_core::Device;
 use rand::Rng;
 
 fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {
-    let mut rng = crate::stream(5, "maps", 0);
+    let mut rng = crate::random::stream(5, "maps", 0);
     let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.0..1.0)).collect();
     Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu).expect("tensor")
 }
@@ -44,7 +44,7 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
     let spec = NetworkSpec { kind: NetworkKind::Hqnn, pooled: [3, 4], head: Head::default() };
     let mut network = Network::initialise(&spec, 5, 0, KernelLevel::detect()).expect("network");
     let input = maps(2, 40, 48);
-    let mut rng = crate::stream(5, "features", 0);
+    let mut rng = crate::random::stream(5, "features", 0);
     let features = 32 * 3 * 4;
     network.parameters_mut().set_normalisation(
         "features",

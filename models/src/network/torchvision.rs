@@ -12,8 +12,7 @@ use sha2::{Digest, Sha256};
 use thiserror::Error;
 
 use super::{Network, NetworkKind, NetworkSpec};
-use crate::MODEL_LIMIT_BYTES;
-use crate::bounded_file::read;
+use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 
 /// How a `.pth` of torchvision becomes what is read here.
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\

@@ -6,7 +6,7 @@ use super::layers::Workspace;
 use super::spec::{CircuitError, CircuitSpec, Execution, ShotGradient, Shots};
 use super::state_vector::{parameter_shift, z_expectations};
 use super::{noise, shots};
-use crate::stream;
+use crate::random::stream;
 
 /// Which of its measurements' outcomes a circuit with shots gets: they are a function of the seed, these two and what is
 /// measured for (expectations or gradients). Of no account where expectations are exact.

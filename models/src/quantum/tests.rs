@@ -4,7 +4,7 @@ use rand::Rng;
 
 use super::state_vector::{parameter_shift, run_at, z_expectations};
 use super::*;
-use crate::stream;
+use crate::random::stream;
 
 /// Nothing is drawn.
 const NONE: Draw = Draw { call: 0, row: 0 };

@@ -26,11 +26,12 @@ pub use statistics::{Interval, t_interval};
 
 use crate::bounded_file::{TEXT_LIMIT_BYTES, read_text};
 use crate::dataset::{Dataset, DatasetError, Split};
-use crate::evaluate::{Metrics, evaluate};
+use crate::evaluate::evaluate;
+use crate::metrics::Metrics;
+use crate::model::{Classifier, ClassifyError};
 use crate::network::{Head, NetworkSpec};
 use crate::train::{EpochReport, TrainError, TrainSpec, train_with_checkpoint};
 use crate::whole_file;
-use crate::{Classifier, ClassifyError};
 
 /// Balanced accuracy on the training maps below which a training has failed: chance is a third.
 pub const FAILED_BELOW: f64 = 0.45;
@@ -273,7 +274,7 @@ impl StudySpec {
             (Some(known), _) => known,
             (None, Some(_)) if variant.network.is_none() => NetworkSpec::with_head(Head::default()),
             (None, _) => {
-                let known: Vec<String> = crate::networks().into_iter().map(|network| network.name).collect();
+                let known: Vec<String> = crate::network::networks().into_iter().map(|network| network.name).collect();
                 return Err(StudyError::Setting {
                     what: format!("network of variant {}", variant.name),
                     value: format!("'{name}'"),

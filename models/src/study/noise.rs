@@ -3,8 +3,9 @@
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::dataset::Dataset;
-use crate::evaluate::{Metrics, most_probable};
-use crate::{Classifier, ClassifyError, stream};
+use crate::metrics::{Metrics, most_probable};
+use crate::model::{Classifier, ClassifyError};
+use crate::random::stream;
 
 /// Test maps with noise on them.
 pub struct NoisyMaps<'a> {

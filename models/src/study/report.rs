@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::statistics::{Interval, t_interval};
 use super::{Outcome, StudySpec};
 use crate::dataset::Dataset;
+use crate::metrics::Metrics;
 
 /// Confusion matrices summed over seeds: `[truth][prediction]`.
 type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
@@ -123,7 +124,7 @@ fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64
         let values: Vec<f64> = of.iter().filter_map(|outcome| f(outcome)).collect();
         t_interval(&values)
     };
-    let test = |f: &dyn Fn(&crate::Metrics) -> Option<f64>, broken: Option<f64>| {
+    let test = |f: &dyn Fn(&Metrics) -> Option<f64>, broken: Option<f64>| {
         interval(&|outcome| match (&outcome.error, &outcome.test) {
             (Some(_), _) => broken,
             (None, Some(metrics)) => f(metrics),

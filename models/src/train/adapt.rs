@@ -24,13 +24,11 @@
 
 use candle_core::{Device, Tensor};
 use radome_dsp::{Occupancy, Rdm, RdmShape};
-use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
-use crate::model_file::Model;
+use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
 use crate::network::{Layer, Mode, Network, NetworkKind, Value};
-use crate::{Classifier, ClassifyError};
 use tail::{Judged, Tail, empty_strength, last_node, shows_people};
 
 mod minimise;
@@ -87,53 +85,6 @@ impl AdaptRecording {
         }
         seconds
     }
-}
-
-/// Balanced accuracies over recordings, frame by frame and behind the occupancy filter.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Scores {
-    /// Of each frame by itself.
-    pub by_frame: f64,
-    /// Of the filter's answers.
-    pub filtered: f64,
-}
-
-/// Scores of the model before and after an adaptation that has not seen the recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct BeforeAfter {
-    /// Of the model as it was.
-    pub before: Scores,
-    /// Of the adapted model.
-    pub after: Scores,
-}
-
-impl Scores {
-    fn sum(self) -> f64 {
-        self.by_frame + self.filtered
-    }
-}
-
-impl BeforeAfter {
-    /// Whether the adaptation makes the mean of both scores lower.
-    pub fn is_worse(&self) -> bool {
-        self.after.sum() < self.before.sum() - 1e-9
-    }
-}
-
-/// Entry of a model card: what the model was last adapted on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Adapted {
-    /// Labelled seconds of empty, one and two.
-    pub seconds: [f64; CLASSES],
-    /// Recordings that they are from.
-    pub recordings: usize,
-    /// Strength of the pull towards the parameters before, s of labelled frames for a squared deviation.
-    pub strength: f64,
-    /// Simulated maps that were mixed in.
-    pub simulated_maps: usize,
-    /// Scores with each recording, of more than ten a tenth of them, held out in turn, where that says anything.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub held_out: Option<BeforeAfter>,
 }
 
 /// Result of an adaptation.
@@ -417,7 +368,7 @@ mod tests {
 
     use super::*;
     use crate::layer::{DESCRIPTORS, KernelLevel};
-    use crate::model_file::ModelCard;
+    use crate::model::ModelCard;
     use crate::network::NetworkSpec;
     use crate::standardise::{MapReference, Standardisation};
 
@@ -437,7 +388,7 @@ mod tests {
 
     /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the class.
     pub fn recording(seed: u64, classes: &[Occupancy]) -> AdaptRecording {
-        let mut rng = crate::stream(seed, "features", 0);
+        let mut rng = crate::random::stream(seed, "features", 0);
         let normal = Normal::new(0.0f32, 0.6).expect("normal");
         let mut frames = Vec::new();
         for class in classes {

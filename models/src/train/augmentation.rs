@@ -12,8 +12,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
 
 use super::TrainError;
+use crate::random::stream;
 use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
-use crate::stream;
 
 /// Largest gain on echoes, dB: up to it stronger cells stay the stronger ones.
 const MOST_GAIN_DB: f32 = 15.0;

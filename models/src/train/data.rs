@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use super::augmentation::{Partners, Showing};
 use super::{Augmentation, TrainError, TrainSpec};
 use crate::dataset::{Dataset, Split};
-use crate::model_file::input_shape;
+use crate::model::input_shape;
+use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
-use crate::stream;
 
 /// Maps `[range][doppler]` and their classes.
 pub(super) struct Part {

@@ -13,7 +13,7 @@ use super::TrainError;
 use super::adam::Adam;
 use crate::layer::{backward, cross_entropy};
 use crate::network::{Layer, Mode, Network, Parameter, Value};
-use crate::stream;
+use crate::random::stream;
 
 /// Random starts of the search.
 const SEARCHES: u64 = 24;

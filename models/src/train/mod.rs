@@ -35,7 +35,8 @@ mod trainer;
 
 use std::path::{Path, PathBuf};
 
-pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapted, Adapter, BeforeAfter, Fit, Scores};
+pub use crate::model::{Adapted, BeforeAfter, Scores};
+pub use adapt::{AdaptError, AdaptFrame, AdaptRecording, Adaptation, Adapter, Fit};
 pub use augmentation::{Augmentation, Superpose, Sway};
 pub use smoothing::{FilterSequence, SmoothingFit, fit_smoothing};
 pub use trainer::Trainer;
@@ -44,12 +45,14 @@ use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-use crate::Classifier;
-use crate::ClassifyError;
 use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
-use crate::evaluate::Metrics;
+use crate::evaluate::evaluate;
 use crate::layer::KernelLevel;
-use crate::model_file::{MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes, input_shape};
+use crate::metrics::Metrics;
+use crate::model::{
+    Classifier, ClassifyError, MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, input_axes,
+    input_shape,
+};
 use crate::network::{
     Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED, TorchvisionWeights, UnreadableMaps, WeightsError,
 };
@@ -485,10 +488,10 @@ pub fn train_with_checkpoint(
     warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
     // Scores come from the very path that a live classifier takes.
     let mut classifier = Classifier::new(Model { card: card.clone(), network });
-    let validation = crate::evaluate::evaluate(&mut classifier, dataset, &data.validation.indices)?;
+    let validation = evaluate(&mut classifier, dataset, &data.validation.indices)?;
     let test = match data.test.as_slice() {
         [] => None,
-        indices => Some(crate::evaluate::evaluate(&mut classifier, dataset, indices)?),
+        indices => Some(evaluate(&mut classifier, dataset, indices)?),
     };
     card.training.validation = validation.clone();
     card.training.test = test.clone();

@@ -15,10 +15,10 @@ use super::start::{
     self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
 };
 use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
-use crate::evaluate::Metrics;
 use crate::layer::{KernelLevel, backward, cross_entropy};
+use crate::metrics::{Metrics, most_probable};
 use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
-use crate::stream;
+use crate::random::stream;
 
 pub(super) struct Run<'a> {
     data: &'a Data,
@@ -432,7 +432,7 @@ impl<'a> Run<'a> {
 fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<(), TrainError> {
     for (row, &label) in logits.to_vec2::<f32>()?.iter().zip(labels) {
         if let (&[a, b, c], Some(truth)) = (row.as_slice(), Occupancy::from_index(label)) {
-            pairs.push((truth, crate::evaluate::most_probable(&[a, b, c])));
+            pairs.push((truth, most_probable(&[a, b, c])));
         }
     }
     Ok(())

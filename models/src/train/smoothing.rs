@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::evaluate::FramePrediction;
+use crate::metrics::FramePrediction;
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
 /// Least value that a probability is taken for, so that one confident mistake does not decide alone.
@@ -131,7 +131,7 @@ mod tests {
     }
 
     fn recording(dwell_s: f64, independent_s: f64, interval_s: f64, index: u64) -> FilterSequence {
-        let mut rng = crate::stream(17, "recording", index);
+        let mut rng = crate::random::stream(17, "recording", index);
         let leaves = 1.0 - (-interval_s / dwell_s).exp();
         let mut truth = (index % 3) as usize;
         let mut frames = Vec::new();

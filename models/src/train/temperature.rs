@@ -43,7 +43,7 @@ fn minimise(logits: &[Vec<f32>], labels: &[usize], class_weights: &[f32]) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream;
+    use crate::random::stream;
     use rand::Rng;
 
     /// Labels drawn from softmax(z / 2.5) are explained best by a temperature of 2.5.

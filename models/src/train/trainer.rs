@@ -6,7 +6,7 @@ use rand::Rng;
 use super::adam::Adam;
 use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::network::{Mode, Network, NetworkSpec};
-use crate::stream;
+use crate::random::stream;
 
 /// A network and its optimiser.
 pub struct Trainer {

@@ -2,7 +2,7 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
 use super::*;
-use crate::stream;
+use crate::random::stream;
 
 mod convolution;
 mod maps;

@@ -4,7 +4,7 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
 use crate::layer::{add, backward, concatenate, scaled_sigmoid, standardise, trigonometric};
-use crate::stream;
+use crate::random::stream;
 
 fn var(rows: usize, columns: usize, what: &str) -> Var {
     let mut rng = stream(7, what, 0);

@@ -8,7 +8,7 @@ use rand::Rng;
 
 /// Maps of which each is stronger than the one before, so that answers differ. Descriptors count from 6 dB over noise.
 fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
-    let mut rng = crate::stream(5, "maps", 0);
+    let mut rng = crate::random::stream(5, "maps", 0);
     let scale = if spec.kind.reads_descriptors() { 12.0 } else { 1.0 };
     let strength = |index: usize| scale * (0.5 + (index / (range * doppler)) as f32);
     (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()

@@ -5,8 +5,8 @@ use radome_dsp::Occupancy;
 
 use super::minimise::minimise;
 use super::{AdaptError, AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES, Scores};
-use crate::evaluate::{Metrics, most_probable};
 use crate::layer::{backward, softmax};
+use crate::metrics::{Metrics, most_probable};
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 use crate::train::head_start::{is_trained, parameters_behind};

@@ -4,7 +4,7 @@
 //! basis state: a constant matrix times the terms. RealAmplitudes is a real orthogonal matrix once its angles are trained.
 //! Probabilities are squares, and expectations sums of them with signs.
 
-use super::{ExportError, Writer, int};
+use super::writer::{ExportError, Writer, int};
 use crate::quantum::{Circuit, CircuitSpec, Encoding, Execution};
 
 /// Qubits that are written at most: matrices of 65,536 numbers.

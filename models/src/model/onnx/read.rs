@@ -4,8 +4,8 @@ use std::path::Path;
 
 use prost::Message;
 
-use super::{FLOAT, proto};
-use crate::model_file::{CARD_KEY, ModelCard, ModelError};
+use super::proto::{self, FLOAT};
+use crate::model::card::{CARD_KEY, ModelCard, ModelError};
 
 /// The card in the bytes of the ONNX file `path` (used in errors only), whose numbers are checked to be finite.
 pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelError> {

@@ -4,6 +4,9 @@
 
 use prost::Message;
 
+/// Element type of 32-bit floats (`TensorProto.DataType`).
+pub(crate) const FLOAT: i32 = 1;
+
 /// `ModelProto`
 #[derive(Clone, PartialEq, Message)]
 pub struct Model {

@@ -1,67 +1,18 @@
-//! Networks as ONNX (opset 17), for runtimes and tools elsewhere.
-//!
-//! The input `map` is `[batch][1][range][doppler]`, standardised; the output `logits` is `[batch][3]`. The model's card travels
-//! in the metadata under `radome`, so that such a file can be put to work as the model itself.
-//!
-//! What ONNX lacks is written as products: adaptive pooling multiplies by a matrix of means from either side, and a circuit
-//! is phases, a trained real matrix and squares ([`circuit`]).
-
-mod circuit;
-pub mod proto;
-mod read;
+//! Layers of a network as ONNX operators.
 
 use prost::Message;
-use thiserror::Error;
 
-pub(crate) use read::read_card;
-
+use super::circuit;
+use super::proto::{self, FLOAT};
+use super::writer::{ExportError, Writer, int};
 use crate::layer::{Activation, bin};
-use crate::model_file::{CARD_KEY, Model};
-use crate::network::{INPUT, Layer, Network, Node, Value};
-use crate::quantum::CircuitError;
+use crate::model::card::CARD_KEY;
+use crate::model::file::Model;
+use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
+use crate::network::{INPUT, Layer, Network, Node, Size, Value};
 
-/// Name of the input.
-pub const INPUT_NAME: &str = "map";
-/// Name of the output.
-pub const OUTPUT_NAME: &str = "logits";
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;
-const FLOAT: i32 = 1;
-
-/// A network that cannot be written as ONNX.
-#[derive(Debug, Error)]
-pub enum ExportError {
-    /// The circuit has no closed form of a size that anyone would run.
-    #[error(
-        "layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits"
-    )]
-    Circuit {
-        /// Name of the layer.
-        layer: String,
-        /// What stands in the way.
-        reason: String,
-        /// Qubits at most.
-        most: usize,
-    },
-    /// The network describes maps instead of reading them.
-    #[error(
-        "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: put the model itself to work (--model \
-         FILE.safetensors), or export a network that reads the cells of maps"
-    )]
-    Descriptors {
-        /// Name of the layer.
-        layer: String,
-    },
-    /// The circuit is none.
-    #[error(transparent)]
-    Spec(#[from] CircuitError),
-    /// The card cannot be written.
-    #[error("model card: {0}")]
-    Card(#[from] serde_json::Error),
-    /// The network's numbers cannot be read.
-    #[error("network: {0}")]
-    Network(#[from] candle_core::Error),
-}
 
 /// The bytes of an ONNX file.
 ///
@@ -135,75 +86,7 @@ fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
     proto::ValueInfo { name: name.to_owned(), of: Some(proto::Type { tensor: Some(tensor) }) }
 }
 
-/// A graph that grows node by node.
-struct Writer<'a> {
-    network: &'a Network,
-    graph: proto::Graph,
-    sizes: Vec<crate::network::Size>,
-}
-
 impl Writer<'_> {
-    /// Adds an operator and gives its result's name.
-    fn op(&mut self, kind: &str, inputs: &[&str], output: &str, attributes: Vec<proto::Attribute>) -> String {
-        self.graph.node.push(proto::Node {
-            input: inputs.iter().map(|&input| input.to_owned()).collect(),
-            output: vec![output.to_owned()],
-            name: output.to_owned(),
-            op_type: kind.to_owned(),
-            attribute: attributes,
-        });
-        output.to_owned()
-    }
-
-    /// Adds constant numbers and gives their name.
-    fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> String {
-        self.graph.initializer.push(proto::Tensor {
-            dims: shape.iter().map(|&size| size as i64).collect(),
-            data_type: FLOAT,
-            name: name.to_owned(),
-            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-        });
-        name.to_owned()
-    }
-
-    /// Adds a trained array and gives its name.
-    fn parameter(&mut self, name: &str) -> Result<String, ExportError> {
-        let tensor = self.network.parameters().get(name)?;
-        let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
-        let shape = tensor.dims().to_vec();
-        Ok(self.constant(name, &shape, &values))
-    }
-
-    fn activate(&mut self, function: Activation, input: &str, output: &str) -> String {
-        match function {
-            Activation::None => self.op("Identity", &[input], output, Vec::new()),
-            Activation::Relu => self.op("Relu", &[input], output, Vec::new()),
-            Activation::Sigmoid => self.op("Sigmoid", &[input], output, Vec::new()),
-            Activation::Silu => {
-                let sigmoid = self.op("Sigmoid", &[input], &format!("{output}.sigmoid"), Vec::new());
-                self.op("Mul", &[input, &sigmoid], output, Vec::new())
-            }
-        }
-    }
-
-    /// An operator, then an activation where there is one.
-    fn activated(
-        &mut self,
-        kind: &str,
-        inputs: &[&str],
-        output: &str,
-        attributes: Vec<proto::Attribute>,
-        function: Activation,
-    ) -> String {
-        match function {
-            Activation::None => self.op(kind, inputs, output, attributes),
-            function => {
-                let bare = self.op(kind, inputs, &format!("{output}.bare"), attributes);
-                self.activate(function, &bare, output)
-            }
-        }
-    }
-
     fn layer(&mut self, node: &Node, inputs: &[String], output: String) -> Result<(), ExportError> {
         let name = &node.name;
         let first = inputs.first().map(String::as_str).unwrap_or_default();
@@ -248,7 +131,7 @@ impl Writer<'_> {
             }
             Layer::AveragePool { rows, columns } => {
                 let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
-                    Some(&crate::network::Size::Map { rows, columns, .. }) => (rows, columns),
+                    Some(&Size::Map { rows, columns, .. }) => (rows, columns),
                     _ => (1, 1),
                 };
                 let by_columns = self.constant(&named("columns"), &[width, *columns], &means(width, *columns, true));
@@ -300,18 +183,6 @@ impl Writer<'_> {
         }
         Ok(())
     }
-
-    /// Adds constant 64-bit whole numbers and gives their name.
-    fn whole_numbers(&mut self, name: &str, values: &[i64]) -> String {
-        const INT64: i32 = 7;
-        self.graph.initializer.push(proto::Tensor {
-            dims: vec![values.len() as i64],
-            data_type: INT64,
-            name: name.to_owned(),
-            raw_data: values.iter().flat_map(|v| v.to_le_bytes()).collect(),
-        });
-        name.to_owned()
-    }
 }
 
 /// `[length][bins]` (or transposed) of means over the bins of an adaptive pooling.
@@ -333,10 +204,6 @@ fn window(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute>
 
 fn pool(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
     window(kernel, stride, padding)
-}
-
-fn int(name: &str, value: i64) -> proto::Attribute {
-    proto::Attribute { name: name.to_owned(), i: Some(value), kind: 2, ..Default::default() }
 }
 
 fn float(name: &str, value: f32) -> proto::Attribute {

@@ -12,8 +12,10 @@ use ort::session::Session;
 use ort::value::{TensorElementType, TensorRef, ValueType};
 use thiserror::Error;
 
-use crate::onnx::{INPUT_NAME, OUTPUT_NAME};
-
+/// Name of the input of an ONNX network.
+pub const INPUT_NAME: &str = "map";
+/// Name of the output of an ONNX network.
+pub const OUTPUT_NAME: &str = "logits";
 /// Names the library, or a folder that holds it or an installation of it.
 const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
 const INSTALL_HINT: &str =

@@ -6,12 +6,13 @@ use candle_core::{Device, Tensor};
 use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
 use thiserror::Error;
 
+use super::card::{ModelCard, ModelError};
+use super::file::{Model, is_onnx, read};
+use super::onnx::read_card;
+use super::onnx_runtime::{OnnxError, OnnxSession};
 use crate::dataset::{DatasetError, ManifestRow, network_input};
 use crate::layer::softmax;
-use crate::model_file::{self, Model, ModelCard, ModelError, is_onnx};
 use crate::network::{Inference, Network};
-use crate::onnx::read_card;
-use crate::onnx_runtime::{OnnxError, OnnxSession};
 
 /// A model ready to classify maps one by one: our own network, or an ONNX file in onnxruntime.
 pub struct Classifier {
@@ -103,7 +104,7 @@ impl Classifier {
         if !is_onnx(path) {
             return Ok(Self::new(Model::load(path)?));
         }
-        let data = model_file::read(path)?;
+        let data = read(path)?;
         let card = read_card(path, &data)?;
         let [_, rows, columns] = card.input_shape;
         let session = OnnxSession::new(path, &data, rows, columns)?;
@@ -258,5 +259,17 @@ impl Classifier {
             }
         }
         Ok(transposed)
+    }
+}
+
+impl ModelCard {
+    /// The card of a model file, safetensors or ONNX, without its numbers.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the file cannot be read, has more than [`MODEL_LIMIT_BYTES`](crate::MODEL_LIMIT_BYTES), is damaged, has no
+    /// card, or the card makes no sense.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        let data = read(path)?;
+        if is_onnx(path) { read_card(path, &data) } else { Self::of_safetensors(path, &data) }
     }
 }

@@ -1,0 +1,54 @@
+//! Entry of a model card on the adaptation of the model.
+
+use radome_dsp::Occupancy;
+use serde::{Deserialize, Serialize};
+
+const CLASSES: usize = Occupancy::ALL.len();
+
+/// Balanced accuracies over recordings, frame by frame and behind the occupancy filter.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// Of each frame by itself.
+    pub by_frame: f64,
+    /// Of the filter's answers.
+    pub filtered: f64,
+}
+
+/// Scores of the model before and after an adaptation that has not seen the recordings.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct BeforeAfter {
+    /// Of the model as it was.
+    pub before: Scores,
+    /// Of the adapted model.
+    pub after: Scores,
+}
+
+impl Scores {
+    /// Sum of both scores, by which adaptations are compared.
+    pub(crate) fn sum(self) -> f64 {
+        self.by_frame + self.filtered
+    }
+}
+
+impl BeforeAfter {
+    /// Whether the adaptation makes the mean of both scores lower.
+    pub fn is_worse(&self) -> bool {
+        self.after.sum() < self.before.sum() - 1e-9
+    }
+}
+
+/// Entry of a model card: what the model was last adapted on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Adapted {
+    /// Labelled seconds of empty, one and two.
+    pub seconds: [f64; CLASSES],
+    /// Recordings that they are from.
+    pub recordings: usize,
+    /// Strength of the pull towards the parameters before, s of labelled frames for a squared deviation.
+    pub strength: f64,
+    /// Simulated maps that were mixed in.
+    pub simulated_maps: usize,
+    /// Scores with each recording, of more than ten a tenth of them, held out in turn, where that says anything.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<BeforeAfter>,
+}
