@@ -5,15 +5,16 @@
 //! The same bits for any number of threads and any batch that a map is in (but for circuits with shots, which are numbered by
 //! row); within rounding what `run.rs` gives.
 
-use candle_core::{Result, bail};
+use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::graph::{INPUT, Layer, Node, Value};
-use super::{Network, Normalisation};
+use super::instance::Network;
+use super::parameters::Normalisation;
 use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
     Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
-    scaled_sigmoid_of, trigonometric_features,
+    scaled_sigmoid_of, trigonometric_features, with_values,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
@@ -83,6 +84,23 @@ enum Kernel {
     },
     Trigonometric,
     Concatenate,
+}
+
+impl Network {
+    /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
+    ///
+    /// Prepares an [`Inference`] for this one call; whoever calls often prepares one and keeps it.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
+    pub fn logits(&self, input: &Tensor) -> Result<Tensor> {
+        let (batch, range, doppler) = input.dims3()?;
+        let mut inference = Inference::new(self)?;
+        let logits =
+            with_values("network", input, |maps| Ok(inference.logits(maps, [batch, range, doppler])?.to_vec()))?;
+        let classes = logits.len() / batch.max(1);
+        Tensor::from_vec(logits, (batch, classes), input.device())
+    }
 }
 
 impl Inference {

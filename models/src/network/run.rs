@@ -3,7 +3,8 @@
 use candle_core::{Result, Tensor};
 
 use super::graph::{Graph, INPUT, Layer, Node, Value};
-use super::{Network, Normalisation};
+use super::instance::Network;
+use super::parameters::Normalisation;
 use crate::layer::{
     BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
     concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels,
@@ -67,6 +68,17 @@ impl Values<'_> {
 }
 
 impl Network {
+    /// The latent before its standardisation, `[batch][width]`; nothing for networks without one.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
+    pub fn latent(&self, input: &Tensor) -> Result<Option<Tensor>> {
+        match self.raw_latent() {
+            Some(value) => Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?)),
+            None => Ok(None),
+        }
+    }
+
     /// Runs what `wanted` needs on standardised maps `[batch][range][doppler]`.
     pub(crate) fn run(&self, input: &Tensor, wanted: Value, mode: Mode) -> Result<Values<'_>> {
         let input = input.unsqueeze(3)?;

@@ -1,6 +1,7 @@
+use super::spec::named;
 use super::*;
 use crate::layer::KernelLevel;
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use rand::Rng;
 
 fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {

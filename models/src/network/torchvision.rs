@@ -11,7 +11,9 @@ use safetensors::tensor::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use super::{Network, NetworkKind, NetworkSpec};
+use super::instance::Network;
+use super::kind::NetworkKind;
+use super::spec::NetworkSpec;
 use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 
 /// How a `.pth` of torchvision becomes what is read here.
