@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{RdmShape, rdm::SpecError};
 use thiserror::Error;
 
-use super::{Split, SplitBy};
+use super::manifest::{Split, SplitBy};
 
 /// A dataset that cannot be read, written or used.
 #[derive(Debug, Error)]

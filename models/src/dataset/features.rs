@@ -8,7 +8,8 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::{Dataset, DatasetError};
+use super::error::DatasetError;
+use super::reader::Dataset;
 use crate::random::stream;
 
 /// Range bins of leakage, which are not looked at.

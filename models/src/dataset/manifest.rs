@@ -1,5 +1,7 @@
 //! `manifest.jsonl`: a row for each map.
 
+use std::borrow::Cow;
+
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
@@ -102,5 +104,53 @@ impl ManifestRow {
             seed: None,
             hash: String::new(),
         }
+    }
+}
+
+/// What stays whole.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SplitBy {
+    /// Sequences: who is judged may have been seen on another day.
+    #[default]
+    Sequence,
+    /// Subjects: who is judged has never been seen. Sequences without a subject stand for themselves.
+    Subject,
+    /// Scenes: where is judged has never been seen.
+    Scene,
+    /// Seeds of a scene, where what it draws makes another place of each: runs of one seed with nobody, one and two people
+    /// share their room. Recordings stand for themselves.
+    Seed,
+}
+
+impl SplitBy {
+    /// Its name in a row; `None` where the row has none.
+    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
+        match self {
+            SplitBy::Sequence => Some(Cow::from(&row.sequence)),
+            SplitBy::Subject => row.subject.as_ref().map(Cow::from),
+            SplitBy::Scene => Some(Cow::from(&row.scene)),
+            SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
+        }
+    }
+
+    /// As files spell it.
+    pub fn label(self) -> &'static str {
+        match self {
+            SplitBy::Sequence => "sequence",
+            SplitBy::Subject => "subject",
+            SplitBy::Scene => "scene",
+            SplitBy::Seed => "seed",
+        }
+    }
+
+    pub(super) fn is_sequence(&self) -> bool {
+        *self == SplitBy::Sequence
+    }
+}
+
+impl std::fmt::Display for SplitBy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.label())
     }
 }

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Rdm, RdmShape};
 use sha2::{Digest, Sha256};
 
-use super::{
-    DatasetError, DatasetHeader, FORMAT_VERSION, MAPS_PER_SHARD, ManifestRow, Split, SplitSpec, network_input,
-    shard_name,
-    writer::{check_map, hex, map_hash},
-};
+use super::error::DatasetError;
+use super::header::{DatasetHeader, FORMAT_VERSION};
+use super::layout::{MAPS_PER_SHARD, network_input, shard_name};
+use super::manifest::{ManifestRow, Split};
+use super::split::SplitSpec;
+use super::writer::{check_map, hex, map_hash};
 use crate::bounded_file::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 
 /// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.

@@ -6,55 +6,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{DatasetError, ManifestRow, Split};
-
-/// What stays whole.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SplitBy {
-    /// Sequences: who is judged may have been seen on another day.
-    #[default]
-    Sequence,
-    /// Subjects: who is judged has never been seen. Sequences without a subject stand for themselves.
-    Subject,
-    /// Scenes: where is judged has never been seen.
-    Scene,
-    /// Seeds of a scene, where what it draws makes another place of each: runs of one seed with nobody, one and two people
-    /// share their room. Recordings stand for themselves.
-    Seed,
-}
-
-impl SplitBy {
-    /// Its name in a row; `None` where the row has none.
-    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
-        match self {
-            SplitBy::Sequence => Some(Cow::from(&row.sequence)),
-            SplitBy::Subject => row.subject.as_ref().map(Cow::from),
-            SplitBy::Scene => Some(Cow::from(&row.scene)),
-            SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
-        }
-    }
-
-    /// As files spell it.
-    pub fn label(self) -> &'static str {
-        match self {
-            SplitBy::Sequence => "sequence",
-            SplitBy::Subject => "subject",
-            SplitBy::Scene => "scene",
-            SplitBy::Seed => "seed",
-        }
-    }
-
-    fn is_sequence(&self) -> bool {
-        *self == SplitBy::Sequence
-    }
-}
-
-impl std::fmt::Display for SplitBy {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.label())
-    }
-}
+use super::error::DatasetError;
+use super::manifest::{Domain, ManifestRow, Split, SplitBy};
 
 /// How maps without a split of their own get one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -138,7 +91,7 @@ impl SplitSpec {
                 (None, Some(split)) => group.fixed = Some((split, &row.sequence)),
                 _ => {}
             }
-            group.is_real |= row.domain == super::Domain::Real;
+            group.is_real |= row.domain == Domain::Real;
             group.classes[row.label.index()] = true;
         }
         let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();

@@ -5,7 +5,9 @@ use std::collections::BTreeMap;
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use super::{Dataset, DatasetError, Domain};
+use super::error::DatasetError;
+use super::manifest::Domain;
+use super::reader::Dataset;
 
 /// Count, mean and standard deviation of numbers that come in blocks (Welford's update, block by block, in f64).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

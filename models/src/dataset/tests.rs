@@ -1,6 +1,7 @@
 use radome_dsp::rdm::PhysicalAxes;
 use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
+use super::layout::MAPS_PER_SHARD;
 use super::*;
 
 fn header() -> DatasetHeader {

@@ -6,7 +6,10 @@ use std::collections::{BTreeMap, BTreeSet};
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use super::{Dataset, DatasetError, Domain, ManifestRow, Split, SplitBy, SplitSpec};
+use super::error::DatasetError;
+use super::manifest::{Domain, ManifestRow, Split, SplitBy};
+use super::reader::Dataset;
+use super::split::SplitSpec;
 
 /// A map that cannot be read or is not the one that was written.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

@@ -8,7 +8,10 @@ use npyz::WriterBuilder;
 use radome_dsp::{Rdm, RdmShape};
 use sha2::{Digest, Sha256};
 
-use super::{DatasetError, DatasetHeader, MAPS_PER_SHARD, ManifestRow, shard_name};
+use super::error::DatasetError;
+use super::header::DatasetHeader;
+use super::layout::{MAPS_PER_SHARD, shard_name};
+use super::manifest::ManifestRow;
 use crate::whole_file::sync_folder;
 
 /// Name of the file that a writer locks, in its temporary folder.

@@ -1,4 +1,4 @@
-//! Inner loops of [`super::conv_relu_pool`] and of short sums.
+//! Inner loops of the fused layer of convolution, ReLU and pooling, and of short sums.
 
 use super::level::{dispatch, multiply_add};
 

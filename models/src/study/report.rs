@@ -6,8 +6,9 @@ use std::fmt::Write;
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
+use super::outcome::{FAILED_BELOW, Outcome};
+use super::spec::StudySpec;
 use super::statistics::{Interval, t_interval};
-use super::{Outcome, StudySpec};
 use crate::dataset::Dataset;
 use crate::metrics::Metrics;
 
@@ -230,7 +231,7 @@ impl Report {
             out,
             "Balanced accuracy with 95 % intervals of the mean over seeds (Student's t); [least, most]. Trainings that failed \
              (broke off, or ended below {} on their own training maps) are counted and stay in the means.\n",
-            super::FAILED_BELOW
+            FAILED_BELOW
         )?;
         for remark in &self.remarks {
             writeln!(out, "{remark}\n")?;

@@ -23,18 +23,22 @@
 //! [`minimise`] has the minimiser, [`tail`] the adapted layers and the samples.
 
 use candle_core::{Device, Tensor};
-use radome_dsp::{Occupancy, Rdm, RdmShape};
-use thiserror::Error;
+use radome_dsp::{Rdm, RdmShape};
 
-use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
-use crate::model::{Adapted, BeforeAfter, Classifier, ClassifyError, Model, Scores};
-use crate::network::{Layer, Mode, Network, NetworkKind, Value};
+use crate::dataset::{Dataset, Split, SplitSpec};
+use crate::model::{Adapted, BeforeAfter, Classifier, Model, Scores};
+use crate::network::{Layer, Mode, Network, Value};
+use recording::{CLASSES, MOST_FRAMES};
 use tail::{Judged, Tail, empty_strength, last_node, shows_people};
 
+mod error;
 mod minimise;
+mod recording;
 mod tail;
 
-const CLASSES: usize = Occupancy::ALL.len();
+pub use error::AdaptError;
+pub use recording::{AdaptFrame, AdaptRecording};
+
 /// Strengths of the pull that are tried, the strongest first, s of labelled frames for a squared deviation.
 const STRENGTHS: [f64; 6] = [3000.0, 1000.0, 300.0, 100.0, 30.0, 10.0];
 /// Strength that is tried however little is labelled, and the only one where no recording can be held out.
@@ -44,48 +48,6 @@ const SAFE_STRENGTH: f64 = 1000.0;
 const WEAKEST_BY_TIME: f64 = 1.44e6;
 /// Parts of the recordings that are held out in turn, at most.
 const MOST_FOLDS: usize = 10;
-/// A frame counts for the time since the frame before it, and for so much at most, s: as in the occupancy filter.
-const INDEPENDENT_S: f64 = 1.0;
-/// Labelled frames that are fitted to, about, and simulated maps at most.
-const MOST_FRAMES: usize = 2000;
-
-/// One frame of a recording as the adapted layers see it.
-#[derive(Debug, Clone)]
-pub struct AdaptFrame {
-    /// Start of the frame on the recording's clock, s.
-    pub time_s: f64,
-    /// Result of [`Adapter::features`].
-    pub features: Vec<f32>,
-    /// Number of people; absent where nobody has said it.
-    pub label: Option<Occupancy>,
-}
-
-/// A recording of the room.
-#[derive(Debug, Clone)]
-pub struct AdaptRecording {
-    /// Time from frame to frame, s.
-    pub frame_interval_s: f64,
-    /// Frames in the order of time.
-    pub frames: Vec<AdaptFrame>,
-}
-
-impl AdaptRecording {
-    /// Labelled seconds of empty, one and two. A frame counts for the time since the frame before it, 1 s at most.
-    pub fn seconds(&self) -> [f64; CLASSES] {
-        let mut seconds = [0.0; CLASSES];
-        let mut last_s = None;
-        for frame in &self.frames {
-            let elapsed_s = last_s.map_or(self.frame_interval_s, |last_s: f64| frame.time_s - last_s);
-            last_s = Some(frame.time_s);
-            // A clock that goes back says nothing.
-            let elapsed_s = if elapsed_s > 0.0 { elapsed_s } else { self.frame_interval_s };
-            if let Some(label) = frame.label {
-                seconds[label.index()] += elapsed_s.min(INDEPENDENT_S);
-            }
-        }
-        seconds
-    }
-}
 
 /// Result of an adaptation.
 pub struct Adaptation {
@@ -116,45 +78,6 @@ impl Fit {
     pub fn adapted(&self) -> &Adapted {
         &self.adapted
     }
-}
-
-/// A model that cannot be adapted.
-#[derive(Debug, Error)]
-pub enum AdaptError {
-    /// The network has no layer to adapt.
-    #[error("{network:?} does not end in a linear layer, and nothing else of it can be adapted")]
-    Network {
-        /// The network.
-        network: NetworkKind,
-    },
-    /// No frame has a label.
-    #[error(
-        "none of the {recordings} recordings has a labelled frame\n\nhint: label them, or say what all of a recording shows: RECORDING=empty"
-    )]
-    NoLabels {
-        /// Recordings.
-        recordings: usize,
-    },
-    /// The simulated maps are made in another way than the model's.
-    #[error(
-        "the simulated maps are not those of the model: {what}\n\nhint: build the dataset with the scene's waveform and the map spec that the model was trained with"
-    )]
-    Simulated {
-        /// The difference.
-        what: String,
-    },
-    /// The objective is no number where it begins.
-    #[error("the loss on the recordings is not finite")]
-    NonFinite,
-    /// A map cannot be judged.
-    #[error(transparent)]
-    Classify(#[from] ClassifyError),
-    /// The simulated maps cannot be read.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// A tensor operation failed.
-    #[error("network: {0}")]
-    Operation(#[from] candle_core::Error),
 }
 
 /// A model that is about to be adapted.
@@ -364,6 +287,7 @@ fn compared(folds: &[&Fold], strength: usize) -> BeforeAfter {
 mod tests {
     use std::path::Path;
 
+    use radome_dsp::Occupancy;
     use rand_distr::{Distribution, Normal};
 
     use super::*;

@@ -11,7 +11,7 @@ use rand_distr::{Distribution, Normal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
 
-use super::TrainError;
+use super::error::TrainError;
 use crate::random::stream;
 use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
 

@@ -6,8 +6,8 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
-use super::run::Best;
-use super::{EpochReport, TrainError};
+use super::error::TrainError;
+use super::outcome::EpochReport;
 use crate::bounded_file::read;
 use crate::network::Normalisation;
 use crate::whole_file;
@@ -16,6 +16,16 @@ use crate::whole_file;
 const LIMIT_BYTES: u64 = 4 << 30;
 /// Key of the numbers that are no arrays.
 const KEY: &str = "radome-training";
+
+/// The best epoch so far.
+#[derive(Debug, Clone)]
+pub(super) struct Best {
+    pub balanced_accuracy: f64,
+    pub loss: f64,
+    pub epoch: usize,
+    pub values: BTreeMap<String, Vec<f32>>,
+    pub latent: Normalisation,
+}
 
 /// One initialisation between two epochs.
 pub(super) struct RunState {

@@ -7,8 +7,9 @@ use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use super::augmentation::{Partners, Showing};
-use super::{Augmentation, TrainError, TrainSpec};
+use super::augmentation::{Augmentation, Partners, Showing};
+use super::error::TrainError;
+use super::spec::TrainSpec;
 use crate::dataset::{Dataset, Split};
 use crate::model::input_shape;
 use crate::random::stream;

@@ -9,8 +9,8 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::TrainError;
 use super::adam::Adam;
+use super::error::TrainError;
 use crate::layer::{backward, cross_entropy};
 use crate::network::{Layer, Mode, Network, Parameter, Value};
 use crate::random::stream;

@@ -8,13 +8,15 @@ use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 
 use super::adam::Adam;
-use super::checkpoint::RunState;
+use super::checkpoint::{Best, RunState};
 use super::data::Data;
+use super::error::TrainError;
 use super::head_start;
+use super::outcome::EpochReport;
+use super::spec::{LatentStandardisation, TrainSpec};
 use super::start::{
     self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
 };
-use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
 use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::metrics::{Metrics, most_probable};
 use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
@@ -34,16 +36,6 @@ pub(super) struct Run<'a> {
     head_step: usize,
     latest_loss: f64,
     best: Option<Best>,
-}
-
-/// The best epoch so far.
-#[derive(Debug, Clone)]
-pub(super) struct Best {
-    pub balanced_accuracy: f64,
-    pub loss: f64,
-    pub epoch: usize,
-    pub values: BTreeMap<String, Vec<f32>>,
-    pub latent: Normalisation,
 }
 
 impl<'a> Run<'a> {

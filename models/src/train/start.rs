@@ -1,7 +1,7 @@
 //! Measuring a network on training maps, and rescaling its layers so that it starts where it can learn.
 
-use super::TrainError;
 use super::data::{Data, Part};
+use super::error::TrainError;
 use crate::network::{Mode, Network, Normalisation, Value};
 
 /// Training maps that the start is measured on.

@@ -1,7 +1,7 @@
 //! One temperature that makes probabilities match frequencies (Guo et al., ICML 2017, section 4.2).
 
-use super::TrainError;
 use super::data::Data;
+use super::error::TrainError;
 use crate::layer::softmax;
 use crate::network::Network;
 

@@ -2,7 +2,7 @@
 
 use std::collections::VecDeque;
 
-use super::AdaptError;
+use super::error::AdaptError;
 
 /// Steps of the minimisation at most.
 const MOST_STEPS: usize = 100;

@@ -3,10 +3,12 @@
 use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
 
+use super::error::AdaptError;
 use super::minimise::minimise;
-use super::{AdaptError, AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES, Scores};
+use super::recording::{AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES};
 use crate::layer::{backward, softmax};
 use crate::metrics::{Metrics, most_probable};
+use crate::model::Scores;
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 use crate::train::head_start::{is_trained, parameters_behind};
