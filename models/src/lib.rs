@@ -1,8 +1,32 @@
 //! Datasets of labelled range-Doppler maps, networks that count people in them, training and evaluation.
 //!
-//! This crate knows maps and labels, never where they came from.
+//! This crate knows maps and labels. It does not know where maps come from.
 //!
-//! What flows: [`dataset::Dataset`] -> [`train::train`] -> model file -> [`Classifier`] -> probabilities.
+//! # Examples
+//! A network with random parameters classifies an empty map:
+//! ```
+//! use radome_models::layer::KernelLevel;
+//! use radome_models::network::{Inference, Network, NetworkSpec};
+//!
+//! let spec = NetworkSpec::named("hqnn").expect("a name of `networks`");
+//! let network = Network::initialise(&spec, 1, 0, KernelLevel::detect())?;
+//! let logits = Inference::new(&network)?.logits(&[0.0; 64 * 64], [1, 64, 64])?.to_vec();
+//! assert_eq!(logits.len(), 3);
+//! # Ok::<(), candle_core::Error>(())
+//! ```
+//! From a dataset by way of a trained model to probabilities:
+//! ```no_run
+//! use std::path::Path;
+//!
+//! use radome_models::{Classifier, Dataset, TrainSpec, train};
+//!
+//! let dataset = Dataset::open(Path::new("dataset"))?;
+//! let outcome = train(&dataset, &TrainSpec::default(), &mut |epoch| println!("{}", epoch.validation_loss))?;
+//! outcome.model.save(Path::new("model.safetensors"))?;
+//! let mut classifier = Classifier::load(Path::new("model.safetensors"))?;
+//! let [empty, one, two] = classifier.classify_cells(&dataset.map(0)?, dataset.header().shape)?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # Conventions
 //! - A network's input is one map, `[1][range][doppler]`: the transpose of [`radome_dsp::Rdm`]'s `[rx][doppler][range]`

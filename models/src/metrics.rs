@@ -6,6 +6,16 @@ use serde::{Deserialize, Serialize};
 const CLASSES: usize = Occupancy::ALL.len();
 
 /// Scores over a set of maps. Classes of which there is no map are left out of every mean and listed in `absent`.
+///
+/// # Examples
+/// ```
+/// use radome_dsp::Occupancy::{Empty, One, Two};
+/// use radome_models::Metrics;
+///
+/// let metrics = Metrics::from_predictions([(Empty, Empty), (One, One), (Two, One), (Two, Two)]);
+/// assert_eq!(metrics.accuracy, 0.75);
+/// assert_eq!(metrics.balanced_accuracy, 2.5 / 3.0);
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Metrics {
     /// Number of maps.

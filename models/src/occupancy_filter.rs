@@ -132,6 +132,15 @@ impl Smoothing {
 /// of it. With a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead.
 ///
 /// Where most frames of a stretch are wrong, so is the filter, and more of them than the frames are: evidence adds up.
+///
+/// # Examples
+/// ```
+/// use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
+///
+/// let mut filter = OccupancyFilter::new(Smoothing::default(), 0.1);
+/// let probabilities = filter.update(0.0, [0.1, 0.8, 0.1]);
+/// assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+/// ```
 #[derive(Debug, Clone)]
 pub struct OccupancyFilter {
     smoothing: Smoothing,

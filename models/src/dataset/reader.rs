@@ -21,6 +21,17 @@ pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
 const LONGEST_ROW_BYTES: usize = 64 << 10;
 
 /// Labelled maps.
+///
+/// # Examples
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_models::Dataset;
+///
+/// let dataset = Dataset::open(Path::new("dataset"))?;
+/// println!("{} maps of {}", dataset.len(), dataset.header().shape);
+/// # Ok::<(), radome_models::dataset::DatasetError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Dataset {
     header: DatasetHeader,

@@ -10,6 +10,17 @@ use super::error::DatasetError;
 use super::manifest::{Domain, ManifestRow, Split, SplitBy};
 
 /// How maps without a split of their own get one.
+///
+/// # Examples
+/// ```
+/// use radome_dsp::Occupancy;
+/// use radome_models::dataset::{Domain, ManifestRow, SplitSpec};
+///
+/// let row = |k: u64| ManifestRow::new(Domain::Sim, "hall", "run", &format!("sequence {k}"), 0, Occupancy::One);
+/// let rows: Vec<ManifestRow> = (0..10).map(row).collect();
+/// assert_eq!(SplitSpec::default().assign(&rows)?.len(), 10);
+/// # Ok::<(), radome_models::dataset::DatasetError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitSpec {

@@ -15,6 +15,20 @@ use crate::layer::softmax;
 use crate::network::{Inference, Network};
 
 /// A model ready to classify maps one by one: our own network, or an ONNX file in onnxruntime.
+///
+/// # Examples
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_dsp::Rdm;
+/// use radome_models::Classifier;
+///
+/// fn probability_of_people(map: &Rdm) -> Result<f32, Box<dyn std::error::Error>> {
+///     let mut classifier = Classifier::load(Path::new("model.safetensors"))?;
+///     let [_, one, two] = classifier.classify(map)?;
+///     Ok(one + two)
+/// }
+/// ```
 pub struct Classifier {
     card: ModelCard,
     engine: Engine,

@@ -58,6 +58,17 @@ pub(super) enum Angle {
 /// A circuit made ready from its settings.
 ///
 /// Clones share the count of calls from which the shots of [`crate::layer::circuit_of`] are numbered.
+///
+/// # Examples
+/// ```
+/// use radome_models::quantum::{Circuit, CircuitSpec, Draw};
+///
+/// let circuit = Circuit::new(&CircuitSpec { qubits: 3, ..CircuitSpec::default() })?;
+/// let theta = vec![0.1; circuit.angle_count()];
+/// let expectations = circuit.expectations(&[0.5, 1.0, 1.5], &theta, Draw::default())?;
+/// assert_eq!(expectations.len(), 3);
+/// # Ok::<(), radome_models::quantum::CircuitError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Circuit {
     pub(super) spec: CircuitSpec,
