@@ -1,4 +1,4 @@
-//! Descriptors of a map with a linear head or with the HQNN's: the plain classifiers that networks are compared with.
+//! Descriptors of a map with a linear head or with the HQNN's: baseline classifiers.
 //!
 //! ```text
 //! map [1][range][doppler], dB over noise
@@ -11,8 +11,8 @@
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
 //! ```
-//! Any [`Head`] can stand behind the latent, as behind the HQNN's. Bins or metres are the same here: the unit of a descriptor is
-//! a factor of its weights, and the axes of a model's maps are fixed by its card.
+//! Any [`Head`] can follow the latent, as in the HQNN. Bins and metres are equivalent here: the unit of a descriptor is a factor of its
+//! weights, and a model's card fixes the axes of its maps.
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use super::hqnn::{self, Head};

@@ -1,5 +1,4 @@
-//! What a network is made of: layers in the order in which they run. Training, inference, costs and ONNX all read this one
-//! list, so that they cannot disagree.
+//! Layers of a network in the order in which they run. Training, inference, costs and ONNX read this list, so that they agree.
 
 use crate::layer::{Activation, ConvGeometry, DESCRIPTORS};
 use crate::quantum::CircuitSpec;
@@ -59,7 +58,7 @@ pub(crate) struct Node {
     pub inputs: Vec<Value>,
 }
 
-/// How a parameter starts.
+/// Initial distribution of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Start {
     /// Uniform in plus or minus this.
@@ -84,7 +83,7 @@ pub(crate) struct Graph {
     pub nodes: Vec<Node>,
     /// The logits.
     pub output: Value,
-    /// Logits of a linear head that stands in for the head during the warm-up, where there is one.
+    /// Logits of the linear head that replaces the head during the warm-up, if there is one.
     pub warm_up: Option<Value>,
 }
 
@@ -96,7 +95,7 @@ pub(crate) enum Size {
 }
 
 impl Graph {
-    /// Adds a node that reads `inputs`, and gives its result.
+    /// Adds a node that reads `inputs`. Returns its result.
     pub fn add(&mut self, name: impl Into<String>, layer: Layer, inputs: &[Value]) -> Value {
         self.nodes.push(Node { name: name.into(), layer, inputs: inputs.to_vec() });
         self.nodes.len()
@@ -107,7 +106,7 @@ impl Graph {
         self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
     }
 
-    /// Which nodes have to run for `wanted` where the values `given` are there.
+    /// For each node, whether it has to run to compute `wanted` from the values `given`.
     pub fn needed(&self, wanted: &[Value], given: &[Value]) -> Vec<bool> {
         let mut values = vec![false; self.nodes.len() + 1];
         for &value in wanted {
@@ -127,7 +126,7 @@ impl Graph {
         values.into_iter().skip(1).collect()
     }
 
-    /// Sizes of all values for maps of `range x doppler`, or the node that such maps are too small for.
+    /// Sizes of all values for maps of `range x doppler`.
     ///
     /// # Errors
     /// The first node that has nothing left to work on.
@@ -174,7 +173,7 @@ impl Graph {
         self.nodes.iter().flat_map(Node::declarations).collect()
     }
 
-    /// Names and widths of the batch normalisations, whose running statistics travel with the parameters.
+    /// Names and widths of the batch normalisations. Model files hold their running statistics beside the parameters.
     pub fn batch_norms(&self) -> impl Iterator<Item = (&str, usize)> {
         self.nodes.iter().filter_map(|node| match node.layer {
             Layer::BatchNorm { channels, .. } => Some((node.name.as_str(), channels)),
@@ -191,7 +190,7 @@ fn state_vector_multiplications(circuit: &CircuitSpec) -> usize {
 }
 
 impl Layer {
-    /// Size of the result, or nothing where the layer cannot read such a value.
+    /// Size of the result; `None` if the layer cannot read such a value.
     fn size(&self, first: Size, second: Option<Size>) -> Option<Size> {
         let window = |length: usize, kernel: usize, stride: usize, padding: usize| {
             (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1)

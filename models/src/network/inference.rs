@@ -1,9 +1,9 @@
-//! A network prepared once and run often, without candle and without a graph of gradients: batch normalisations are folded into
-//! the convolutions and dense layers before them, activations and residual sums are fused with them, weights are packed, and
-//! buffers keep their memory from one run to the next.
+//! Inference: a network prepared once and run often, without gradients. Batch normalisations are folded into the convolutions and dense
+//! layers before them, activations and residual sums are fused with them, weights are packed, and buffers keep their memory from one
+//! run to the next.
 //!
-//! The same bits for any number of threads and any batch that a map is in (but for circuits with shots, which are numbered by
-//! row); within rounding what `run.rs` gives.
+//! Results are the same bits for any number of threads and for any batch that a map is in (except circuits with shots, whose draws are
+//! numbered by row). They agree with `run.rs` within rounding.
 
 use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;
@@ -27,13 +27,13 @@ const MOST_EXACT: usize = 1 << 17;
 /// A network ready to run.
 pub struct Inference {
     steps: Vec<Step>,
-    /// Results of the steps. A buffer is used again once everybody has read it.
+    /// Results of the steps. A buffer is reused after its last reader.
     buffers: Vec<Feature>,
     output: usize,
     pool: SpinPool,
 }
 
-/// A layer, or several that are one: the buffers that it reads, and the one that it writes.
+/// One layer or several fused layers, the buffers that it reads, and the buffer that it writes.
 struct Step {
     name: String,
     kernel: Kernel,
@@ -89,7 +89,7 @@ enum Kernel {
 impl Network {
     /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
     ///
-    /// Prepares an [`Inference`] for this one call; whoever calls often prepares one and keeps it.
+    /// Prepares an [`Inference`] for this call. Callers with many maps keep one.
     ///
     /// # Errors
     /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
@@ -104,7 +104,7 @@ impl Network {
 }
 
 impl Inference {
-    /// Prepares a network as it is now.
+    /// Prepares a network with its present numbers.
     ///
     /// # Errors
     /// A layer's numbers contradict its sizes, or the circuit is none.
@@ -136,7 +136,7 @@ impl Inference {
         self.logits_step_by_step(maps, shape, |_| ())
     }
 
-    /// [`Inference::logits`] that calls `after` behind each step, with its name: to see what they take.
+    /// [`Inference::logits`] that calls `after` with the name of each step when it is done, to measure times.
     ///
     /// # Errors
     /// Those of [`Inference::logits`].
@@ -292,7 +292,7 @@ impl Plan<'_> {
         Ok(())
     }
 
-    /// A node that changes nothing here.
+    /// Takes a node that changes nothing in inference.
     fn pass(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
         self.results[value] = inputs.first().copied();
         Ok(())

@@ -18,7 +18,7 @@ pub struct Network {
 }
 
 impl Network {
-    /// A network with random parameters: functions of seed, name of the array and attempt.
+    /// Builds a network with random parameters, which are a function of seed, name of the array and attempt.
     ///
     /// # Errors
     /// A tensor operation failed.
@@ -28,7 +28,7 @@ impl Network {
         Ok(Network { spec: spec.clone(), graph, parameters, level: level.available() })
     }
 
-    /// A network with these numbers, named and as long as [`NetworkSpec::layout`] says.
+    /// Builds a network with these numbers, with names and lengths of [`NetworkSpec::layout`].
     ///
     /// # Errors
     /// An array is missing or has another length.
@@ -38,12 +38,12 @@ impl Network {
         Ok(Network { spec: spec.clone(), graph, parameters, level: level.available() })
     }
 
-    /// What it is.
+    /// Settings of the network.
     pub fn spec(&self) -> &NetworkSpec {
         &self.spec
     }
 
-    /// Instructions of its inner loops.
+    /// Instruction set of its inner loops.
     pub fn level(&self) -> KernelLevel {
         self.level
     }
@@ -53,7 +53,7 @@ impl Network {
         self.parameters.list()
     }
 
-    /// Everything that travels with a model, by name.
+    /// Arrays of a model file, by name.
     ///
     /// # Errors
     /// A tensor operation failed.
@@ -78,7 +78,7 @@ impl Network {
         &mut self.parameters
     }
 
-    /// Constants that standardise the latent before the squash; empty where it is left as it is.
+    /// Constants that standardise the latent before `pi * sigmoid`; empty if it is not standardised.
     pub fn latent_constants(&self) -> Normalisation {
         self.parameters.normalisation("latent").cloned().unwrap_or_default()
     }
@@ -88,11 +88,11 @@ impl Network {
         self.parameters.set_normalisation("latent", constants);
     }
 
-    /// Moves the centring and scaling of the features into the weights and the bias of the dense layer behind them.
+    /// Folds the normalisation of the features into the weights and the bias of the dense layer behind them.
     ///
-    /// Averages of rectified values are all positive, with means far larger than what distinguishes one map from another, and
-    /// descriptors are in unlike units: either makes the dense layer behind them badly conditioned. Centring and scaling them is
-    /// a change of variables of that layer, so that a network without it is the same network.
+    /// Averages of rectified values are all positive, with means far larger than the differences between maps, and descriptors have
+    /// different units. Both make the dense layer behind them badly conditioned in training. The normalisation is a change of variables of
+    /// that layer: the folded network computes the same function.
     ///
     /// # Errors
     /// No dense layer reads the features, or a tensor operation failed.

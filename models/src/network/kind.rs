@@ -5,7 +5,7 @@ use thiserror::Error;
 
 use crate::standardise::MapReference;
 
-/// Which network.
+/// Kind of a network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NetworkKind {
@@ -29,7 +29,7 @@ pub enum NetworkKind {
     DescriptorHqnn,
 }
 
-/// Maps that a network of descriptors cannot read.
+/// Error: a network of descriptors cannot read such maps.
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
 #[error(
     "{network:?} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
@@ -38,7 +38,7 @@ pub enum NetworkKind {
 pub struct UnreadableMaps {
     /// The network.
     pub network: NetworkKind,
-    /// What the maps are instead.
+    /// Property of the maps that does not fit.
     pub found: &'static str,
 }
 
@@ -48,7 +48,7 @@ impl NetworkKind {
         matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
     }
 
-    /// Whether a narrow latent stands before a [`Head`](super::Head).
+    /// Whether the network has a narrow latent and a [`Head`](super::Head).
     pub fn has_latent(self) -> bool {
         matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
     }

@@ -1,4 +1,4 @@
-//! The numbers of a network: trained arrays, running statistics of batch normalisations, and constants of standardisations.
+//! Numbers of a network: trained arrays, running statistics of batch normalisations, and constants of normalisations.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -11,7 +11,7 @@ use super::graph::{Declaration, Graph, Layer, Start};
 use crate::layer::{BatchNormConstants, RunningStatistics};
 use crate::random::stream;
 
-/// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
+/// Normalisation of a vector by constants: `(x - mean) / sigma`, element by element. Empty constants change nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct Normalisation {
     /// Subtracted.
@@ -24,7 +24,7 @@ pub struct Normalisation {
 pub struct Parameter {
     /// Name in files: the layer's and what it is.
     pub name: String,
-    /// Its numbers.
+    /// Its values.
     pub variable: Var,
 }
 
@@ -161,7 +161,7 @@ impl Parameters {
         parameter.variable.set(&Tensor::from_slice(values, shape, &Device::Cpu)?)
     }
 
-    /// Copies of everything that travels with a model, by name; of what only training needs too if `all`.
+    /// Copies of the arrays of a model file, by name; with `all`, also of the arrays that only training needs.
     ///
     /// # Errors
     /// A tensor operation failed.
@@ -179,7 +179,7 @@ impl Parameters {
         Ok(values)
     }
 
-    /// Overwrites what [`Parameters::values`] gave.
+    /// Overwrites all arrays by the result of an earlier [`Parameters::values`].
     ///
     /// # Errors
     /// An array is missing or has another length.

@@ -12,30 +12,30 @@ use crate::layer::{
 };
 use crate::quantum::Circuit;
 
-/// What a run is for.
+/// Purpose of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mode {
     /// Gradients, statistics of the batch, and dropout that is a function of seed and step.
     Training {
-        /// Of the training.
+        /// Seed of the training.
         seed: u64,
         /// Number of the step.
         step: u64,
-        /// Weight of the mean square of what is squashed, in the loss: its gradient only ([`crate::layer::scaled_sigmoid`]).
+        /// Weight in the loss of the mean square of the input of [`crate::layer::scaled_sigmoid`]; only its gradient is computed.
         penalty: f32,
     },
     /// Running statistics, nothing dropped, no gradients.
     Evaluation,
 }
 
-/// What the layers put out that have run.
+/// Outputs of the layers that have run.
 pub struct Values<'a> {
     graph: &'a Graph,
     tensors: Vec<Option<Tensor>>,
 }
 
 impl Values<'_> {
-    /// A result that was asked for.
+    /// Takes a result that was requested.
     pub(crate) fn take(&mut self, value: Value) -> Result<Tensor> {
         match self.tensors.get_mut(value).and_then(Option::take) {
             Some(tensor) => Ok(tensor),
@@ -43,7 +43,7 @@ impl Values<'_> {
         }
     }
 
-    /// A result that was asked for, or any of a training run.
+    /// A result that was requested, or any result of a training run.
     pub(crate) fn get(&self, value: Value) -> Result<&Tensor> {
         match self.tensors.get(value) {
             Some(Some(tensor)) => Ok(tensor),
@@ -91,7 +91,7 @@ impl Network {
         let needed = self.graph().needed(wanted, &[given]);
         let running: Vec<(usize, &Node)> =
             nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node).collect();
-        // Where no gradient will ask for them, values are let go after their last reader.
+        // Without gradients, a value is dropped after its last reader.
         let mut last_reader = vec![usize::MAX; nodes.len() + 1];
         if mode == Mode::Evaluation {
             for &(index, node) in &running {
@@ -175,7 +175,7 @@ impl Network {
     }
 }
 
-/// Which draw of a training's a layer's mask is, in a step.
+/// Index of the random draw of a layer's mask in a step of a training.
 fn mask(node: usize, step: u64) -> u64 {
     step.wrapping_mul(1 << 16) + node as u64
 }

@@ -7,14 +7,14 @@ use super::hqnn::{Head, PAPER_POOLED, Placement};
 use super::kind::NetworkKind;
 use super::{descriptor, doppler_net, efficientnet_b0, hqnn, parameters, resnet18};
 
-/// Everything that decides a network's layers.
+/// Settings that decide a network's layers.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct NetworkSpec {
-    /// Which.
+    /// Kind of the network.
     pub kind: NetworkKind,
-    /// Rows and columns that the HQNN's second block is averaged to; without meaning for the others.
+    /// Rows and columns that the HQNN's second block is averaged to; ignored by other kinds.
     pub pooled: [usize; 2],
-    /// What stands behind the latent of the HQNN or of descriptors; without meaning for the others.
+    /// Layers behind the latent of the HQNN or of descriptors; ignored by other kinds.
     pub head: Head,
 }
 
@@ -24,17 +24,17 @@ impl NetworkSpec {
         NetworkSpec { kind: NetworkKind::Hqnn, pooled: PAPER_POOLED, head }
     }
 
-    /// A network by its name: those of [`networks`].
+    /// Finds a network by its name, one of [`networks`].
     pub fn named(name: &str) -> Option<Self> {
         named().into_iter().find(|(known, _)| *known == name).map(|(_, spec)| spec)
     }
 
-    /// Names and shapes of what a model file holds, in order.
+    /// Names and shapes of the arrays in a model file, in order.
     pub fn layout(&self) -> Vec<(String, Vec<usize>)> {
         parameters::layout(&self.graph())
     }
 
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub fn parameter_count(&self) -> usize {
         let declared = self.graph().declarations();
         let kept = declared.iter().filter(|declaration| !declaration.name.starts_with("warm_up."));
@@ -46,7 +46,7 @@ impl NetworkSpec {
         self.graph().multiply_adds(range, doppler)
     }
 
-    /// The layer that maps of `range x doppler` bins are too small for, if there is one.
+    /// Name of the first layer that maps of `range x doppler` bins are too small for, if there is one.
     pub fn too_small_for(&self, range: usize, doppler: usize) -> Option<String> {
         self.graph().sizes(range, doppler).err().map(|node| node.name.clone())
     }
@@ -86,12 +86,12 @@ pub(super) fn named() -> Vec<(&'static str, NetworkSpec)> {
     ]
 }
 
-/// What a network is and costs.
+/// Name, size and cost of a network.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct NetworkInfo {
     /// Name, as commands and studies spell it.
     pub name: String,
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub parameters: usize,
     /// Multiply-adds of one map of the size `input`.
     pub multiply_adds: u64,

@@ -129,7 +129,7 @@ mod hard_cases {
         assert!(error.to_string().contains("fc2.bias has 3 values"), "{error}");
     }
 
-    /// A saturated squash is finite and so are the answers.
+    /// Logits are finite where the scaled sigmoid saturates.
     #[test]
     fn a_saturated_latent_gives_an_answer() {
         let spec = NetworkSpec::named("hqnn").expect("known");

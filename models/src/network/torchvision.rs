@@ -1,8 +1,8 @@
-//! Weights of torchvision's networks as a start: ResNet-18 and EfficientNet-B0 have its names and its layout.
+//! Initial weights from torchvision: ResNet-18 and EfficientNet-B0 have its names and its layout.
 //!
-//! What differs is brought into line here: the first convolution is summed over its three channels where ours has one (as if each
-//! of the three saw the map), squeeze-and-excitation's convolutions of one cell are dense layers, and a head for other classes
-//! stays as it was initialised.
+//! Three things differ and are converted: the first convolution is summed over its three channels where ours has one (as if each of the
+//! three saw the map), squeeze-and-excitation's convolutions of one cell become dense layers, and a head for other classes stays as it
+//! was initialised.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -16,11 +16,11 @@ use super::kind::NetworkKind;
 use super::spec::NetworkSpec;
 use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 
-/// How a `.pth` of torchvision becomes what is read here.
+/// Hint on the conversion of a `.pth` file of torchvision.
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\
     import torch, safetensors.torch\n\
     safetensors.torch.save_file(torch.load(\"resnet18.pth\"), \"resnet18.safetensors\")";
-/// Names in an error or a report at most.
+/// Most names in an error or a report.
 const MOST_NAMES: usize = 6;
 
 /// Weights that cannot be started from.
@@ -31,7 +31,7 @@ pub enum WeightsError {
     Io {
         /// File.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
     /// No whole safetensors file.
@@ -39,7 +39,7 @@ pub enum WeightsError {
     NotSafetensors {
         /// File.
         path: PathBuf,
-        /// What the parser says.
+        /// Message of the parser.
         reason: String,
     },
     /// torchvision has no such network.
@@ -71,21 +71,21 @@ pub enum WeightsError {
         path: PathBuf,
         /// Array.
         name: String,
-        /// What it should be.
+        /// Expected type or shape.
         expected: String,
-        /// What it is.
+        /// Type or shape found.
         found: String,
     },
 }
 
-/// Weights that fit a network, and what of file and network did not meet.
+/// Weights that fit a network, and the arrays without a counterpart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TorchvisionWeights {
     values: BTreeMap<String, Vec<f32>>,
     hash: String,
     /// Arrays of the network that stay as they are initialised: its head, where the file's is for other classes.
     pub initialised: Vec<String>,
-    /// Arrays of the file that nothing is done with, but for counts of batches.
+    /// Arrays of the file that are not used, without counts of batches.
     pub unused: Vec<String>,
 }
 
@@ -170,7 +170,7 @@ impl TorchvisionWeights {
         self.values.len()
     }
 
-    /// What a user should know about file and network.
+    /// Warnings for the user about differences between file and network.
     pub fn warnings(&self) -> Vec<String> {
         let say =
             |names: &[String], what: &str| (!names.is_empty()).then(|| format!("weights: {} {what}", list(names)));
@@ -214,7 +214,7 @@ mod tests {
 
     type Arrays = Vec<(String, Vec<usize>, Vec<f32>)>;
 
-    /// What torchvision's file would hold: names and shapes of ours in its layout, three channels, a thousand classes.
+    /// Content of torchvision's file: names and shapes of ours in its layout, three channels, a thousand classes.
     fn file_of(spec: &NetworkSpec, classes: usize) -> Arrays {
         let mut arrays = Arrays::new();
         for (k, (name, mut shape)) in spec.layout().into_iter().enumerate() {

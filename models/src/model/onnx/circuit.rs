@@ -1,4 +1,4 @@
-//! A quantum circuit as ONNX operators, for any number of qubits that is worth a matrix of `4^qubits` numbers.
+//! Quantum circuit as ONNX operators, by a matrix of `4^qubits` numbers.
 //!
 //! The ZZ feature map turns a uniform state by phases that are sums of `2 x_i` and `2 (pi - x_i)(pi - x_j)` over the bits of each
 //! basis state: a constant matrix times the terms. RealAmplitudes is a real orthogonal matrix once its angles are trained.
@@ -7,7 +7,7 @@
 use super::writer::{ExportError, Writer, int};
 use crate::quantum::{Circuit, CircuitSpec, Encoding, Execution};
 
-/// Qubits that are written at most: matrices of 65,536 numbers.
+/// Most qubits that are written: matrices of 65,536 numbers.
 const MOST_QUBITS: usize = 8;
 
 pub(super) fn write(

@@ -14,7 +14,7 @@ use crate::network::{INPUT, Layer, Network, Node, Size, Value};
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 8;
 
-/// The bytes of an ONNX file.
+/// Writes a model with its card as the bytes of an ONNX file.
 ///
 /// # Errors
 /// [`ExportError`] if a layer has no ONNX form, or the card or the numbers cannot be read.
@@ -25,7 +25,7 @@ pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
     Ok(file(graph, vec![proto::Entry { key: CARD_KEY.to_owned(), value: card }]))
 }
 
-/// The bytes of an ONNX file of a network without a card, for maps of `range x doppler` bins.
+/// Writes a network without a card as the bytes of an ONNX file, for maps of `range x doppler` bins.
 ///
 /// # Errors
 /// [`ExportError`] if a layer has no ONNX form, or the numbers cannot be read.
@@ -146,7 +146,7 @@ impl Writer<'_> {
             }
             Layer::ScaleChannels => {
                 let axes = named("axes");
-                // Axes are whole numbers, which only this operator wants: as a shape, then.
+                // ONNX takes axes as integers here, so they are written as a shape.
                 let shape = self.whole_numbers(&axes, &[0, -1, 1, 1]);
                 let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
                 self.op("Mul", &[first, &factors], &output, Vec::new());
@@ -185,7 +185,7 @@ impl Writer<'_> {
     }
 }
 
-/// `[length][bins]` (or transposed) of means over the bins of an adaptive pooling.
+/// Matrix `[length][bins]` (or transposed) that computes the means over the bins of an adaptive pooling.
 fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
     let mut matrix = vec![0.0; length * bins];
     for index in 0..bins {

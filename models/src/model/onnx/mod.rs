@@ -1,10 +1,10 @@
 //! Networks as ONNX (opset 17), for runtimes and tools elsewhere.
 //!
 //! The input `map` is `[batch][1][range][doppler]`, standardised; the output `logits` is `[batch][3]`. The model's card travels
-//! in the metadata under `radome`, so that such a file can be put to work as the model itself.
+//! in the metadata under `radome`, so that the file can replace the model file.
 //!
-//! What ONNX lacks is written as products: adaptive pooling multiplies by a matrix of means from either side, and a circuit
-//! is phases, a trained real matrix and squares ([`circuit`]).
+//! Operations that ONNX lacks are matrix products: adaptive pooling multiplies by matrices of means from both sides, and a circuit
+//! consists of phases, a trained real matrix and squares ([`circuit`]).
 
 mod circuit;
 mod export;

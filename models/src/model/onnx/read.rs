@@ -1,4 +1,4 @@
-//! What of an ONNX file has to be understood before it is handed to a runtime: that it is whole, and its card.
+//! Checks of an ONNX file before a runtime gets it: that it is whole, that its numbers are finite, and its card.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use crate::model::card::{CARD_KEY, ModelCard, ModelError};
 /// The card in the bytes of the ONNX file `path` (used in errors only), whose numbers are checked to be finite.
 pub(crate) fn read_card(path: &Path, data: &[u8]) -> Result<ModelCard, ModelError> {
     let damaged = |reason: String| ModelError::NotOnnx { path: path.to_owned(), reason, length: data.len() };
-    // One message at a time: an empty one of two bytes takes a hundred once it is decoded, and there may be any number.
+    // Decodes one message at a time: an empty one of two bytes takes a hundred bytes of memory, and there may be any number.
     let (mut is_graph, mut card) = (false, None);
     for field in Fields(data) {
         match field.map_err(&damaged)? {
@@ -54,8 +54,8 @@ const GRAPH: u64 = 7;
 const METADATA: u64 = 14;
 const INITIALIZER: u64 = 5;
 
-/// The fields of a protobuf message: number, and content of those that have a length; nothing of the others. Ends at the first
-/// that is damaged.
+/// Iterator over the fields of a protobuf message: field number, and content of length-delimited fields (empty for others). It ends at
+/// the first damaged field.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

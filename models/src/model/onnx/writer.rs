@@ -10,14 +10,14 @@ use crate::quantum::CircuitError;
 /// A network that cannot be written as ONNX.
 #[derive(Debug, Error)]
 pub enum ExportError {
-    /// The circuit has no closed form of a size that anyone would run.
+    /// The circuit is too large, noisy or measured with shots.
     #[error(
         "layer {layer}: {reason}\n\nhint: export a model whose circuit is exact, without gate errors, of at most {most} qubits"
     )]
     Circuit {
         /// Name of the layer.
         layer: String,
-        /// What stands in the way.
+        /// Reason.
         reason: String,
         /// Qubits at most.
         most: usize,
@@ -31,7 +31,7 @@ pub enum ExportError {
         /// Name of the layer.
         layer: String,
     },
-    /// The circuit is none.
+    /// The settings of the circuit are invalid.
     #[error(transparent)]
     Spec(#[from] CircuitError),
     /// The card cannot be written.
@@ -50,7 +50,7 @@ pub(super) struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    /// Adds an operator and gives its result's name.
+    /// Adds an operator. Returns the name of its result.
     pub fn op(&mut self, kind: &str, inputs: &[&str], output: &str, attributes: Vec<proto::Attribute>) -> String {
         self.graph.node.push(proto::Node {
             input: inputs.iter().map(|&input| input.to_owned()).collect(),
@@ -62,7 +62,7 @@ impl Writer<'_> {
         output.to_owned()
     }
 
-    /// Adds constant numbers and gives their name.
+    /// Adds constant numbers. Returns their name.
     pub fn constant(&mut self, name: &str, shape: &[usize], values: &[f32]) -> String {
         self.graph.initializer.push(proto::Tensor {
             dims: shape.iter().map(|&size| size as i64).collect(),
@@ -73,7 +73,7 @@ impl Writer<'_> {
         name.to_owned()
     }
 
-    /// Adds a trained array and gives its name.
+    /// Adds a trained array. Returns its name.
     pub fn parameter(&mut self, name: &str) -> Result<String, ExportError> {
         let tensor = self.network.parameters().get(name)?;
         let values: Vec<f32> = tensor.flatten_all()?.to_vec1()?;
@@ -93,7 +93,7 @@ impl Writer<'_> {
         }
     }
 
-    /// An operator, then an activation where there is one.
+    /// Adds an operator and the activation behind it, if there is one.
     pub fn activated(
         &mut self,
         kind: &str,
@@ -111,7 +111,7 @@ impl Writer<'_> {
         }
     }
 
-    /// Adds constant 64-bit whole numbers and gives their name.
+    /// Adds constant 64-bit integers. Returns their name.
     pub fn whole_numbers(&mut self, name: &str, values: &[i64]) -> String {
         const INT64: i32 = 7;
         self.graph.initializer.push(proto::Tensor {

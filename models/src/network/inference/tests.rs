@@ -34,7 +34,7 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
     let mut network = Network::from_values(spec, values, level).expect("network");
     if spec.kind.has_latent() {
         let width = spec.head.width();
-        // Spread over the squash, whatever the training left.
+        // Spread over the scaled sigmoid, whatever the training left.
         let shape = [2, 32, 32];
         let input = Tensor::from_vec(maps(spec, shape), &shape[..], &Device::Cpu).expect("tensor");
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
@@ -70,7 +70,7 @@ fn specs() -> Vec<(String, NetworkSpec)> {
     specs
 }
 
-/// What is folded and fused is what runs layer by layer.
+/// The folded and fused steps give the results of the layers one by one.
 #[test]
 fn prepared_networks_are_the_networks() {
     for (name, spec) in specs() {
