@@ -26,9 +26,9 @@ pub struct Metrics {
     pub balanced_accuracy: f64,
     /// Mean F1 over the classes present.
     pub macro_f1: f64,
-    /// Share of maps judged right.
+    /// Share of maps that are classified correctly.
     pub accuracy: f64,
-    /// Recall of "one" and "two" pooled into "somebody": share of populated maps not called empty. Absent without any.
+    /// Share of populated maps that are not classified as empty. Absent without any.
     pub populated_recall: Option<f64>,
     /// Recall of each class; absent where there is no map of it.
     pub recall: [Option<f64>; CLASSES],
@@ -37,7 +37,7 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// From pairs (truth, prediction). Without any pair, the scores are zero and all classes absent.
+    /// Computes scores from pairs (truth, prediction). Without any pair, the scores are zero and all classes absent.
     pub fn from_predictions(pairs: impl IntoIterator<Item = (Occupancy, Occupancy)>) -> Self {
         let mut confusion = [[0u64; CLASSES]; CLASSES];
         for (truth, prediction) in pairs {
@@ -46,7 +46,7 @@ impl Metrics {
         Self::from_confusion(confusion)
     }
 
-    /// From counts `confusion[truth][prediction]`.
+    /// Computes scores from counts `confusion[truth][prediction]`.
     pub fn from_confusion(confusion: [[u64; CLASSES]; CLASSES]) -> Self {
         let total: u64 = confusion.iter().flatten().sum();
         let row = |c: usize| confusion[c].iter().sum::<u64>();
@@ -114,8 +114,8 @@ pub struct RecordingScores {
     pub confusion: [[u64; CLASSES]; CLASSES],
     /// Stretches of one label, in the order of time.
     pub stretches: Vec<Stretch>,
-    /// Times at which a frame labelled empty is predicted populated and the labelled frame before it was not, or there is none.
-    /// A prediction of people that outlasts them is no alarm: it counts among the wrong frames.
+    /// Number of frames labelled empty that are predicted populated, where the labelled frame before was not, or there is none. A
+    /// prediction that persists after people have left is no alarm: it counts among the wrong frames.
     pub false_alarms: u64,
     /// Length of the frames labelled empty together, s.
     pub empty_s: f64,
@@ -175,13 +175,13 @@ impl RecordingScores {
         Occupancy::ALL.into_iter().find(|class| predicted[class.index()] == most).unwrap_or(Occupancy::Empty)
     }
 
-    /// Number of labelled frames that were predicted right.
+    /// Number of labelled frames with a correct prediction.
     pub fn right(&self) -> u64 {
         (0..CLASSES).map(|class| self.confusion[class][class]).sum()
     }
 
-    /// Whether the recording as a whole was predicted right: with one label the majority is that label; with several, more
-    /// than half of the labelled frames are right.
+    /// Whether the recording as a whole is correct: with one label, the majority of predictions is that label; with several, more than half
+    /// of the labelled frames are correct.
     pub fn is_right(&self) -> bool {
         match self.label() {
             Some(label) => self.majority() == label,
@@ -193,11 +193,11 @@ impl RecordingScores {
 /// False alarms over the frames of recordings that are labelled empty.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct FalseAlarms {
-    /// Number of times that the prediction left `empty`, see [`RecordingScores::false_alarms`].
+    /// Number of false alarms, see [`RecordingScores::false_alarms`].
     pub false_alarms: u64,
     /// Length of the frames labelled empty, s.
     pub empty_s: f64,
-    /// False alarms in an hour of empty room; `None` without any frame labelled empty.
+    /// False alarms per hour of empty room; `None` without any frame labelled empty.
     pub false_alarms_per_hour: Option<f64>,
     /// Share of the frames labelled empty that were predicted populated; `None` without any.
     pub false_alarm_share: Option<f64>,
@@ -222,12 +222,12 @@ impl FalseAlarms {
     }
 }
 
-/// How long it takes until a label is predicted, over stretches of it.
+/// Times until a label is predicted, over stretches of it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct FoundTimes {
     /// Number of stretches.
     pub stretches: u64,
-    /// Those in which it never was.
+    /// Number of stretches without a correct prediction.
     pub never: u64,
     /// Median over all stretches of the time until the first right prediction, s. Stretches without one count as longer than
     /// any other: absent if they are the larger half, or if there is no stretch.
@@ -235,10 +235,10 @@ pub struct FoundTimes {
 }
 
 impl FoundTimes {
-    /// Shortest stretch that counts, s: who stays for less need not be noticed.
+    /// Shortest stretch that counts, s. Shorter presences need not be detected.
     pub const LEAST_STRETCH_S: f64 = 1.0;
 
-    /// Over those stretches of a label that last for [`FoundTimes::LEAST_STRETCH_S`] or more.
+    /// Computes times over the stretches of a label that last for [`FoundTimes::LEAST_STRETCH_S`] or more.
     pub fn of<'a>(label: Occupancy, stretches: impl IntoIterator<Item = &'a Stretch>) -> Self {
         let counted = stretches.into_iter().filter(|s| s.label == label && s.duration_s >= Self::LEAST_STRETCH_S);
         let mut times: Vec<f64> = counted.map(|stretch| stretch.found_within_s.unwrap_or(f64::INFINITY)).collect();
@@ -257,7 +257,7 @@ impl FoundTimes {
     }
 }
 
-/// Alarms by the hour of so many seconds; `None` of no time.
+/// Alarms per hour over a time; `None` if the time is 0.
 fn per_hour(alarms: u64, time_s: f64) -> Option<f64> {
     (time_s > 0.0).then(|| alarms as f64 * 3600.0 / time_s)
 }
@@ -302,8 +302,8 @@ mod tests {
         frames.collect()
     }
 
-    /// Somebody comes at 2.5 s (a frame of transition before), is found 0.2 s later, leaves at 2.9 s and is believed to be there
-    /// for another frame; one alarm at the beginning and one of two frames at the end.
+    /// A person enters at 2.5 s (after a frame of transition), is detected 0.2 s later, leaves at 2.9 s and is predicted for another frame.
+    /// There is one false alarm at the beginning and one of two frames at the end.
     #[test]
     fn a_recording_is_scored_by_label() {
         let scores = RecordingScores::new(&predictions("eeee-ooooeeeee", "oeeeoeeoooeeto"), 0.1);

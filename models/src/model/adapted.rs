@@ -8,18 +8,18 @@ const CLASSES: usize = Occupancy::ALL.len();
 /// Balanced accuracies over recordings, frame by frame and behind the occupancy filter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
-    /// Of each frame by itself.
+    /// Balanced accuracy of single frames.
     pub by_frame: f64,
-    /// Of the filter's answers.
+    /// Balanced accuracy behind the filter.
     pub filtered: f64,
 }
 
 /// Scores of the model before and after an adaptation that has not seen the recordings.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct BeforeAfter {
-    /// Of the model as it was.
+    /// Scores of the model before.
     pub before: Scores,
-    /// Of the adapted model.
+    /// Scores of the adapted model.
     pub after: Scores,
 }
 
@@ -37,18 +37,18 @@ impl BeforeAfter {
     }
 }
 
-/// Entry of a model card: what the model was last adapted on.
+/// Entry of a model card: data of the last adaptation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Adapted {
     /// Labelled seconds of empty, one and two.
     pub seconds: [f64; CLASSES],
-    /// Recordings that they are from.
+    /// Number of recordings.
     pub recordings: usize,
-    /// Strength of the pull towards the parameters before, s of labelled frames for a squared deviation.
+    /// Strength of the quadratic penalty towards the parameters before, s of labelled frames for a squared deviation.
     pub strength: f64,
-    /// Simulated maps that were mixed in.
+    /// Number of simulated maps that were mixed in.
     pub simulated_maps: usize,
-    /// Scores with each recording, of more than ten a tenth of them, held out in turn, where that says anything.
+    /// Cross-validated scores: each recording, or each tenth of more than ten, is held out in turn. Absent if none could be held out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<BeforeAfter>,
 }

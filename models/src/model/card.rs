@@ -19,7 +19,7 @@ pub const MODEL_FORMAT_VERSION: u32 = 1;
 /// Key of the card in a file's metadata, safetensors or ONNX.
 pub(crate) const CARD_KEY: &str = "radome";
 
-/// How a network came about.
+/// Summary of a model's training.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TrainingSummary {
     /// Epochs trained.
@@ -28,12 +28,12 @@ pub struct TrainingSummary {
     pub best_epoch: usize,
     /// Maps trained on.
     pub training_maps: usize,
-    /// SHA-256 of the file of weights that was started from; nothing if from random ones.
+    /// SHA-256 of the file of initial weights; absent if they were random.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights_hash: Option<String>,
-    /// Which of the initialisations was carried on with.
+    /// Index of the initialisation that was chosen.
     pub chosen_start: u64,
-    /// Instructions of the inner loops while training.
+    /// Instruction set of the inner loops in training.
     pub kernel_level: KernelLevel,
     /// Scores on the validation split.
     pub validation: Metrics,
@@ -46,9 +46,9 @@ pub struct TrainingSummary {
 pub struct ModelCard {
     /// [`MODEL_FORMAT_VERSION`] of the writer.
     pub format_version: u32,
-    /// Which network.
+    /// Kind of the network.
     pub network: NetworkKind,
-    /// What stands behind the latent of the HQNN or of descriptors.
+    /// Layers behind the latent of the HQNN or of descriptors.
     #[serde(default, skip_serializing_if = "is_default_head")]
     pub head: Head,
     /// Classes in the order of the probabilities.
@@ -60,14 +60,14 @@ pub struct ModelCard {
     /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may come
     /// from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
     pub waveform: Waveform,
-    /// How maps must be made.
+    /// Settings by which maps must be made.
     pub rdm_spec: RdmSpec,
     /// Standardisation of the input.
     pub standardisation: Standardisation,
     /// Rows and columns that the network's second block is averaged to.
     #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
     pub pooled: [usize; 2],
-    /// How answers to frames are put together.
+    /// Settings of the filter over frames.
     #[serde(default = "Smoothing::of_old_models")]
     pub smoothing: Smoothing,
     /// Standardisation of the latent; empty where there is none.
@@ -78,14 +78,14 @@ pub struct ModelCard {
     pub dataset_hash: String,
     /// Seed of the training.
     pub seed: u64,
-    /// How it went.
+    /// Summary of the training.
     pub training: TrainingSummary,
-    /// What the model was last adapted on, behind its training.
+    /// Data of the last adaptation after the training.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub adapted: Option<Adapted>,
 }
 
-/// A model file that cannot be written or read.
+/// Error of writing or reading a model file.
 #[derive(Debug, Error)]
 pub enum ModelError {
     /// A file operation failed.
@@ -93,36 +93,36 @@ pub enum ModelError {
     Io {
         /// File.
         path: PathBuf,
-        /// What was being done.
+        /// Operation that failed.
         action: &'static str,
-        /// Why it failed.
+        /// Cause.
         source: std::io::Error,
     },
-    /// No whole safetensors file.
+    /// The file is no complete safetensors file.
     #[error(
         "{path}: expected a safetensors file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
     )]
     NotSafetensors {
         /// File.
         path: PathBuf,
-        /// What the parser says.
+        /// Message of the parser.
         reason: String,
         /// Length of the file.
         length: usize,
     },
-    /// No whole ONNX file.
+    /// The file is no complete ONNX file.
     #[error(
         "{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
     )]
     NotOnnx {
         /// File.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         reason: String,
         /// Length of the file.
         length: usize,
     },
-    /// Safetensors or ONNX, but not one of ours.
+    /// The safetensors or ONNX file has no card.
     #[error(
         "{path}: the metadata has no '{CARD_KEY}' entry, which tells what maps the network wants and how they are \
          standardised\n\nhint: only models that `radome train` and `radome export` wrote can be loaded"
@@ -131,15 +131,15 @@ pub enum ModelError {
         /// File.
         path: PathBuf,
     },
-    /// The card cannot be understood.
+    /// The card is no valid JSON of a card.
     #[error("{path}: model card: {source}")]
     Card {
         /// File.
         path: PathBuf,
-        /// What is wrong.
+        /// Cause.
         source: serde_json::Error,
     },
-    /// Written by a newer program.
+    /// A newer program wrote the file.
     #[error("{path}: model format {found} is newer than {supported}, the newest this program reads\n\nhint: update it")]
     Newer {
         /// File.
@@ -149,16 +149,16 @@ pub enum ModelError {
         /// Newest version that is understood.
         supported: u32,
     },
-    /// A value in the file contradicts what it must be.
+    /// A value in the file contradicts another one or is out of range.
     #[error("{path}: {what}: expected {expected}, found {found}")]
     Inconsistent {
         /// File.
         path: PathBuf,
-        /// Which value.
+        /// Name of the value.
         what: String,
-        /// What it should be.
+        /// Expected value.
         expected: String,
-        /// What it is.
+        /// Value found.
         found: String,
     },
     /// An ONNX network cannot be run.
@@ -173,7 +173,7 @@ impl ModelCard {
     /// Reads a card and checks that it makes sense; `path` is used in errors only.
     pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, ModelError> {
         let json = |source| ModelError::Card { path: path.to_owned(), source };
-        // The version alone first: a newer card may have other fields.
+        // Reads the version alone first: a newer card may have other fields.
         #[derive(Deserialize)]
         struct Version {
             format_version: u32,
@@ -187,7 +187,7 @@ impl ModelCard {
         Ok(card)
     }
 
-    /// The network that the numbers are of.
+    /// Settings of the network.
     pub fn network_spec(&self) -> NetworkSpec {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
     }
@@ -215,7 +215,7 @@ impl ModelCard {
             }
             Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
         }
-        // Before the network is laid out: its sizes are products of these.
+        // This comes before the layout of the network, whose sizes are products of these numbers.
         if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
             return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
         }

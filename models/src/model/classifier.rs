@@ -1,4 +1,4 @@
-//! A trained model at work: map in, probabilities out.
+//! Classification of maps by a trained model.
 
 use std::path::Path;
 
@@ -14,7 +14,7 @@ use crate::dataset::{DatasetError, ManifestRow, network_input};
 use crate::layer::softmax;
 use crate::network::{Inference, Network};
 
-/// A model ready to classify maps one by one: our own network, or an ONNX file in onnxruntime.
+/// Model that classifies maps one by one: a network of this crate, or an ONNX file in onnxruntime.
 ///
 /// # Examples
 /// ```no_run
@@ -34,12 +34,12 @@ pub struct Classifier {
     engine: Engine,
 }
 
-// There is one in a program: its size does not matter.
+// A program has one classifier, so the size does not matter.
 #[allow(clippy::large_enum_variant)]
 enum Engine {
     Native {
         network: Network,
-        /// The network prepared, once there is something to run.
+        /// Prepared network, made at the first map.
         inference: Option<Inference>,
     },
     Onnx(OnnxSession),
@@ -61,7 +61,7 @@ impl Engine {
     }
 }
 
-/// A map that cannot be classified.
+/// Error of the classification of a map.
 #[derive(Debug, Error)]
 pub enum ClassifyError {
     /// The map has another shape than the model was trained for.
@@ -81,17 +81,17 @@ pub enum ClassifyError {
     NonFinite {
         /// Sequence number of its frame.
         sequence: u64,
-        /// How many cells.
+        /// Number of these cells.
         cells: usize,
         /// Index of the first in `db`.
         first: usize,
     },
-    /// The model was told the label of every map that it has seen.
+    /// The model standardises maps by scene and class, so it needs labels.
     #[error(
         "the model standardises maps by scene and class, so it can only be asked about maps whose labels are known\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
     )]
     NeedsLabels,
-    /// The network's answer is no number.
+    /// The network put out a number that is not finite.
     #[error("the network's answer is not finite, cells of the map reach {largest_db} dB in magnitude")]
     Diverged {
         /// Largest magnitude of a cell.
@@ -109,7 +109,7 @@ pub enum ClassifyError {
 }
 
 impl Classifier {
-    /// Loads a model file: safetensors, or ONNX if it is called so (`.onnx`), which onnxruntime is then needed for.
+    /// Loads a model file: safetensors, or ONNX if its name ends in `.onnx`, which needs onnxruntime.
     ///
     /// # Errors
     /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if onnxruntime
@@ -125,7 +125,7 @@ impl Classifier {
         Ok(Classifier { card, engine: Engine::Onnx(session) })
     }
 
-    /// Puts a model to work.
+    /// Makes a classifier of a model.
     pub fn new(model: Model) -> Self {
         let Model { card, network } = model;
         Classifier { card, engine: Engine::Native { network, inference: None } }
@@ -136,7 +136,7 @@ impl Classifier {
         &self.card.waveform
     }
 
-    /// How maps must be made.
+    /// Settings by which maps must be made.
     pub fn rdm_spec(&self) -> &RdmSpec {
         &self.card.rdm_spec
     }
@@ -146,7 +146,7 @@ impl Classifier {
         &self.card
     }
 
-    /// The network, if it is one of our own.
+    /// The network; `None` for ONNX files.
     pub(crate) fn network(&self) -> Option<&Network> {
         match &self.engine {
             Engine::Native { network, .. } => Some(network),
@@ -154,7 +154,7 @@ impl Classifier {
         }
     }
 
-    /// What the network sees of a map without a label.
+    /// Input of the network for a map without a label.
     pub(crate) fn unlabelled_input(
         &self,
         db: &[f32],
@@ -166,7 +166,7 @@ impl Classifier {
         self.input(db, shape, None)
     }
 
-    /// Gives the model back, if it is one of our own.
+    /// Returns the model; `None` for ONNX files.
     pub fn into_model(self) -> Option<Model> {
         match self.engine {
             Engine::Native { network, .. } => Some(Model { card: self.card, network }),
@@ -185,8 +185,7 @@ impl Classifier {
         self.run(&map.db, map.shape, None)
     }
 
-    /// The numbers that the HQNN reduces the map to before the circuit, before their standardisation; none for other networks and
-    /// for ONNX files.
+    /// Latent of the HQNN for a map, before its standardisation; empty for other networks and for ONNX files.
     ///
     /// # Errors
     /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails.
@@ -202,7 +201,7 @@ impl Classifier {
         })
     }
 
-    /// [`Classifier::classify`] for bare cells `[rx][doppler][range]` dB.
+    /// [`Classifier::classify`] for cells `[rx][doppler][range]`, dB, without metadata.
     ///
     /// # Errors
     /// Those of [`Classifier::classify`].
@@ -212,7 +211,7 @@ impl Classifier {
         self.run(db, shape, None)
     }
 
-    /// The same for a map of a dataset, whose row tells scene and label to models that cannot do without.
+    /// [`Classifier::classify_cells`] for a map of a dataset. Models that need scene and label take them from the row.
     ///
     /// # Errors
     /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.
@@ -246,7 +245,7 @@ impl Classifier {
         }
     }
 
-    /// Probabilities of a map that has been checked.
+    /// Probabilities of a map that passed the checks.
     fn run(&mut self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
         let input = self.input(db, shape, of)?;
         let [_, rows, columns] = self.card.input_shape;
@@ -258,7 +257,7 @@ impl Classifier {
         }
     }
 
-    /// What the network sees of a map: standardised, `[range][doppler]` or transposed, as the card says.
+    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
     fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Vec<f32>, ClassifyError> {
         let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
         let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;

@@ -13,13 +13,13 @@ use crate::whole_file;
 
 /// A network with its card.
 pub struct Model {
-    /// What it is.
+    /// Everything but the numbers.
     pub card: ModelCard,
-    /// Its numbers.
+    /// Network with its numbers.
     pub network: Network,
 }
 
-/// Whether a file is ONNX by its name.
+/// Whether the name of a file says that it is ONNX.
 pub(crate) fn is_onnx(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
 }
@@ -61,7 +61,7 @@ impl Model {
         whole_file::write(path, &data).map_err(io("writing"))
     }
 
-    /// Reads a model and checks that it is whole and makes sense.
+    /// Reads a model and checks that it is complete and consistent.
     ///
     /// # Errors
     /// [`ModelError::Io`] if the file cannot be read or has more than [`MODEL_LIMIT_BYTES`], and those of [`Model::from_bytes`].

@@ -1,5 +1,4 @@
-//! ONNX files put to work by onnxruntime. Its library is looked for, and loaded, when the first such file is opened; nothing else
-//! needs it.
+//! ONNX networks run by onnxruntime. Its library is found and loaded when the first ONNX file is opened; nothing else needs it.
 
 use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
@@ -16,26 +15,26 @@ use thiserror::Error;
 pub const INPUT_NAME: &str = "map";
 /// Name of the output of an ONNX network.
 pub const OUTPUT_NAME: &str = "logits";
-/// Names the library, or a folder that holds it or an installation of it.
+/// Environment variable with the path of the library, or of a folder that holds it or an installation of it.
 const LIBRARY_VARIABLE: &str = "ORT_DYLIB_PATH";
 const INSTALL_HINT: &str =
     "hint: pip install --no-deps --target .ort onnxruntime==1.31.1 && export ORT_DYLIB_PATH=$PWD/.ort";
-/// Logits of a network, one a class.
+/// Logits of a network, one for each class.
 const CLASSES: i64 = 3;
 
-/// Why an ONNX network cannot be run.
+/// Error of running an ONNX network.
 #[derive(Debug, Error)]
 pub enum OnnxError {
-    /// There is no library.
+    /// The library was not found.
     #[error("ONNX files are run by onnxruntime, which is not installed: {looked}\n\n{INSTALL_HINT}")]
     NoLibrary {
-        /// Where it was looked for.
+        /// Places that were searched.
         looked: String,
     },
-    /// The library is none, or too old.
+    /// The library cannot be loaded or is too old.
     #[error("onnxruntime cannot be loaded: {reason}\n\n{INSTALL_HINT}")]
     Library {
-        /// What the loader says.
+        /// Message of the loader.
         reason: String,
     },
     /// The runtime refuses the file.
@@ -43,25 +42,25 @@ pub enum OnnxError {
     Refused {
         /// File.
         path: PathBuf,
-        /// What it says.
+        /// Message of the runtime.
         reason: String,
     },
-    /// The file has other inputs or outputs than a network of ours.
+    /// The file has other inputs or outputs than a network of this crate.
     #[error("{path}: {what} is {found}, expected {expected}\n\nhint: `radome export` writes such files")]
     Signature {
         /// File.
         path: PathBuf,
-        /// Which value.
+        /// Name of the value.
         what: &'static str,
-        /// What it should be.
+        /// Expected value.
         expected: String,
-        /// What it is.
+        /// Value found.
         found: String,
     },
     /// A run failed.
     #[error("onnxruntime: {reason}")]
     Run {
-        /// What it says.
+        /// Message of the runtime.
         reason: String,
     },
 }
@@ -125,7 +124,7 @@ impl OnnxSession {
     }
 }
 
-/// Whether a value is float32 of a batch of this shape; sizes that are open fit.
+/// Whether a value is float32 of a batch of this shape. Dynamic sizes fit any.
 fn fits(of: &ValueType, shape: &[i64]) -> bool {
     let ValueType::Tensor { ty: TensorElementType::Float32, shape: found, .. } = of else { return false };
     found.len() == shape.len() + 1
@@ -156,8 +155,8 @@ fn environment() -> Result<Environment, OnnxError> {
     Ok(environment.insert(found).clone())
 }
 
-/// The library by the environment variable, or of a Python installation's onnxruntime. Nothing is looked for in the working
-/// directory, where a stranger may have put files.
+/// Finds the library by the environment variable or in a Python installation's onnxruntime. The working directory is not searched,
+/// because others may have put files there.
 fn find_library() -> Result<PathBuf, OnnxError> {
     if let Some(named) = std::env::var_os(LIBRARY_VARIABLE).filter(|named| !named.is_empty()) {
         let path = PathBuf::from(&named);
@@ -168,8 +167,8 @@ fn find_library() -> Result<PathBuf, OnnxError> {
     let python = if cfg!(windows) { "python" } else { "python3" };
     // Finding the package without importing it, which takes a second.
     let script = "import importlib.util as u; s = u.find_spec('onnxruntime'); print(s.submodule_search_locations[0] if s else '')";
-    // Isolated (-I), so that Python searches neither its working directory nor PYTHONPATH, and in a directory that nobody but
-    // the administrator fills, so that a relative entry of PATH names no stranger's python.
+    // Isolated mode (-I) keeps Python from searching its working directory and PYTHONPATH. It runs in a directory that only the
+    // administrator can write, so that a relative entry of PATH cannot name another python.
     let said =
         Command::new(python).args(["-I", "-c", script]).current_dir(if cfg!(windows) { "C:\\" } else { "/" }).output();
     let said = said.ok().map(|output| String::from_utf8_lossy(&output.stdout).trim().to_owned()).unwrap_or_default();
