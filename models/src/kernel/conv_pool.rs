@@ -4,7 +4,7 @@ use super::level::{dispatch, multiply_add};
 
 /// Output channels that the convolution kernel handles at once.
 pub(crate) const LANES: usize = 16;
-/// Index of a pooling window whose maximum is not above zero: ReLU passes no gradient.
+/// Index for a pooling window whose maximum is not above zero: ReLU passes no gradient.
 pub(crate) const DEAD: u8 = 4;
 
 /// Geometry of a 3x3 convolution with padding 1 followed by 2x2 pooling.
@@ -99,7 +99,7 @@ impl Block {
 }
 
 dispatch! {
-    /// Convolution, bias, ReLU and pooling of one sample. `winner` gets the index 0..4 of the largest cell of each
+    /// Convolution, bias, ReLU and pooling of one sample. `winner` receives the index 0..4 of the largest cell of each
     /// window (row-major, the first of equals; a NaN is larger than anything) or [`DEAD`].
     pub(crate) fn forward(
         block: Block, padded: &[f32], packed: &[f32], bias: &[f32], pooled: &mut [f32], winner: &mut [u8]
@@ -142,7 +142,7 @@ fn forward_generic<const FUSED: bool>(
                 for lane in 0..lanes {
                     let (mut best, mut index) = (sums[0][lane], 0u8);
                     for (candidate, sum) in sums.iter().enumerate().skip(1) {
-                        // A NaN wins, and stays: comparisons with it fail.
+                        // A NaN is taken and stays, because comparisons with it are false.
                         if (sum[lane] > best) | sum[lane].is_nan() {
                             (best, index) = (sum[lane], candidate as u8);
                         }
@@ -176,7 +176,7 @@ fn accumulate<const FUSED: bool>(sums: &mut [[f32; LANES]; 4], cells: [&[f32]; 4
 
 dispatch! {
     /// Gradients of one sample. `gradient` belongs to the pooled output; weights and `weight_gradient` are
-    /// channel-last. `input_gradient` is padded, or empty where nobody needs it. All gradients are added to.
+    /// channel-last. `input_gradient` is padded, or empty if it is not needed. All gradients are accumulated.
     pub(crate) fn backward(
         block: Block, padded: &[f32], weight: &[f32], winner: &[u8], gradient: &[f32],
         weight_gradient: &mut [f32], bias_gradient: &mut [f32], input_gradient: &mut [f32]

@@ -1,4 +1,4 @@
-//! Convolution of every channel by itself. Channels are contiguous, so they are the lanes.
+//! Depthwise convolution. Channels are contiguous, so they are the vector lanes.
 
 use std::cell::RefCell;
 
@@ -8,12 +8,12 @@ use super::implicit_gemm::ImplicitGemm;
 use super::spin_pool::for_each_task;
 use super::tile::{ChannelTile, OffsetTile, Shared, Tiles, part};
 
-/// Cells that a task takes at most, and at least if there are more.
+/// Most cells of a task, and least cells if there are more.
 const CELLS_PER_TASK: [usize; 2] = [256, 16];
-/// Tasks that a map is cut into at least, where it can be.
+/// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
 
-/// Weights `[channel][offset]` to `[offset][channel]`.
+/// Transposes weights from `[channel][offset]` to `[offset][channel]`.
 pub(crate) fn offset_first(weight: &[f32], offsets: usize) -> Vec<f32> {
     let channels = weight.len() / offsets;
     let mut ordered = vec![0.0; weight.len()];
@@ -25,7 +25,7 @@ pub(crate) fn offset_first(weight: &[f32], offsets: usize) -> Vec<f32> {
     ordered
 }
 
-/// `target = init + sum over offsets of source * weight`, for all cells of a gemm; `weight` is `[offset][channel]`, `init`
+/// Computes `target = init + sum over offsets of source * weight` for all cells of a product; `weight` is `[offset][channel]`, and `init`
 /// has a value for each channel.
 pub(crate) fn run(
     gemm: &ImplicitGemm,
@@ -69,8 +69,8 @@ pub(crate) fn run(
     for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
-/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to what `gemm` computes from `source`: summed by
-/// parts of a fixed size, which are added up in their order.
+/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to the result of `gemm` on `source`. Partial sums of a fixed
+/// size are added in their order.
 pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
     const BLOCK: usize = 64;
     const BLOCKS_PER_TASK: usize = 16;

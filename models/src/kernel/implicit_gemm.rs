@@ -1,4 +1,4 @@
-//! A dense product over all cells of a grid: convolution forwards, its input's gradient, and the linear layer.
+//! Implicit GEMM: dense products over all cells of a grid, for convolutions, the gradients of their inputs, and linear layers.
 
 use std::cell::RefCell;
 
@@ -6,16 +6,16 @@ use super::packed::Packed;
 use super::spin_pool::for_each_task;
 use super::tile::{RowTile, Shared, part};
 
-/// One offset of a kernel: where it looks, and where its weights are.
+/// Position of one cell of a convolution kernel.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct KernelOffset {
-    /// Rows and columns from the cell's corner in the source.
+    /// Rows and columns from the corner of the output cell's window in the source.
     pub by: [isize; 2],
-    /// Index in the packed weights.
+    /// Index of its weights in the packed weights.
     pub index: u32,
 }
 
-/// Which cells of a source each cell of a grid looks at, and where its result goes.
+/// Product of a source with weights: the source cells that each cell of a grid reads, and the target cell that it writes.
 #[derive(Debug, Clone)]
 pub(crate) struct ImplicitGemm {
     pub batch: usize,
@@ -25,7 +25,7 @@ pub(crate) struct ImplicitGemm {
     pub source: [usize; 2],
     /// Channels of the source.
     pub channels: usize,
-    /// Source row of cell row `r` is `source_step r + source_start`, plus the offset's offset.
+    /// Source row of cell row `r` is `source_step r + source_start`, plus the kernel offset.
     pub source_step: isize,
     pub source_start: [isize; 2],
     pub offsets: Vec<KernelOffset>,
@@ -36,17 +36,17 @@ pub(crate) struct ImplicitGemm {
     pub target_start: [usize; 2],
 }
 
-/// Cells that a task takes: enough to use weights again, few enough to stay in the second-level cache.
+/// Tiles of a task: enough to reuse weights, few enough to stay in the second-level cache.
 const TILES_PER_TASK: usize = 16;
-/// Tasks that a product is cut into at least, where it can be.
+/// Least number of tasks, where the product is large enough.
 const TASKS: usize = 16;
-/// Sources with fewer channels are copied into patches: loops over so few channels cost more than the copy.
+/// Sources with fewer channels are copied into patches, because loops over so few channels cost more than the copy.
 const FEW_CHANNELS: usize = 8;
-/// Packed weights up to this many values stay in the second-level cache while tiles go by.
+/// Packed weights up to this many values stay in the second-level cache over all tiles.
 const SMALL_WEIGHTS: usize = 1 << 16;
 
 impl ImplicitGemm {
-    /// Over the rows of a matrix `[row][channel]`.
+    /// Product over the rows of a matrix `[row][channel]`.
     pub fn rows(rows: usize, channels: usize) -> Self {
         ImplicitGemm {
             batch: rows,
@@ -73,14 +73,14 @@ impl ImplicitGemm {
         [cell / (rows * columns), cell / columns % rows, cell % columns]
     }
 
-    /// Whether offsets are gathered before the product.
+    /// Whether the cells at all offsets are gathered into patches before the product.
     pub fn is_gathered(&self) -> bool {
         let all_in_order = || self.offsets.iter().enumerate().all(|(k, offset)| offset.index as usize == k);
         self.channels < FEW_CHANNELS && self.offsets.len() > 1 && all_in_order()
     }
 
-    /// Addresses of what the offsets of `cells` look at, `[offset][cell]`, written to `addresses`; `zeros` stands for padding.
-    /// Where the gemm is gathered there is one address a cell, into `patches`.
+    /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`; padding has the address of `zeros`. A
+    /// gathered product has one address for each cell, into `patches`.
     pub fn addresses(
         &self,
         cells: std::ops::Range<usize>,
@@ -131,7 +131,7 @@ impl ImplicitGemm {
             for (t, offset) in self.offsets.iter().enumerate() {
                 let source_row = step * row as isize + self.source_start[0] + offset.by[0];
                 let corner = step * column as isize + self.source_start[1] + offset.by[1];
-                // Cells from `left` to `right` look inside the source, the others at padding.
+                // Cells from `left` to `right` read the source, the others padding.
                 let inside = (0..rows).contains(&source_row);
                 let reach = |column: isize| if column <= 0 { 0 } else { ((column + step - 1) / step) as usize };
                 let right = if inside { reach(columns - corner).min(run) } else { 0 };
@@ -142,7 +142,7 @@ impl ImplicitGemm {
                 addresses[..left].fill(zeros.as_ptr());
                 addresses[right..].fill(zeros.as_ptr());
                 if left < right {
-                    // Both ends are checked, what is between them is between them.
+                    // Both ends are checked, so the cells between them are in bounds.
                     let start = source[index(left)..=index(right - 1) + self.channels - 1].as_ptr();
                     let stride = step as usize * self.channels;
                     for (k, address) in addresses[left..right].iter_mut().enumerate() {
@@ -159,7 +159,7 @@ impl ImplicitGemm {
         }
     }
 
-    /// Copies what all offsets of a cell look at. Neighbouring offsets of one row are contiguous in the source, too.
+    /// Copies the source cells at all offsets of a cell. Neighbouring offsets of one row are contiguous in the source, too.
     fn gather(&self, [image, row, column]: [usize; 3], source: &[f32], patch: &mut [f32]) {
         let [rows, columns] = [self.source[0] as isize, self.source[1] as isize];
         let row = self.source_step * row as isize + self.source_start[0];
@@ -190,7 +190,7 @@ impl ImplicitGemm {
         }
     }
 
-    /// Addresses of the results of `cells`, written to `targets`.
+    /// Writes the addresses of the results of `cells` to `targets`.
     pub fn targets(&self, cells: std::ops::Range<usize>, outputs: usize, target: Shared, targets: &mut Vec<*mut f32>) {
         targets.clear();
         let mut cell = cells.start;
@@ -206,10 +206,9 @@ impl ImplicitGemm {
         }
     }
 
-    /// `target = init + source * weights` for all cells. `init` has a value for each of the weights' columns.
+    /// Computes `target = init + source * weights` for all cells. `init` has a value for each column of the weights.
     ///
-    /// Cells of the target that the grid does not reach are left alone. Every cell is summed in the same order whoever
-    /// does it.
+    /// Cells of the target that the grid does not reach stay unchanged. Every cell is summed in the same order on any thread.
     ///
     /// # Panics
     /// Lengths of `source`, `target` and `weights` differ from the sizes of the product.
@@ -256,7 +255,7 @@ impl ImplicitGemm {
         scratch.offsets.clear();
         scratch.offsets.extend(self.offsets.iter().map(|t| t.index));
         if gathered {
-            // Patches hold the offsets in order: a gathered gemm uses all of them.
+            // Patches hold the offsets in order: a gathered product uses all of them.
             scratch.offsets[0] = 0;
         }
         scratch.addresses.resize(offsets * cells.len(), std::ptr::null());
@@ -275,7 +274,7 @@ impl ImplicitGemm {
                 channels,
                 panel: weights.values[first * weights.depth..].as_ptr(),
                 init: init.map_or(std::ptr::null(), |s| s[first..].as_ptr()),
-                // Each row's place in the target, moved to the panel's first column below.
+                // Addresses of the rows in the target; the tile adds the panel's first column.
                 targets: scratch.targets[rows.start..].as_ptr(),
                 first,
                 columns: tiles.width().min(weights.columns - first),
@@ -292,7 +291,7 @@ impl ImplicitGemm {
     }
 }
 
-/// What a task needs and the next one uses again.
+/// Work space of a task, reused by the next one.
 #[derive(Default)]
 struct Scratch {
     offsets: Vec<u32>,

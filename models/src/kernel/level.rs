@@ -1,7 +1,7 @@
-//! Which instructions the inner loops use, chosen at run time.
+//! Instruction sets of the inner loops, chosen at run time.
 //!
-//! All levels do the same sums; AVX2 and AVX-512 fuse multiply and add, and tiles have other sizes: unlike machines
-//! agree bit for bit only at the same level, so the level is recorded with every trained model and can be chosen.
+//! All levels compute the same sums, but AVX2 and AVX-512 fuse multiply and add, and their tiles have other sizes. Different machines
+//! agree bit for bit at the same level only. Therefore every trained model records its level, and the level can be set.
 
 pub use radome_dsp::KernelLevel;
 

@@ -8,13 +8,13 @@ use super::tile::Tiles;
 /// that is enough, filled up with zeros.
 pub(crate) struct Packed {
     pub values: Vec<f32>,
-    /// Taps times channels.
+    /// Offsets times channels.
     pub depth: usize,
     pub columns: usize,
     pub tiles: Tiles,
 }
 
-/// Which way a product goes.
+/// Direction of a product.
 pub(crate) enum Side {
     /// Columns are outputs, channels inputs.
     Forward,
@@ -38,7 +38,7 @@ impl Packed {
             let columns = first..columns.min(first + width);
             match side {
                 Side::Forward => {
-                    // One stream a column, so that both sides go through memory in order.
+                    // One stream for each column, so that both sides access memory in order.
                     let streams: Vec<&[f32]> = columns.map(|o| &weight[o * depth..(o + 1) * depth]).collect();
                     for channel in 0..channels {
                         for offset in 0..offsets {

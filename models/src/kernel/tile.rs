@@ -1,8 +1,7 @@
-//! The two products that dense layers are made of, one tile of sums in registers at a time.
+//! Tiles: the two kinds of products in dense layers, with one tile of sums in registers at a time.
 //!
-//! Neither wants its operands copied together first: channels are contiguous in channel-last maps, so a product over
-//! channels and offsets needs no more than the addresses of the cells (an indirect convolution: Dukhan, "The Indirect
-//! Convolution Algorithm", 2019).
+//! Neither copies its operands first: channels are contiguous in channel-last maps, so a product over channels and offsets needs only
+//! the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
@@ -13,15 +12,15 @@ use super::vector::{Plain, Vector};
 pub(crate) struct RowTile {
     /// Addresses of the rows' operands, `[offset][row]`.
     pub cells: *const *const f32,
-    /// From offset to offset of `cells`.
+    /// Stride of `cells` from offset to offset.
     pub cell_stride: usize,
-    /// Which of the panel's offsets each offset is.
+    /// Index in the panel of each offset.
     pub offsets: *const u32,
     pub offset_count: usize,
     pub channels: usize,
     /// Weights `[offset][channel][column]`, as wide as the tile.
     pub panel: *const f32,
-    /// What the sums start from, as wide as the tile, or null for zero.
+    /// Accumulator init, as wide as the tile, or null for zero.
     pub init: *const f32,
     /// Addresses of the rows' results.
     pub targets: *const *mut f32,
@@ -35,7 +34,7 @@ pub(crate) struct RowTile {
 pub(crate) struct OuterTile {
     /// First row of the first cell.
     pub left: *const f32,
-    /// From cell to cell of `left`.
+    /// Stride of `left` from cell to cell.
     pub left_stride: usize,
     /// Address of each cell's operand.
     pub right: *const *const f32,
@@ -43,7 +42,7 @@ pub(crate) struct OuterTile {
     pub right_offset: usize,
     pub cells: usize,
     pub target: *mut f32,
-    /// From row to row of `target`.
+    /// Stride of `target` from row to row.
     pub target_stride: usize,
     pub columns: usize,
 }
@@ -52,9 +51,9 @@ pub(crate) struct OuterTile {
 pub(crate) struct ChannelTile {
     /// Addresses of the rows' operands, `[offset][row]`.
     pub cells: *const *const f32,
-    /// From offset to offset of `cells`.
+    /// Stride of `cells` from offset to offset.
     pub cell_stride: usize,
-    /// Which of the weights' offsets each offset is.
+    /// Index in the weights of each offset.
     pub offsets: *const u32,
     pub offset_count: usize,
     /// `[offset][channel]`.
@@ -84,7 +83,7 @@ pub(crate) struct OffsetTile {
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
 unsafe fn row_tile<V: Vector, const R: usize, const N: usize>(tile: &RowTile) {
-    // SAFETY: whoever fills a tile in gives addresses that are valid for its sizes, and has the instructions of V.
+    // SAFETY: the caller gives addresses that are valid for the sizes of the tile, and the processor has the instructions of V.
     unsafe {
         let mut sums = [[V::splat(0.0); N]; R];
         if !tile.init.is_null() {
@@ -335,7 +334,7 @@ impl Tiles {
             KernelLevel::Avx2 => avx2_rows(rows, wide),
             _ => plain_rows(rows, wide),
         };
-        // SAFETY: the level is available, the addresses are the caller's word.
+        // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
 
@@ -351,7 +350,7 @@ impl Tiles {
             KernelLevel::Avx2 => avx2_outer(rows, tile.columns),
             _ => plain_outer(rows, tile.columns),
         };
-        // SAFETY: the level is available, the addresses are the caller's word.
+        // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
 
@@ -367,7 +366,7 @@ impl Tiles {
             KernelLevel::Avx2 => avx2_channels(rows),
             _ => plain_channels(rows),
         };
-        // SAFETY: the level is available, the addresses are the caller's word.
+        // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
 
@@ -383,21 +382,21 @@ impl Tiles {
             KernelLevel::Avx2 => avx2_offsets(offsets),
             _ => plain_offsets(offsets),
         };
-        // SAFETY: the level is available, the addresses are the caller's word.
+        // SAFETY: the level is available, and the caller guarantees the addresses.
         unsafe { kernel(tile) }
     }
 }
 
-/// Part `index` of `0..length` cut into `parts` parts that differ by one at most.
+/// Part `index` of `0..length` cut into `parts` parts whose lengths differ by one at most.
 pub(crate) fn part(length: usize, parts: usize, index: usize) -> std::ops::Range<usize> {
     length * index / parts..length * (index + 1) / parts
 }
 
-/// A place in memory that several threads write to, each its own part.
+/// Address of a buffer that several threads write to, each its own part.
 #[derive(Clone, Copy)]
 pub(crate) struct Shared(*mut f32);
 
-// SAFETY: an address. Who writes through it answers for the parts being disjoint.
+// SAFETY: an address. Threads that write through it write disjoint parts.
 unsafe impl Send for Shared {}
 // SAFETY: as above.
 unsafe impl Sync for Shared {}

@@ -1,6 +1,6 @@
-//! One vector register, at each kernel level.
+//! Vector registers of each kernel level.
 
-/// A vector of f32 and what the inner loops do with it.
+/// Vector of f32 with the operations of the inner loops.
 ///
 /// # Safety
 /// All methods: the processor has the instructions of the implementing type, and pointers are valid for the lanes that
@@ -26,13 +26,13 @@ pub(crate) trait Vector: Copy {
     unsafe fn multiply_add(self, factor: Self, sum: Self) -> Self;
 }
 
-/// Plain Rust.
+/// Vector in portable Rust.
 #[derive(Clone, Copy)]
 pub(crate) struct Plain([f32; 8]);
 
 impl Vector for Plain {
     const LANES: usize = 8;
-    // Registers of half this length are all that one can count on.
+    // Portable code can rely only on registers of half this length.
     const ROWS: usize = 3;
 
     #[inline(always)]
@@ -42,7 +42,7 @@ impl Vector for Plain {
 
     #[inline(always)]
     unsafe fn load(from: *const f32) -> Self {
-        // SAFETY: the caller's pointer is valid for eight values; no alignment is asked.
+        // SAFETY: the caller's pointer is valid for eight values; no alignment is needed.
         Plain(unsafe { from.cast::<[f32; 8]>().read_unaligned() })
     }
 

@@ -1,4 +1,4 @@
-//! Gradients of weights: a product over all cells of a gemm.
+//! Gradients of weights: products over all cells of an implicit GEMM.
 
 use rayon::prelude::*;
 
@@ -6,17 +6,17 @@ use super::buffer::unwritten;
 use super::implicit_gemm::ImplicitGemm;
 use super::tile::{OuterTile, Shared, Tiles, part};
 
-/// Cells whose operands stay in the caches while all tiles go by.
+/// Cells of a block, whose operands stay in the caches over all tiles.
 const BLOCK: usize = 256;
-/// Parts that the work is cut into, where it can be.
+/// Number of tasks, where the product is large enough.
 const TASKS: usize = 8;
 /// Weights up to this many values are summed by parts of the batch; larger ones by parts of the outputs.
 const SMALL_WEIGHTS: usize = 1 << 17;
 
-/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to what
-/// `gemm` computes from `source`.
+/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to the result of `gemm` on
+/// `source`.
 ///
-/// The parts depend on shapes only and are added up in their order: the same bits for any number of threads.
+/// The parts depend on shapes only and are added in their order: the same bits for any number of threads.
 pub(crate) fn weight_gradient(
     gemm: &ImplicitGemm,
     source: &[f32],
@@ -101,7 +101,7 @@ pub(crate) fn weight_gradient(
     ordered
 }
 
-/// Sums over cells of each column of `[cell][column]`, in blocks added up in f64: a bias's gradient.
+/// Sums over cells of each column of `[cell][column]`, in blocks added in f64: the gradient of a bias.
 pub(crate) fn column_sums(values: &[f32], columns: usize) -> Vec<f32> {
     if columns == 0 {
         return Vec::new();

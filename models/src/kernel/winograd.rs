@@ -1,10 +1,9 @@
-//! 3x3 convolutions of stride 1 and padding 1 with 16 products where the plain sum has 36.
+//! Winograd's algorithm for 3x3 convolutions of stride 1 and padding 1: 16 products instead of 36.
 //!
-//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): four
-//! cells, a window of 2x2, are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are the 4x4 cells that they look at
-//! and `g` is the kernel. The sums over channels are 16 dense products, one for each cell of the transformed window; the window's
-//! transform back goes straight into what stands behind the convolution. Its sums are of other numbers than the plain ones, about
-//! twice as far from exact at most.
+//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the four
+//! cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g` is the
+//! kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform is fused
+//! with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums.
 
 use std::cell::RefCell;
 
@@ -16,16 +15,16 @@ use super::winograd_transform::{InputWindow, OutputWindow};
 
 /// Numbers of a transformed window.
 const POINTS: usize = 16;
-/// The one of them that counts once in each of the four cells: where sums start from the bias.
+/// Point that enters each of the four cells once: its sums start from the bias.
 const CENTRE: usize = 5;
-/// Rows of tiles that a task takes at most: what it computes between the transforms stays near the processor.
+/// Most rows of tiles of a task: intermediate results stay in the cache.
 const TILES_PER_TASK: usize = 1;
-/// Tasks that a map is cut into at least, where it can be.
+/// Least number of tasks, where the map is large enough.
 const TASKS: usize = 8;
 /// Values of a row of sums: the widest tile.
 const WIDTH: usize = 32;
 
-/// A convolution's transformed weights, and what its sums start from.
+/// Transformed weights of a convolution, and accumulator init.
 pub(crate) struct Winograd {
     inputs: usize,
     outputs: usize,
@@ -33,12 +32,12 @@ pub(crate) struct Winograd {
     init: Vec<f32>,
 }
 
-/// What becomes of the four cells of a window.
+/// Operation on the four cells of a window.
 #[derive(Clone, Copy)]
 pub(crate) enum Finish<'a> {
-    /// The largest, or zero: ReLU and 2x2 max-pooling. Cells of an odd last row or column are left out.
+    /// ReLU and 2x2 max-pooling. Cells of an odd last row or column are dropped.
     Pool,
-    /// Each by itself, plus the cell of a map of the same shape, then ReLU if asked for.
+    /// Optional sum with a map of the same shape, then optional ReLU.
     Cells { residual: Option<&'a [f32]>, rectified: bool },
 }
 
@@ -57,7 +56,7 @@ thread_local! {
 }
 
 impl Winograd {
-    /// Of weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, a value an output.
+    /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output.
     pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], level: KernelLevel) -> Self {
         const G: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5], [0.0, 0.0, 1.0]];
         let transformed: Vec<f32> = weight
@@ -181,7 +180,7 @@ impl Map<'_> {
         [window / (rows * columns), window / columns % rows, window % columns]
     }
 
-    /// The cells that a window looks at.
+    /// Input cells of a window.
     fn patch(&self, window: usize, channels: usize, target: *mut f32, stride: usize) -> InputWindow {
         let [image, row, column] = self.place(window);
         // Of four cells from cell `2 index - 1` on, those from the first to the end are among `length`.
@@ -198,7 +197,7 @@ impl Map<'_> {
         }
     }
 
-    /// Where the results of a window go: `columns` of `outputs`, from `first` on.
+    /// Addresses of the results of a window: `columns` of `outputs`, from `first` on.
     #[allow(clippy::too_many_arguments)]
     fn window(
         &self,

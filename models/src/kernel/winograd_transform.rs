@@ -1,13 +1,13 @@
-//! Windows of 2x2 cells there and back: the transforms of F(2x2, 3x3) (`winograd.rs`), a vector of channels at a time.
+//! Input and output transforms of Winograd's F(2x2, 3x3) (`winograd.rs`), a vector of channels at a time.
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]
 use super::vector::{Avx2, Avx512};
 use super::vector::{Plain, Vector};
 
-/// The 4x4 cells that a window looks at.
+/// The 4x4 input cells of a window.
 pub(crate) struct InputWindow {
-    /// Where the first cell is, or would be if it were in the map.
+    /// Address of the first cell, also if it lies outside the map.
     pub corner: *const f32,
     /// Values from row to row.
     pub line: usize,
@@ -15,7 +15,7 @@ pub(crate) struct InputWindow {
     /// First and end row and column of the cells that are in the map; the others are zero.
     pub rows: [usize; 2],
     pub columns: [usize; 2],
-    /// Where the points go, `[point][channel]`, and values from point to point.
+    /// Address of the points `[point][channel]`, and stride from point to point.
     pub target: *mut f32,
     pub stride: usize,
 }
@@ -24,17 +24,17 @@ pub(crate) struct InputWindow {
 pub(crate) struct OutputWindow {
     /// Sums of the window's first point; whole vectors of them.
     pub sums: *const f32,
-    /// From point to point of `sums`.
+    /// Stride of `sums` from point to point.
     pub stride: usize,
     pub columns: usize,
-    /// Where the four cells go, null for none; where they are pooled, the first alone counts.
+    /// Addresses of the four cells, null for none. With pooling only the first is used.
     pub targets: [*mut f32; 4],
     /// Added to the cells, or null.
     pub residual: [*const f32; 4],
     pub rectified: bool,
 }
 
-// Loops and no closures below: closures are not compiled for the kernel's instructions.
+// The code below uses loops instead of closures, because closures are not compiled for the kernel's instructions.
 
 /// The first `left` lanes, or all.
 #[inline(always)]
@@ -68,7 +68,7 @@ unsafe fn back<V: Vector>(m: [V; 4]) -> [V; 2] {
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
 unsafe fn transform<V: Vector, const BORDER: bool>(patch: &InputWindow) {
-    // SAFETY: whoever fills a patch or a window in gives addresses that are valid for its sizes, and has the instructions of V.
+    // SAFETY: the caller gives addresses that are valid for the sizes of the window, and the processor has the instructions of V.
     unsafe {
         let [top, bottom] = patch.rows;
         let [first, end] = patch.columns;
@@ -95,7 +95,7 @@ unsafe fn transform<V: Vector, const BORDER: bool>(patch: &InputWindow) {
     }
 }
 
-/// `A^T m A`, and what comes behind it.
+/// `A^T m A`, residual sum, and ReLU or pooling.
 #[inline(always)]
 #[allow(clippy::needless_range_loop)]
 unsafe fn transform_back<V: Vector, const POOLED: bool>(window: &OutputWindow) {
@@ -183,7 +183,7 @@ impl InputWindow {
             (_, true) => plain_transform::<true>,
             (_, false) => plain_transform::<false>,
         };
-        // SAFETY: the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
 }
@@ -206,7 +206,7 @@ impl OutputWindow {
             (_, true) => plain_back::<true>,
             (_, false) => plain_back::<false>,
         };
-        // SAFETY: the caller's word.
+        // SAFETY: guaranteed by the caller.
         unsafe { kernel(self) }
     }
 }

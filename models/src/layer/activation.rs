@@ -1,4 +1,4 @@
-//! Activations, by themselves and behind a sum of two maps.
+//! Activations, alone or behind a sum of two maps.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -159,7 +159,7 @@ dispatch! {
     pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) = add_generic
 }
 
-/// The activation of every value of a tensor of any shape.
+/// Applies an activation to every value of a tensor of any shape.
 ///
 /// # Errors
 /// The tensor is not f32 on the CPU.

@@ -1,4 +1,4 @@
-//! Adaptive average pooling: any map size to a fixed one.
+//! Adaptive average pooling of maps of any size to a fixed size.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -10,7 +10,7 @@ use crate::kernel::buffer::unwritten;
 use crate::kernel::level::dispatch;
 use crate::kernel::spin_pool::for_each_chunk;
 
-/// Channels that are added up at once.
+/// Channels that are summed at once.
 const LANES: usize = 16;
 const NAME: &str = "adaptive_average_pool";
 
@@ -63,7 +63,7 @@ impl AveragePool {
         }
     }
 
-    /// Fills in the means. Channels that are added up at once are a task, where no others are left.
+    /// Computes the means. A task is one map, or one group of its channels if these are a multiple of the group.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
         let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
         let group = if channels.is_multiple_of(LANES) { LANES } else { channels };
@@ -94,7 +94,7 @@ dispatch! {
 fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
     let cells = cells.chunks_exact(channels);
     if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
-        // They stay in registers while cells go by.
+        // The sums stay in registers over all cells.
         let mut of_lanes = *sums;
         for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
             of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);

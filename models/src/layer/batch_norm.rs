@@ -1,4 +1,4 @@
-//! Batch normalisation with the activation behind it.
+//! Batch normalisation with a fused activation.
 
 use std::sync::{Arc, OnceLock, RwLock};
 
@@ -13,10 +13,10 @@ use crate::kernel::level::{dispatch, multiply_add};
 
 const NAME: &str = "batch_norm";
 
-/// Values of a block that is summed at once: it stays in the first caches while it is passed over twice.
+/// Values of a block that is summed at once. It stays in the first-level cache for two passes.
 const BLOCK: usize = 1 << 13;
 
-/// What batch normalisation is set to.
+/// Settings of batch normalisation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BatchNormConstants {
     /// Added to the variance.
@@ -26,16 +26,16 @@ pub struct BatchNormConstants {
 }
 
 impl Default for BatchNormConstants {
-    /// PyTorch's.
+    /// The values of PyTorch.
     fn default() -> Self {
         BatchNormConstants { epsilon: 1e-5, momentum: 0.1 }
     }
 }
 
-/// Whose mean and variance are used.
+/// Source of mean and variance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BatchNormMode {
-    /// The batch's own; the running statistics move towards them.
+    /// The batch; the running statistics move towards its values.
     Training,
     /// The running statistics.
     Evaluation,
@@ -56,13 +56,13 @@ struct Moments {
 }
 
 impl RunningStatistics {
-    /// Mean 0 and variance 1, as before training.
+    /// Starts with mean 0 and variance 1.
     pub fn new(channels: usize, constants: BatchNormConstants) -> Self {
         let moments = Moments { mean: vec![0.0; channels], variance: vec![1.0; channels] };
         RunningStatistics { constants, channels, shared: Arc::new(RwLock::new(moments)) }
     }
 
-    /// What the layer is set to.
+    /// Settings of the layer.
     pub fn constants(&self) -> BatchNormConstants {
         self.constants
     }
@@ -86,7 +86,7 @@ impl RunningStatistics {
         self.moments().variance
     }
 
-    /// Sets both, as from a file. Both need a value for each channel.
+    /// Sets mean and variance of each channel, as read from a file.
     ///
     /// # Errors
     /// The number of means or of variances is not the number of channels.
@@ -144,14 +144,14 @@ struct BatchNorm {
     used: OnceLock<Used>,
 }
 
-/// What the forward pass normalised with.
+/// Mean and scale that the forward pass used.
 struct Used {
     mean: Vec<f32>,
     /// One over the standard deviation.
     inverse: Vec<f32>,
 }
 
-/// `values`, as often one after the other as makes loops over channels long enough for vectors.
+/// Repeats `values` until loops over channels are long enough for vectors.
 fn repeated(values: &[f32]) -> Vec<f32> {
     values.repeat((256 / values.len().max(1)).max(1))
 }
@@ -397,7 +397,7 @@ impl Operation for BatchNorm {
         // The sums so far are of centred, not of normalised inputs.
         product.iter_mut().zip(inverse).for_each(|(p, &i)| *p *= f64::from(i));
         let count = (input.values.len() / channels) as f64;
-        // In training the batch's mean and variance move with every input.
+        // In training, mean and variance of the batch depend on every input.
         let moving = if self.mode == BatchNormMode::Training { 1.0 / count } else { 0.0 };
         let offset: Vec<f32> = (0..channels).map(|k| (-f64::from(scale[k]) * sum[k] * moving) as f32).collect();
         let slope: Vec<f32> = (0..channels)

@@ -13,29 +13,29 @@ use crate::kernel::weight_gradient::{column_sums, weight_gradient};
 
 const NAME: &str = "conv2d";
 
-/// How a kernel moves over a map; the same along rows and columns.
+/// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ConvGeometry {
     /// Cells from one output to the next, at least 1.
     pub stride: usize,
     /// Rows and columns of zeros on each side.
     pub padding: usize,
-    /// 1, or the number of channels: every channel by itself (depthwise).
+    /// 1, or the number of channels for a depthwise convolution.
     pub groups: usize,
 }
 
 impl ConvGeometry {
-    /// All channels with all channels.
+    /// Geometry of a dense convolution.
     pub const fn dense(stride: usize, padding: usize) -> Self {
         ConvGeometry { stride, padding, groups: 1 }
     }
 
-    /// Every channel by itself.
+    /// Geometry of a depthwise convolution.
     pub const fn depthwise(stride: usize, padding: usize, channels: usize) -> Self {
         ConvGeometry { stride, padding, groups: channels }
     }
 
-    /// Cells along an axis of the output, or nothing where the kernel does not fit into the padded input.
+    /// Cells along an axis of the output; `None` if the kernel does not fit into the padded input.
     pub fn output_length(&self, input: usize, kernel: usize) -> Option<usize> {
         let room = (input + 2 * self.padding).checked_sub(kernel)?;
         Some(room.checked_div(self.stride)? + 1)
@@ -85,7 +85,7 @@ pub(super) struct ConvSizes {
 }
 
 impl ConvSizes {
-    /// Sizes of a convolution, or an error that names `layer`.
+    /// Checks the sizes of a convolution. Errors name `layer`.
     ///
     /// # Errors
     /// The sizes contradict each other, one of them is 0, or the kernel does not fit into the padded input.
@@ -134,7 +134,7 @@ impl ConvSizes {
         })
     }
 
-    /// Whether every channel goes by itself. A single channel is dense.
+    /// Whether the convolution is depthwise. One with a single channel is dense.
     pub fn is_depthwise(&self) -> bool {
         self.geometry.groups > 1
     }
@@ -154,7 +154,7 @@ impl ConvSizes {
         self.output_shape().iter().product()
     }
 
-    /// From input to output.
+    /// Product from the input to the output.
     pub fn forward_gemm(&self) -> ImplicitGemm {
         let padding = -(self.geometry.padding as isize);
         let offsets = (0..self.offsets())
@@ -177,8 +177,8 @@ impl ConvSizes {
         }
     }
 
-    /// From the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by which offsets of the
-    /// kernel ever touch them; each kind is a gemm of its own. Cells that no offset touches are in none.
+    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets that touch
+    /// them; each kind is one product. Cells that no offset touches are in none.
     pub fn backward_gemms(&self) -> Vec<ImplicitGemm> {
         let ConvGeometry { stride, padding, .. } = self.geometry;
         let mut gemms = Vec::new();

@@ -1,4 +1,4 @@
-//! 3x3 convolution with padding 1, ReLU and 2x2 max-pooling as one op.
+//! 3x3 convolution with padding 1, ReLU and 2x2 max-pooling as one operation.
 
 use std::sync::OnceLock;
 
@@ -10,7 +10,7 @@ use crate::kernel::KernelLevel;
 use crate::kernel::conv_pool::{self, Block};
 
 const NAME: &str = "conv_relu_pool";
-/// Batches below this are cut into bands of rows, so that all threads have something to do.
+/// Batches below this size are cut into bands of rows, so that all threads have work.
 const FEW_SAMPLES: usize = 8;
 /// Rows of the pooled output in a band.
 const BAND: usize = 8;
@@ -35,7 +35,7 @@ pub fn conv_relu_pool(
 struct ConvReluPool {
     input_gradient: InputGradient,
     level: KernelLevel,
-    /// Which cell of each pooling window won in the forward pass: all that the backward pass needs of it.
+    /// Index of the largest cell of each pooling window in the forward pass. The backward pass needs nothing else of it.
     winner: OnceLock<Vec<u8>>,
 }
 
@@ -78,7 +78,7 @@ impl Operation for ConvReluPool {
                         conv_pool::forward(self.level, block, padded, &packed, bias, pooled, winner);
                         return;
                     }
-                    // Bands of rows are blocks of their own: every cell is the same sum.
+                    // Bands of rows are separate blocks: every cell is the same sum.
                     let pooled_line = block.columns / 2 * block.outputs;
                     let line = (block.columns + 2) * block.inputs;
                     let bands =

@@ -2,7 +2,7 @@
 
 use candle_core::{Error, Result};
 
-/// Maps `[batch][row][column][channel]` in a buffer that keeps its memory from one use to the next.
+/// Maps `[batch][row][column][channel]` in a buffer that keeps its memory between uses.
 #[derive(Debug, Clone, Default)]
 pub struct Feature {
     pub(super) dims: [usize; 4],
@@ -10,7 +10,7 @@ pub struct Feature {
 }
 
 impl Feature {
-    /// Maps of these values.
+    /// Makes maps of these values.
     ///
     /// # Errors
     /// The number of values is not the product of `dims`.
@@ -41,14 +41,14 @@ impl Feature {
         &mut self.values
     }
 
-    /// Takes another shape. Values are what they were, or zero where there were none: to be overwritten.
+    /// Changes the shape. Values are arbitrary and must be overwritten.
     pub fn reshape(&mut self, dims: [usize; 4]) {
         self.dims = dims;
         self.values.resize(dims.iter().product(), 0.0);
     }
 }
 
-/// `x scale + shift` for each channel behind a convolution: batch normalisation at evaluation.
+/// `x scale + shift` for each channel behind a convolution: batch normalisation in evaluation.
 #[derive(Debug, Clone, Copy)]
 pub struct Affine<'a> {
     /// A factor for each output.

@@ -14,8 +14,8 @@ use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "max_pool2d";
 
-/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window; padding never wins, a NaN always does,
-/// and of equals the first in row-major order.
+/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the largest, a NaN always is, and
+/// among equals the first in row-major order.
 ///
 /// # Errors
 /// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is
@@ -29,7 +29,7 @@ struct MaxPool {
     stride: usize,
     padding: usize,
     level: KernelLevel,
-    /// Which cell of its window each output is.
+    /// Index in its window of the cell that each output comes from.
     winners: OnceLock<Vec<u8>>,
 }
 
@@ -72,7 +72,7 @@ impl MaxPool {
         })
     }
 
-    /// Fills in the largest values and which cells of their windows they are.
+    /// Computes the largest values and their indices in the windows.
     fn run(&self, sizes: &Sizes, input: &[f32], output: &mut [f32], winners: &mut [u8]) {
         let channels = sizes.channels;
         let line = sizes.output[1] * channels;
@@ -146,7 +146,7 @@ fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usi
         let Some(values) = input[cell * channels + first..].first_chunk::<LANES>() else { break };
         for lane in 0..LANES {
             let value = values[lane];
-            // The first cell wins over nothing. A NaN wins, and stays: comparisons with it are false.
+            // The first cell is taken in any case. A NaN is taken and stays, because comparisons with it are false.
             let better = (winner[lane] == u32::MAX) | (value > best[lane]) | value.is_nan();
             best[lane] = if better { value } else { best[lane] };
             winner[lane] = if better { u32::from(k) } else { winner[lane] };
@@ -195,7 +195,7 @@ fn spread_generic<const FUSED: bool>(gradient: &[f32], winners: &[u8], window: &
 }
 
 dispatch! {
-    /// Adds each channel's gradient to the cell of the window that won.
+    /// Adds each channel's gradient to the largest cell of the window.
     fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) = spread_generic
 }
 

@@ -1,4 +1,4 @@
-//! What a layer is to the graph of gradients: a function of one to three arrays with a hand-written gradient.
+//! Layers as operations of candle's graph: functions of one to three arrays with hand-written gradients.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, OnceLock, Weak};
@@ -14,7 +14,7 @@ pub(super) struct Argument<'a> {
     pub dims: &'a [usize],
 }
 
-/// Gradients of a layer's inputs, in their order; `None` where nobody needs one.
+/// Gradients of a layer's inputs, in their order; `None` where none is needed.
 pub(super) type Gradients = Vec<Option<Vec<f32>>>;
 
 /// A layer of one to three inputs and one output.
@@ -25,7 +25,7 @@ pub(super) trait Operation: Send + Sync + 'static {
     /// Checks the shapes and computes the output.
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)>;
 
-    /// `gradient` belongs to `output`; it is handed over, so that it can become an input's gradient in place.
+    /// Computes gradients of the inputs. `gradient` belongs to `output`; it is passed by value, so that an input's gradient can reuse it.
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
@@ -52,7 +52,7 @@ pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Ten
         [a, b, c] => a.apply_op3(b, c, handle),
         _ => candle_core::bail!("{}: {} inputs", node.operation.name(), inputs.len()),
     }?;
-    // Where no input is a variable or comes of one, candle has let go of the operation, and nobody will ask for it.
+    // If no input depends on a variable, candle has dropped the operation, and no backward pass will need it.
     if Arc::strong_count(&node) > 1 {
         let _ = node.output.set(output.id());
         nodes().insert(output.id(), Arc::downgrade(&node));
@@ -60,19 +60,19 @@ pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Ten
     Ok(output)
 }
 
-/// The node that computed a tensor, if it is one of this crate's layers.
+/// Node that computed a tensor, if it is a layer of this crate.
 pub(super) fn node_of(tensor: &Tensor) -> Option<Arc<Node>> {
     nodes().get(&tensor.id())?.upgrade()
 }
 
-/// Which layer computed which tensor: candle keeps its operations to itself. A node leaves with its tensor.
+/// Layers by the tensors that they computed, because candle does not expose its operations. A node is dropped with its tensor.
 static NODES: LazyLock<Mutex<HashMap<TensorId, Weak<Node>>>> = LazyLock::new(Mutex::default);
 
 fn nodes() -> MutexGuard<'static, HashMap<TensorId, Weak<Node>>> {
     NODES.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// A layer that has been applied.
+/// Layer that was applied to tensors.
 pub(super) struct Node {
     operation: Box<dyn Operation>,
     pub inputs: Vec<Tensor>,

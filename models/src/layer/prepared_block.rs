@@ -1,6 +1,6 @@
-//! The fused block of [`super::conv_relu_pool()`] prepared once and run often, without gradients.
+//! Fused block of [`super::conv_relu_pool()`] prepared for inference, without gradients.
 //!
-//! Several threads share one map, and every cell is summed in the same order whoever does it.
+//! Several threads share one map. Every cell is summed in the same order on any thread.
 
 use std::cell::RefCell;
 
@@ -13,7 +13,7 @@ use crate::kernel::level::{dispatch, multiply_add};
 use crate::kernel::spin_pool::for_each_chunk;
 use crate::kernel::winograd::{Finish, Winograd};
 
-/// Pooled rows of a strip of a single channel, which is one task.
+/// Pooled rows of one task for an input of a single channel.
 const STRIP_ROWS: usize = 2;
 
 /// `max_pool2(relu((conv3x3(input) + bias) * scale + shift))`, padded by 1.
@@ -25,7 +25,7 @@ pub struct PreparedBlock {
 }
 
 enum Weight {
-    /// Of a single input channel `[output / 16][row][column][output % 16]`, and what sums init from, padded alike.
+    /// For a single input channel: weights `[output / 16][row][column][output % 16]`, and accumulator init, padded alike.
     Single(Vec<f32>, Vec<f32>),
     Winograd(Winograd),
 }

@@ -10,12 +10,12 @@ use crate::kernel::winograd::{Finish, Winograd};
 use crate::kernel::{KernelLevel, depthwise};
 use candle_core::{Error, Result};
 
-/// Inputs from which on windows of cells are worth their transforms.
+/// Least number of input channels for which Winograd's transforms are worth their cost.
 const FEW_CHANNELS: usize = 8;
-/// Weights up to which they are: there are 16 for nine, and to fetch more of them takes longer than the sums that are saved.
+/// Most weights for which they are. There are 16 transformed weights for nine, and loading more takes longer than the saved sums.
 const MOST_TRANSFORMED: usize = 1 << 16;
 
-/// A convolution with batch normalisation folded into its weights, its bias and the activation behind it.
+/// Convolution with folded batch normalisation, bias and activation.
 pub struct PreparedConv {
     weight_dims: [usize; 4],
     geometry: ConvGeometry,

@@ -1,5 +1,5 @@
-//! Dense layers prepared once and run often, summed in f64: a latent feeds a circuit that turns an error of 1e-6 in it into one
-//! of 1e-5 in a probability, and sums over a thousand features lose that much in f32.
+//! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a probability, and
+//! f32 sums over a thousand features have such errors.
 
 use candle_core::{Error, Result};
 
@@ -56,7 +56,7 @@ impl PreparedDense {
         Ok(PreparedDense { inputs, outputs, weight: packed, bias: padded, activation, level: level.available() })
     }
 
-    /// `input` `[batch][i]`, however `i` is made up of rows, columns and channels; `output` becomes `[batch][1][1][o]`.
+    /// Runs the layer on `input` `[batch][i]`, where `i` is the product of rows, columns and channels; `output` becomes `[batch][1][1][o]`.
     ///
     /// # Errors
     /// The input has another number of features.

@@ -1,4 +1,4 @@
-//! The layers in f64, straight from their formulas, channel-first: what the fast ones are tested against.
+//! Reference layers in f64, written from their formulas, channel-first. The fast layers are tested against them.
 
 /// 3x3 convolution, padding 1. `input` `[i][rows][columns]`, `weight` `[o][i][3][3]`; result `[o][rows][columns]`.
 pub fn conv3x3(input: &[f64], rows: usize, columns: usize, weight: &[f64], bias: &[f64]) -> Vec<f64> {

@@ -1,4 +1,4 @@
-//! One factor for each channel of each map: the end of squeeze-and-excitation.
+//! Multiplication of each channel of each map by a factor: the last step of squeeze-and-excitation.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;

@@ -10,8 +10,8 @@ const NAME: &str = "scaled_sigmoid";
 
 /// `pi * sigmoid(u)` of each value: radians in (0, pi).
 ///
-/// `penalty` times the mean of `u^2` counts as part of the loss: its gradient is added on the way back, which keeps `u` off the
-/// flat ends of the sigmoid. The output does not know of it.
+/// `penalty` times the mean of `u^2` is part of the loss. The backward pass adds its gradient, which keeps `u` off the flat ends of the
+/// sigmoid. The output does not depend on it.
 ///
 /// # Errors
 /// The tensor is not f32 on the CPU.
@@ -23,7 +23,7 @@ struct ScaledSigmoid {
     penalty: f32,
 }
 
-/// Half a hyperbolic tangent of half the argument, which does not overflow.
+/// `pi * sigmoid(u)`, by a hyperbolic tangent, which does not overflow.
 pub(crate) fn scaled_sigmoid_of(u: f32) -> f32 {
     0.5 * PI * (1.0 + (0.5 * u).tanh())
 }

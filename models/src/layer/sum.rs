@@ -1,4 +1,4 @@
-//! Two arrays as one: added, or one after the other.
+//! Sum and concatenation of two arrays.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;

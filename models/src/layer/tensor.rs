@@ -2,7 +2,7 @@
 
 use candle_core::{CpuStorage, DType, Error, Layout, Result, Storage, Tensor};
 
-/// The f32 values of a contiguous CPU tensor, or an error that names the layer.
+/// The f32 values of a contiguous CPU tensor. Errors name the layer.
 pub(super) fn values<'a>(layer: &'static str, storage: &'a CpuStorage, layout: &Layout) -> Result<&'a [f32]> {
     let CpuStorage::F32(data) = storage else {
         return Err(Error::UnsupportedDTypeForOp(storage_dtype(storage), layer).bt());
