@@ -45,7 +45,7 @@ fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
     values
 }
 
-/// A network whose latent spreads over the squash and whose logits are of order one, at this size.
+/// A network whose latent spreads over the scaled sigmoid and whose logits are of order one, at this size.
 fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
     let shape = [2, range, doppler];
     let maps = maps(shape);
@@ -70,7 +70,7 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
     build(&values)
 }
 
-/// A session, or nothing with a word where there is no onnxruntime.
+/// A session, or `None` with a message without onnxruntime.
 fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
     match OnnxSession::new(Path::new("exported.onnx"), bytes, rows, columns) {
         Ok(session) => Some(session),
@@ -140,7 +140,7 @@ fn every_circuit_answers_alike_in_onnxruntime() {
     eprintln!("circuits: {largest:.1e}");
 }
 
-/// The shipped models, exported and put to work as ONNX files, give the probabilities of the models.
+/// The shipped models, exported and run as ONNX files, give the probabilities of the models.
 #[test]
 fn shipped_models_classify_alike_as_onnx_files() {
     let folder = tempfile::tempdir().expect("folder");

@@ -1,4 +1,4 @@
-//! Datasets one behind the other.
+//! Concatenation of datasets.
 
 use std::path::Path;
 

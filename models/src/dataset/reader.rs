@@ -20,7 +20,7 @@ pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
 /// Longest row of a manifest: names of scenes, recordings and people, and a hash.
 const LONGEST_ROW_BYTES: usize = 64 << 10;
 
-/// Labelled maps.
+/// Dataset of labelled maps, in a folder or in memory.
 ///
 /// # Examples
 /// ```no_run
@@ -57,7 +57,7 @@ impl Dataset {
         let read = |name: &str, limit_bytes: u64| within(dir, name).and_then(|path| read_text(&path, limit_bytes));
         let text = read("dataset.json", TEXT_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
         let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
-        // The version alone first: a newer header may have other fields.
+        // Reads the version alone first: a newer header may have other fields.
         #[derive(serde::Deserialize)]
         struct Version {
             format_version: u32,
@@ -117,7 +117,7 @@ impl Dataset {
         Ok(Dataset { header, rows, cells: Cells::Shards(shards) })
     }
 
-    /// A dataset in memory. Hashes of the rows are filled in.
+    /// Makes a dataset in memory, and fills in the hashes of the rows.
     ///
     /// # Errors
     /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for the first map of another shape than the header's or with a cell
@@ -134,7 +134,7 @@ impl Dataset {
         Ok(Dataset { header, rows, cells: Cells::Memory(cells) })
     }
 
-    /// What all maps share.
+    /// Properties that all maps share.
     pub fn header(&self) -> &DatasetHeader {
         &self.header
     }
@@ -210,7 +210,7 @@ impl Dataset {
     /// SHA-256 over header and manifest (which holds the hash of every map), hex.
     pub fn hash(&self) -> String {
         let mut hash = Sha256::new();
-        // Neither type holds a map with keys that are no strings, the one thing that fails to serialise.
+        // Serialisation fails only for maps with keys that are no strings, and neither type has one.
         hash.update(serde_json::to_vec(&self.header).unwrap_or_default());
         for row in &self.rows {
             hash.update(serde_json::to_vec(row).unwrap_or_default());
@@ -254,7 +254,7 @@ const LONGEST_HEADER: u64 = 10 + 65_535;
 fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
     let inconsistent =
         |expected: String, found: String| DatasetError::Inconsistent { path: path.to_owned(), expected, found };
-    // Before opening: opening a pipe waits for its writer.
+    // This check comes before opening, because opening a pipe waits for its writer.
     let is_file = std::fs::metadata(path).map_err(DatasetError::io(path, "opening"))?.is_file();
     if !is_file {
         return Err(DatasetError::io(path, "opening")(Refused::NotRegular.into()));
@@ -262,8 +262,8 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
     let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
     let mut reader = BufReader::new(file);
-    // The time that its parser takes doubles with each bracket within brackets: an array of numbers has one dictionary and
-    // one tuple.
+    // The parser's time doubles with each level of nested brackets. The header of an array of numbers has one dictionary and one
+    // tuple.
     let mut start = vec![0; length.min(LONGEST_HEADER) as usize];
     reader.read_exact(&mut start).map_err(DatasetError::io(path, "reading the npy header"))?;
     let header_length = start.get(8..10).map_or(0, |l| usize::from(l[0]) | usize::from(l[1]) << 8);
@@ -272,7 +272,7 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
         return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
     }
-    // Its parser multiplies them without a look.
+    // The parser multiplies them unchecked.
     let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
     let axes = String::from_utf8_lossy(axes.unwrap_or(&[])).into_owned();
     let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());

@@ -8,17 +8,17 @@ use crate::dataset::DatasetError;
 use crate::model::ClassifyError;
 use crate::train::TrainError;
 
-/// A study that cannot be run.
+/// Error of a study.
 #[derive(Debug, Error)]
 pub enum StudyError {
     /// A setting is out of range.
     #[error("study: {what} is {value}, expected {expected}")]
     Setting {
-        /// Which.
+        /// Name of the setting.
         what: String,
-        /// What it is.
+        /// Its value.
         value: String,
-        /// What it may be.
+        /// Allowed values.
         expected: String,
     },
     /// A file of the study cannot be written or read.
@@ -26,7 +26,7 @@ pub enum StudyError {
     File {
         /// File or folder.
         path: PathBuf,
-        /// What is wrong with it.
+        /// Cause.
         reason: String,
     },
     /// Results of another study or dataset are in the folder.
@@ -35,7 +35,7 @@ pub enum StudyError {
         /// Folder.
         path: PathBuf,
     },
-    /// A training cannot be done at all.
+    /// A training cannot be run.
     #[error(transparent)]
     Train(#[from] TrainError),
     /// A model cannot be evaluated.

@@ -1,11 +1,10 @@
-//! A comparison of networks over seeds, label fractions and noise: a plan of jobs, each of which ends in one file, and a report
-//! of whatever files there are. A study that was stopped carries on where it was, also within a training.
+//! Studies: comparisons of networks over seeds, label fractions and noise. A study is a list of jobs, each of which writes one file, and
+//! a report on the files that exist. A stopped study continues where it was, also within a training.
 //!
 //! # Equal treatment
-//! Every variant is trained by the same recipe ([`crate::train`]) and gets the same grid of learning rates, of which the best
-//! by balanced accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing.
-//! A training that stops on a number that is not finite, or ends no better than [`FAILED_BELOW`] on its own training maps,
-//! counts as failed and stays in the means.
+//! Every variant is trained by the same recipe ([`crate::train`]) with the same grid of learning rates. The best rate by balanced
+//! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that stops
+//! on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the means.
 
 mod error;
 mod noise;

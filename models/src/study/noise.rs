@@ -1,4 +1,4 @@
-//! Gaussian noise on maps, as the paper adds it (paper.md section 4).
+//! Gaussian noise on maps by the rule of the paper (paper.md section 4).
 
 use rand_distr::{Distribution, StandardNormal};
 
@@ -13,8 +13,8 @@ pub struct NoisyMaps<'a> {
     maps: Vec<(usize, Vec<f32>)>,
 }
 
-/// `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, `P` the mean square of the map's dB values before any
-/// standardisation. One draw for each map and ratio, the same for every model.
+/// Adds noise to maps: `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, where `P` is the mean square of the map's dB values
+/// before any standardisation. There is one draw for each map and ratio, the same for every model.
 ///
 /// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
 ///
@@ -37,7 +37,7 @@ pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> R
 }
 
 impl NoisyMaps<'_> {
-    /// Scores of a classifier.
+    /// Computes the scores of a classifier.
     ///
     /// # Errors
     /// Those of [`Classifier::classify_row`].

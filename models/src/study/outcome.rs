@@ -18,19 +18,19 @@ pub struct Job {
     pub learning_rate: f64,
     /// Seed.
     pub seed: u64,
-    /// Recording that is the test split, where each in turn is.
+    /// Recording that is the test split, in studies that hold out each in turn.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<String>,
 }
 
-/// What a job came to.
+/// Outcome of a job.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Outcome {
-    /// Which job.
+    /// The job.
     pub job: Job,
-    /// Why the training ended early, if it did.
+    /// Error that ended the training early, if any.
     pub error: Option<String>,
-    /// Balanced accuracy on the training maps, as they were met in the last epoch.
+    /// Balanced accuracy on the training maps in the last epoch, measured batch by batch.
     pub training: f64,
     /// Scores on the validation split.
     pub validation: Option<Metrics>,
@@ -53,7 +53,7 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Whether the training came to nothing.
+    /// Whether the training failed.
     pub fn failed(&self) -> bool {
         self.error.is_some() || self.training < FAILED_BELOW
     }

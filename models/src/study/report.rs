@@ -1,4 +1,4 @@
-//! What a study says: tables in Markdown, the same as JSON, with the paper's numbers beside ours.
+//! Report of a study: tables in Markdown and JSON, with the paper's numbers for comparison.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -24,9 +24,9 @@ pub struct Cell {
     pub label_fraction: f64,
     /// Learning rate, chosen on the validation split where there was a choice.
     pub learning_rate: f64,
-    /// Trainings that are there.
+    /// Number of trainings that are done.
     pub done: usize,
-    /// Of them, those that came to nothing; they stay in the means.
+    /// Number of them that failed; they stay in the means.
     pub failed: usize,
     /// Balanced accuracy on the test split; chance where a training broke off.
     pub test: Option<Interval>,
@@ -34,7 +34,7 @@ pub struct Cell {
     pub accuracy: Option<Interval>,
     /// Macro-F1 on the test split.
     pub macro_f1: Option<Interval>,
-    /// Recall of somebody (one or two) on the test split.
+    /// Share of populated test maps that are not classified as empty.
     pub populated_recall: Option<Interval>,
     /// Balanced accuracy on the training maps in the last epoch.
     pub training: Option<Interval>,
@@ -65,17 +65,17 @@ pub struct Cell {
 pub struct Report {
     /// Heading.
     pub title: String,
-    /// What differs from the protocol that it is put beside.
+    /// Differences from the protocol that it is compared with.
     pub remarks: Vec<String>,
     /// Hash of the dataset.
     pub dataset_hash: String,
     /// Maps of the dataset.
     pub maps: usize,
-    /// Trainings that are there, and that the plan has.
+    /// Number of trainings that are done.
     pub done: usize,
     /// Trainings of the plan, less those that only choose learning rates.
     pub planned: usize,
-    /// Seconds of all trainings that are there.
+    /// Time of all trainings that are done, s.
     pub seconds: f64,
     /// Balanced accuracy whose first epoch is reported.
     pub target: f64,
@@ -83,7 +83,7 @@ pub struct Report {
     pub cells: Vec<Cell>,
 }
 
-/// Puts outcomes together.
+/// Makes the report of outcomes.
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let mut cells = Vec::new();
     let held_out = if spec.leave_one_recording_out {

@@ -22,27 +22,27 @@ use crate::whole_file;
 /// Longest `study.json` that is read: a spec as JSON is longer than as TOML.
 const IDENTITY_LIMIT_BYTES: u64 = 16 << 20;
 
-/// What the one who waits is told.
+/// Progress of a study.
 pub enum Progress<'a> {
-    /// A job begins: its number of all that are known so far.
+    /// Start of a job: its number, and the number of jobs known so far.
     Job(&'a Job, usize, usize),
-    /// An epoch of it is done.
+    /// End of an epoch of the job.
     Epoch(&'a EpochReport),
-    /// It is done.
+    /// End of the job.
     Done(&'a Outcome),
 }
 
-/// A study on its way in a folder.
+/// Study in a folder.
 pub struct Study<'a> {
     spec: &'a StudySpec,
     dataset: &'a Dataset,
     folder: PathBuf,
-    /// Of so many workers this is the one of this number, and takes its share of the jobs.
+    /// Number of this worker, and number of workers that share the jobs.
     shard: (usize, usize),
 }
 
 impl<'a> Study<'a> {
-    /// Opens or begins a study in a folder.
+    /// Opens a study in a folder, or starts one.
     ///
     /// # Errors
     /// Those of [`StudySpec::check`], [`StudyError::Foreign`] if the folder holds another study, and [`StudyError::File`] if it cannot
@@ -69,7 +69,7 @@ impl<'a> Study<'a> {
         Ok(Study { spec, dataset, folder: folder.to_owned(), shard })
     }
 
-    /// Runs what is not done yet until `go_on` says no; gives all outcomes there are.
+    /// Runs the remaining jobs until `go_on` returns `false`. Returns all outcomes that exist.
     ///
     /// # Errors
     /// [`StudyError`] for the first training that cannot be done, model that cannot be evaluated, or file that cannot be written or
@@ -77,7 +77,7 @@ impl<'a> Study<'a> {
     pub fn run(&self, go_on: &dyn Fn() -> bool, tell: &mut dyn FnMut(Progress)) -> Result<Vec<Outcome>, StudyError> {
         let held_out = self.held_out();
         let rates = self.spec.rates();
-        // First the rates, which decide what the other jobs are.
+        // The jobs for the learning rates come first, because the others depend on them.
         let mut jobs = Vec::new();
         for variant in &self.spec.variants {
             for &learning_rate in &rates {
@@ -95,7 +95,7 @@ impl<'a> Study<'a> {
         }
         let chosen = self.chosen_rates()?;
         let mut jobs = Vec::new();
-        // Seed by seed, so that what is there early is the whole comparison with few seeds.
+        // Seed by seed, so that early results are the whole comparison with few seeds.
         for &seed in &self.spec.seeds {
             for &label_fraction in &self.spec.label_fractions {
                 for variant in &self.spec.variants {
@@ -151,7 +151,7 @@ impl<'a> Study<'a> {
         Ok(chosen)
     }
 
-    /// All outcomes that are there, in the order of their files' names.
+    /// All outcomes that exist, in the order of their file names.
     ///
     /// # Errors
     /// [`StudyError::File`] if the folder or a file of it cannot be read or understood.
@@ -170,7 +170,7 @@ impl<'a> Study<'a> {
         paths.iter().map(read).collect()
     }
 
-    /// The report of what is there.
+    /// Makes the report on the outcomes that exist.
     ///
     /// # Errors
     /// Those of [`Study::outcomes`].
@@ -178,7 +178,7 @@ impl<'a> Study<'a> {
         Ok(report(self.spec, self.dataset, &self.chosen_rates()?, &self.outcomes()?))
     }
 
-    /// Recordings that are held out in turn, or nothing once.
+    /// Recordings that are held out in turn, or a single `None`.
     fn held_out(&self) -> Vec<Option<String>> {
         if !self.spec.leave_one_recording_out {
             return vec![None];
@@ -231,7 +231,7 @@ impl<'a> Study<'a> {
         let trained = train_with_checkpoint(self.dataset, &spec, Some(&checkpoint), &mut |r| tell(Progress::Epoch(&r)));
         let trained = match trained {
             Ok(trained) => trained,
-            // A training that runs away is a result; one that cannot be done is not.
+            // A training that diverges is a result; one that cannot be run is an error.
             Err(error @ TrainError::NonFinite { .. }) => {
                 let _ = std::fs::remove_file(&checkpoint);
                 outcome.error = Some(error.to_string());

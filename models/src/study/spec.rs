@@ -7,20 +7,20 @@ use super::outcome::Job;
 use crate::network::{Head, NetworkSpec, networks};
 use crate::train::TrainSpec;
 
-/// Trainings of a study at most, and variants: a spec of a megabyte could ask for more than fit into memory.
+/// Most trainings and variants of a study. A spec of a megabyte could list more than fit into memory.
 const MOST_JOBS: usize = 1_000_000;
 const MOST_VARIANTS: usize = 1000;
 
-/// What is compared.
+/// Settings of a study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct StudySpec {
     /// Heading of the report.
     pub title: String,
-    /// What differs from the protocol of a paper that it is put beside; a paragraph a line.
+    /// Differences from the protocol of the paper that it is compared with, one paragraph for each line.
     #[serde(default)]
     pub remarks: Vec<String>,
-    /// Which networks.
+    /// Networks that are compared.
     pub variants: Vec<Variant>,
     /// Seeds of initialisation and order.
     pub seeds: Vec<u64>,
@@ -36,7 +36,7 @@ pub struct StudySpec {
     /// Balanced accuracy on the validation split whose first epoch is reported.
     #[serde(default = "target")]
     pub target: f64,
-    /// Each recording (sequence) in turn is the test split, as few recordings demand.
+    /// Whether each recording (sequence) in turn is the test split, for datasets of few recordings.
     #[serde(default)]
     pub leave_one_recording_out: bool,
     /// Settings of all trainings; its network and seed are those of the variants and seeds.
@@ -64,13 +64,13 @@ pub struct Variant {
     /// Another head of the HQNN.
     #[serde(default)]
     pub head: Option<Head>,
-    /// Exchange range and Doppler of the maps that the network sees.
+    /// Whether the network sees maps with range and Doppler exchanged.
     #[serde(default)]
     pub transposed: Option<bool>,
 }
 
 impl StudySpec {
-    /// Checks every setting.
+    /// Checks all settings.
     ///
     /// # Errors
     /// [`StudyError::Setting`] and [`StudyError::Train`] for the first setting that is out of range.
@@ -168,7 +168,7 @@ impl StudySpec {
         if let Some(held_out) = &job.held_out {
             spec.split.held_out = Some(held_out.clone());
         }
-        // Only heads behind a narrow latent need several starts to choose from; others would be given none of it.
+        // Only heads behind a narrow latent need several starts.
         if !network.kind.has_latent() {
             spec.starts = 1;
         }
