@@ -1,24 +1,23 @@
-//! Adapting a trained model to one room, by a few labelled minutes of it and without forgetting the others.
+//! Adaptation of a trained model to one room by a few labelled minutes, without forgetting other rooms.
 //!
-//! Of a network of descriptors everything behind the descriptors is adapted, of any other network its last linear layer. Their
-//! inputs are computed once a frame ([`Adapter::features`]). The objective is
+//! In a network of descriptors all layers behind the descriptors are adapted, in any other network its last linear layer. Their inputs
+//! are computed once for each frame ([`Adapter::features`]). The objective is
 //!
 //! ```text
 //! sum_i w_i cross_entropy_i + strength / 2 |theta - theta_before|^2
 //! ```
-//! with `theta` the parameters for features of mean 0 and deviation 1: the most probable parameters under a Gaussian prior about
-//! those before, so that a class without a recording keeps its place by the prior alone. Biases are pulled with a strength of 100 s at
-//! most: a few of them are known after half a minute of labels, weights are not. The weights of the samples sum to the labelled
-//! seconds, because frames within a second are one piece of evidence. Each class has the same share of them; within a class
-//! recordings of more than 10 s have nearly the same share. Simulated maps, where there are any, weigh as much as all recordings
-//! together.
+//! with `theta` the parameters for features of mean 0 and deviation 1: the most probable parameters under a Gaussian prior about those
+//! before. The prior alone holds a class without recordings. The strength for biases is at most 100 s, because half a minute of labels
+//! determines a few biases, but not weights. The weights of the samples sum to the labelled seconds, because frames within a second are
+//! one piece of evidence. Each class has the same share of them; within a class, recordings of more than 10 s have nearly the same share.
+//! Simulated maps, if there are any, weigh as much as all recordings together.
 //!
-//! The strength is chosen on recordings that are held out. The less is labelled, the fewer weak strengths are tried: the same
-//! people walk through all recordings of a minute, so that held-out ones do not show what is lost on others.
+//! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all recordings of a
+//! minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! Where only the empty room was recorded, one number is fitted: what is added to the logit of `empty`. The relation of the other
-//! logits stays as it is. Frames weigh by the probability with which the model before takes them for somebody, so that a model that
-//! is right about the empty room stays as it is.
+//! If only the empty room was recorded, the bias of the logit of `empty` alone is fitted. The differences of the other logits stay
+//! unchanged. Frames are weighted by the probability of people by the model before, so that a model that is right about the empty room
+//! stays unchanged.
 //!
 //! [`minimise`] has the minimiser, [`tail`] the adapted layers and the samples.
 
@@ -39,14 +38,14 @@ mod tail;
 pub use error::AdaptError;
 pub use recording::{AdaptFrame, AdaptRecording};
 
-/// Strengths of the pull that are tried, the strongest first, s of labelled frames for a squared deviation.
+/// Strengths of the penalty that are tried, the strongest first, s of labelled frames for a squared deviation.
 const STRENGTHS: [f64; 6] = [3000.0, 1000.0, 300.0, 100.0, 30.0, 10.0];
-/// Strength that is tried however little is labelled, and the only one where no recording can be held out.
+/// Strength that is always tried, and the only one if no recording can be held out.
 const SAFE_STRENGTH: f64 = 1000.0;
 /// Weakest strength that is tried, times the square of the labelled seconds, s^3: 100 s at two minutes. Measured on simulated rooms
 /// (`radome adapt --curve`).
 const WEAKEST_BY_TIME: f64 = 1.44e6;
-/// Parts of the recordings that are held out in turn, at most.
+/// Most parts of the recordings that are held out in turn.
 const MOST_FOLDS: usize = 10;
 
 /// Result of an adaptation.
@@ -55,7 +54,7 @@ pub struct Adaptation {
     pub model: Model,
     /// The entry.
     pub adapted: Adapted,
-    /// Scores of each recording, by a model that was adapted on others; absent where a class of it is in no other recording.
+    /// Scores of each recording by a model that was adapted on others; absent if one of its classes is in no other recording.
     pub held_out: Vec<Option<BeforeAfter>>,
     /// Recordings that show empty, one and two.
     pub recordings_by_class: [usize; CLASSES],
@@ -63,7 +62,7 @@ pub struct Adaptation {
     pub is_measured: [bool; CLASSES],
 }
 
-/// Parameters that are fitted to recordings, and what recordings that were held out say of them.
+/// Parameters fitted to recordings, with cross-validated scores.
 #[derive(Debug, Clone)]
 pub struct Fit {
     numbers: Vec<f64>,
@@ -80,7 +79,7 @@ impl Fit {
     }
 }
 
-/// A model that is about to be adapted.
+/// Adaptation of a model.
 pub struct Adapter {
     classifier: Classifier,
     /// Input of the adapted layers.
@@ -92,7 +91,7 @@ pub struct Adapter {
 }
 
 impl Adapter {
-    /// Takes a model.
+    /// Starts the adaptation of a model.
     ///
     /// # Errors
     /// [`AdaptError::Network`] if the network does not end in a linear layer.
@@ -138,7 +137,7 @@ impl Adapter {
         self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
-    /// Mixes in the maps of a dataset's training split, 2,000 of them at most; gives their number.
+    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number.
     ///
     /// # Errors
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
@@ -167,7 +166,7 @@ impl Adapter {
         Ok(self.simulated.len())
     }
 
-    /// Adapts the model: [`fit`](Self::fit), and the fitted parameters become the model's.
+    /// Adapts the model: runs [`fit`](Self::fit) and sets the fitted parameters.
     ///
     /// The same model and recordings give the same numbers, on any number of threads.
     ///
@@ -182,10 +181,9 @@ impl Adapter {
         Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Fits parameters to recordings. Each recording in turn, of more than ten a tenth of them, is held out first: that gives the
-    /// scores, and the strength of the pull is the one with the best of them, so that they are a little better than those of
-    /// recordings to come. Recordings that show a class that is in no other one are not held out: a model that never saw the class
-    /// would be judged.
+    /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the scores. The
+    /// strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that is in no other one is not held
+    /// out, because the scores would be those of a model that never saw the class.
     ///
     /// # Errors
     /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is no number,
@@ -222,7 +220,7 @@ impl Adapter {
             let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
             let fits = tail.fit(&others, &self.simulated, &strengths, &self.before)?;
             for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
-                // A recording without a label says nothing.
+                // A recording without labels has no scores.
                 if by_recording[index].iter().sum::<f64>() > 0.0 {
                     let judge = |numbers: &Vec<f64>| tail.judge(numbers, recording, smoothing);
                     let after = fits.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
@@ -230,7 +228,7 @@ impl Adapter {
                 }
             }
         }
-        // The strongest of equals.
+        // The strongest of equals wins.
         let measured: Vec<&Fold> = folds.iter().flatten().collect();
         let mut chosen: Option<(usize, BeforeAfter)> = None;
         for index in (0..strengths.len()).filter(|_| !measured.is_empty()) {
@@ -259,7 +257,7 @@ impl Adapter {
         Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Scores on recordings with fitted parameters, or of the model as it was.
+    /// Computes scores on recordings with fitted parameters, or those of the model before.
     ///
     /// # Errors
     /// [`AdaptError::Operation`] if features or parameters are not those of this model.
@@ -272,7 +270,7 @@ impl Adapter {
     }
 }
 
-/// A recording that was held out: judged by the model before, and by one adapted on others for each strength of the pull.
+/// Held-out part of the recordings: predictions of the model before, and of one adapted on the others for each strength.
 struct Fold {
     before: Judged,
     after: Vec<Judged>,
@@ -393,8 +391,8 @@ mod tests {
             assert_eq!(adaptation.adapted.strength, SAFE_STRENGTH);
         }
 
-        /// The only recording of two people cannot be held out, nor what else it shows: a model that has never seen two people
-        /// would be judged.
+        /// The only recording of two people cannot be held out, nor its other classes: the scores would be those of a model that has never seen
+        /// two people.
         #[test]
         fn a_recording_with_the_only_example_of_a_class_is_not_held_out() {
             let recordings = [

@@ -1,4 +1,4 @@
-//! A training on disk after each epoch, so that one that was stopped ends with the same weights as one that was not.
+//! Checkpoints: the state of a training after each epoch, so that a stopped training ends with the same weights as one that was not.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -14,10 +14,10 @@ use crate::whole_file;
 
 /// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
 const LIMIT_BYTES: u64 = 4 << 30;
-/// Key of the numbers that are no arrays.
+/// Key in the metadata of the numbers that are no arrays.
 const KEY: &str = "radome-training";
 
-/// The best epoch so far.
+/// State after the best epoch so far.
 #[derive(Debug, Clone)]
 pub(super) struct Best {
     pub balanced_accuracy: f64,
@@ -27,7 +27,7 @@ pub(super) struct Best {
     pub latent: Normalisation,
 }
 
-/// One initialisation between two epochs.
+/// State of one initialisation between two epochs.
 pub(super) struct RunState {
     pub start: u64,
     pub epoch: usize,
@@ -44,16 +44,16 @@ pub(super) struct RunState {
     pub best: Option<Best>,
 }
 
-/// A training between two epochs.
+/// State of a training between two epochs.
 pub(super) struct Checkpoint {
-    /// What decides the outcome: spec, dataset, kernel level.
+    /// Text of everything that decides the outcome: spec, dataset, kernel level.
     pub fingerprint: String,
     pub history: Vec<EpochReport>,
-    /// The best of the starts that have had their trial.
+    /// Best of the starts after their trial.
     pub leader: Option<RunState>,
-    /// The start that is having its trial.
+    /// Start in its trial.
     pub trial: Option<RunState>,
-    /// The start after it.
+    /// Index of the next start.
     pub next_start: u64,
 }
 
@@ -74,7 +74,7 @@ struct RunNumbers {
     warming_up: bool,
     head_step: usize,
     adam_steps: i32,
-    /// Nothing for infinity, which JSON lacks.
+    /// `None` for infinity, which JSON lacks.
     latest_loss: Option<f64>,
     #[serde(rename = "centrings")]
     normalisations: BTreeMap<String, Normalisation>,
@@ -125,7 +125,7 @@ impl Checkpoint {
         whole_file::write(path, &data).map_err(|e| unusable(path, e))
     }
 
-    /// What a checkpoint file holds; nothing if there is no file.
+    /// Reads a checkpoint; `None` if there is no file.
     pub(super) fn load(path: &Path) -> Result<Option<Self>, TrainError> {
         let data = match read(path, LIMIT_BYTES) {
             Ok(data) => data,

@@ -19,7 +19,7 @@ use crate::standardise::{Scale, Standardisation};
 pub(super) struct Part {
     /// Index of each map in the dataset.
     pub indices: Vec<usize>,
-    /// In reference, but neither bounded nor scaled: augmentation comes before.
+    /// Cells in the map's reference, before bound and scaling, because augmentation comes first.
     pub maps: Vec<Vec<f32>>,
     pub labels: Vec<usize>,
     /// Constants of each map.
@@ -29,7 +29,7 @@ pub(super) struct Part {
 pub(super) struct Data {
     pub train: Part,
     pub validation: Part,
-    /// Indices only: the test maps are read when all is done.
+    /// Indices only: the test maps are read at the end.
     pub test: Vec<usize>,
     pub standardisation: Standardisation,
     pub class_weights: Vec<f32>,
@@ -37,7 +37,7 @@ pub(super) struct Data {
     pub doppler: usize,
     /// Whether batches have range and Doppler exchanged.
     pub transposed: bool,
-    /// Where training maps are superposed, which on which.
+    /// Maps that can be added to each other, if the augmentation superposes maps.
     partners: Option<Partners>,
     pub warnings: Vec<String>,
 }
@@ -157,7 +157,7 @@ impl Data {
         self.tensor(maps)
     }
 
-    /// Bounds and scales a map as it is shown to the network; `None` where the part has no such map.
+    /// Bounds and scales a map for the network; `None` if the part has no such map.
     fn standardise(&self, part: &Part, position: usize, cells: &mut [f32]) -> Option<()> {
         self.standardisation.reference.bound(cells);
         part.scales.get(position)?.apply(cells);
@@ -169,8 +169,7 @@ impl Data {
         if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
     }
 
-    /// Training maps with augmentation and their classes, which it may change. What happens to a map is a function of seed, epoch
-    /// and map.
+    /// Training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch and map.
     pub(super) fn augmented(
         &self,
         positions: &[usize],
@@ -265,8 +264,8 @@ mod tests {
         tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
     }
 
-    /// The settings of old training files: maps that are standardised when they are read, then flipped, then noisy, by the same
-    /// random numbers. Their trainings give the same bytes as before there were others.
+    /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their trainings give
+    /// the same bytes.
     #[test]
     fn flip_and_noise_are_what_they_were() {
         let dataset = noise();
@@ -290,7 +289,7 @@ mod tests {
             expected.extend(map);
         }
         assert_eq!(cells(&shown), expected);
-        // Without any, a map is as the classifier sees it.
+        // Without augmentation, a map is the classifier's input.
         let none = data.augmented(&[5], &Augmentation::default(), seed, epoch).expect("maps").0;
         let mut map = dataset.input(data.train.indices[5], 0).expect("a map");
         data.standardisation.apply(&mut map, SIZE, None);
@@ -298,7 +297,7 @@ mod tests {
         assert_eq!(cells(&data.batch(&data.train, &[5]).expect("maps")), map);
     }
 
-    /// What is added in training is bounded as in use, whatever it comes to.
+    /// Augmented maps are bounded as in use, at any level.
     #[test]
     fn the_bound_comes_after_augmentation() {
         let dataset = noise();

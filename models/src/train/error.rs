@@ -8,7 +8,7 @@ use crate::model::{ClassifyError, ModelError};
 use crate::network::{UnreadableMaps, WeightsError};
 use crate::standardise::StandardiseError;
 
-/// A training that cannot start or go on.
+/// Error of a training.
 #[derive(Debug, Error)]
 pub enum TrainError {
     /// A setting is out of range.
@@ -16,12 +16,12 @@ pub enum TrainError {
     Setting {
         /// Field of [`TrainSpec`](super::TrainSpec).
         name: &'static str,
-        /// What was given.
+        /// Its value.
         value: String,
-        /// What is allowed.
+        /// Allowed values.
         expected: &'static str,
     },
-    /// Maps with a 0 dB of their own do not say what stands above noise.
+    /// The augmentation needs levels over noise, which maps of an absolute reference lack.
     #[error(
         "training: augmentation.{setting} changes what stands above the noise, and maps of an absolute reference do not say how strong that is\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
     )]
@@ -40,26 +40,26 @@ pub enum TrainError {
     /// Maps are too small for the network's poolings.
     #[error("maps are {range} range x {doppler} doppler bins, too few for the network's layer {layer}")]
     TooSmall {
-        /// Layer that has nothing left to work on.
+        /// Layer whose input is too small.
         layer: String,
         /// Range bins.
         range: usize,
         /// Doppler bins.
         doppler: usize,
     },
-    /// A split that is needed holds nothing.
+    /// A required split is empty.
     #[error(
         "the {split} split is empty: {maps} maps in {sequences} sequences\n\nhint: splits are made of whole sequences; record more of them, or give rows a split"
     )]
     EmptySplit {
-        /// Which.
+        /// The split.
         split: Split,
         /// Maps in the dataset.
         maps: usize,
         /// Sequences in the dataset.
         sequences: usize,
     },
-    /// There is nothing to tell apart.
+    /// The training split has maps of one class only.
     #[error("the training split holds maps of one class only ({class}); at least two are needed")]
     OneClass {
         /// The class.
@@ -78,7 +78,7 @@ pub enum TrainError {
     NonFinite {
         /// Layer or gradient.
         what: String,
-        /// Which initialisation.
+        /// Index of the initialisation.
         start: u64,
         /// Epoch, from 1.
         epoch: usize,
@@ -87,10 +87,10 @@ pub enum TrainError {
         /// Learning rate of the spec.
         learning_rate: f64,
     },
-    /// Weights to start from do not fit.
+    /// Initial weights do not fit.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// A stopped training cannot be carried on with.
+    /// A stopped training cannot be continued.
     #[error("checkpoint: {what}\n\nhint: remove the file to begin anew")]
     Checkpoint {
         /// File and reason.
@@ -102,7 +102,7 @@ pub enum TrainError {
     /// The trained model cannot be applied.
     #[error(transparent)]
     Classify(#[from] ClassifyError),
-    /// The model cannot be made.
+    /// The model cannot be built.
     #[error(transparent)]
     Model(#[from] ModelError),
     /// A tensor operation failed.

@@ -5,12 +5,12 @@ use serde::{Deserialize, Serialize};
 use crate::metrics::Metrics;
 use crate::model::Model;
 
-/// What one pass over the training split came to.
+/// Results of one pass over the training split.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct EpochReport {
-    /// Which initialisation, from 0.
+    /// Index of the initialisation, from 0.
     pub start: u64,
-    /// Whether this start has been chosen to be carried on with.
+    /// Whether this initialisation was chosen.
     pub chosen: bool,
     /// Epoch, from 1.
     pub epoch: usize,
@@ -18,7 +18,7 @@ pub struct EpochReport {
     pub epochs: usize,
     /// Mean loss over the epoch's steps.
     pub training_loss: f64,
-    /// Balanced accuracy over the epoch's batches as they were met.
+    /// Balanced accuracy over the epoch, measured batch by batch.
     pub training_balanced_accuracy: f64,
     /// Loss on the validation split after the epoch.
     pub validation_loss: f64,
@@ -28,9 +28,9 @@ pub struct EpochReport {
     pub seconds: f64,
 }
 
-/// What a training came to.
+/// Result of a training.
 pub struct TrainOutcome {
-    /// The model, ready to save or to put to work.
+    /// The trained model.
     pub model: Model,
     /// One report for each epoch, in order.
     pub history: Vec<EpochReport>,
@@ -38,6 +38,6 @@ pub struct TrainOutcome {
     pub validation: Metrics,
     /// Scores on the test split, if there is one.
     pub test: Option<Metrics>,
-    /// What the user should know: classes that are missing, and the like.
+    /// Warnings for the user, for example of missing classes.
     pub warnings: Vec<String>,
 }

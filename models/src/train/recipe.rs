@@ -30,8 +30,8 @@ pub fn train(
     train_with_checkpoint(dataset, spec, None, report)
 }
 
-/// [`train`] that writes `checkpoint` after each epoch, carries on from it if it is there, and removes it at the end. A training
-/// that was killed and carried on with gives the model that it would have given undisturbed.
+/// [`train`] that writes `checkpoint` after each epoch, continues from it if it exists, and removes it at the end. A training that was
+/// killed and continued gives the same model as one that was not.
 ///
 /// # Errors
 /// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.
@@ -84,7 +84,7 @@ pub fn train_with_checkpoint(
     };
     let mut warnings = data.warnings.clone();
     warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
-    // Scores come from the very path that a live classifier takes.
+    // Scores are computed by the same code as in live use.
     let mut classifier = Classifier::new(Model { card: card.clone(), network });
     let validation = evaluate(&mut classifier, dataset, &data.validation.indices)?;
     let test = match data.test.as_slice() {
@@ -98,13 +98,13 @@ pub fn train_with_checkpoint(
     };
     let model = Model { card, network };
     if let Some(path) = checkpoint {
-        // What it was for is done; it being left behind would only cost a repeated last step.
+        // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
         let _ = std::fs::remove_file(path);
     }
     Ok(TrainOutcome { model, history, validation, test, warnings })
 }
 
-/// The epochs of all starts, in their order.
+/// Training of all starts, in their order.
 struct Training<'a> {
     data: &'a data::Data,
     spec: &'a TrainSpec,
@@ -158,7 +158,7 @@ impl<'a> Training<'a> {
         Ok((run, history))
     }
 
-    /// What decides the outcome.
+    /// Text of everything that decides the outcome.
     fn fingerprint(&self) -> Result<String, TrainError> {
         let spec = TrainSpec { weights: None, ..self.spec.clone() };
         let spec = serde_json::to_string(&spec).map_err(|e| TrainError::Checkpoint { what: e.to_string() })?;

@@ -1,4 +1,4 @@
-//! One initialisation on its way through the epochs.
+//! Training of one initialisation over the epochs.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -30,16 +30,16 @@ pub(super) struct Run<'a> {
     adam: Adam,
     epoch: usize,
     step: usize,
-    /// Whether a linear head stands in for the head.
+    /// Whether the linear head of the warm-up replaces the head.
     warming_up: bool,
-    /// Step at which the head came in: the step size warms up again from there.
+    /// Step at which the head was initialised: the step size warms up again from there.
     head_step: usize,
     latest_loss: f64,
     best: Option<Best>,
 }
 
 impl<'a> Run<'a> {
-    /// Initialises a network and puts its features and its latent where they belong.
+    /// Initialises a network and scales its features and its latent.
     pub(super) fn start(
         data: &'a Data,
         spec: &'a TrainSpec,
@@ -58,7 +58,7 @@ impl<'a> Run<'a> {
         };
         let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         if spec.network.reads_descriptors() {
-            // Of all maps: some descriptors are other than zero on few of them.
+            // Measured on all maps, because some descriptors are non-zero on few of them.
             let descriptors = of(&run.network, "descriptors", &positions)?;
             run.network.parameters_mut().set_normalisation("features", descriptor_normalisation(&descriptors));
         }
@@ -106,7 +106,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Carries on from where [`Run::state`] was taken; names what does not fit.
+    /// Continues from the result of [`Run::state`]. Errors name what does not fit.
     pub(super) fn resume(
         data: &'a Data,
         spec: &'a TrainSpec,
@@ -153,7 +153,7 @@ impl<'a> Run<'a> {
         })
     }
 
-    /// Ends the warm-up: parameters of the head and placement of the latent from [`head_start`].
+    /// Ends the warm-up: [`head_start`] gives the parameters of the head and the map of the latent.
     fn start_head(&mut self) -> Result<(), TrainError> {
         let Some(latent) = self.network.graph().value("latent") else { return Ok(()) };
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
@@ -221,13 +221,13 @@ impl<'a> Run<'a> {
         self.latest_loss
     }
 
-    /// The logits that are trained: the head's, or those of its stand-in.
+    /// Logits that are trained: the head's, or those of the linear head in the warm-up.
     fn output(&self) -> Value {
         let graph = self.network.graph();
         if self.warming_up { graph.warm_up.unwrap_or(graph.output) } else { graph.output }
     }
 
-    /// Weight of the mean square of the latent: heads that squash need it small.
+    /// Weight of the penalty on the mean square of the latent, for heads with `pi * sigmoid`.
     fn penalty(&self) -> f64 {
         if self.spec.network.has_latent() && self.spec.head.uses_scaled_sigmoid() {
             self.spec.latent_penalty
@@ -301,11 +301,11 @@ impl<'a> Run<'a> {
         Ok((self.network, epoch))
     }
 
-    /// One step; gives the loss and appends (truth, prediction).
+    /// Takes one step. Returns the loss and appends (truth, prediction).
     fn train_batch(&mut self, batch: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<f64, TrainError> {
         self.step += 1;
         let (input, labels) = self.data.augmented(batch, &self.spec.augmentation, self.spec.seed, self.epoch)?;
-        // Another start is another draw of what is dropped.
+        // Each start has its own draws of dropped values.
         let step = (self.start << 32) + self.step as u64;
         let output = self.output();
         let penalty = if self.warming_up { 0.0 } else { self.penalty() as f32 };
@@ -360,7 +360,7 @@ impl<'a> Run<'a> {
             let factor = match parameter.name.split('.').next() {
                 Some("circuit") => self.spec.angle_rate,
                 Some("head" | "head_hidden" | "warm_up") => self.spec.head_rate,
-                // Before it nothing is trained: it is as far from the logits as a head.
+                // No layer before it is trained, so it learns at the head's rate.
                 Some("fc2") if self.spec.network.reads_descriptors() => self.spec.head_rate,
                 _ => 1.0,
             };
@@ -401,7 +401,7 @@ impl<'a> Run<'a> {
         Ok((if weight > 0.0 { loss / weight } else { 0.0 }, Metrics::from_predictions(pairs)))
     }
 
-    /// Takes mean and sigma of the latent over the training split.
+    /// Measures mean and sigma of the latent over the training split.
     fn measure_latent(&mut self) -> Result<(), TrainError> {
         let Some(raw) = self.network.raw_latent() else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();

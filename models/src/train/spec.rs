@@ -12,42 +12,42 @@ use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, PAPER_POOLED};
 use crate::occupancy_filter::Smoothing;
 use crate::standardise::MapReference;
 
-/// Epochs, maps in a step and initialisations at most: far beyond any training, and products of them are still numbers.
+/// Most epochs, maps in a step and initialisations: far beyond any training, and their products do not overflow.
 const MOST_EPOCHS: usize = 100_000;
 const MOST_IN_BATCH: usize = 65_536;
 const MOST_STARTS: u64 = 1000;
 
-/// How the latent is standardised before the squash (paper.md section 6 leaves it open). The constants are never
-/// differentiated through, and are saved with the model.
+/// Standardisation of the latent before `pi * sigmoid` (paper.md section 6 leaves it open). The constants have no gradient and are saved
+/// with the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatentStandardisation {
-    /// Not at all: the start alone puts the latent where it belongs.
+    /// None: the initialisation alone sets mean and sigma of the latent.
     None,
-    /// By mean and sigma over the training split, measured anew before each epoch.
+    /// Mean and sigma over the training split, measured before each epoch.
     FrozenByEpoch,
-    /// By running mean and variance, updated with each batch.
+    /// Running mean and variance, updated with each batch.
     Running {
         /// Weight of the newest batch, in (0, 1].
         momentum: f32,
     },
 }
 
-/// Everything that decides what a training does, except the data.
+/// Settings of a training: with the data, they decide its result.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct TrainSpec {
     /// Seed of initialisation, order and augmentation.
     pub seed: u64,
-    /// Which network.
+    /// Kind of the network.
     pub network: NetworkKind,
-    /// What stands behind the HQNN's latent.
+    /// Layers behind the latent.
     pub head: Head,
     /// Share of the training split's maps that is trained on, drawn by class; 1 for all.
     pub label_fraction: f64,
     /// Maps that are trained on at most, a share of each class; all if absent.
     pub most_training_maps: Option<usize>,
-    /// How sequences are divided.
+    /// Rule that divides sequences into splits.
     pub split: SplitSpec,
     /// Passes over the training split.
     pub epochs: usize,
@@ -65,37 +65,36 @@ pub struct TrainSpec {
     pub starts: u64,
     /// Epochs that each is given before one is chosen, at most `epochs`.
     pub start_epochs: usize,
-    /// Of all epochs, the first ones, in which the head sees the latent directly (see the recipe above); half of them if
-    /// absent.
+    /// Number of first epochs in which a linear head reads the latent directly (see [the recipe](super)); half of all epochs if absent.
     pub linear_epochs: Option<usize>,
     /// Standard deviation that features are scaled to while training.
     pub feature_sigma: f32,
     /// Standard deviation of each component of the latent at the start.
     pub latent_sigma: f32,
-    /// Weight of the mean square of the standardised latent in the loss: what keeps it off the flat ends of the squash.
+    /// Weight of the mean square of the standardised latent in the loss, which keeps it off the flat ends of the sigmoid.
     pub latent_penalty: f64,
     /// Decoupled decay of the weights: share of them that is taken away in a step, as a multiple of the step size. 0 for none.
     pub weight_decay: f64,
     /// Standardisation of the latent.
     pub latent: LatentStandardisation,
-    /// What the maps' cells are measured against.
+    /// Reference level of the maps' cells.
     pub reference: MapReference,
-    /// Standardise by scene and class, as the paper does, which tells the network the label of every map; its models answer to
-    /// maps with labels only.
+    /// Whether maps are standardised by scene and class, as in the paper, which leaks the label of every map to the network. Such models
+    /// classify maps with labels only.
     pub label_leaking_cells: bool,
-    /// How answers to frames are put together where the model is put to work.
+    /// Settings of the filter over frames, saved with the model.
     pub smoothing: Smoothing,
     /// Rows and columns (range, Doppler) that the second block's output is averaged to; the paper's are 2 and 15.
     pub pooled: [usize; 2],
-    /// Show the network maps with range and Doppler exchanged.
+    /// Whether the network sees maps with range and Doppler exchanged.
     pub transposed: bool,
-    /// Weigh classes by the inverse of their number.
+    /// Whether classes are weighted by the inverse of their number.
     pub class_weights: bool,
-    /// Train on maps in which someone is just entering or leaving.
+    /// Whether maps in which someone is entering or leaving are used.
     pub transitions: bool,
-    /// Changes to training maps.
+    /// Augmentation of training maps.
     pub augmentation: Augmentation,
-    /// Instructions of the inner loops; the fastest there are if absent.
+    /// Instruction set of the inner loops; the fastest available one if absent.
     pub kernel_level: Option<KernelLevel>,
     /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors ([`TorchvisionWeights`](crate::network::TorchvisionWeights)). What they
     /// hold decides the outcome, not where they lie. In a file, relative to that file.
@@ -141,17 +140,17 @@ impl Default for TrainSpec {
 }
 
 impl TrainSpec {
-    /// The network that is trained.
+    /// Settings of the network that is trained.
     pub fn network_spec(&self) -> NetworkSpec {
         NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
     }
 
-    /// Epochs with the linear head.
+    /// Number of epochs with the linear head.
     pub(super) fn linear_epochs(&self) -> usize {
         self.linear_epochs.unwrap_or(self.epochs / 2)
     }
 
-    /// Checks every setting.
+    /// Checks all settings.
     ///
     /// # Errors
     /// [`TrainError::Setting`] for the first setting that is out of range.

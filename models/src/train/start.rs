@@ -1,4 +1,4 @@
-//! Measuring a network on training maps, and rescaling its layers so that it starts where it can learn.
+//! Initialisation of a network from training maps: measures values and rescales layers.
 
 use super::data::{Data, Part};
 use super::error::TrainError;
@@ -9,7 +9,7 @@ pub(super) const START_MAPS: usize = 256;
 /// Maps of a forward pass without gradients.
 pub(super) const EVALUATION_BATCH: usize = 64;
 
-/// A latent that does not vary is not blown up.
+/// Least deviation of the latent that it is divided by.
 pub(super) const LEAST_LATENT_SIGMA: f32 = 1e-3;
 
 /// Mean and standard deviation of each column.
@@ -23,7 +23,7 @@ pub(super) fn moments(rows: &[Vec<f32>]) -> Normalisation {
     Normalisation { mean: mean.iter().map(|&v| v as f32).collect(), sigma }
 }
 
-/// One value's rows for the maps at `positions`.
+/// Rows of one value for the maps at `positions`.
 pub(super) fn collect(
     network: &Network,
     data: &Data,
@@ -39,8 +39,8 @@ pub(super) fn collect(
     Ok(rows)
 }
 
-/// Constants that give each feature mean 0 and standard deviation `sigma`. A feature that hardly varies (a dead unit, or one
-/// far off every target) is not blown up: no deviation counts as less than a fifth of the root mean square of all.
+/// Constants that give each feature mean 0 and standard deviation `sigma`. The least deviation is a fifth of the root mean square of all,
+/// so that a feature that hardly varies (such as a dead unit) is not amplified.
 pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisation {
     let n = rows.len().max(1) as f64;
     let width = rows.first().map_or(0, Vec::len);
@@ -62,8 +62,8 @@ pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisat
     }
 }
 
-/// Deviation that a descriptor has at least, dB, bins or natural logarithms: one that hardly varies on the training maps is not
-/// blown up on others.
+/// Least deviation of a descriptor, dB, bins or natural logarithms, so that one that hardly varies on the training maps is not amplified
+/// on others.
 const LEAST_DESCRIPTOR_SIGMA: f32 = 0.1;
 
 /// Constants that give each descriptor mean 0 and standard deviation 1, each in its own unit.

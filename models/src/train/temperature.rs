@@ -1,17 +1,17 @@
-//! One temperature that makes probabilities match frequencies (Guo et al., ICML 2017, section 4.2).
+//! Calibration of probabilities by one temperature (Guo et al., ICML 2017, section 4.2).
 
 use super::data::Data;
 use super::error::TrainError;
 use crate::layer::softmax;
 use crate::network::Network;
 
-/// Temperatures that are considered.
+/// Range of temperatures.
 const RANGE: (f64, f64) = (0.05, 20.0);
-/// A probability is never taken for less, so that one confident mistake does not decide alone.
+/// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-12;
 
-/// The temperature with the least class-weighted cross-entropy on the validation split: golden-section search on its
-/// logarithm (the loss is convex in 1/T).
+/// Fits the temperature with the least class-weighted cross-entropy on the validation split, by golden-section search on its logarithm
+/// (the loss is convex in 1/T).
 pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
     let part = &data.validation;
     let positions: Vec<usize> = (0..part.maps.len()).collect();

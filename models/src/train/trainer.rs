@@ -1,4 +1,4 @@
-//! Single training steps on given maps: what a benchmark times.
+//! Single training steps on given maps, for benchmarks.
 
 use candle_core::{Device, Result, Tensor, Var};
 use rand::Rng;
@@ -8,7 +8,7 @@ use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::network::{Mode, Network, NetworkSpec};
 use crate::random::stream;
 
-/// A network and its optimiser.
+/// Network with its optimiser.
 pub struct Trainer {
     network: Network,
     adam: Adam,
@@ -17,7 +17,7 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A network with random parameters.
+    /// Makes a network with random parameters.
     ///
     /// # Errors
     /// A tensor operation failed.
@@ -33,7 +33,7 @@ impl Trainer {
         &self.network
     }
 
-    /// Forward, backward and Adam's step on maps `[batch][range][doppler]`; gives the loss before it.
+    /// Runs a forward pass, a backward pass and Adam's step on maps `[batch][range][doppler]`. Returns the loss before the step.
     ///
     /// # Errors
     /// Maps or labels do not fit the network, or a gradient is not finite.

@@ -6,7 +6,7 @@ use crate::dataset::DatasetError;
 use crate::model::ClassifyError;
 use crate::network::NetworkKind;
 
-/// A model that cannot be adapted.
+/// Error of an adaptation.
 #[derive(Debug, Error)]
 pub enum AdaptError {
     /// The network has no layer to adapt.
@@ -23,7 +23,7 @@ pub enum AdaptError {
         /// Recordings.
         recordings: usize,
     },
-    /// The simulated maps are made in another way than the model's.
+    /// The simulated maps are made with other settings than the model's.
     #[error(
         "the simulated maps are not those of the model: {what}\n\nhint: build the dataset with the scene's waveform and the map spec that the model was trained with"
     )]
@@ -31,10 +31,10 @@ pub enum AdaptError {
         /// The difference.
         what: String,
     },
-    /// The objective is no number where it begins.
+    /// The objective is not finite at the start.
     #[error("the loss on the recordings is not finite")]
     NonFinite,
-    /// A map cannot be judged.
+    /// A map cannot be classified.
     #[error(transparent)]
     Classify(#[from] ClassifyError),
     /// The simulated maps cannot be read.

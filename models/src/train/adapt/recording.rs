@@ -3,23 +3,23 @@
 use radome_dsp::Occupancy;
 
 pub(super) const CLASSES: usize = Occupancy::ALL.len();
-/// A frame counts for the time since the frame before it, and for so much at most, s: as in the occupancy filter.
+/// Most time that a frame counts for, s. It counts for the time since the frame before it, as in the occupancy filter.
 const INDEPENDENT_S: f64 = 1.0;
-/// Labelled frames that are fitted to, about, and simulated maps at most.
+/// Approximate number of labelled frames in a fit, and most simulated maps.
 pub(super) const MOST_FRAMES: usize = 2000;
 
-/// One frame of a recording as the adapted layers see it.
+/// Input of the adapted layers for one frame of a recording.
 #[derive(Debug, Clone)]
 pub struct AdaptFrame {
     /// Start of the frame on the recording's clock, s.
     pub time_s: f64,
     /// Result of [`Adapter::features`](super::Adapter::features).
     pub features: Vec<f32>,
-    /// Number of people; absent where nobody has said it.
+    /// Number of people; absent without a label.
     pub label: Option<Occupancy>,
 }
 
-/// A recording of the room.
+/// Recording of the room.
 #[derive(Debug, Clone)]
 pub struct AdaptRecording {
     /// Time from frame to frame, s.
@@ -36,7 +36,7 @@ impl AdaptRecording {
         for frame in &self.frames {
             let elapsed_s = last_s.map_or(self.frame_interval_s, |last_s: f64| frame.time_s - last_s);
             last_s = Some(frame.time_s);
-            // A clock that goes back says nothing.
+            // If the clock goes back, the frame interval counts.
             let elapsed_s = if elapsed_s > 0.0 { elapsed_s } else { self.frame_interval_s };
             if let Some(label) = frame.label {
                 seconds[label.index()] += elapsed_s.min(INDEPENDENT_S);

@@ -1,4 +1,4 @@
-//! The layers of a network that are adapted, with their parameters as one vector, and the frames that they are fitted to.
+//! Adapted layers of a network, with their parameters as one vector, and the frames that they are fitted to.
 
 use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
@@ -13,15 +13,15 @@ use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 use crate::train::head_start::{is_trained, parameters_behind};
 
-/// Largest strength of the pull on biases, s of labelled frames for a squared deviation. Half a minute of labels is enough for a
-/// handful of biases; weights would follow the few people who happened to be there.
+/// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a few
+/// biases; weights would overfit to the few people in it.
 const BIAS_STRENGTH: f64 = 100.0;
-/// Strength of the pull on the logit of `empty` where only the empty room was recorded, as a share of its seconds: a longer look at
-/// nobody is no better reason to take people for nobody.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds: a longer recording of
+/// the empty room must not make the model miss people.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 const LONG_S: f64 = 10.0;
-/// Least deviation that a feature is divided by, as in training (`start.rs`).
+/// Least deviation that a feature is divided by, as in training (`train/start.rs`).
 const LEAST_SIGMA: f64 = 0.1;
 /// Frames of a forward pass without gradients.
 const BATCH: usize = 4096;
@@ -29,7 +29,7 @@ const BATCH: usize = 4096;
 /// Counts `[truth][label]`.
 type Confusion = [[u64; CLASSES]; CLASSES];
 
-/// Labelled frames as a model judges them, each by itself and behind the filter.
+/// Confusion of a model on labelled frames, for single frames and behind the filter.
 #[derive(Default)]
 pub(super) struct Judged {
     by_frame: Confusion,
@@ -50,13 +50,13 @@ impl Judged {
     }
 }
 
-/// Whether somebody is there in a labelled frame.
+/// Whether a labelled frame shows people.
 pub(super) fn shows_people(recordings: &[&AdaptRecording]) -> bool {
     let mut labels = recordings.iter().flat_map(|recording| &recording.frames).filter_map(|frame| frame.label);
     labels.any(|label| label != Occupancy::Empty)
 }
 
-/// Strength of the pull on the logit of `empty` where only the empty room was recorded.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded.
 pub(super) fn empty_strength(recordings: &[&AdaptRecording]) -> f64 {
     EMPTY_SHARE * recordings.iter().map(|recording| recording.seconds()[0]).sum::<f64>()
 }
@@ -67,7 +67,7 @@ pub(super) fn last_node(network: &Network) -> Option<&Node> {
     graph.nodes.get(graph.output.checked_sub(1)?)
 }
 
-/// A frame that is fitted to.
+/// Frame in a fit.
 struct Sample<'a> {
     features: &'a [f32],
     label: usize,
@@ -128,17 +128,16 @@ pub(super) struct Tail<'a> {
     temperature: f64,
     /// Features of a frame.
     inputs: usize,
-    /// Places in the vector at which weight `[output][input]` and bias of the first layer begin.
+    /// Positions in the vector of weight `[output][input]` and bias of the first layer.
     weight: usize,
     bias: usize,
     outputs: usize,
-    /// Place in the vector of the bias of the logit of `empty`.
+    /// Position in the vector of the bias of the logit of `empty`.
     empty: usize,
 }
 
 impl<'a> Tail<'a> {
-    /// Takes the layers of a network behind `given`. `None` if `given` is not followed by a linear layer, or the network does not end in
-    /// one.
+    /// Selects the layers of a network behind `given`. `None` if no linear layer follows `given`, or the network does not end in one.
     pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
         let parameters = parameters_behind(network, given);
         let parameters: Vec<&Parameter> = parameters.into_iter().filter(|p| is_trained(network, p)).collect();
@@ -155,7 +154,7 @@ impl<'a> Tail<'a> {
         Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, empty })
     }
 
-    /// The parameters as they are.
+    /// Present parameters.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, AdaptError> {
         let mut numbers = Vec::new();
         for parameter in &self.parameters {
@@ -164,7 +163,7 @@ impl<'a> Tail<'a> {
         Ok(numbers)
     }
 
-    /// Gives the network these parameters.
+    /// Sets the parameters of the network.
     pub(super) fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
         let mut rest = numbers.iter();
         for Parameter { variable, .. } in self.parameters.iter() {
@@ -174,7 +173,7 @@ impl<'a> Tail<'a> {
         Ok(())
     }
 
-    /// Parameters for features `(x - mean) / sigma`, of those for features `x`.
+    /// Converts parameters for features `x` to those for features `(x - mean) / sigma`.
     fn standardised(&self, numbers: &[f64], normalisation: &[(f64, f64)]) -> Vec<f64> {
         let mut numbers = numbers.to_vec();
         for row in 0..self.outputs {
@@ -187,14 +186,14 @@ impl<'a> Tail<'a> {
         numbers
     }
 
-    /// Probabilities of the classes for features, with the parameters as they are.
+    /// Probabilities of the classes for features, with the present parameters.
     fn probabilities(&self, features: &Tensor) -> Result<Vec<Vec<f64>>, AdaptError> {
         let output = self.network.graph().output;
         let logits = self.network.run_from(self.given, features, &[output], Mode::Evaluation)?.take(output)?;
         Ok(logits.to_vec2::<f32>()?.iter().map(|logits| softmax(logits, self.temperature)).collect())
     }
 
-    /// Judges a recording frame by frame and through the filter, which sees frames without a label too.
+    /// Classifies a recording frame by frame and through the filter, which also uses frames without a label.
     pub(super) fn judge(
         &self,
         numbers: &[f64],
@@ -220,8 +219,8 @@ impl<'a> Tail<'a> {
         Ok(judged)
     }
 
-    /// Parameters fitted to recordings and simulated maps, for each strength of the pull towards `before`; of each the next one
-    /// starts. Where nobody is there in any recording, the logit of `empty` alone is fitted, whatever the strength.
+    /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from the one
+    /// before it. If no recording shows people, the logit of `empty` alone is fitted, independently of the strength.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
@@ -288,7 +287,7 @@ impl<'a> Tail<'a> {
                 by_logit.push((sample.weight * (p - target) / self.temperature) as f32);
             }
         }
-        // A sum that is linear in the logits has the same gradient here.
+        // This sum is linear in the logits and has the same gradient at this point.
         let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
         let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
         let mut gradient = Vec::with_capacity(numbers.len());
