@@ -1,7 +1,7 @@
 //! Allocator that keeps large blocks.
 //!
-//! A training step allocates and frees hundreds of blocks of tens of megabytes. The system's allocator maps each of them anew, and the
-//! kernel fills it with zeros page by page, which took longer than the arithmetic.
+//! A training step allocates and frees hundreds of blocks of tens of megabytes. The system's allocator maps each of them anew, and
+//! the kernel fills it with zeros page by page, which took longer than the arithmetic.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ptr::null_mut;
@@ -9,8 +9,8 @@ use std::sync::{Mutex, MutexGuard};
 
 /// Blocks from this size on are kept, bytes.
 const SMALLEST: usize = 1 << 18;
-/// Size from which blocks are aligned to cache lines, bytes. Otherwise every second store of a full register is split over two lines,
-/// which takes a twentieth of a map's time.
+/// Size from which blocks are aligned to cache lines, bytes. Otherwise every second store of a full register is split over two
+/// lines, which takes a twentieth of a map's time.
 const SMALLEST_ALIGNED: usize = 1 << 14;
 /// Length of a cache line, bytes.
 const CACHE_LINE: usize = 64;
@@ -23,9 +23,8 @@ const CLASSES: usize = (40 - SMALLEST.ilog2() as usize) * STEPS;
 /// Size of the processor's large pages, bytes.
 const LARGE_PAGE: usize = 1 << 21;
 
-/// Allocator that keeps freed blocks of 256 KiB and more for the next request of about their size. Smaller blocks come from the system's
-/// allocator, aligned to cache lines from 16 KiB on.
-/// A program that trains declares it:
+/// Allocator that keeps freed blocks of 256 KiB and more for the next request of about their size. Smaller blocks come from the
+/// system's allocator, aligned to cache lines from 16 KiB on. A program that trains declares it:
 ///
 /// ```
 /// #[global_allocator]

@@ -180,8 +180,8 @@ impl RecordingScores {
         (0..CLASSES).map(|class| self.confusion[class][class]).sum()
     }
 
-    /// Whether the recording as a whole is correct: with one label, the majority of predictions is that label; with several, more than half
-    /// of the labelled frames are correct.
+    /// Whether the recording as a whole is correct: with one label, the majority of predictions is that label; with several, more
+    /// than half of the labelled frames are correct.
     pub fn is_right(&self) -> bool {
         match self.label() {
             Some(label) => self.majority() == label,
@@ -302,8 +302,8 @@ mod tests {
         frames.collect()
     }
 
-    /// A person enters at 2.5 s (after a frame of transition), is detected 0.2 s later, leaves at 2.9 s and is predicted for another frame.
-    /// There is one false alarm at the beginning and one of two frames at the end.
+    /// A person enters at 2.5 s (after a frame of transition), is detected 0.2 s later, leaves at 2.9 s and is predicted for
+    /// another frame. There is one false alarm at the beginning and one of two frames at the end.
     #[test]
     fn a_recording_is_scored_by_label() {
         let scores = RecordingScores::new(&predictions("eeee-ooooeeeee", "oeeeoeeoooeeto"), 0.1);

@@ -81,8 +81,9 @@ fn is_one(value: &f64) -> bool {
 }
 
 impl Default for Smoothing {
-    /// Settings chosen on the answers of room-hqnn to the ladder (fixtures/ladder): with them no rung is worse through the filter than by
-    /// frame where most frames are right. The best log loss has a shorter memory (`evaluate --ladder --fit-smoothing`), with which some are.
+    /// Settings chosen on the answers of room-hqnn to the ladder (fixtures/ladder): with them no rung is worse through the filter
+    /// than by frame where most frames are right. The best log loss has a shorter memory (`evaluate --ladder --fit-smoothing`),
+    /// with which some are.
     fn default() -> Self {
         Smoothing { dwell_s: 6.0, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.5 }
     }
@@ -126,10 +127,10 @@ impl Smoothing {
 
 /// Forward filter of a hidden Markov model in continuous time: people come and go one at a time.
 ///
-/// With `q` the network's probabilities of one frame and `p` the filter's, over the time since the frame before
-/// `dp/dt = (Q + diag(ln q) / independent_s) p`, normalised: Rabiner, Proc. IEEE 77(2), 1989, equations 19-20, with the network's
-/// probabilities in place of scaled likelihoods and evidence that comes evenly over time. Time beyond `independent_s` brings no more
-/// of it. With a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead.
+/// With `q` the network's probabilities of one frame and `p` the filter's, over the time since the frame before `dp/dt = (Q +
+/// diag(ln q) / independent_s) p`, normalised: Rabiner, Proc. IEEE 77(2), 1989, equations 19-20, with the network's probabilities
+/// in place of scaled likelihoods and evidence that comes evenly over time. Time beyond `independent_s` brings no more of it. With
+/// a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead.
 ///
 /// In a stretch with mostly wrong frames the filter is wrong in more frames than the classifier, because evidence accumulates.
 ///

@@ -1,5 +1,5 @@
-//! Label-free standardisation of maps: optionally over their own noise, then by one mean and one sigma for all cells of the training
-//! split.
+//! Label-free standardisation of maps: optionally over their own noise, then by one mean and one sigma for all cells of the
+//! training split.
 //!
 //! The paper standardises by scene *and occupancy*, which leaks the label of every test map to the network (paper.md section 4).
 
@@ -172,8 +172,8 @@ pub struct Standardisation {
     pub mean_db: f64,
     /// Standard deviation of all cells, dB.
     pub sigma_db: f64,
-    /// Constants by scene and class instead, for maps of these scenes with these numbers of people: the paper's rule, which leaks the label
-    /// of every map to the network.
+    /// Constants by scene and class instead, for maps of these scenes with these numbers of people: the paper's rule, which leaks
+    /// the label of every map to the network.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub label_leaking_cells: Vec<CellConstants>,
 }
@@ -327,7 +327,8 @@ mod tests {
         assert!(broken[100].is_nan() && broken[99].is_finite());
     }
 
-    /// Exponential noise of any level and colour has the same cells, an echo 20 dB above it has 20 dB, and bins of the leakage are hidden.
+    /// Exponential noise of any level and colour has the same cells, an echo 20 dB above it has 20 dB, and bins of the leakage are
+    /// hidden.
     #[test]
     fn over_noise_neither_gain_nor_colour_is_left() {
         let (range, doppler, skip) = (24, 64, 3);

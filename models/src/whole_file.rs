@@ -3,8 +3,8 @@
 use std::io::Write;
 use std::path::Path;
 
-/// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. A kill or a power cut leaves the old file or
-/// the new one.
+/// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. A kill or a power cut leaves the old file
+/// or the new one.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
     // Another process may write the same file; the last to finish wins.

@@ -118,8 +118,8 @@ pub enum SplitBy {
     Subject,
     /// Scenes: rooms in the test split are in no other split.
     Scene,
-    /// Seeds of a scene that draws a different room for each seed: runs of one seed with different numbers of people share their room. A
-    /// recording without a seed is a group of its own.
+    /// Seeds of a scene that draws a different room for each seed: runs of one seed with different numbers of people share their
+    /// room. A recording without a seed is a group of its own.
     Seed,
 }
 

@@ -33,7 +33,8 @@ pub struct SplitSpec {
     /// Kind of group that stays whole, besides sequences, which always do.
     #[serde(skip_serializing_if = "SplitBy::is_sequence")]
     pub by: SplitBy,
-    /// Sequence whose group alone is the test split, regardless of the rows and of `test`: for leave-one-out evaluation of few recordings.
+    /// Sequence whose group alone is the test split, regardless of the rows and of `test`: for leave-one-out evaluation of few
+    /// recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_out: Option<String>,
 }
@@ -59,15 +60,16 @@ impl Default for SplitSpec {
 impl SplitSpec {
     /// Assigns a split to each row, in order.
     ///
-    /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group. Rows with a split keep
-    /// it, and so does the rest of their group. The other groups are stratified by domain and by the set of their classes. Within a stratum
-    /// they are ordered by a seeded hash of their name and assigned: test first, then validation, each rounded to the nearest whole group,
-    /// with at least one group for training. The result does not depend on threads, order of rows or machine, and every split contains
-    /// every class if there are enough groups.
+    /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group. Rows with a
+    /// split keep it, and so does the rest of their group. The other groups are stratified by domain and by the set of their
+    /// classes. Within a stratum they are ordered by a seeded hash of their name and assigned: test first, then validation, each
+    /// rounded to the nearest whole group, with at least one group for training. The result does not depend on threads, order of
+    /// rows or machine, and every split contains every class if there are enough groups.
     ///
     /// # Errors
-    /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no sequence
-    /// to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what must stay whole.
+    /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no
+    /// sequence to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what
+    /// must stay whole.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         let fraction = |f: f64| (0.0..1.0).contains(&f);
         if !fraction(self.validation) || !fraction(self.test) || self.validation + self.test >= 1.0 {

@@ -81,8 +81,8 @@ impl VerifyReport {
     }
 }
 
-/// Reads every map, compares it with its hash, and finds duplicates and groups that lie in more than one split. Subjects, scenes and
-/// seeds are checked if `spec` splits by them.
+/// Reads every map, compares it with its hash, and finds duplicates and groups that lie in more than one split. Subjects, scenes
+/// and seeds are checked if `spec` splits by them.
 ///
 /// # Errors
 /// Those of [`SplitSpec::assign`], except groups in two splits, which are reported as leaks.

@@ -17,8 +17,8 @@ use crate::whole_file::sync_folder;
 /// Name of the file that a writer locks, in its temporary folder.
 const LOCK: &str = ".lock";
 
-/// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`: the next
-/// writer removes the files of a killed one, and only one process at a time may write it.
+/// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
+/// the next writer removes the files of a killed one, and only one process at a time may write it.
 pub struct DatasetWriter {
     target: PathBuf,
     temporary: PathBuf,
@@ -58,8 +58,8 @@ impl DatasetWriter {
     /// Starts a dataset that will be at `dir`, which must not exist.
     ///
     /// # Errors
-    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, and [`DatasetError::Io`] if its
-    /// files cannot be created.
+    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, and [`DatasetError::Io`] if
+    /// its files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
         if dir.exists() {
             return Err(DatasetError::Exists { path: dir.to_owned() });

@@ -1,8 +1,8 @@
 //! CPU affinity of a spinning pool's threads: each gets a processor of its own.
 //!
-//! In a virtual machine, the kernel avoids processors that the host has put to sleep. It wakes a helper on the processor of the thread
-//! that called it, where the helper waits for its own leader for milliseconds. A helper that starts on a processor of another thread of
-//! the pool therefore excludes those processors from its affinity mask while it helps.
+//! In a virtual machine, the kernel avoids processors that the host has put to sleep. It wakes a helper on the processor of the
+//! thread that called it, where the helper waits for its own leader for milliseconds. A helper that starts on a processor of
+//! another thread of the pool therefore excludes those processors from its affinity mask while it helps.
 
 #[cfg(not(target_os = "linux"))]
 pub(crate) use elsewhere::Affinity;

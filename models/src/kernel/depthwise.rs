@@ -25,8 +25,8 @@ pub(crate) fn offset_first(weight: &[f32], offsets: usize) -> Vec<f32> {
     ordered
 }
 
-/// Computes `target = init + sum over offsets of source * weight` for all cells of a product; `weight` is `[offset][channel]`, and `init`
-/// has a value for each channel.
+/// Computes `target = init + sum over offsets of source * weight` for all cells of a product; `weight` is `[offset][channel]`, and
+/// `init` has a value for each channel.
 pub(crate) fn run(
     gemm: &ImplicitGemm,
     source: &[f32],
@@ -69,8 +69,8 @@ pub(crate) fn run(
     for_each_task(tasks, |index| SCRATCH.with_borrow_mut(|scratch| task(scratch, index)));
 }
 
-/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to the result of `gemm` on `source`. Partial sums of a fixed
-/// size are added in their order.
+/// Gradient `[channel][offset]` of the weights, where `gradient` belongs to the result of `gemm` on `source`. Partial sums of a
+/// fixed size are added in their order.
 pub(crate) fn weight_gradient(gemm: &ImplicitGemm, source: &[f32], gradient: &[f32], tiles: Tiles) -> Vec<f32> {
     const BLOCK: usize = 64;
     const BLOCKS_PER_TASK: usize = 16;

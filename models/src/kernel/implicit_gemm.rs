@@ -79,8 +79,8 @@ impl ImplicitGemm {
         self.channels < FEW_CHANNELS && self.offsets.len() > 1 && all_in_order()
     }
 
-    /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`; padding has the address of `zeros`. A
-    /// gathered product has one address for each cell, into `patches`.
+    /// Writes the addresses `[offset][cell]` of the source cells that `cells` read to `addresses`; padding has the address of
+    /// `zeros`. A gathered product has one address for each cell, into `patches`.
     pub fn addresses(
         &self,
         cells: std::ops::Range<usize>,

@@ -1,9 +1,9 @@
 //! Spinning thread pool: its threads do not sleep while a network runs.
 //!
-//! A step of a small network takes microseconds; waking a sleeping thread takes tens of them. A pool consists of the leader, which is
-//! the thread that runs a network, and of helpers, which are threads of rayon's pool. The leader calls helpers once a run. Helpers
-//! spin until there is a job and return to rayon after [`HELPER_TIMEOUT`] without one. The leader never waits for a late helper:
-//! threads take tasks one by one, and the leader takes those that are left.
+//! A step of a small network takes microseconds; waking a sleeping thread takes tens of them. A pool consists of the leader, which
+//! is the thread that runs a network, and of helpers, which are threads of rayon's pool. The leader calls helpers once a run.
+//! Helpers spin until there is a job and return to rayon after [`HELPER_TIMEOUT`] without one. The leader never waits for a late
+//! helper: threads take tasks one by one, and the leader takes those that are left.
 
 use std::cell::{Cell, UnsafeCell};
 use std::sync::Arc;
@@ -16,8 +16,8 @@ use super::affinity::Affinity;
 
 /// Time without a job after which a helper returns to rayon.
 const HELPER_TIMEOUT: Duration = Duration::from_micros(300);
-/// Spins, some ten nanoseconds each, before a thread yields its processor. Longer than the time between two steps: on a busy machine a
-/// thread that yields may come back after the run. Not longer than needed: the awaited thread may need this processor.
+/// Spins, some ten nanoseconds each, before a thread yields its processor. Longer than the time between two steps: on a busy
+/// machine a thread that yields may come back after the run. Not longer than needed: the awaited thread may need this processor.
 const SPINS_BEFORE_YIELD: u32 = 1 << 11;
 
 thread_local! {
@@ -121,8 +121,8 @@ impl SpinPool {
             state.affinity.set_leader();
             state.must_yield.store(true, Ordering::Relaxed);
         } else if state.must_yield.swap(false, Ordering::Relaxed) && state.spinning.0.load(Ordering::Relaxed) == 0 {
-            // The helper called for the previous job may wait for this processor (see `affinity.rs`). The leader yields once only: on
-            // a busy machine other threads would run first each time.
+            // The helper called for the previous job may wait for this processor (see `affinity.rs`). The leader yields once only:
+            // on a busy machine other threads would run first each time.
             std::thread::yield_now();
         }
         // SAFETY: only the lifetime changes. `RunningJob` waits for all readers before the lifetime ends.

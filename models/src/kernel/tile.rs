@@ -1,7 +1,7 @@
 //! Tiles: the two kinds of products in dense layers, with one tile of sums in registers at a time.
 //!
-//! Neither copies its operands first: channels are contiguous in channel-last maps, so a product over channels and offsets needs only
-//! the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
+//! Neither copies its operands first: channels are contiguous in channel-last maps, so a product over channels and offsets needs
+//! only the addresses of the cells (Dukhan, "The Indirect Convolution Algorithm", 2019).
 
 use super::level::KernelLevel;
 #[cfg(target_arch = "x86_64")]

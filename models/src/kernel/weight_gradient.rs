@@ -13,8 +13,8 @@ const TASKS: usize = 8;
 /// Weights up to this many values are summed by parts of the batch; larger ones by parts of the outputs.
 const SMALL_WEIGHTS: usize = 1 << 17;
 
-/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to the result of `gemm` on
-/// `source`.
+/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to the result of
+/// `gemm` on `source`.
 ///
 /// The parts depend on shapes only and are added in their order: the same bits for any number of threads.
 pub(crate) fn weight_gradient(

@@ -1,9 +1,9 @@
 //! Winograd's algorithm for 3x3 convolutions of stride 1 and padding 1: 16 products instead of 36.
 //!
-//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the four
-//! cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g` is the
-//! kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform is fused
-//! with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums.
+//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the
+//! four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g`
+//! is the kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform
+//! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums.
 
 use std::cell::RefCell;
 

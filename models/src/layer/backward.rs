@@ -11,11 +11,12 @@ use super::activation::CHUNK;
 use super::operation::node_of;
 use super::tensor::with_values;
 
-/// Computes the gradients of all variables that the scalar `loss` depends on: the result of `loss.backward()`, several times faster.
+/// Computes the gradients of all variables that the scalar `loss` depends on: the result of `loss.backward()`, several times
+/// faster.
 ///
-/// candle's pass fills an array with zeros for each gradient, adds to it and copies the sum. This pass moves gradients from layer to
-/// layer. At an operation that is no layer of this crate, candle computes the gradients of that operation and of everything before it,
-/// at candle's speed. Gradients of tensors that are not variables are dropped.
+/// candle's pass fills an array with zeros for each gradient, adds to it and copies the sum. This pass moves gradients from layer
+/// to layer. At an operation that is no layer of this crate, candle computes the gradients of that operation and of everything
+/// before it, at candle's speed. Gradients of tensors that are not variables are dropped.
 ///
 /// # Errors
 /// A layer of the graph has no gradient by an input that asks for one, or a tensor operation fails.

@@ -1,7 +1,7 @@
 //! Quantum circuit as a layer: inputs and expectations in f32, computation in f64.
 //!
-//! Expectations are computed in f64 and rounded once, within 6e-8. Gradients by inputs are within 6e-8 of their magnitude. Gradients by
-//! angles are summed over rows in f64.
+//! Expectations are computed in f64 and rounded once, within 6e-8. Gradients by inputs are within 6e-8 of their magnitude.
+//! Gradients by angles are summed over rows in f64.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;

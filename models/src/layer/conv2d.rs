@@ -177,8 +177,8 @@ impl ConvSizes {
         }
     }
 
-    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets that touch
-    /// them; each kind is one product. Cells that no offset touches are in none.
+    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets
+    /// that touch them; each kind is one product. Cells that no offset touches are in none.
     pub fn backward_gemms(&self) -> Vec<ImplicitGemm> {
         let ConvGeometry { stride, padding, .. } = self.geometry;
         let mut gemms = Vec::new();

@@ -6,9 +6,9 @@
 //! range and the velocity of the strongest cell. In real rooms this separates one from two; in simulated rooms counts did as well.
 //!
 //! Cells of zero velocity are treated separately: they hold the change from frame to frame
-//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. One descriptor uses them: whether
-//! there is change while nothing moves. The distribution of change over ranges differs between simulated and real rooms, where people
-//! shadow more, and says little about the number of walking people.
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. One descriptor uses them:
+//! whether there is change while nothing moves. The distribution of change over ranges differs between simulated and real rooms,
+//! where people shadow more, and says little about the number of walking people.
 //!
 //! `dataset/features.rs` has other features: quantiles over many maps, which compare simulated rooms with real ones.
 
@@ -37,8 +37,8 @@ const SAME_VELOCITY_BINS: i64 = 4;
 const SLOW_BINS: i64 = 1;
 /// Levels below the strongest cell down to which cells are counted, dB.
 const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
-/// Change from frame to frame of an empty room at most and of people at least, dB over noise: rooms at rest have up to 19 dB, sitting
-/// people 30 dB and more.
+/// Change from frame to frame of an empty room at most and of people at least, dB over noise: rooms at rest have up to 19 dB,
+/// sitting people 30 dB and more.
 const CHANGE_DB: [f32; 2] = [20.0, 35.0];
 /// Level of the strongest cell of a map without motion within the frame at most, and of a map with motion at least, dB.
 const MOTION_DB: [f32; 2] = [10.0, 25.0];
@@ -96,11 +96,11 @@ struct Cell {
 /// None of them changes when approaching and receding are exchanged about zero Doppler: the direction of motion says nothing
 /// about the number of people, and a linear classifier can use the magnitude of a velocity only if it is given one.
 ///
-/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above 10
-/// dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
-/// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single
-/// cell of noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The
-/// spread over range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
+/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above
+/// 10 dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
+/// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single cell of
+/// noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The spread over
+/// range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
 ///
 /// Of equals, the strongest cell is the one of the smallest index. A map without cells above 10 dB has a strongest cell of 10 dB in
 /// the middle of the range axis that stands still; so has a region without cells a strongest level of 10 dB and no energy.

@@ -9,8 +9,8 @@ use crate::random::stream;
 
 const NAME: &str = "drop_samples";
 
-/// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only (Huang et
-/// al., ECCV 2016; torchvision's "row" mode). The choice is a function of `seed` and `draw`.
+/// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only
+/// (Huang et al., ECCV 2016; torchvision's "row" mode). The choice is a function of `seed` and `draw`.
 ///
 /// # Errors
 /// The probability is outside of `0..1`, or the tensor is not f32 on the CPU.

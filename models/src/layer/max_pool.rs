@@ -14,8 +14,8 @@ use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "max_pool2d";
 
-/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the largest, a NaN always is, and
-/// among equals the first in row-major order.
+/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the largest, a NaN always is,
+/// and among equals the first in row-major order.
 ///
 /// # Errors
 /// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is

@@ -25,7 +25,8 @@ pub(super) trait Operation: Send + Sync + 'static {
     /// Checks the shapes and computes the output.
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)>;
 
-    /// Computes gradients of the inputs. `gradient` belongs to `output`; it is passed by value, so that an input's gradient can reuse it.
+    /// Computes gradients of the inputs. `gradient` belongs to `output`; it is passed by value, so that an input's gradient can
+    /// reuse it.
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 

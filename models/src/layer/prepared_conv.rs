@@ -37,8 +37,8 @@ impl PreparedConv {
     /// column]`.
     ///
     /// # Errors
-    /// A number of values differs from what `weight_dims` asks for, there are no weights, the stride is 0, or the groups are neither
-    /// 1 nor the number of outputs.
+    /// A number of values differs from what `weight_dims` asks for, there are no weights, the stride is 0, or the groups are
+    /// neither 1 nor the number of outputs.
     pub fn new(
         weight: &[f32],
         weight_dims: [usize; 4],

@@ -1,5 +1,5 @@
-//! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a probability, and
-//! f32 sums over a thousand features have such errors.
+//! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a
+//! probability, and f32 sums over a thousand features have such errors.
 
 use candle_core::{Error, Result};
 
@@ -56,7 +56,8 @@ impl PreparedDense {
         Ok(PreparedDense { inputs, outputs, weight: packed, bias: padded, activation, level: level.available() })
     }
 
-    /// Runs the layer on `input` `[batch][i]`, where `i` is the product of rows, columns and channels; `output` becomes `[batch][1][1][o]`.
+    /// Runs the layer on `input` `[batch][i]`, where `i` is the product of rows, columns and channels; `output` becomes
+    /// `[batch][1][1][o]`.
     ///
     /// # Errors
     /// The input has another number of features.

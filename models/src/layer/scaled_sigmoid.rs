@@ -10,8 +10,8 @@ const NAME: &str = "scaled_sigmoid";
 
 /// `pi * sigmoid(u)` of each value: radians in (0, pi).
 ///
-/// `penalty` times the mean of `u^2` is part of the loss. The backward pass adds its gradient, which keeps `u` off the flat ends of the
-/// sigmoid. The output does not depend on it.
+/// `penalty` times the mean of `u^2` is part of the loss. The backward pass adds its gradient, which keeps `u` off the flat ends of
+/// the sigmoid. The output does not depend on it.
 ///
 /// # Errors
 /// The tensor is not f32 on the CPU.

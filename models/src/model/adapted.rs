@@ -48,7 +48,8 @@ pub struct Adapted {
     pub strength: f64,
     /// Number of simulated maps that were mixed in.
     pub simulated_maps: usize,
-    /// Cross-validated scores: each recording, or each tenth of more than ten, is held out in turn. Absent if none could be held out.
+    /// Cross-validated scores: each recording, or each tenth of more than ten, is held out in turn. Absent if none could be held
+    /// out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<BeforeAfter>,
 }

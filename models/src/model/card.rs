@@ -57,8 +57,8 @@ pub struct ModelCard {
     pub input_shape: [usize; 3],
     /// Names of the axes of the input, slowest first.
     pub axes: [String; 3],
-    /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may come
-    /// from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
+    /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may
+    /// come from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
     pub waveform: Waveform,
     /// Settings by which maps must be made.
     pub rdm_spec: RdmSpec,

@@ -112,8 +112,8 @@ impl Classifier {
     /// Loads a model file: safetensors, or ONNX if its name ends in `.onnx`, which needs onnxruntime.
     ///
     /// # Errors
-    /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if onnxruntime
-    /// is missing or refuses an ONNX file.
+    /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if
+    /// onnxruntime is missing or refuses an ONNX file.
     pub fn load(path: &Path) -> Result<Self, ModelError> {
         if !is_onnx(path) {
             return Ok(Self::new(Model::load(path)?));

@@ -72,8 +72,8 @@ impl Model {
     /// Reads a model from the bytes of the file `path` (used in errors only).
     ///
     /// # Errors
-    /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers that
-    /// are not finite.
+    /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers
+    /// that are not finite.
     pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
         let card = ModelCard::of_safetensors(path, data)?;
         let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;

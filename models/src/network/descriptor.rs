@@ -11,8 +11,8 @@
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
 //! ```
-//! Any [`Head`] can follow the latent, as in the HQNN. Bins and metres are equivalent here: the unit of a descriptor is a factor of its
-//! weights, and a model's card fixes the axes of its maps.
+//! Any [`Head`] can follow the latent, as in the HQNN. Bins and metres are equivalent here: the unit of a descriptor is a factor of
+//! its weights, and a model's card fixes the axes of its maps.
 
 use super::graph::{Graph, INPUT, Layer, Value};
 use super::hqnn::{self, Head};

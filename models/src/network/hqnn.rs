@@ -14,8 +14,8 @@
 //! These are the paper's sizes. The pooled grid is a setting, because in some maps only half of the ranges lie inside the room. The
 //! layers behind the latent are a setting as well ([`Head`]).
 //!
-//! The paper does not say whether there is a nonlinearity between the two dense layers. Without one they would be a single linear map,
-//! and 61,504 of the parameters would be redundant, so there is a ReLU here.
+//! The paper does not say whether there is a nonlinearity between the two dense layers. Without one they would be a single linear
+//! map, and 61,504 of the parameters would be redundant, so there is a ReLU here.
 
 use serde::{Deserialize, Serialize};
 
@@ -106,8 +106,8 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     behind(g, centred, count, true, head)
 }
 
-/// Completes a network behind `count` features: a hidden layer if `deep` or if the circuit is in front of one, the latent, the head,
-/// and the linear head of the warm-up.
+/// Completes a network behind `count` features: a hidden layer if `deep` or if the circuit is in front of one, the latent, the
+/// head, and the linear head of the warm-up.
 pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, head: &Head) -> Graph {
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {

@@ -1,9 +1,9 @@
-//! Inference: a network prepared once and run often, without gradients. Batch normalisations are folded into the convolutions and dense
-//! layers before them, activations and residual sums are fused with them, weights are packed, and buffers keep their memory from one
-//! run to the next.
+//! Inference: a network prepared once and run often, without gradients. Batch normalisations are folded into the convolutions and
+//! dense layers before them, activations and residual sums are fused with them, weights are packed, and buffers keep their memory
+//! from one run to the next.
 //!
-//! Results are the same bits for any number of threads and for any batch that a map is in (except circuits with shots, whose draws are
-//! numbered by row). They agree with `run.rs` within rounding.
+//! Results are the same bits for any number of threads and for any batch that a map is in (except circuits with shots, whose draws
+//! are numbered by row). They agree with `run.rs` within rounding.
 
 use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;

@@ -91,8 +91,8 @@ impl Network {
     /// Folds the normalisation of the features into the weights and the bias of the dense layer behind them.
     ///
     /// Averages of rectified values are all positive, with means far larger than the differences between maps, and descriptors have
-    /// different units. Both make the dense layer behind them badly conditioned in training. The normalisation is a change of variables of
-    /// that layer: the folded network computes the same function.
+    /// different units. Both make the dense layer behind them badly conditioned in training. The normalisation is a change of
+    /// variables of that layer: the folded network computes the same function.
     ///
     /// # Errors
     /// No dense layer reads the features, or a tensor operation failed.

@@ -1,7 +1,7 @@
 //! Networks that count the people in a map.
 //!
-//! A network is a list of layers (`graph.rs`, with one file for each network) and its numbers (`parameters.rs`). `run.rs` runs the list
-//! with gradients, [`Inference`] without.
+//! A network is a list of layers (`graph.rs`, with one file for each network) and its numbers (`parameters.rs`). `run.rs` runs the
+//! list with gradients, [`Inference`] without.
 
 mod descriptor;
 mod doppler_net;

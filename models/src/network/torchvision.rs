@@ -1,8 +1,8 @@
 //! Initial weights from torchvision: ResNet-18 and EfficientNet-B0 have its names and its layout.
 //!
-//! Three things differ and are converted: the first convolution is summed over its three channels where ours has one (as if each of the
-//! three saw the map), squeeze-and-excitation's convolutions of one cell become dense layers, and a head for other classes stays as it
-//! was initialised.
+//! Three things differ and are converted: the first convolution is summed over its three channels where ours has one (as if each of
+//! the three saw the map), squeeze-and-excitation's convolutions of one cell become dense layers, and a head for other classes
+//! stays as it was initialised.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -103,8 +103,8 @@ impl TorchvisionWeights {
     /// Weights in the bytes of the file `path` (used in errors only).
     ///
     /// # Errors
-    /// [`WeightsError`] if torchvision has no such network, the bytes are no safetensors, or arrays are missing, of another shape or
-    /// not finite.
+    /// [`WeightsError`] if torchvision has no such network, the bytes are no safetensors, or arrays are missing, of another shape
+    /// or not finite.
     pub fn from_bytes(path: &Path, data: &[u8], spec: &NetworkSpec) -> Result<Self, WeightsError> {
         let (stem, head) = match spec.kind {
             NetworkKind::ResNet18 => ("conv1.weight", "fc."),

@@ -8,8 +8,8 @@ use super::state_vector::{parameter_shift, z_expectations};
 use super::{noise, shots};
 use crate::random::stream;
 
-/// Index of a random draw of measurements. Outcomes of a circuit with shots are a function of the seed, of these two numbers and of the
-/// purpose (expectations or gradients). Exact expectations do not depend on it.
+/// Index of a random draw of measurements. Outcomes of a circuit with shots are a function of the seed, of these two numbers and of
+/// the purpose (expectations or gradients). Exact expectations do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Draw {
     /// Number of the call.

@@ -45,8 +45,8 @@ impl Workspace {
         re.iter().zip(im).map(|(re, im)| re * re + im * im).collect()
     }
 
-    /// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`. It reverts the state, so it is called
-    /// once after [`Workspace::run`].
+    /// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`. It reverts the state, so it is
+    /// called once after [`Workspace::run`].
     pub(super) fn gradient(&mut self, circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
         let mut weights = vec![cotangent.iter().sum::<f64>()];
         for g in cotangent.iter().rev() {

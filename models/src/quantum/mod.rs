@@ -1,7 +1,7 @@
 //! Quantum layer: a circuit that encodes one input per qubit, rotates the qubits by trained angles, and measures Z on each qubit.
 //!
-//! [`CircuitSpec`] has the settings of a circuit, [`Circuit`] is built from them. The paper's circuit of two qubits has a closed form
-//! ([`circuit`], [`expectations`]).
+//! [`CircuitSpec`] has the settings of a circuit, [`Circuit`] is built from them. The paper's circuit of two qubits has a closed
+//! form ([`circuit`], [`expectations`]).
 //!
 //! # Conventions
 //! Qiskit's. Bit `q` of an outcome is qubit `q`, and qubit 0 is the rightmost letter of a Pauli string. Input `x[q]` is

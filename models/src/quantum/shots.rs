@@ -8,8 +8,8 @@ use super::state_vector::z_expectations;
 /// `<Z>` of each qubit, the highest first, estimated from `shots` measurements (at least one) with these probabilities
 /// of outcomes: unbiased, with variance `(1 - <Z>^2) / shots`. NaN where a probability is not finite.
 ///
-/// The counts of the outcomes are one multinomial draw, outcome by outcome from the remaining shots. The cost does not depend on the
-/// number of shots.
+/// The counts of the outcomes are one multinomial draw, outcome by outcome from the remaining shots. The cost does not depend on
+/// the number of shots.
 pub(super) fn estimate(probabilities: &[f64], shots: u32, rng: &mut impl Rng) -> Vec<f64> {
     // Sums from the end: the last possible outcome takes all remaining shots in spite of rounding.
     let mut tails: Vec<f64> = probabilities.iter().map(|&p| if p < 0.0 { 0.0 } else { p }).collect();

@@ -76,8 +76,8 @@ impl State {
     }
 }
 
-/// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. After each qubit, the probabilities are summed over
-/// it.
+/// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. After each qubit, the probabilities are summed
+/// over it.
 pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
     let (mut left, mut expectations) = (probabilities.to_vec(), Vec::new());
     while left.len() > 1 {

@@ -1,10 +1,11 @@
-//! Studies: comparisons of networks over seeds, label fractions and noise. A study is a list of jobs, each of which writes one file, and
-//! a report on the files that exist. A stopped study continues where it was, also within a training.
+//! Studies: comparisons of networks over seeds, label fractions and noise. A study is a list of jobs, each of which writes one
+//! file, and a report on the files that exist. A stopped study continues where it was, also within a training.
 //!
 //! # Equal treatment
 //! Every variant is trained by the same recipe ([`crate::train`]) with the same grid of learning rates. The best rate by balanced
-//! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that stops
-//! on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the means.
+//! accuracy on the validation split under the first seed is used for all seeds; the test split decides nothing. A training that
+//! stops on a number that is not finite, or ends below [`FAILED_BELOW`] on its training maps, counts as failed and stays in the
+//! means.
 
 mod error;
 mod noise;

@@ -13,8 +13,8 @@ pub struct NoisyMaps<'a> {
     maps: Vec<(usize, Vec<f32>)>,
 }
 
-/// Adds noise to maps: `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, where `P` is the mean square of the map's dB values
-/// before any standardisation. There is one draw for each map and ratio, the same for every model.
+/// Adds noise to maps: `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, where `P` is the mean square of the map's dB
+/// values before any standardisation. There is one draw for each map and ratio, the same for every model.
 ///
 /// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
 ///

@@ -45,8 +45,8 @@ impl<'a> Study<'a> {
     /// Opens a study in a folder, or starts one.
     ///
     /// # Errors
-    /// Those of [`StudySpec::check`], [`StudyError::Foreign`] if the folder holds another study, and [`StudyError::File`] if it cannot
-    /// be written or read.
+    /// Those of [`StudySpec::check`], [`StudyError::Foreign`] if the folder holds another study, and [`StudyError::File`] if it
+    /// cannot be written or read.
     pub fn open(
         spec: &'a StudySpec,
         dataset: &'a Dataset,

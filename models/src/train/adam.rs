@@ -66,8 +66,8 @@ impl Adam {
         Ok(())
     }
 
-    /// Takes one step with step sizes `rates` and weight decays `decays` (shares of the values that the step subtracts; 0 beyond their end).
-    /// If a gradient is not finite, it takes no step and returns the index of the first such array.
+    /// Takes one step with step sizes `rates` and weight decays `decays` (shares of the values that the step subtracts; 0 beyond
+    /// their end). If a gradient is not finite, it takes no step and returns the index of the first such array.
     pub(super) fn step<'a>(
         &mut self,
         variables: impl Iterator<Item = &'a Var> + Clone,

@@ -1,23 +1,23 @@
 //! Adaptation of a trained model to one room by a few labelled minutes, without forgetting other rooms.
 //!
-//! In a network of descriptors all layers behind the descriptors are adapted, in any other network its last linear layer. Their inputs
-//! are computed once for each frame ([`Adapter::features`]). The objective is
+//! In a network of descriptors all layers behind the descriptors are adapted, in any other network its last linear layer. Their
+//! inputs are computed once for each frame ([`Adapter::features`]). The objective is
 //!
 //! ```text
 //! sum_i w_i cross_entropy_i + strength / 2 |theta - theta_before|^2
 //! ```
-//! with `theta` the parameters for features of mean 0 and deviation 1: the most probable parameters under a Gaussian prior about those
-//! before. The prior alone holds a class without recordings. The strength for biases is at most 100 s, because half a minute of labels
-//! determines a few biases, but not weights. The weights of the samples sum to the labelled seconds, because frames within a second are
-//! one piece of evidence. Each class has the same share of them; within a class, recordings of more than 10 s have nearly the same share.
-//! Simulated maps, if there are any, weigh as much as all recordings together.
+//! with `theta` the parameters for features of mean 0 and deviation 1: the most probable parameters under a Gaussian prior about
+//! those before. The prior alone holds a class without recordings. The strength for biases is at most 100 s, because half a minute
+//! of labels determines a few biases, but not weights. The weights of the samples sum to the labelled seconds, because frames
+//! within a second are one piece of evidence. Each class has the same share of them; within a class, recordings of more than 10 s
+//! have nearly the same share. Simulated maps, if there are any, weigh as much as all recordings together.
 //!
-//! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all recordings of a
-//! minute show the same people, so held-out recordings do not show the loss on other people.
+//! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
+//! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
 //! If only the empty room was recorded, the bias of the logit of `empty` alone is fitted. The differences of the other logits stay
-//! unchanged. Frames are weighted by the probability of people by the model before, so that a model that is right about the empty room
-//! stays unchanged.
+//! unchanged. Frames are weighted by the probability of people by the model before, so that a model that is right about the empty
+//! room stays unchanged.
 //!
 //! [`minimise`] has the minimiser, [`tail`] the adapted layers and the samples.
 
@@ -181,9 +181,9 @@ impl Adapter {
         Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the scores. The
-    /// strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that is in no other one is not held
-    /// out, because the scores would be those of a model that never saw the class.
+    /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
+    /// scores. The strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that is in no
+    /// other one is not held out, because the scores would be those of a model that never saw the class.
     ///
     /// # Errors
     /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is no number,
@@ -308,7 +308,8 @@ mod tests {
         Model { card, network }
     }
 
-    /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the class.
+    /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the
+    /// class.
     pub fn recording(seed: u64, classes: &[Occupancy]) -> AdaptRecording {
         let mut rng = crate::random::stream(seed, "features", 0);
         let normal = Normal::new(0.0f32, 0.6).expect("normal");
@@ -391,8 +392,8 @@ mod tests {
             assert_eq!(adaptation.adapted.strength, SAFE_STRENGTH);
         }
 
-        /// The only recording of two people cannot be held out, nor its other classes: the scores would be those of a model that has never seen
-        /// two people.
+        /// The only recording of two people cannot be held out, nor its other classes: the scores would be those of a model that
+        /// has never seen two people.
         #[test]
         fn a_recording_with_the_only_example_of_a_class_is_not_held_out() {
             let recordings = [

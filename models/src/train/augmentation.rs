@@ -320,8 +320,8 @@ fn shift_range(powers: &mut [f32], doppler: usize, bins: isize, rng: &mut impl R
     }
 }
 
-/// Multiplies ranges by `factor`, with linear interpolation of power between bins. The first row is range bin `first_bin`; vacated rows
-/// are filled with noise.
+/// Multiplies ranges by `factor`, with linear interpolation of power between bins. The first row is range bin `first_bin`; vacated
+/// rows are filled with noise.
 fn stretch_range(powers: &mut [f32], doppler: usize, first_bin: usize, factor: f64, rng: &mut impl Rng) {
     let source = powers.to_vec();
     let bins = source.len() / doppler;
@@ -354,8 +354,8 @@ fn stretch_velocity(powers: &mut [f32], doppler: usize, factor: f64, rng: &mut i
     }
 }
 
-/// Bins on both sides of a position on an axis of `length` bins, and the fraction of the way from the first to the second; `None` off the
-/// axis.
+/// Bins on both sides of a position on an axis of `length` bins, and the fraction of the way from the first to the second; `None`
+/// off the axis.
 fn neighbours(place: f64, length: usize) -> Option<(usize, usize, f32)> {
     let last = length.checked_sub(1)?;
     if !(0.0..=last as f64).contains(&place) {

@@ -1,4 +1,5 @@
-//! Checkpoints: the state of a training after each epoch, so that a stopped training ends with the same weights as one that was not.
+//! Checkpoints: the state of a training after each epoch, so that a stopped training ends with the same weights as one that was
+//! not.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;

@@ -169,7 +169,8 @@ impl Data {
         if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
     }
 
-    /// Training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch and map.
+    /// Training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch
+    /// and map.
     pub(super) fn augmented(
         &self,
         positions: &[usize],
@@ -264,8 +265,8 @@ mod tests {
         tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
     }
 
-    /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their trainings give
-    /// the same bytes.
+    /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their
+    /// trainings give the same bytes.
     #[test]
     fn flip_and_noise_are_what_they_were() {
         let dataset = noise();

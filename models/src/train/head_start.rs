@@ -1,8 +1,9 @@
-//! Initialisation of a head: its parameters and an affine map of the latent, fitted to latents that a linear head has already separated.
+//! Initialisation of a head: its parameters and an affine map of the latent, fitted to latents that a linear head has already
+//! separated.
 //!
-//! The backbone is first trained with the linear head, which never failed. Its latent shows the classes as clusters. The rest is a fit of
-//! a few numbers to a few hundred points, which is repeated from random angles and rotations; the best solution is taken. Every head is
-//! initialised in this way.
+//! The backbone is first trained with the linear head, which never failed. Its latent shows the classes as clusters. The rest is a
+//! fit of a few numbers to a few hundred points, which is repeated from random angles and rotations; the best solution is taken.
+//! Every head is initialised in this way.
 
 use candle_core::{Device, Tensor, Var};
 use rand::Rng;

@@ -30,8 +30,8 @@ pub fn train(
     train_with_checkpoint(dataset, spec, None, report)
 }
 
-/// [`train`] that writes `checkpoint` after each epoch, continues from it if it exists, and removes it at the end. A training that was
-/// killed and continued gives the same model as one that was not.
+/// [`train`] that writes `checkpoint` after each epoch, continues from it if it exists, and removes it at the end. A training that
+/// was killed and continued gives the same model as one that was not.
 ///
 /// # Errors
 /// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.

@@ -38,8 +38,8 @@ pub struct SmoothingFit {
 /// Sum of losses and number of frames.
 type Sums = (f64, u64);
 
-/// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over the
-/// groups. `None` without a labelled frame.
+/// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over
+/// the groups. `None` without a labelled frame.
 ///
 /// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
 /// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely

@@ -17,8 +17,8 @@ const MOST_EPOCHS: usize = 100_000;
 const MOST_IN_BATCH: usize = 65_536;
 const MOST_STARTS: u64 = 1000;
 
-/// Standardisation of the latent before `pi * sigmoid` (paper.md section 6 leaves it open). The constants have no gradient and are saved
-/// with the model.
+/// Standardisation of the latent before `pi * sigmoid` (paper.md section 6 leaves it open). The constants have no gradient and are
+/// saved with the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum LatentStandardisation {
@@ -65,7 +65,8 @@ pub struct TrainSpec {
     pub starts: u64,
     /// Epochs that each is given before one is chosen, at most `epochs`.
     pub start_epochs: usize,
-    /// Number of first epochs in which a linear head reads the latent directly (see [the recipe](super)); half of all epochs if absent.
+    /// Number of first epochs in which a linear head reads the latent directly (see [the recipe](super)); half of all epochs if
+    /// absent.
     pub linear_epochs: Option<usize>,
     /// Standard deviation that features are scaled to while training.
     pub feature_sigma: f32,
@@ -79,8 +80,8 @@ pub struct TrainSpec {
     pub latent: LatentStandardisation,
     /// Reference level of the maps' cells.
     pub reference: MapReference,
-    /// Whether maps are standardised by scene and class, as in the paper, which leaks the label of every map to the network. Such models
-    /// classify maps with labels only.
+    /// Whether maps are standardised by scene and class, as in the paper, which leaks the label of every map to the network. Such
+    /// models classify maps with labels only.
     pub label_leaking_cells: bool,
     /// Settings of the filter over frames, saved with the model.
     pub smoothing: Smoothing,
@@ -96,8 +97,9 @@ pub struct TrainSpec {
     pub augmentation: Augmentation,
     /// Instruction set of the inner loops; the fastest available one if absent.
     pub kernel_level: Option<KernelLevel>,
-    /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors ([`TorchvisionWeights`](crate::network::TorchvisionWeights)). What they
-    /// hold decides the outcome, not where they lie. In a file, relative to that file.
+    /// torchvision's weights for ResNet-18 or EfficientNet-B0 to start from, as safetensors
+    /// ([`TorchvisionWeights`](crate::network::TorchvisionWeights)). What they hold decides the outcome, not where they lie. In a
+    /// file, relative to that file.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub weights: Option<PathBuf>,
 }

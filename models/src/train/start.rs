@@ -39,8 +39,8 @@ pub(super) fn collect(
     Ok(rows)
 }
 
-/// Constants that give each feature mean 0 and standard deviation `sigma`. The least deviation is a fifth of the root mean square of all,
-/// so that a feature that hardly varies (such as a dead unit) is not amplified.
+/// Constants that give each feature mean 0 and standard deviation `sigma`. The least deviation is a fifth of the root mean square
+/// of all, so that a feature that hardly varies (such as a dead unit) is not amplified.
 pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisation {
     let n = rows.len().max(1) as f64;
     let width = rows.first().map_or(0, Vec::len);
@@ -62,8 +62,8 @@ pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisat
     }
 }
 
-/// Least deviation of a descriptor, dB, bins or natural logarithms, so that one that hardly varies on the training maps is not amplified
-/// on others.
+/// Least deviation of a descriptor, dB, bins or natural logarithms, so that one that hardly varies on the training maps is not
+/// amplified on others.
 const LEAST_DESCRIPTOR_SIGMA: f32 = 0.1;
 
 /// Constants that give each descriptor mean 0 and standard deviation 1, each in its own unit.

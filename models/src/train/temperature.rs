@@ -10,8 +10,8 @@ const RANGE: (f64, f64) = (0.05, 20.0);
 /// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-12;
 
-/// Fits the temperature with the least class-weighted cross-entropy on the validation split, by golden-section search on its logarithm
-/// (the loss is convex in 1/T).
+/// Fits the temperature with the least class-weighted cross-entropy on the validation split, by golden-section search on its
+/// logarithm (the loss is convex in 1/T).
 pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
     let part = &data.validation;
     let positions: Vec<usize> = (0..part.maps.len()).collect();

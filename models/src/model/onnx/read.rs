@@ -54,8 +54,8 @@ const GRAPH: u64 = 7;
 const METADATA: u64 = 14;
 const INITIALIZER: u64 = 5;
 
-/// Iterator over the fields of a protobuf message: field number, and content of length-delimited fields (empty for others). It ends at
-/// the first damaged field.
+/// Iterator over the fields of a protobuf message: field number, and content of length-delimited fields (empty for others). It ends
+/// at the first damaged field.
 struct Fields<'a>(&'a [u8]);
 
 impl<'a> Fields<'a> {

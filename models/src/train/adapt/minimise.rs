@@ -9,8 +9,8 @@ const MOST_STEPS: usize = 100;
 /// Steps in the memory of L-BFGS.
 const MEMORY: usize = 10;
 
-/// Finds a minimum near `start` of a function with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006, algorithm 7.5)
-/// with steps that are halved until the function falls.
+/// Finds a minimum near `start` of a function with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
+/// algorithm 7.5) with steps that are halved until the function falls.
 pub(super) fn minimise(
     start: Vec<f64>,
     mut function: impl FnMut(&[f64]) -> Result<(f64, Vec<f64>), AdaptError>,

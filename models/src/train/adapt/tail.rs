@@ -13,11 +13,11 @@ use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 use crate::train::head_start::{is_trained, parameters_behind};
 
-/// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a few
-/// biases; weights would overfit to the few people in it.
+/// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
+/// few biases; weights would overfit to the few people in it.
 const BIAS_STRENGTH: f64 = 100.0;
-/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds: a longer recording of
-/// the empty room must not make the model miss people.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds: a longer
+/// recording of the empty room must not make the model miss people.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 const LONG_S: f64 = 10.0;
@@ -137,7 +137,8 @@ pub(super) struct Tail<'a> {
 }
 
 impl<'a> Tail<'a> {
-    /// Selects the layers of a network behind `given`. `None` if no linear layer follows `given`, or the network does not end in one.
+    /// Selects the layers of a network behind `given`. `None` if no linear layer follows `given`, or the network does not end in
+    /// one.
     pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
         let parameters = parameters_behind(network, given);
         let parameters: Vec<&Parameter> = parameters.into_iter().filter(|p| is_trained(network, p)).collect();
@@ -219,8 +220,8 @@ impl<'a> Tail<'a> {
         Ok(judged)
     }
 
-    /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from the one
-    /// before it. If no recording shows people, the logit of `empty` alone is fitted, independently of the strength.
+    /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
+    /// the one before it. If no recording shows people, the logit of `empty` alone is fitted, independently of the strength.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
