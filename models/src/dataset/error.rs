@@ -94,7 +94,9 @@ pub enum DatasetError {
         got: RdmShape,
     },
     /// A map holds NaN or infinity.
-    #[error("map {map}: {cells} cells are not finite\n\nhint: find out what produced them; a dataset holds none")]
+    #[error(
+        "map {map}: {cells} cells are not finite\n\nhint: check the program that made the map; all cells of a dataset are finite"
+    )]
     NonFinite {
         /// Index or name of the map.
         map: String,
@@ -102,7 +104,7 @@ pub enum DatasetError {
         cells: usize,
     },
     /// No map with this index.
-    #[error("map {index} asked for, the dataset has {maps}")]
+    #[error("there is no map {index}: the dataset has {maps} maps")]
     NoSuchMap {
         /// Index.
         index: usize,
@@ -135,7 +137,7 @@ pub enum DatasetError {
     },
     /// Sequences of one subject, scene or seed are in two splits.
     #[error(
-        "sequence '{}' is in {}, and '{}', which hangs together with it by {by}, in {}\n\nhint: split by sequence, or give all rows of a {by} one split",
+        "sequence '{}' is in {}, and '{}', which belongs to the same group by {by}, in {}\n\nhint: split by sequence, or give all rows of a {by} one split",
         sequences[0], splits[0], sequences[1], splits[1]
     )]
     GroupInTwoSplits {

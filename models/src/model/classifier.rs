@@ -88,11 +88,11 @@ pub enum ClassifyError {
     },
     /// The model standardises maps by scene and class, so it needs labels.
     #[error(
-        "the model standardises maps by scene and class, so it can only be asked about maps whose labels are known\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
+        "the model standardises maps by scene and class, so it classifies only maps with known labels\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
     )]
     NeedsLabels,
     /// The network put out a number that is not finite.
-    #[error("the network's answer is not finite, cells of the map reach {largest_db} dB in magnitude")]
+    #[error("the network's output is not finite; cells of the map reach {largest_db} dB in magnitude")]
     Diverged {
         /// Largest magnitude of a cell.
         largest_db: f32,

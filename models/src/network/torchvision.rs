@@ -44,7 +44,7 @@ pub enum WeightsError {
     },
     /// torchvision has no such network.
     #[error(
-        "torchvision has no {network:?}\n\nhint: weights are there for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
+        "torchvision has no {network:?}\n\nhint: weights exist for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
     )]
     NoCounterpart {
         /// The network.
@@ -52,7 +52,7 @@ pub enum WeightsError {
     },
     /// Arrays that the network needs are not in the file.
     #[error(
-        "{path}: these are no weights of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
+        "{path}: the weights are not those of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
     )]
     Missing {
         /// File.

@@ -153,32 +153,32 @@ impl CircuitSpec {
     /// # Errors
     /// [`CircuitError::Setting`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), CircuitError> {
-        let demand = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
+        let require = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
             true => Ok(()),
             false => Err(CircuitError::Setting { key, value: value.to_string(), expected: expected.to_owned() }),
         };
-        demand((1..=MOST_QUBITS).contains(&self.qubits), "qubits", &self.qubits, &format!("1 to {MOST_QUBITS}"))?;
+        require((1..=MOST_QUBITS).contains(&self.qubits), "qubits", &self.qubits, &format!("1 to {MOST_QUBITS}"))?;
         let (most, expected) = match self.encoding {
             Encoding::ZzFeatureMap => (2, "1 or 2"),
             Encoding::Angle => (1, "1 with angle encoding"),
         };
-        demand((1..=most).contains(&self.repetitions), "repetitions", &self.repetitions, expected)?;
-        demand(self.depth <= MOST_DEPTH, "depth", &self.depth, &format!("0 to {MOST_DEPTH}"))?;
+        require((1..=most).contains(&self.repetitions), "repetitions", &self.repetitions, expected)?;
+        require(self.depth <= MOST_DEPTH, "depth", &self.depth, &format!("0 to {MOST_DEPTH}"))?;
         if let Execution::Shots(shots) = self.execution {
-            demand(shots.count > 0, "shots", &shots.count, "at least 1")?;
+            require(shots.count > 0, "shots", &shots.count, "at least 1")?;
         }
         for (key, p) in [
             ("depolarising_one_qubit", self.noise.depolarising_one_qubit),
             ("depolarising_two_qubit", self.noise.depolarising_two_qubit),
             ("readout_flip", self.noise.readout_flip),
         ] {
-            demand((0.0..=1.0).contains(&p), key, &p, "a probability, 0 to 1")?;
+            require((0.0..=1.0).contains(&p), key, &p, "a probability, 0 to 1")?;
         }
         let expected = format!(
             "at most {MOST_DEPOLARISED_QUBITS} with depolarising gates, which take a density matrix of 4^qubits entries\n\n\
              hint: use fewer qubits, or errors of the readout alone"
         );
-        demand(
+        require(
             !self.noise.is_depolarising() || self.qubits <= MOST_DEPOLARISED_QUBITS,
             "qubits",
             &self.qubits,

@@ -28,7 +28,7 @@ use crate::dataset::{Dataset, Split, SplitSpec};
 use crate::model::{Adapted, BeforeAfter, Classifier, Model, Scores};
 use crate::network::{Layer, Mode, Network, Value};
 use recording::{CLASSES, MOST_FRAMES};
-use tail::{Judged, Tail, empty_strength, last_node, shows_people};
+use tail::{Confusions, Tail, empty_strength, last_node, shows_people};
 
 mod error;
 mod minimise;
@@ -222,9 +222,9 @@ impl Adapter {
             for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
                 // A recording without labels has no scores.
                 if by_recording[index].iter().sum::<f64>() > 0.0 {
-                    let judge = |numbers: &Vec<f64>| tail.judge(numbers, recording, smoothing);
-                    let after = fits.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
-                    folds[index] = Some(Fold { before: judge(&self.before)?, after });
+                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, smoothing);
+                    let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
+                    folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
                 }
             }
         }
@@ -264,21 +264,21 @@ impl Adapter {
     pub fn scores(&self, fit: Option<&Fit>, recordings: &[AdaptRecording]) -> Result<Scores, AdaptError> {
         let (tail, smoothing) = (self.tail()?, self.classifier.card().smoothing);
         let numbers = fit.map_or(&self.before, |fit| &fit.numbers);
-        let judge = |recording: &AdaptRecording| tail.judge(numbers, recording, smoothing);
-        let judged = recordings.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
-        Ok(Judged::scores(judged.iter()))
+        let evaluate = |recording: &AdaptRecording| tail.confusions(numbers, recording, smoothing);
+        let confusions = recordings.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
+        Ok(Confusions::scores(confusions.iter()))
     }
 }
 
 /// Held-out part of the recordings: predictions of the model before, and of one adapted on the others for each strength.
 struct Fold {
-    before: Judged,
-    after: Vec<Judged>,
+    before: Confusions,
+    after: Vec<Confusions>,
 }
 
 fn compared(folds: &[&Fold], strength: usize) -> BeforeAfter {
-    let after = Judged::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
-    BeforeAfter { before: Judged::scores(folds.iter().map(|fold| &fold.before)), after }
+    let after = Confusions::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
+    BeforeAfter { before: Confusions::scores(folds.iter().map(|fold| &fold.before)), after }
 }
 
 #[cfg(test)]
@@ -330,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn recordings_that_are_held_out_are_judged_better() {
+    fn held_out_recordings_have_better_scores() {
         let recordings: Vec<AdaptRecording> = (0..3).map(|seed| recording(seed, &Occupancy::ALL)).collect();
         for (name, least) in [("descriptor_linear", 0.9), ("descriptor_hqnn", 0.6)] {
             let first = adapt(name, &recordings);

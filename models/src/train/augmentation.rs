@@ -90,14 +90,14 @@ impl Default for Sway {
 
 /// One use of a training map. Its random changes are a function of this.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Showing {
+pub(super) struct MapUse {
     /// Seed of the training.
     pub seed: u64,
     /// Index of the use among those of all epochs.
     pub index: u64,
 }
 
-impl Showing {
+impl MapUse {
     fn stream(self, purpose: &str) -> Xoshiro256PlusPlus {
         stream(self.seed, purpose, self.index)
     }
@@ -182,7 +182,7 @@ impl Augmentation {
         other: Option<&[f32]>,
         doppler: usize,
         skip: usize,
-        showing: Showing,
+        map_use: MapUse,
     ) {
         let doppler = doppler.max(1);
         let first = skip.saturating_mul(doppler).min(cells.len());
@@ -194,28 +194,28 @@ impl Augmentation {
             add_echoes(powers, &other);
         }
         if let Some([low, high]) = self.echo_gain_db {
-            let gain_db = showing.stream("echo gain").random_range(low..=high);
+            let gain_db = map_use.stream("echo gain").random_range(low..=high);
             powers.iter_mut().for_each(|power| *power = gain_of_echo(*power, gain_db));
         }
         let factor = |rng: &mut Xoshiro256PlusPlus, most: f32| 1.0 + f64::from(rng.random_range(-most..=most));
         if self.range_stretch > 0.0 {
-            let mut rng = showing.stream("range stretch");
+            let mut rng = map_use.stream("range stretch");
             let factor = factor(&mut rng, self.range_stretch);
             stretch_range(powers, doppler, skip, factor, &mut rng);
         }
         if self.range_shift_bins > 0 {
-            let mut rng = showing.stream("range shift");
+            let mut rng = map_use.stream("range shift");
             let most = self.range_shift_bins as i64;
             let bins = rng.random_range(-most..=most);
             shift_range(powers, doppler, bins as isize, &mut rng);
         }
         if self.velocity_stretch > 0.0 {
-            let mut rng = showing.stream("velocity stretch");
+            let mut rng = map_use.stream("velocity stretch");
             let factor = factor(&mut rng, self.velocity_stretch);
             stretch_velocity(powers, doppler, factor, &mut rng);
         }
         if let Some(sway) = self.sway {
-            let mut rng = showing.stream("sway");
+            let mut rng = map_use.stream("sway");
             if rng.random::<f64>() < sway.probability {
                 add_sway(powers, doppler, &sway, &mut rng);
             }
@@ -224,8 +224,8 @@ impl Augmentation {
     }
 
     /// Flips a standardised map `[range][doppler]` and adds noise to it; `sigma_db` is the deviation that maps were divided by.
-    pub(super) fn flip_and_add_noise(&self, cells: &mut [f32], doppler: usize, sigma_db: f32, showing: Showing) {
-        let mut rng = showing.stream("augmentation");
+    pub(super) fn flip_and_add_noise(&self, cells: &mut [f32], doppler: usize, sigma_db: f32, map_use: MapUse) {
+        let mut rng = map_use.stream("augmentation");
         if self.doppler_flip && rng.random::<bool>() {
             flip_doppler(cells, doppler);
         }
@@ -284,8 +284,8 @@ impl Partners {
     }
 
     /// Position of the map that is added to the map at `position` of this class; `None` if none is added.
-    pub(super) fn partner(&self, position: usize, label: usize, showing: Showing) -> Option<usize> {
-        let mut rng = showing.stream("superpose");
+    pub(super) fn partner(&self, position: usize, label: usize, map_use: MapUse) -> Option<usize> {
+        let mut rng = map_use.stream("superpose");
         if rng.random::<f64>() >= self.probability {
             return None;
         }
@@ -524,7 +524,7 @@ mod tests {
         for gain_db in [-7.0f32, 7.0] {
             let augmentation = Augmentation { echo_gain_db: Some([gain_db; 2]), ..Augmentation::default() };
             let mut changed = levels.clone();
-            augmentation.change_powers(&mut changed, None, DOPPLER, skip, Showing { seed: 1, index: 2 });
+            augmentation.change_powers(&mut changed, None, DOPPLER, skip, MapUse { seed: 1, index: 2 });
             let echo = 20 * DOPPLER + 9;
             assert!((changed[echo] - levels[echo] - gain_db).abs() < 0.1, "{} {}", changed[echo], levels[echo]);
             assert_eq!(changed[..skip * DOPPLER], levels[..skip * DOPPLER]);
@@ -532,7 +532,7 @@ mod tests {
             // A setting without a gain changes nothing.
             let none = Augmentation { echo_gain_db: Some([0.0; 2]), ..Augmentation::default() };
             let mut same = levels.clone();
-            none.change_powers(&mut same, None, DOPPLER, skip, Showing { seed: 1, index: 2 });
+            none.change_powers(&mut same, None, DOPPLER, skip, MapUse { seed: 1, index: 2 });
             assert!(same.iter().zip(&levels).all(|(a, b)| (a - b).abs() < 1e-4));
         }
     }
@@ -569,7 +569,7 @@ mod tests {
         let epochs = 200;
         for epoch in 0..epochs {
             for (position, &label) in labels.iter().enumerate() {
-                let other = partners.partner(position, label, Showing { seed: 3, index: epoch * 90 + position as u64 });
+                let other = partners.partner(position, label, MapUse { seed: 3, index: epoch * 90 + position as u64 });
                 if let Some(other) = other {
                     assert_ne!(names[other], names[position]);
                 }
@@ -592,7 +592,7 @@ mod tests {
         assert!(mean(&a[8..]) / mean(&before[8..]) < 1.4);
         // With one sequence there is no partner.
         let alone = Partners::new(Superpose { probability: 1.0 }, &labels, labels.iter().map(|_| "the same"));
-        assert_eq!(alone.partner(0, 0, Showing { seed: 3, index: 0 }), None);
+        assert_eq!(alone.partner(0, 0, MapUse { seed: 3, index: 0 }), None);
     }
 
     /// Changes depend on the use of a map only.
@@ -602,8 +602,8 @@ mod tests {
         levels_over_noise(&mut levels);
         let change = |index| {
             let mut changed = levels.clone();
-            everything().change_powers(&mut changed, None, DOPPLER, 3, Showing { seed: 5, index });
-            everything().flip_and_add_noise(&mut changed, DOPPLER, 3.0, Showing { seed: 5, index });
+            everything().change_powers(&mut changed, None, DOPPLER, 3, MapUse { seed: 5, index });
+            everything().flip_and_add_noise(&mut changed, DOPPLER, 3.0, MapUse { seed: 5, index });
             changed
         };
         assert_eq!(change(1), change(1));
@@ -637,10 +637,10 @@ mod tests {
                 (Vec::new(), 4, 2),
             ] {
                 for index in 0..20 {
-                    let (mut changed, showing) = (cells.clone(), Showing { seed: 2, index });
-                    everything().change_powers(&mut changed, Some(&cells), doppler, skip, showing);
+                    let (mut changed, map_use) = (cells.clone(), MapUse { seed: 2, index });
+                    everything().change_powers(&mut changed, Some(&cells), doppler, skip, map_use);
                     assert!(changed.iter().all(|v| v.is_finite() && *v >= 0.0), "{changed:?}");
-                    everything().flip_and_add_noise(&mut changed, doppler, 3.0, showing);
+                    everything().flip_and_add_noise(&mut changed, doppler, 3.0, map_use);
                     assert!(changed.iter().all(|v| v.is_finite()), "{changed:?}");
                 }
             }

@@ -7,7 +7,7 @@ use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use super::augmentation::{Augmentation, Partners, Showing};
+use super::augmentation::{Augmentation, MapUse, Partners};
 use super::error::TrainError;
 use super::spec::TrainSpec;
 use crate::dataset::{Dataset, Split};
@@ -180,27 +180,27 @@ impl Data {
     ) -> CandleResult<(Tensor, Vec<usize>)> {
         let shown = |&position: &usize| {
             let index = (epoch * self.train.maps.len() + position) as u64;
-            self.shown(position, augmentation, Showing { seed, index })
+            self.shown(position, augmentation, MapUse { seed, index })
         };
         let shown: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(shown).collect();
         let (maps, labels) = shown.into_iter().unzip();
         Ok((self.tensor(maps)?, labels))
     }
 
-    /// One showing of a training map and its class.
-    fn shown(&self, position: usize, augmentation: &Augmentation, showing: Showing) -> Option<(Vec<f32>, usize)> {
+    /// One use of a training map, and its class.
+    fn shown(&self, position: usize, augmentation: &Augmentation, map_use: MapUse) -> Option<(Vec<f32>, usize)> {
         let part = &self.train;
         let (mut cells, mut label) = (part.maps.get(position)?.clone(), *part.labels.get(position)?);
         if augmentation.of_powers().is_some() {
-            let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, showing));
+            let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, map_use));
             label += other.and_then(|other| part.labels.get(other)).copied().unwrap_or(0);
             let other = other.and_then(|other| part.maps.get(other)).map(Vec::as_slice);
             let skip = self.standardisation.reference.skipped_range_bins().unwrap_or(0);
-            augmentation.change_powers(&mut cells, other, self.doppler, skip, showing);
+            augmentation.change_powers(&mut cells, other, self.doppler, skip, map_use);
         }
         self.standardise(part, position, &mut cells)?;
         let sigma_db = self.standardisation.sigma_db as f32;
-        augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, showing);
+        augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, map_use);
         Some((cells, label))
     }
 }

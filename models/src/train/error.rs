@@ -23,7 +23,7 @@ pub enum TrainError {
     },
     /// The augmentation needs levels over noise, which maps of an absolute reference lack.
     #[error(
-        "training: augmentation.{setting} changes what stands above the noise, and maps of an absolute reference do not say how strong that is\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
+        "training: augmentation.{setting} changes levels over noise, which maps of an absolute reference do not have\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
     )]
     NeedsOverNoise {
         /// Field of [`Augmentation`](super::Augmentation).
@@ -91,7 +91,7 @@ pub enum TrainError {
     #[error(transparent)]
     Weights(#[from] WeightsError),
     /// A stopped training cannot be continued.
-    #[error("checkpoint: {what}\n\nhint: remove the file to begin anew")]
+    #[error("checkpoint: {what}\n\nhint: remove the file to start again")]
     Checkpoint {
         /// File and reason.
         what: String,

@@ -37,7 +37,7 @@ pub(super) struct Points<'a> {
 
 /// The map `u = matrix z + offset` of the latent, row by row.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Placing {
+pub(super) struct AffineMap {
     pub matrix: Vec<f32>,
     pub offset: Vec<f32>,
     /// Loss that was reached.
@@ -51,12 +51,12 @@ pub(super) fn search(
     points: &Points,
     seed: u64,
     start: u64,
-) -> Result<Placing, TrainError> {
+) -> Result<AffineMap, TrainError> {
     let head = parameters_behind(network, latent);
     let width = points.latents.first().map_or(0, Vec::len);
     let flat: Vec<f32> = points.latents.iter().flatten().copied().collect();
     let latents = Tensor::from_vec(flat, (points.latents.len(), width), &Device::Cpu)?;
-    let mut best: Option<(Placing, Vec<Vec<f32>>)> = None;
+    let mut best: Option<(AffineMap, Vec<Vec<f32>>)> = None;
     for index in 0..SEARCHES {
         let mut rng = stream(seed, "head start", start * SEARCHES + index);
         for Parameter { name, variable } in head.iter().copied().filter(|p| is_trained(network, p)) {
@@ -75,13 +75,13 @@ pub(super) fn search(
         // The first of equals; any loss is better than a NaN.
         if best.as_ref().is_none_or(|(b, _)| loss < b.loss || (b.loss.is_nan() && !loss.is_nan())) {
             let placing =
-                Placing { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
+                AffineMap { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
             let values = head.iter().map(|p| p.variable.flatten_all()?.to_vec1()).collect::<Result<_, _>>()?;
             best = Some((placing, values));
         }
     }
     let Some((placing, values)) = best else {
-        return Ok(Placing { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
+        return Ok(AffineMap { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
     };
     for (Parameter { variable, .. }, values) in head.iter().zip(values) {
         variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;

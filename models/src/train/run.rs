@@ -188,7 +188,7 @@ impl<'a> Run<'a> {
     }
 
     /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
-    fn place(&self, placing: &head_start::Placing, found: &Normalisation) -> Result<(), TrainError> {
+    fn place(&self, placing: &head_start::AffineMap, found: &Normalisation) -> Result<(), TrainError> {
         let parameters = self.network.parameters();
         let (weight, bias) = (parameters.numbers("fc2.weight")?, parameters.numbers("fc2.bias")?);
         let width = bias.len();

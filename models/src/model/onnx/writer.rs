@@ -24,7 +24,7 @@ pub enum ExportError {
     },
     /// The network describes maps instead of reading them.
     #[error(
-        "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: put the model itself to work (--model \
+        "layer {layer}: the descriptors of a map have no ONNX form\n\nhint: use the model file (--model \
          FILE.safetensors), or export a network that reads the cells of maps"
     )]
     Descriptors {

@@ -10,7 +10,7 @@ use crate::network::NetworkKind;
 #[derive(Debug, Error)]
 pub enum AdaptError {
     /// The network has no layer to adapt.
-    #[error("{network:?} does not end in a linear layer, and nothing else of it can be adapted")]
+    #[error("{network:?} does not end in a linear layer; only such networks can be adapted")]
     Network {
         /// The network.
         network: NetworkKind,

@@ -31,17 +31,17 @@ type Confusion = [[u64; CLASSES]; CLASSES];
 
 /// Confusion of a model on labelled frames, for single frames and behind the filter.
 #[derive(Default)]
-pub(super) struct Judged {
+pub(super) struct Confusions {
     by_frame: Confusion,
     filtered: Confusion,
 }
 
-impl Judged {
+impl Confusions {
     /// Scores over several recordings.
-    pub(super) fn scores<'a>(judged: impl Iterator<Item = &'a Judged>) -> Scores {
-        let mut all = Judged::default();
-        for judged in judged {
-            for (sum, counts) in [(&mut all.by_frame, &judged.by_frame), (&mut all.filtered, &judged.filtered)] {
+    pub(super) fn scores<'a>(recordings: impl Iterator<Item = &'a Confusions>) -> Scores {
+        let mut all = Confusions::default();
+        for recording in recordings {
+            for (sum, counts) in [(&mut all.by_frame, &recording.by_frame), (&mut all.filtered, &recording.filtered)] {
                 sum.iter_mut().flatten().zip(counts.iter().flatten()).for_each(|(sum, count)| *sum += count);
             }
         }
@@ -195,15 +195,15 @@ impl<'a> Tail<'a> {
     }
 
     /// Classifies a recording frame by frame and through the filter, which also uses frames without a label.
-    pub(super) fn judge(
+    pub(super) fn confusions(
         &self,
         numbers: &[f64],
         recording: &AdaptRecording,
         smoothing: Smoothing,
-    ) -> Result<Judged, AdaptError> {
+    ) -> Result<Confusions, AdaptError> {
         self.set(numbers)?;
         let mut filter = OccupancyFilter::new(smoothing, recording.frame_interval_s);
-        let mut judged = Judged::default();
+        let mut confusions = Confusions::default();
         for frames in recording.frames.chunks(BATCH) {
             let features: Vec<f32> = frames.iter().flat_map(|frame| &frame.features).copied().collect();
             let features = Tensor::from_vec(features, (frames.len(), self.inputs), &Device::Cpu)?;
@@ -212,12 +212,12 @@ impl<'a> Tail<'a> {
                 let alone = [empty as f32, one as f32, two as f32];
                 let filtered = filter.update(frame.time_s, alone);
                 if let Some(label) = frame.label.map(Occupancy::index) {
-                    judged.by_frame[label][most_probable(&alone).index()] += 1;
-                    judged.filtered[label][most_probable(&filtered).index()] += 1;
+                    confusions.by_frame[label][most_probable(&alone).index()] += 1;
+                    confusions.filtered[label][most_probable(&filtered).index()] += 1;
                 }
             }
         }
-        Ok(judged)
+        Ok(confusions)
     }
 
     /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
