@@ -24,7 +24,7 @@
 //! let outcome = train(&dataset, &TrainSpec::default(), &mut |epoch| println!("{}", epoch.validation_loss))?;
 //! outcome.model.save(Path::new("model.safetensors"))?;
 //! let mut classifier = Classifier::load(Path::new("model.safetensors"))?;
-//! let [empty, one, two] = classifier.classify_cells(&dataset.map(0)?, dataset.header().shape)?;
+//! let [empty, one, two] = classifier.classify_row(&dataset.map(0)?, dataset.header().shape, &dataset.rows()[0])?;
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!

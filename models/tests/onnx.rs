@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
+use radome_dsp::{MapFlags, Rdm};
 use radome_models::layer::KernelLevel;
 use radome_models::network::{Head, Network, Normalisation, Placement};
 use radome_models::onnx::{self, ExportError};
@@ -165,7 +166,10 @@ fn shipped_models_classify_alike_as_onnx_files() {
         for index in 0..20 {
             let mut rng = stream(5, "decibels", index);
             let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
-            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify_cells(&db, shape).expect("probabilities"));
+            let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
+            let flags = MapFlags::default();
+            let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
+            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify(&map).expect("probabilities"));
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{}: {a:?} {b:?}", path.display());
         }
     }

@@ -269,9 +269,9 @@ mod tests {
         let (first, second) = (next(), next());
         assert_ne!(first, second);
         assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "rows have outcomes of their own");
-        circuit.clone().set_next_call(0);
-        assert_eq!(first, next());
-        assert_eq!(second, flat(&circuit_of_call(&x, &theta, &circuit, 1).expect("forward")));
+        let again = |call| flat(&circuit_of_call(&x, &theta, &circuit, call).expect("forward"));
+        assert_eq!([first, second], [again(0), again(1)]);
+        assert_eq!(flat(&circuit_of(&x, &theta, &circuit.clone()).expect("forward")), again(2));
     }
 
     mod hard_cases {

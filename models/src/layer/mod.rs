@@ -12,7 +12,7 @@
 //! - [`backward`]: candle's backward pass without its copies.
 //!
 //! All layers run in parallel over the batch or over outputs and reduce in a fixed order: the same bits for any number of threads.
-//! [`mod@reference`] holds slow reference versions in f64.
+//! The tests compare them with slow versions in f64 (`tests/reference.rs`).
 //!
 //! # Examples
 //! ```
@@ -45,7 +45,6 @@ mod operation;
 mod prepared_block;
 mod prepared_conv;
 mod prepared_dense;
-pub mod reference;
 mod scale_channels;
 mod scaled_sigmoid;
 mod standardise;

@@ -201,17 +201,8 @@ impl Classifier {
         })
     }
 
-    /// [`Classifier::classify`] for cells `[rx][doppler][range]`, dB, without metadata.
-    ///
-    /// # Errors
-    /// Those of [`Classifier::classify`].
-    pub fn classify_cells(&mut self, db: &[f32], shape: RdmShape) -> Result<[f32; 3], ClassifyError> {
-        self.check_unlabelled()?;
-        self.check_sequence(db, shape, 0)?;
-        self.run(db, shape, None)
-    }
-
-    /// [`Classifier::classify_cells`] for a map of a dataset. Models that need scene and label take them from the row.
+    /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take
+    /// them from the row.
     ///
     /// # Errors
     /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.

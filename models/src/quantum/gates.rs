@@ -155,11 +155,6 @@ impl Circuit {
         self.calls.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Sets the number of the next call of [`crate::layer::circuit_of`], which repeats the shots of a run.
-    pub fn set_next_call(&self, call: u64) {
-        self.calls.store(call, Ordering::Relaxed);
-    }
-
     /// Checks the number of inputs and of angles.
     pub(super) fn check_counts(&self, x: &[f64], theta: &[f64]) -> Result<(), CircuitError> {
         let count = |what, expected, got| match expected == got {

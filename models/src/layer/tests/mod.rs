@@ -6,6 +6,7 @@ use crate::random::stream;
 
 mod convolution;
 mod maps;
+mod reference;
 mod vectors;
 
 fn random(count: usize, purpose: &str) -> Vec<f32> {

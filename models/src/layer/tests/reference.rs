@@ -2,28 +2,7 @@
 
 /// 3x3 convolution, padding 1. `input` `[i][rows][columns]`, `weight` `[o][i][3][3]`; result `[o][rows][columns]`.
 pub fn conv3x3(input: &[f64], rows: usize, columns: usize, weight: &[f64], bias: &[f64]) -> Vec<f64> {
-    let inputs = input.len() / (rows * columns);
-    let mut out = Vec::with_capacity(bias.len() * rows * columns);
-    for (o, b) in bias.iter().enumerate() {
-        for y in 0..rows {
-            for x in 0..columns {
-                let mut sum = *b;
-                for i in 0..inputs {
-                    for ky in 0..3 {
-                        for kx in 0..3 {
-                            let (row, column) = (y + ky, x + kx);
-                            if (1..=rows).contains(&row) && (1..=columns).contains(&column) {
-                                sum += weight[((o * inputs + i) * 3 + ky) * 3 + kx]
-                                    * input[(i * rows + row - 1) * columns + column - 1];
-                            }
-                        }
-                    }
-                }
-                out.push(sum);
-            }
-        }
-    }
-    out
+    conv2d(input, [rows, columns], weight, [3, 3], bias, 1, 1, 1)
 }
 
 /// `max(x, 0)`.
@@ -33,16 +12,7 @@ pub fn relu(input: &[f64]) -> Vec<f64> {
 
 /// 2x2 max-pooling with stride 2 of `[channel][rows][columns]`; an odd last row or column is dropped.
 pub fn max_pool2(input: &[f64], rows: usize, columns: usize) -> Vec<f64> {
-    let mut out = Vec::new();
-    for plane in input.chunks_exact(rows * columns) {
-        for y in 0..rows / 2 {
-            for x in 0..columns / 2 {
-                let at = |dy: usize, dx: usize| plane[(2 * y + dy) * columns + 2 * x + dx];
-                out.push(at(0, 0).max(at(0, 1)).max(at(1, 0)).max(at(1, 1)));
-            }
-        }
-    }
-    out
+    max_pool(input, [rows, columns], 2, 2, 0)
 }
 
 /// Adaptive average pooling of `[channel][rows][columns]` to `[channel][to.0][to.1]`.
