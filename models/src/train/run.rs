@@ -1,6 +1,5 @@
 //! Training of one initialisation over the epochs.
 
-use std::collections::BTreeMap;
 use std::time::Instant;
 
 use candle_core::{Tensor, Var};
