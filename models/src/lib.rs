@@ -2,6 +2,9 @@
 //!
 //! This crate knows maps and labels. It does not know where maps come from.
 //!
+//! "The paper" in this crate is Ratto et al., University of Waterloo, "Indoor Occupancy Classification using a Compact Hybrid
+//! Quantum-Classical Model Enabled by a Physics-Informed Radar Digital Twin".
+//!
 //! # Examples
 //! A network with random parameters classifies an empty map:
 //! ```

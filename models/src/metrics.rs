@@ -1,4 +1,4 @@
-//! Scores of predictions: balanced accuracy first (paper.md section 5).
+//! Scores of predictions: balanced accuracy first, as in the paper.
 
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};

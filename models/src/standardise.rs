@@ -1,7 +1,7 @@
 //! Label-free standardisation of maps: optionally over their own noise, then by one mean and one sigma for all cells of the
 //! training split.
 //!
-//! The paper standardises by scene *and occupancy*, which leaks the label of every test map to the network (paper.md section 4).
+//! The paper standardises by scene *and occupancy*, which leaks the label of every test map to the network.
 
 use std::borrow::Cow;
 

@@ -120,7 +120,7 @@ mod tests {
         Moments { count: 1e6, mean, squares: 1e6 * sigma * sigma }
     }
 
-    /// The paper's real table, and the shares and levels that reference/sbr.md section 5.1 reads from it.
+    /// Shares and levels that follow from the paper's table of real maps.
     #[test]
     fn the_papers_table_gives_the_published_shares() {
         let (corridor, room) = (moments(-24.98, 5.48), moments(-24.63, 5.52));

@@ -1,4 +1,4 @@
-//! The hybrid quantum-classical network (paper.md section 6), 66,447 parameters, and the heads that it is compared with.
+//! The hybrid quantum-classical network of the paper, 66,447 parameters, and the heads that it is compared with.
 //!
 //! ```text
 //! map [1][range][doppler]
@@ -45,8 +45,7 @@ pub enum Placement {
     Front,
 }
 
-/// Layers behind the latent. Heads with `pi * sigmoid` see the same standardised and scaled latent as the circuit does (the fair
-/// controls of models.md section 7).
+/// Layers behind the latent. Heads with `pi * sigmoid` see the same standardised and scaled latent as the circuit does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Head {

@@ -10,7 +10,7 @@ fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {
     Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu).expect("tensor")
 }
 
-/// paper.md section 6, models.md section 5.
+/// Numbers of parameters that the paper states, and those of torchvision.
 #[test]
 fn parameters_are_the_papers() {
     let expected = [

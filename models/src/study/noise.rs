@@ -1,4 +1,4 @@
-//! Gaussian noise on maps by the rule of the paper (paper.md section 4).
+//! Gaussian noise on maps by the rule of the paper.
 
 use rand_distr::{Distribution, StandardNormal};
 

@@ -30,7 +30,7 @@ pub struct StudySpec {
     /// Learning rates to choose from; the one of `train` if absent.
     #[serde(default)]
     pub learning_rates: Vec<f64>,
-    /// Gaussian noise on the test maps, dB (paper.md section 4); models of the whole training split only.
+    /// Gaussian noise on the test maps, dB; models of the whole training split only.
     #[serde(default)]
     pub snr_db: Vec<f64>,
     /// Balanced accuracy on the validation split whose first epoch is reported.

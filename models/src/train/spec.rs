@@ -17,7 +17,7 @@ const MOST_EPOCHS: usize = 100_000;
 const MOST_IN_BATCH: usize = 65_536;
 const MOST_STARTS: u64 = 1000;
 
-/// Standardisation of the latent before `pi * sigmoid` (paper.md section 6 leaves it open). The constants have no gradient and are
+/// Standardisation of the latent before `pi * sigmoid`, which the paper leaves open. The constants have no gradient and are
 /// saved with the model.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
