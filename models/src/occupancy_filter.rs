@@ -116,7 +116,7 @@ impl Smoothing {
         }
     }
 
-    /// Rates at which numbers of people follow each other, 1/s: one comes or goes, of one person as often as somebody comes.
+    /// Transition rates between numbers of people, 1/s: one person comes or goes at a time. From one person, both are equally likely.
     ///
     /// Without evidence, one person is as likely as none and two together.
     fn rates(&self) -> Matrix {

@@ -48,7 +48,7 @@ enum Cells {
 
 impl Dataset {
     /// Opens a folder: reads header and manifest, and checks that the shards hold as many maps as the manifest lists.
-    /// Cells are read when asked for.
+    /// Cells are read on demand.
     ///
     /// # Errors
     /// [`DatasetError`] where a file is missing, too large, not a regular file of this folder, or contradicts the others.

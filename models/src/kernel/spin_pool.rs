@@ -247,7 +247,7 @@ mod tests {
         }
     }
 
-    /// Several threads are at work at once: each of these tasks waits for the other.
+    /// Several threads work at once: each of these tasks waits for the other.
     #[test]
     fn helpers_help() {
         with_threads(2, || {

@@ -332,7 +332,7 @@ mod tests {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
     }
 
-    /// A map of 64 x 64 cells without any power but echoes of so many dB at range and velocity bins.
+    /// A map of 64 x 64 cells with echoes of given range bins, velocity bins and levels, and no other power.
     fn echoes(at: &[(usize, usize, f32)]) -> Vec<f32> {
         let mut map = vec![0.0; 64 * 64];
         at.iter().for_each(|&(row, column, level)| map[row * 64 + column] = level);

@@ -13,7 +13,7 @@ pub(crate) const INPUT: Value = 0;
 pub(crate) enum Layer {
     /// Numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
     Descriptors,
-    /// The map once for each of so many channels.
+    /// Copies of the map as channels.
     Repeat { channels: usize },
     /// 3x3 convolution with padding, ReLU and 2x2 max-pooling.
     ConvReluPool { inputs: usize, outputs: usize },
@@ -25,7 +25,7 @@ pub(crate) enum Layer {
     Activate(Activation),
     /// Largest value of windows.
     MaxPool { kernel: usize, stride: usize, padding: usize },
-    /// Means of so many bins in range and Doppler, flattened channel-first: a vector.
+    /// Means over a grid of bins in range and Doppler, flattened channel-first: a vector.
     AveragePool { rows: usize, columns: usize },
     /// Fully connected.
     Linear { inputs: usize, outputs: usize },

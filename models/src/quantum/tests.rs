@@ -85,7 +85,7 @@ fn the_fast_ways_are_the_gate_by_gate_one_with_its_parameter_shift() {
         close("expectations", &expectations, &slow.expectations(), 1e-12);
 
         let by_gate: Vec<f64> = if spec.qubits > 9 {
-            continue; // Hundreds of slow runs; `twelve_qubits` looks at some of them.
+            continue; // Hundreds of slow runs; `twelve_qubits` tests some of them.
         } else {
             let jacobian = parameter_shift(&angles, |angles| run_at(&circuit, angles).expectations());
             (0..angles.len()).map(|k| jacobian.iter().zip(&cotangent).map(|(row, g)| row[k] * g).sum()).collect()

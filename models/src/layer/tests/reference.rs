@@ -84,7 +84,7 @@ pub fn conv2d(
     out
 }
 
-/// Max-pooling of `[channel][rows][columns]`; padding never wins.
+/// Max-pooling of `[channel][rows][columns]`; padding is never the largest.
 pub fn max_pool(input: &[f64], [rows, columns]: [usize; 2], kernel: usize, stride: usize, padding: usize) -> Vec<f64> {
     let mut out = Vec::new();
     for plane in input.chunks_exact(rows * columns) {
