@@ -1,4 +1,4 @@
-//! What the quantum layer costs on one thread: the paper's circuit a sample, other circuits a sample by qubits.
+//! Time of the quantum layer per sample on one thread: the paper's circuit, and other circuits by number of qubits.
 //!
 //! `cargo run --release -p radome-models --example circuit_time`
 #![allow(clippy::print_stdout)]

@@ -1,4 +1,4 @@
-//! How reliably the HQNN trains: balanced accuracy over seeds on made-up maps, for variants of the recipe.
+//! Reliability of the HQNN's training: balanced accuracy over seeds on made-up maps, for variants of the recipe.
 //!
 //! `cargo run --release -p radome-models --example reliability -- [seeds] [variant...]`
 #![allow(clippy::print_stdout)]

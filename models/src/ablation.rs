@@ -1,22 +1,23 @@
-//! Maps of which parts are replaced by noise, judged again: it shows what in a map a model goes by.
+//! Ablation: classifies maps again with parts replaced by noise, which shows the parts that a model relies on.
 //!
-//! The noise of a range bin is taken from the map as [`crate::standardise::MapReference::OverNoise`] takes it. Cells that are replaced
-//! are exponential about it, so that they read as cells with nothing in them.
+//! The noise of a range bin is taken from the map as [`crate::standardise::MapReference::OverNoise`] takes it. Cells that are
+//! replaced are exponential about it, so that they read as cells with nothing in them.
 
 use radome_dsp::{MapFlags, Occupancy, Rdm, RdmShape};
 
 use crate::dataset::{Dataset, LEAKAGE_BINS, network_input};
-use crate::evaluate::{Metrics, most_probable};
+use crate::metrics::{Metrics, most_probable};
+use crate::model::{Classifier, ClassifyError, ModelCard};
+use crate::random::stream;
 use crate::standardise::{DB, bin_noise_db, echo_share, noise_power};
-use crate::{Classifier, ClassifyError, ModelCard, stream};
 
 /// Seed of the noise that replaces cells.
 const SEED: u64 = 1;
 
-/// What is done to a map before it is judged again. Range bins of leakage stay as they are.
+/// Change of a map before it is classified again. Range bins of leakage stay unchanged.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Ablation {
-    /// Nothing: what the others are compared with.
+    /// No change, for comparison.
     Nothing,
     /// Cells of these speeds or less become noise.
     Slow {
@@ -37,19 +38,19 @@ pub enum Ablation {
         /// Least level that stays, dB over noise.
         least_db: f32,
     },
-    /// What stands over noise is so many range bins farther away; bins to which nothing comes become noise.
+    /// Echoes are shifted to larger ranges; vacated bins become noise.
     Shifted {
         /// Range bins.
         bins: usize,
     },
-    /// What stands over noise is so much weaker.
+    /// Echoes are weakened.
     Weaker {
-        /// How much, dB.
+        /// Attenuation, dB.
         by_db: f32,
     },
 }
 
-/// What is tried: near zero Doppler and away from it, ranges, weak cells, and whether place and level of echoes matter.
+/// All ablations: near zero Doppler and away from it, ranges, weak cells, and position and level of echoes.
 pub const ABLATIONS: [Ablation; 11] = [
     Ablation::Nothing,
     Ablation::Slow { most_m_per_s: 0.15 },
@@ -80,7 +81,7 @@ impl std::fmt::Display for Ablation {
 }
 
 impl Ablation {
-    /// A map with this done to it. Its noise is a function of `index`. A map whose cells do not match its shape stays as it is.
+    /// Returns the changed map. Its noise is a function of `index`. A map whose cells do not match its shape stays unchanged.
     pub fn apply(self, map: &Rdm, skip_range_bins: usize, index: u64) -> Rdm {
         let mut changed = map.clone();
         let RdmShape { rx, doppler, range } = map.shape;
@@ -124,7 +125,7 @@ impl Ablation {
     }
 }
 
-/// A model's answers to maps under each of [`ABLATIONS`].
+/// Predictions of a model under each of [`ABLATIONS`].
 #[derive(Debug, Clone)]
 pub struct AblationScores {
     skip_range_bins: usize,
@@ -133,13 +134,13 @@ pub struct AblationScores {
 }
 
 impl AblationScores {
-    /// No answers yet, of a model with this card.
+    /// Starts without predictions, for a model with this card.
     pub fn new(card: &ModelCard) -> Self {
         let skip_range_bins = card.standardisation.reference.skipped_range_bins().unwrap_or(LEAKAGE_BINS);
         AblationScores { skip_range_bins, maps: 0, confusion: Default::default() }
     }
 
-    /// Has a map judged under each ablation.
+    /// Classifies a map under each ablation.
     ///
     /// # Errors
     /// The first error of `classify`.
@@ -157,7 +158,7 @@ impl AblationScores {
         Ok(())
     }
 
-    /// Scores under each ablation, by single maps.
+    /// Scores of single maps under each ablation.
     pub fn metrics(&self) -> Vec<(Ablation, Metrics)> {
         ABLATIONS.into_iter().zip(self.confusion.map(Metrics::from_confusion)).collect()
     }
@@ -196,7 +197,7 @@ mod tests {
 
     const SHAPE: RdmShape = RdmShape { rx: 2, doppler: 32, range: 33 };
     const SKIP: usize = 3;
-    /// So that 0.15 m/s are one Doppler bin and 0.35 m/s are three.
+    /// Velocity step with which 0.15 m/s are one Doppler bin and 0.35 m/s are three.
     const VELOCITY_STEP: f64 = 0.1;
 
     fn at(rx: usize, doppler: usize, range: usize) -> usize {
@@ -285,7 +286,7 @@ mod tests {
         assert_ne!(changed, Ablation::Weak { least_db: 10.0 }.apply(&map, SKIP, 2), "another map, other noise");
     }
 
-    /// An echo keeps its level over the noise of where it comes to, or loses what was asked for.
+    /// An echo keeps its level over the noise of its new bin, or loses the level that was set.
     #[test]
     fn echoes_are_moved_and_weakened_over_noise() {
         let mut map = noise();
@@ -295,7 +296,7 @@ mod tests {
         for bins in [4, 8] {
             let moved = Ablation::Shifted { bins }.apply(&map, SKIP, 1);
             let there = over_level(&moved, at(1, 25, 12 + bins));
-            // Of two bins whose noise is known from a quartile each.
+            // The noise of each of the two bins is known from a quartile.
             assert!((there - given).abs() < 9.0, "{there} {given}");
             assert!(over_level(&moved, echo) < 25.0);
             assert_eq!(moved.db[at(0, 3, 1)], map.db[at(0, 3, 1)], "leakage stays");

@@ -1,6 +1,6 @@
 //! Files of bounded length.
 //!
-//! `radome-sim` has the same reader: neither crate stands on the other, and `radome-dsp` has no files.
+//! `radome-sim` has the same reader: neither crate depends on the other, and `radome-dsp` reads no files.
 
 use std::fs::{self, File};
 use std::io::{self, ErrorKind, Read};
@@ -10,6 +10,9 @@ use thiserror::Error;
 
 /// Longest spec, header or other single document that is read: those of this project have 6 kB at most.
 pub const TEXT_LIMIT_BYTES: u64 = 1 << 20;
+
+/// Largest model that is read, bytes: the largest network here has 45 MB.
+pub const MODEL_LIMIT_BYTES: u64 = 512 << 20;
 
 /// Reason why a file is not read. It comes inside an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, Error)]
@@ -50,9 +53,9 @@ impl From<Refused> for io::Error {
 /// Reads a regular file of at most `limit_bytes`.
 ///
 /// # Errors
-/// Errors of the system, and [`Refused`] for a longer file and for whatever is not a regular file.
+/// Errors of the system, and [`Refused`] for a longer file or one that is not a regular file.
 pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
-    // Before opening: opening a pipe waits for its writer.
+    // This check comes before opening, because opening a pipe waits for its writer.
     if !fs::metadata(path)?.is_file() {
         return Err(Refused::NotRegular.into());
     }
@@ -62,7 +65,7 @@ pub fn read(path: &Path, limit_bytes: u64) -> io::Result<Vec<u8>> {
         return Err(Refused::TooLarge { found_bytes: length, limit_bytes }.into());
     }
     let mut bytes = Vec::with_capacity(length as usize);
-    // A file may grow meanwhile, and those of /proc have no length.
+    // A file may grow in the meantime, and files of /proc have no length.
     file.take(limit_bytes.saturating_add(1)).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > limit_bytes {
         return Err(Refused::TooLarge { found_bytes: bytes.len() as u64, limit_bytes }.into());

@@ -1,9 +1,9 @@
-//! Reliability of stated probabilities: how often predictions of a stated confidence are right.
+//! Reliability of probabilities: share of correct predictions by confidence.
 
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-use crate::evaluate::most_probable;
+use crate::metrics::most_probable;
 
 /// Bins of confidence, of equal width from 0 to 1. With three classes those below 1/3 stay empty.
 pub const BINS: usize = 10;
@@ -50,7 +50,7 @@ struct BinSums {
 }
 
 impl ReliabilitySums {
-    /// Counts one prediction. Probabilities that are no numbers are passed over.
+    /// Counts one prediction. Probabilities that are NaN are ignored.
     pub fn add(&mut self, probabilities: &[f32; Occupancy::ALL.len()], truth: Occupancy) {
         let predicted = most_probable(probabilities);
         let confidence = f64::from(probabilities[predicted.index()]);
@@ -63,7 +63,7 @@ impl ReliabilitySums {
         bin.confidence += confidence;
     }
 
-    /// Adds the predictions that others have counted.
+    /// Adds the predictions of other sums.
     pub fn merge(&mut self, other: &ReliabilitySums) {
         for (sum, more) in self.bins.iter_mut().zip(&other.bins) {
             sum.frames += more.frames;
@@ -72,7 +72,7 @@ impl ReliabilitySums {
         }
     }
 
-    /// Curve and error of what has been counted.
+    /// Reliability of the counted predictions.
     pub fn reliability(&self) -> Reliability {
         let frames: u64 = self.bins.iter().map(|bin| bin.frames).sum();
         let gaps: f64 = self.bins.iter().map(|bin| (bin.confidence - bin.right as f64).abs()).sum();

@@ -1,7 +1,7 @@
-//! An allocator that keeps large blocks.
+//! Allocator that keeps large blocks.
 //!
-//! A training step asks for and gives back hundreds of blocks of tens of megabytes. The system's allocator takes each of
-//! them from the kernel anew, which fills it with zeros page by page: that took longer than the arithmetic.
+//! A training step allocates and frees hundreds of blocks of tens of megabytes. The system's allocator maps each of them anew, and
+//! the kernel fills it with zeros page by page, which took longer than the arithmetic.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::ptr::null_mut;
@@ -9,10 +9,10 @@ use std::sync::{Mutex, MutexGuard};
 
 /// Blocks from this size on are kept, bytes.
 const SMALLEST: usize = 1 << 18;
-/// Blocks from this size on begin with a line of the cache, bytes: else every second store of a full register is split over two,
-/// which takes a twentieth of a map's time.
+/// Size from which blocks are aligned to cache lines, bytes. Otherwise every second store of a full register is split over two
+/// lines, which takes a twentieth of a map's time.
 const SMALLEST_ALIGNED: usize = 1 << 14;
-/// Length of a line of the cache, bytes.
+/// Length of a cache line, bytes.
 const CACHE_LINE: usize = 64;
 /// Free blocks are kept up to this many bytes in all.
 const MOST_KEPT: usize = 4 << 30;
@@ -23,9 +23,8 @@ const CLASSES: usize = (40 - SMALLEST.ilog2() as usize) * STEPS;
 /// Size of the processor's large pages, bytes.
 const LARGE_PAGE: usize = 1 << 21;
 
-/// Keeps freed blocks of 256 KiB and more for the next request of about their size; leaves the rest to the system, which it asks
-/// for whole lines of the cache from 16 KiB on.
-/// A program that trains declares it:
+/// Allocator that keeps freed blocks of 256 KiB and more for the next request of about their size. Smaller blocks come from the
+/// system's allocator, aligned to cache lines from 16 KiB on. A program that trains declares it:
 ///
 /// ```
 /// #[global_allocator]
@@ -41,7 +40,7 @@ struct Free {
     bytes: usize,
 }
 
-// SAFETY: the blocks belong to whoever holds the lock.
+// SAFETY: the blocks belong to the thread that holds the lock.
 unsafe impl Send for Free {}
 
 /// Index of the smallest class that holds `size`, and its size.
@@ -54,7 +53,7 @@ fn class(size: usize) -> Option<(usize, usize)> {
 }
 
 impl LargeBlocks {
-    /// One that holds nothing yet.
+    /// Makes an allocator that holds no blocks.
     #[allow(clippy::new_without_default)]
     pub const fn new() -> Self {
         LargeBlocks { free: Mutex::new(Free { first: [null_mut(); CLASSES], bytes: 0 }) }
@@ -64,7 +63,7 @@ impl LargeBlocks {
         self.free.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
-    /// What is asked of the system for a block of this layout, and its class; nothing where the system serves it.
+    /// Class of a block of this layout, and the layout that the system is asked for; `None` if the block is not kept.
     fn block(layout: Layout) -> Option<(usize, Layout)> {
         if layout.size() < SMALLEST || layout.align() > 4096 {
             return None;
@@ -74,7 +73,7 @@ impl LargeBlocks {
         Some((index, Layout::from_size_align(size, align).ok()?))
     }
 
-    /// What the system is asked for where nothing is kept.
+    /// Layout that the system is asked for if the block is not kept.
     fn small(layout: Layout) -> Layout {
         if layout.size() < SMALLEST_ALIGNED || layout.align() >= CACHE_LINE {
             return layout;
@@ -130,7 +129,7 @@ unsafe impl GlobalAlloc for LargeBlocks {
             // SAFETY: `alloc` got it with this layout.
             return unsafe { System.dealloc(pointer, block) };
         }
-        // SAFETY: the block is nobody's now, and longer and better aligned than an address.
+        // SAFETY: the block is free, and longer and better aligned than an address.
         unsafe { pointer.cast::<*mut u8>().write(free.first[index]) };
         free.first[index] = pointer;
         free.bytes += block.size();
@@ -159,7 +158,7 @@ unsafe impl GlobalAlloc for LargeBlocks {
             },
             (Some((old, _)), Some((new, _))) if old == new => pointer,
             _ => {
-                // SAFETY: a valid layout, whose size is not zero by the caller's word.
+                // SAFETY: a valid layout, whose size is not zero by the caller's contract.
                 let moved = unsafe { self.alloc(new) };
                 if !moved.is_null() {
                     // SAFETY: two blocks, both as long as the shorter layout; the old one is given back once.

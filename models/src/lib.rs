@@ -1,8 +1,35 @@
 //! Datasets of labelled range-Doppler maps, networks that count people in them, training and evaluation.
 //!
-//! This crate knows maps and labels, never where they came from.
+//! This crate knows maps and labels. It does not know where maps come from.
 //!
-//! What flows: [`dataset::Dataset`] -> [`train::train`] -> model file -> [`Classifier`] -> probabilities.
+//! "The paper" in this crate is Ratto et al., University of Waterloo, "Indoor Occupancy Classification using a Compact Hybrid
+//! Quantum-Classical Model Enabled by a Physics-Informed Radar Digital Twin".
+//!
+//! # Examples
+//! A network with random parameters classifies an empty map:
+//! ```
+//! use radome_models::layer::KernelLevel;
+//! use radome_models::network::{Inference, Network, NetworkSpec};
+//!
+//! let spec = NetworkSpec::named("hqnn").expect("a name of `networks`");
+//! let network = Network::initialise(&spec, 1, 0, KernelLevel::detect())?;
+//! let logits = Inference::new(&network)?.logits(&[0.0; 64 * 64], [1, 64, 64])?.to_vec();
+//! assert_eq!(logits.len(), 3);
+//! # Ok::<(), candle_core::Error>(())
+//! ```
+//! From a dataset by way of a trained model to probabilities:
+//! ```no_run
+//! use std::path::Path;
+//!
+//! use radome_models::{Classifier, Dataset, TrainSpec, train};
+//!
+//! let dataset = Dataset::open(Path::new("dataset"))?;
+//! let outcome = train(&dataset, &TrainSpec::default(), &mut |epoch| println!("{}", epoch.validation_loss))?;
+//! outcome.model.save(Path::new("model.safetensors"))?;
+//! let mut classifier = Classifier::load(Path::new("model.safetensors"))?;
+//! let [empty, one, two] = classifier.classify_row(&dataset.map(0)?, dataset.header().shape, &dataset.rows()[0])?;
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 //!
 //! # Conventions
 //! - A network's input is one map, `[1][range][doppler]`: the transpose of [`radome_dsp::Rdm`]'s `[rx][doppler][range]`
@@ -11,19 +38,20 @@
 //! - Every random draw is a function of (seed, purpose, index): results are bit-identical for any number of threads on
 //!   the same kernel level ([`layer::KernelLevel`]).
 
+#![warn(clippy::missing_errors_doc, clippy::missing_panics_doc)]
+
 pub mod ablation;
 pub mod bounded_file;
 pub mod calibration;
-mod classifier;
 pub mod dataset;
 pub mod evaluate;
+mod kernel;
 mod large_blocks;
 pub mod layer;
-mod model_file;
+pub mod metrics;
+pub mod model;
 pub mod network;
 pub mod occupancy_filter;
-pub mod onnx;
-pub mod onnx_runtime;
 pub mod quantum;
 mod random;
 pub mod standardise;
@@ -31,11 +59,13 @@ pub mod study;
 pub mod train;
 mod whole_file;
 
-pub use classifier::{Classifier, ClassifyError};
+pub use bounded_file::MODEL_LIMIT_BYTES;
 pub use dataset::Dataset;
-pub use evaluate::Metrics;
 pub use large_blocks::LargeBlocks;
-pub use model_file::{MODEL_FORMAT_VERSION, MODEL_LIMIT_BYTES, Model, ModelCard, ModelError, TrainingSummary};
+pub use metrics::Metrics;
+pub use model::{
+    Classifier, ClassifyError, MODEL_FORMAT_VERSION, Model, ModelCard, ModelError, TrainingSummary, onnx, onnx_runtime,
+};
 pub use network::{NetworkInfo, NetworkSpec, networks};
 pub use random::stream;
 pub use train::{EpochReport, TrainError, TrainOutcome, TrainSpec, train, train_with_checkpoint};

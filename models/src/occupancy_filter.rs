@@ -1,4 +1,4 @@
-//! What a sequence of per-frame probabilities says about the room: a causal filter.
+//! Occupancy filter: a causal filter over probabilities of single frames.
 
 use radome_dsp::Occupancy;
 use serde::de::IgnoredAny;
@@ -6,9 +6,9 @@ use serde::{Deserialize, Serialize};
 
 const CLASSES: usize = Occupancy::ALL.len();
 
-/// Least probability of a class in a frame: no single frame may rule a class out for good.
+/// Least probability of a class in a frame, so that no single frame excludes a class.
 const LEAST_PROBABILITY: f64 = 1e-4;
-/// Time after which no more is forgotten, s.
+/// Longest elapsed time that counts, s.
 const LONGEST_S: f64 = 1e6;
 /// Shortest time of a setting, s.
 const SHORTEST_S: f64 = 1e-3;
@@ -17,9 +17,9 @@ const INDEPENDENT_S: f64 = 0.3;
 /// Temperatures that are allowed.
 const TEMPERATURES: std::ops::RangeInclusive<f64> = 0.05..=20.0;
 
-/// Settings of the filter that puts the answers to frames together. They travel in the model file.
+/// Settings of the occupancy filter, saved in the model file.
 ///
-/// Older files also name the share of time for which somebody is not seen. It is read and not used.
+/// Older files also have the share of time in which a person is not detected. It is read and not used.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(from = "SmoothingFile")]
 pub struct Smoothing {
@@ -81,20 +81,21 @@ fn is_one(value: &f64) -> bool {
 }
 
 impl Default for Smoothing {
-    /// Settings chosen on the answers of room-hqnn to the ladder (fixtures/ladder): with them no rung is worse through the filter than by
-    /// frame where most frames are right. The best log loss has a shorter memory (`evaluate --ladder --fit-smoothing`), with which some are.
+    /// Settings chosen on the answers of room-hqnn to the ladder (fixtures/ladder): with them no rung is worse through the filter
+    /// than by frame where most frames are right. The best log loss has a shorter memory (`evaluate --ladder --fit-smoothing`),
+    /// with which some are.
     fn default() -> Self {
         Smoothing { dwell_s: 6.0, weight: None, independent_s: Some(INDEPENDENT_S), temperature: 2.5 }
     }
 }
 
 impl Smoothing {
-    /// Settings of model files that name none: short visits, frames taken at their word.
+    /// Settings of model files without any: short presences, full weight of single frames.
     pub(crate) fn of_old_models() -> Self {
         Smoothing { dwell_s: 8.0, weight: Some(1.0), independent_s: None, temperature: 1.0 }
     }
 
-    /// What is wrong with a setting: `(name, value, expected)`.
+    /// First setting that is out of range: `(name, value, expected)`.
     pub(crate) fn fault(&self) -> Option<(&'static str, f64, &'static str)> {
         let is_time = |v: f64| v.is_finite() && v >= SHORTEST_S;
         if !is_time(self.dwell_s) {
@@ -115,9 +116,9 @@ impl Smoothing {
         }
     }
 
-    /// Rates at which numbers of people follow each other, 1/s: one comes or goes, of one person as often as somebody comes.
+    /// Transition rates between numbers of people, 1/s: one person comes or goes at a time. From one person, both are equally likely.
     ///
-    /// So one person is as likely as none and two together where nothing is known.
+    /// Without evidence, one person is as likely as none and two together.
     fn rates(&self) -> Matrix {
         let rate = 1.0 / self.dwell_s;
         [[-rate, 0.5 * rate, 0.0], [rate, -rate, rate], [0.0, 0.5 * rate, -rate]]
@@ -126,12 +127,21 @@ impl Smoothing {
 
 /// Forward filter of a hidden Markov model in continuous time: people come and go one at a time.
 ///
-/// With `q` the network's probabilities of one frame and `p` the filter's, over the time since the frame before
-/// `dp/dt = (Q + diag(ln q) / independent_s) p`, normalised: Rabiner, Proc. IEEE 77(2), 1989, equations 19-20, with the network's
-/// probabilities in place of scaled likelihoods and evidence that comes evenly over time. Time beyond `independent_s` brings no more
-/// of it. With a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead.
+/// With `q` the network's probabilities of one frame and `p` the filter's, over the time since the frame before `dp/dt = (Q +
+/// diag(ln q) / independent_s) p`, normalised: Rabiner, Proc. IEEE 77(2), 1989, equations 19-20, with the network's probabilities
+/// in place of scaled likelihoods and evidence that comes evenly over time. Time beyond `independent_s` brings no more of it. With
+/// a weight `w` a frame, `p_k <- q_k^w (exp(Q t) p)_k` instead.
 ///
-/// Where most frames of a stretch are wrong, so is the filter, and more of them than the frames are: evidence adds up.
+/// In a stretch with mostly wrong frames the filter is wrong in more frames than the classifier, because evidence accumulates.
+///
+/// # Examples
+/// ```
+/// use radome_models::occupancy_filter::{OccupancyFilter, Smoothing};
+///
+/// let mut filter = OccupancyFilter::new(Smoothing::default(), 0.1);
+/// let probabilities = filter.update(0.0, [0.1, 0.8, 0.1]);
+/// assert!((probabilities.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+/// ```
 #[derive(Debug, Clone)]
 pub struct OccupancyFilter {
     smoothing: Smoothing,
@@ -142,7 +152,7 @@ pub struct OccupancyFilter {
 }
 
 impl OccupancyFilter {
-    /// A filter that knows nothing yet. The first frame counts as one that comes `frame_interval_s` after another.
+    /// Makes a filter without evidence. The first frame counts as one that comes `frame_interval_s` after another.
     pub fn new(smoothing: Smoothing, frame_interval_s: f64) -> Self {
         let mut filter = OccupancyFilter {
             smoothing,
@@ -164,7 +174,7 @@ impl OccupancyFilter {
     /// Takes the network's probabilities of the frame at `time_s`; returns those of empty, one and two.
     pub fn update(&mut self, time_s: f64, frame: [f32; CLASSES]) -> [f32; CLASSES] {
         let elapsed_s = self.last_time_s.map_or(self.frame_interval_s, |last| time_s - last);
-        // Neither a clock that goes back nor what is no number counts.
+        // Times that go back and NaN count as no elapsed time.
         let elapsed_s = if elapsed_s > 0.0 { elapsed_s.min(LONGEST_S) } else { 0.0 };
         self.last_time_s = Some(time_s);
         let evidence = frame.map(|q| {
@@ -234,7 +244,7 @@ fn exponential(rates: &Matrix, time_s: f64) -> Matrix {
     sum
 }
 
-/// A matrix of this number on its diagonal.
+/// Diagonal matrix of this number.
 fn diagonal(value: f64) -> Matrix {
     let mut matrix = Matrix::default();
     matrix.iter_mut().enumerate().for_each(|(k, row)| row[k] = value);

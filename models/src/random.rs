@@ -1,10 +1,10 @@
-//! Random numbers as a function of (seed, purpose, index), never of thread or order.
+//! Random numbers as a function of (seed, purpose, index), not of threads or order.
 
 use rand::SeedableRng;
 use rand_xoshiro::Xoshiro256PlusPlus;
 use sha2::{Digest, Sha256};
 
-/// The generator for one purpose: same seed, purpose and index, same numbers.
+/// Random generator for one purpose. The same seed, purpose and index give the same numbers.
 pub fn stream(seed: u64, purpose: &str, index: u64) -> Xoshiro256PlusPlus {
     let mut hash = Sha256::new();
     hash.update(seed.to_le_bytes());

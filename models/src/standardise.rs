@@ -1,8 +1,7 @@
-//! Label-free standardisation of maps: against their own noise where asked for, then one mean and one sigma for all cells of
-//! the training split.
+//! Label-free standardisation of maps: optionally over their own noise, then by one mean and one sigma for all cells of the
+//! training split.
 //!
-//! The paper standardises by scene *and occupancy*, which tells the network the label of every test map
-//! (paper.md section 4); this does not.
+//! The paper standardises by scene *and occupancy*, which leaks the label of every test map to the network.
 
 use std::borrow::Cow;
 
@@ -18,7 +17,7 @@ use crate::dataset::Moments;
 /// Least sigma that maps can be divided by, dB. Receiver noise alone gives 5.6 dB.
 pub const LEAST_SIGMA_DB: f64 = 1e-3;
 
-/// What the cells of a map are measured against before mean and sigma are taken off.
+/// Reference level of the cells of a map before the normalisation by mean and sigma.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MapReference {
@@ -30,7 +29,7 @@ pub enum MapReference {
     /// spread over tens of dB. `N` is the lower quartile of the bin's cells over `ln(4/3)`, which it is of the mean of an
     /// exponential distribution; echoes in less than half of the Doppler bins hardly move it.
     OverNoise {
-        /// Range bins from the nearest that show leakage and not the room: they read as noise.
+        /// Number of nearest range bins, which show leakage and not the room. They are set to noise.
         skip_range_bins: usize,
         /// Level above which all cells read the same, dB over noise. Unbounded if absent, as in models of before it.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -40,11 +39,11 @@ pub enum MapReference {
 
 /// `10 / ln 10`: dB of a natural logarithm of a power.
 pub(crate) const DB: f32 = 4.342_944_8;
-/// Natural logarithm of the largest power over noise that is told apart, 347 dB.
+/// Natural logarithm of the largest power over noise that is represented, 347 dB.
 const MOST: f32 = 80.0;
 
 impl MapReference {
-    /// Puts the cells `[range][doppler]` dB of a map in reference to what this says.
+    /// Converts the cells `[range][doppler]`, dB, of a map to this reference.
     pub fn apply(self, cells: &mut [f32], doppler: usize) {
         self.measure(cells, doppler);
         self.bound(cells);
@@ -62,7 +61,7 @@ impl MapReference {
             let noise_db = bin_noise_db(row, &mut sorted);
             for cell in row.iter_mut() {
                 let x = (*cell - noise_db) / DB;
-                // Not `f32::min`, which would hide what is not a number.
+                // Not `f32::min`, which would hide a NaN.
                 let x = if x > MOST { MOST } else { x };
                 *cell = 1.0 + x.exp();
             }
@@ -74,14 +73,14 @@ impl MapReference {
     pub(crate) fn bound(self, cells: &mut [f32]) {
         let MapReference::OverNoise { most_db: Some(most_db), .. } = self else { return };
         for cell in cells {
-            // Not `f32::min`, which would hide what is not a number.
+            // Not `f32::min`, which would hide a NaN.
             if *cell > most_db {
                 *cell = most_db;
             }
         }
     }
 
-    /// Range bins from the nearest that show leakage and not the room; nothing where the reference does not know.
+    /// Number of nearest range bins that show leakage and not the room; `None` for an absolute reference.
     pub fn skipped_range_bins(self) -> Option<usize> {
         match self {
             MapReference::Absolute => None,
@@ -89,7 +88,7 @@ impl MapReference {
         }
     }
 
-    /// The setting that is out of range: `(name, value, expected)`.
+    /// First setting that is out of range: `(name, value, expected)`.
     pub(crate) fn fault(self) -> Option<(&'static str, f32, &'static str)> {
         match self {
             MapReference::OverNoise { most_db: Some(most_db), .. } if !(most_db.is_finite() && most_db > 0.0) => {
@@ -115,7 +114,7 @@ impl MapReference {
 }
 
 /// Level of the noise in the cells of one range bin, dB: their lower quartile over `ln(4/3)`. `sorted` is memory to work in.
-/// Of no cells, 0 dB.
+/// Without cells, 0 dB.
 pub(crate) fn bin_noise_db(row: &[f32], sorted: &mut Vec<f32>) -> f32 {
     if row.is_empty() {
         return 0.0;
@@ -166,15 +165,15 @@ pub(crate) fn echo_share(power: f32) -> f32 {
 /// `(dB - mean) / sigma`, of cells in reference to what they are measured against.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Standardisation {
-    /// What 0 dB is.
+    /// Reference of 0 dB.
     #[serde(default, skip_serializing_if = "MapReference::is_absolute")]
     pub reference: MapReference,
     /// Mean of all cells, dB.
     pub mean_db: f64,
     /// Standard deviation of all cells, dB.
     pub sigma_db: f64,
-    /// Instead, for maps of these scenes with so many people in them: the paper's rule, which tells the network the label of
-    /// every map that it is shown.
+    /// Constants by scene and class instead, for maps of these scenes with these numbers of people: the paper's rule, which leaks
+    /// the label of every map to the network.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub label_leaking_cells: Vec<CellConstants>,
 }
@@ -184,7 +183,7 @@ pub struct Standardisation {
 pub struct CellConstants {
     /// Scene or place.
     pub scene: String,
-    /// How many are in it.
+    /// Number of people in it.
     pub class: Occupancy,
     /// Mean, dB.
     pub mean_db: f64,
@@ -192,7 +191,7 @@ pub struct CellConstants {
     pub sigma_db: f64,
 }
 
-/// Maps that cannot be standardised.
+/// Error: maps cannot be standardised.
 #[derive(Debug, Clone, PartialEq, Error)]
 pub enum StandardiseError {
     /// All cells are the same.
@@ -205,17 +204,17 @@ pub enum StandardiseError {
         /// Standard deviation, dB.
         sigma_db: f64,
     },
-    /// Those of one scene and class are.
+    /// The cells of one scene and class cannot be standardised.
     #[error("of scene {scene} with class {class}, {of}")]
     Cell {
         /// Scene.
         scene: String,
         /// Class.
         class: Occupancy,
-        /// What is wrong with its maps.
+        /// Cause.
         of: Box<StandardiseError>,
     },
-    /// There is no cell.
+    /// There are no cells.
     #[error("there are no training maps to take mean and standard deviation from")]
     Empty,
 }
@@ -277,7 +276,7 @@ impl Standardisation {
     }
 }
 
-/// Mean and standard deviation that the cells of one map are freed of.
+/// Mean and standard deviation by which the cells of one map are normalised.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Scale {
     mean_db: f64,
@@ -328,12 +327,12 @@ mod tests {
         assert!(broken[100].is_nan() && broken[99].is_finite());
     }
 
-    /// Exponential noise of any level and colour reads the same, an echo 20 dB above it reads 20 dB, and what stands on the
-    /// bins of the leakage is not seen.
+    /// Exponential noise of any level and colour has the same cells, an echo 20 dB above it has 20 dB, and bins of the leakage are
+    /// hidden.
     #[test]
     fn over_noise_neither_gain_nor_colour_is_left() {
         let (range, doppler, skip) = (24, 64, 3);
-        let mut rng = crate::stream(3, "noise", 0);
+        let mut rng = crate::random::stream(3, "noise", 0);
         let mut map = vec![0.0f32; range * doppler];
         for (bin, row) in map.chunks_exact_mut(doppler).enumerate() {
             let level_db = -40.0 - 0.8 * bin as f32;
@@ -418,7 +417,7 @@ mod tests {
             let powers: Vec<f32> = (0..2000).map(|i| 10f32.powf(0.003 * i as f32 - 2.0)).collect();
             assert!(powers.windows(2).all(|p| gain_of_echo(p[0], gain_db) < gain_of_echo(p[1], gain_db)));
         }
-        let mut rng = crate::stream(5, "noise", 0);
+        let mut rng = crate::random::stream(5, "noise", 0);
         let noise: Vec<f32> = (0..20_000).map(|_| noise_power(&mut rng)).collect();
         let mean_db = |gain_db: f32| {
             let levels = noise.iter().map(|p| 10.0 * f64::from(1.0 + gain_of_echo(*p, gain_db)).log10());

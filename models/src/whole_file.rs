@@ -1,13 +1,13 @@
-//! Files that are whole or not there.
+//! Atomic writing of files: a file is complete or absent.
 
 use std::io::Write;
 use std::path::Path;
 
-/// Writes a file under another name beside it, through to the disk, and renames it: a kill or a power cut leaves the old file or the
-/// new one.
+/// Writes a file under a temporary name beside it, syncs it to the disk, and renames it. A kill or a power cut leaves the old file
+/// or the new one.
 pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     let mut name = path.file_name().unwrap_or_default().to_owned();
-    // Another process may write the same one; the last to finish stays.
+    // Another process may write the same file; the last to finish wins.
     name.push(format!(".partial-{}", std::process::id()));
     let temporary = path.with_file_name(name);
     let attempt = || {
@@ -20,7 +20,7 @@ pub(crate) fn write(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
     attempt().inspect_err(|_| drop(std::fs::remove_file(&temporary)))
 }
 
-/// Writes the names in a folder down to the disk, where the system lets folders be opened.
+/// Syncs the names in a folder to the disk, on systems that can open folders.
 pub(crate) fn sync_folder(folder: &Path) -> std::io::Result<()> {
     if cfg!(unix) { std::fs::File::open(folder)?.sync_all() } else { Ok(()) }
 }

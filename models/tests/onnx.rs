@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use candle_core::{Device, Tensor};
+use radome_dsp::{MapFlags, Rdm};
 use radome_models::layer::KernelLevel;
-use radome_models::network::{Centring, Head, Network, Placement};
+use radome_models::network::{Head, Network, Normalisation, Placement};
 use radome_models::onnx::{self, ExportError};
 use radome_models::onnx_runtime::{OnnxError, OnnxSession};
 use radome_models::quantum::{CircuitSpec, Encoding, Execution, Noise, Shots};
@@ -45,7 +46,7 @@ fn trained(spec: &NetworkSpec) -> BTreeMap<String, Vec<f32>> {
     values
 }
 
-/// A network whose latent spreads over the squash and whose logits are of order one, at this size.
+/// A network whose latent spreads over the scaled sigmoid and whose logits are of order one, at this size.
 fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, doppler]: [usize; 2]) -> Network {
     let shape = [2, range, doppler];
     let maps = maps(shape);
@@ -56,7 +57,7 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
             let rows: Vec<Vec<f32>> = latent.to_vec2().expect("two rows");
             let of = |f: fn(f32, f32) -> f32| rows[0].iter().zip(&rows[1]).map(|(&a, &b)| f(a, b)).collect();
             let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
-            network.set_latent_constants(Centring { mean, sigma });
+            network.set_latent_constants(Normalisation { mean, sigma });
         }
         network
     };
@@ -70,7 +71,7 @@ fn lively(spec: &NetworkSpec, mut values: BTreeMap<String, Vec<f32>>, [range, do
     build(&values)
 }
 
-/// A session, or nothing with a word where there is no onnxruntime.
+/// A session, or `None` with a message without onnxruntime.
 fn session(bytes: &[u8], [rows, columns]: [usize; 2]) -> Option<OnnxSession> {
     match OnnxSession::new(Path::new("exported.onnx"), bytes, rows, columns) {
         Ok(session) => Some(session),
@@ -140,7 +141,7 @@ fn every_circuit_answers_alike_in_onnxruntime() {
     eprintln!("circuits: {largest:.1e}");
 }
 
-/// The shipped models, exported and put to work as ONNX files, give the probabilities of the models.
+/// The shipped models, exported and run as ONNX files, give the probabilities of the models.
 #[test]
 fn shipped_models_classify_alike_as_onnx_files() {
     let folder = tempfile::tempdir().expect("folder");
@@ -165,7 +166,10 @@ fn shipped_models_classify_alike_as_onnx_files() {
         for index in 0..20 {
             let mut rng = stream(5, "decibels", index);
             let db: Vec<f32> = (0..shape.cells()).map(|_| rng.random_range(-95.0..-40.0 + index as f32)).collect();
-            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify_cells(&db, shape).expect("probabilities"));
+            let (range_step_m, velocity_step_m_per_s) = ours.rdm_spec().steps(ours.waveform());
+            let flags = MapFlags::default();
+            let map = Rdm { shape, db, range_step_m, velocity_step_m_per_s, sequence: index, flags };
+            let [a, b] = [&mut ours, &mut theirs].map(|of| of.classify(&map).expect("probabilities"));
             assert!(a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-5), "{}: {a:?} {b:?}", path.display());
         }
     }

@@ -1,4 +1,4 @@
-//! From made-up maps to a saved model and back.
+//! Training on made-up maps, saving and loading of models.
 
 mod support;
 
@@ -25,7 +25,7 @@ fn quick() -> TrainSpec {
     TrainSpec { epochs: 8, linear_epochs: Some(4), starts: 1, start_epochs: 1, ..TrainSpec::default() }
 }
 
-/// All that training maps over their own noise can be changed by.
+/// All augmentations of training maps over their own noise.
 fn everything() -> Augmentation {
     Augmentation {
         noise_db: 1.0,
@@ -55,7 +55,7 @@ fn brief() -> (Dataset, TrainSpec) {
     )
 }
 
-/// The same training of a network that describes maps.
+/// Settings for the training of a network of descriptors.
 fn descriptors(network: NetworkKind, spec: TrainSpec) -> TrainSpec {
     TrainSpec { network, reference: MapReference::OverNoise { skip_range_bins: 0, most_db: None }, ..spec }
 }
@@ -159,7 +159,7 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     let one = run(1, &spec);
     assert_eq!(one, run(3, &spec));
     assert_ne!(one, run(1, &TrainSpec { seed: 12, ..spec.clone() }));
-    // The portable level is there on every machine and can be asked for.
+    // The portable level exists on every machine and can be set.
     let portable = TrainSpec { kernel_level: Some(KernelLevel::Portable), ..spec.clone() };
     assert_eq!(run(1, &portable), run(2, &portable));
     // With everything that maps over their own noise can be changed by.
@@ -171,7 +171,7 @@ fn one_seed_gives_one_model_on_any_number_of_threads() {
     assert_eq!(run(1, &changed), run(3, &changed));
 }
 
-/// Wherever it is stopped, a training that is carried on with ends with the weights of one that was not.
+/// A training that is stopped anywhere and continued ends with the weights of one that was not.
 #[test]
 fn a_stopped_training_ends_as_if_it_had_not_been() {
     let (set, spec) = brief();
@@ -256,7 +256,7 @@ fn every_standardisation_of_the_latent_is_saved_with_the_model() {
     }
 }
 
-/// What a spec asks for beyond the paper's network travels in the file and is what the loaded model does.
+/// Settings beyond the paper's network are saved in the file and apply to the loaded model.
 #[test]
 fn reference_grid_and_smoothing_travel_with_the_model() {
     let (set, spec) = brief();
@@ -281,7 +281,7 @@ fn reference_grid_and_smoothing_travel_with_the_model() {
     }
 }
 
-/// The paper's rule: the model is told the label of every map that it judges, says so, and cannot judge maps without.
+/// With the paper's rule the model needs the label of every map: its card says so, and maps without labels are refused.
 #[test]
 fn a_model_that_is_told_labels_answers_only_where_there_are_some() {
     let (set, spec) = brief();

@@ -1,19 +1,19 @@
-//! What can be wrong with a dataset.
+//! Errors of datasets.
 
 use std::path::{Path, PathBuf};
 
 use radome_dsp::{RdmShape, rdm::SpecError};
 use thiserror::Error;
 
-use super::{Split, SplitBy};
+use super::manifest::{Split, SplitBy};
 
 /// A dataset that cannot be read, written or used.
 #[derive(Debug, Error)]
 pub enum DatasetError {
-    /// A sequence that is to be held out is not there.
+    /// The sequence to hold out does not exist.
     #[error("there is no sequence '{sequence}' to hold out")]
     NoSuchSequence {
-        /// Its name.
+        /// Name of the sequence.
         sequence: String,
     },
     /// A file operation failed.
@@ -21,12 +21,12 @@ pub enum DatasetError {
     Io {
         /// File or folder.
         path: PathBuf,
-        /// What was being done.
+        /// Operation that failed.
         action: &'static str,
-        /// Why it failed.
+        /// Cause.
         source: std::io::Error,
     },
-    /// The folder to create is there already.
+    /// The folder to create exists already.
     #[error("{path} exists already\n\nhint: choose another name or move it away")]
     Exists {
         /// The folder.
@@ -43,22 +43,22 @@ pub enum DatasetError {
     Unlike {
         /// The dataset.
         path: PathBuf,
-        /// What differs.
+        /// Name of the difference.
         what: String,
-        /// The one that it was compared with.
+        /// Dataset that it was compared with.
         first: PathBuf,
     },
-    /// A JSON document or line cannot be understood.
+    /// A JSON document or line is invalid.
     #[error("{path}, line {line}: {source}")]
     Json {
         /// File.
         path: PathBuf,
         /// Line, from 1.
         line: usize,
-        /// What is wrong.
+        /// Cause.
         source: serde_json::Error,
     },
-    /// Written by a newer program.
+    /// A newer program wrote the dataset.
     #[error(
         "{path}: dataset format {found} is newer than {supported}, the newest this program reads\n\nhint: update it"
     )]
@@ -78,9 +78,9 @@ pub enum DatasetError {
     Inconsistent {
         /// File.
         path: PathBuf,
-        /// What should be there.
+        /// Expected value.
         expected: String,
-        /// What is there.
+        /// Value found.
         found: String,
     },
     /// A map has another shape than the dataset.
@@ -94,19 +94,21 @@ pub enum DatasetError {
         got: RdmShape,
     },
     /// A map holds NaN or infinity.
-    #[error("map {map}: {cells} cells are not finite\n\nhint: find out what produced them; a dataset holds none")]
+    #[error(
+        "map {map}: {cells} cells are not finite\n\nhint: check the program that made the map; all cells of a dataset are finite"
+    )]
     NonFinite {
         /// Index or name of the map.
         map: String,
-        /// How many cells.
+        /// Number of these cells.
         cells: usize,
     },
     /// No map with this index.
-    #[error("map {index} asked for, the dataset has {maps}")]
+    #[error("there is no map {index}: the dataset has {maps} maps")]
     NoSuchMap {
         /// Index.
         index: usize,
-        /// Maps there are.
+        /// Number of maps.
         maps: usize,
     },
     /// A map differs from what was hashed when it was written.
@@ -118,10 +120,10 @@ pub enum DatasetError {
         index: usize,
         /// Hash in the manifest.
         expected: String,
-        /// Hash of what is there.
+        /// Hash of the cells.
         found: String,
     },
-    /// Frames of one sequence would be both learnt from and judged by.
+    /// Frames of one sequence are in two splits.
     #[error(
         "sequence '{sequence}' is in two splits, {first} and {second}\n\nhint: neighbouring frames are near copies; give all rows of a sequence one split"
     )]
@@ -133,13 +135,13 @@ pub enum DatasetError {
         /// The other.
         second: Split,
     },
-    /// A subject or scene would be both learnt from and judged by.
+    /// Sequences of one subject, scene or seed are in two splits.
     #[error(
-        "sequence '{}' is in {}, and '{}', which hangs together with it by {by}, in {}\n\nhint: split by sequence, or give all rows of a {by} one split",
+        "sequence '{}' is in {}, and '{}', which belongs to the same group by {by}, in {}\n\nhint: split by sequence, or give all rows of a {by} one split",
         sequences[0], splits[0], sequences[1], splits[1]
     )]
     GroupInTwoSplits {
-        /// What should stay whole.
+        /// Kind of group that must stay whole.
         by: SplitBy,
         /// First sequence of the group.
         group: String,
@@ -148,7 +150,7 @@ pub enum DatasetError {
         /// Their splits.
         splits: [Split; 2],
     },
-    /// The fractions of a split are no fractions.
+    /// The fractions of a split are out of range.
     #[error(
         "split: validation {validation} and test {test} must each be in 0..1 and leave something to train on together"
     )]

@@ -1,4 +1,4 @@
-//! What maps of people show beyond mean and sigma: the features by which simulated rooms are held against real ones.
+//! Features of maps of people beyond mean and sigma, which compare simulated rooms with real ones.
 //!
 //! Powers are over the noise of their range bin: the lower quartile of the bin's cells off zero Doppler over `ln(4/3)`, which it is
 //! of the mean of an exponential distribution.
@@ -8,24 +8,25 @@ use rand_distr::{Distribution, StandardNormal};
 use serde::Serialize;
 use thiserror::Error;
 
-use super::{Dataset, DatasetError};
-use crate::stream;
+use super::error::DatasetError;
+use super::reader::Dataset;
+use crate::random::stream;
 
-/// Range bins of leakage, which are not looked at.
+/// Range bins of leakage, which are ignored.
 pub use radome_dsp::detect::LEAKAGE_BINS;
-/// Cells at either side of zero Doppler into which a window spreads what is removed there or left.
+/// Cells at either side of zero Doppler into which a window spreads static echoes.
 const STATIC_CELLS: usize = 1;
-/// A second echo is one so far behind the first, m.
+/// Least distance of a second echo behind the first, m.
 const SECOND_BEHIND_M: f64 = 0.6;
-/// Bins that are so far below the peak count as filled, dB.
+/// Bins up to this far below the peak count as filled, dB.
 const FILLED_DB: f64 = 20.0;
-/// A Doppler spectrum is as wide as it is so far below its peak, dB.
+/// Level below the peak at which the width of a Doppler spectrum is measured, dB.
 const WIDTH_DB: f64 = 25.0;
-/// Maps of people whose peak is lower than this over noise, dB, do not show them.
+/// Least peak over noise of a map in which people are visible, dB.
 const SEEN_DB: f64 = 26.0;
 /// Bins behind those of leakage whose noise is that of the map.
 const NEAR_BINS: usize = 8;
-/// A cell stands out of noise from here, as a power ratio: of all cells of a map of noise about one does.
+/// Least power ratio of a cell above noise. About one cell of a map of noise exceeds it.
 const STANDS_OUT: f64 = 8.0;
 
 /// Quantiles over maps.
@@ -40,7 +41,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of numbers in any order; `None` of none.
+    /// Quantiles of numbers in any order; `None` without numbers.
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_by(f64::total_cmp);
         let at = |share: f64| values.get((share * values.len().saturating_sub(1) as f64).round() as usize).copied();
@@ -53,9 +54,9 @@ impl Spread {
 pub struct ClassFeatures {
     /// The class.
     pub class: Occupancy,
-    /// Maps of it in which nobody comes or goes.
+    /// Maps of it without transitions.
     pub maps: usize,
-    /// Those of them that count: of people, those that show them (a peak 26 dB over noise).
+    /// Maps of them that count: with people, those with a peak of 26 dB over noise or more.
     pub seen: usize,
     /// Power of what moves, a mean over Doppler summed over range, over the noise of the eight nearest bins, dB. (The figures that
     /// it is held against do not say how they were taken; this is the simplest that makes their 13 dB of an empty room from
@@ -63,7 +64,7 @@ pub struct ClassFeatures {
     pub moving_energy_db: Option<Spread>,
     /// The strongest cell, dB over noise.
     pub peak_db: Option<Spread>,
-    /// How far the strongest bin 0.6 m or more behind the strongest one is below it, dB.
+    /// Difference between the strongest bin and the strongest one 0.6 m or more behind it, dB.
     pub second_echo_db: Option<Spread>,
     /// Share of maps in which that is 13 dB at most.
     pub second_echo_share: Option<f64>,
@@ -81,7 +82,7 @@ pub struct Features {
     /// Standard deviation of a sample that is noise of each range bin's density throughout, LSB; median over empty maps, or over
     /// all where none is empty.
     pub noise_lsb: Vec<f64>,
-    /// By class, those of which there are maps.
+    /// Features by class, for classes with maps.
     pub classes: Vec<ClassFeatures>,
 }
 
@@ -94,7 +95,7 @@ pub enum FeatureError {
     /// The maps' own spec cannot be applied, to find out what noise reads.
     #[error(transparent)]
     Spec(#[from] SpecError),
-    /// Too few cells to tell noise from echoes.
+    /// The maps have too few cells to separate noise from echoes.
     #[error(
         "maps of {range} range x {doppler} Doppler bins show too little; at least {LEAKAGE_BINS} + {NEAR_BINS} x 16 are needed"
     )]
@@ -106,9 +107,9 @@ pub enum FeatureError {
     },
 }
 
-/// What one map shows.
+/// Features of one map.
 struct MapFeatures {
-    /// By range bin, linear.
+    /// Noise power by range bin, linear.
     noise: Vec<f64>,
     moving_energy: f64,
     peak: f64,
@@ -119,6 +120,10 @@ struct MapFeatures {
 }
 
 /// Features of the first channel of the maps with these indices.
+///
+/// # Errors
+/// [`FeatureError::TooSmall`] if the maps have too few bins, [`FeatureError::Dataset`] if a map cannot be read, and
+/// [`FeatureError::Spec`] if the dataset's map spec cannot be applied.
 pub fn features(dataset: &Dataset, indices: &[usize]) -> Result<Features, FeatureError> {
     let header = dataset.header();
     let (range, doppler) = (header.shape.range, header.shape.doppler);
@@ -172,7 +177,7 @@ fn db(power: f64) -> f64 {
     10.0 * power.max(1e-30).log10()
 }
 
-/// Of the cells `[range][doppler]` dB of a map with these steps (m, m/s).
+/// Features of the cells `[range][doppler]`, dB, of a map with these steps (m, m/s).
 fn of_map(db_cells: &[f32], doppler: usize, (range_step_m, velocity_step_m_per_s): (f64, f64)) -> MapFeatures {
     let zero = doppler / 2;
     let moves = |column: usize| column.abs_diff(zero) > STATIC_CELLS;
@@ -190,7 +195,7 @@ fn of_map(db_cells: &[f32], doppler: usize, (range_step_m, velocity_step_m_per_s
     let mut profile = vec![0.0f64; noise.len()];
     let mut spectrum = vec![0.0f64; doppler];
     let (mut moving_energy, mut peak, mut fastest) = (0.0, 0.0, zero);
-    // Echoes are compared as they stand, not over the noise of bins that filters damp together with them.
+    // Echoes are compared without their noise, because filters attenuate the noise of a bin together with its echoes.
     let mut seen_noise: Vec<f64> = noise.iter().skip(LEAKAGE_BINS).copied().collect();
     let middle = seen_noise.len() / 2;
     let typical_noise = *seen_noise.select_nth_unstable_by(middle, f64::total_cmp).1;
@@ -212,7 +217,7 @@ fn of_map(db_cells: &[f32], doppler: usize, (range_step_m, velocity_step_m_per_s
     let behind = first + (SECOND_BEHIND_M / range_step_m).ceil() as usize;
     let second = profile.iter().skip(behind).copied().fold(0.0, f64::max);
     let filled = profile.iter().filter(|power| **power > strongest * 10f64.powf(-0.1 * FILLED_DB)).count();
-    // Of a faint echo only what stands out of noise has a width.
+    // The width of a weak echo counts cells above the noise only.
     let least = (strongest * 10f64.powf(-0.1 * WIDTH_DB)).max(STANDS_OUT * 1.5 * typical_noise);
     let wide = |column: &usize| spectrum.get(*column).is_some_and(|power| *power > least);
     let (low, high) = ((0..doppler).find(wide), (0..doppler).rev().find(wide));
@@ -229,7 +234,7 @@ fn of_map(db_cells: &[f32], doppler: usize, (range_step_m, velocity_step_m_per_s
     }
 }
 
-/// What white noise of one LSB reads in the maps, as power: by making maps of it, so that no scale or window is forgotten.
+/// Power in the maps of white noise of one LSB. It is measured on maps of such noise, which includes all scales and windows.
 fn one_lsb(dataset: &Dataset) -> Result<f64, FeatureError> {
     const MAPS: u64 = 16;
     let header = dataset.header();
@@ -241,7 +246,7 @@ fn one_lsb(dataset: &Dataset) -> Result<f64, FeatureError> {
     let (mut sum, mut cells) = (0.0, 0usize);
     for sequence in 0..MAPS + header.rdm_spec.slow_time_length(&header.waveform) as u64 {
         samples.fill_with(|| scale * <StandardNormal as Distribution<f32>>::sample(&StandardNormal, &mut rng));
-        // Of a frame of the waveform's own size; one that does not fit is impossible, one that only warms up says nothing yet.
+        // The frame has the waveform's size, so it fits. Frames that only initialise filters give no map.
         if processor
             .process_samples(sequence, &samples, &mut map)
             .is_ok_and(|status| status == radome_dsp::MapStatus::Ready)

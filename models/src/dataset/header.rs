@@ -1,4 +1,4 @@
-//! `dataset.json`.
+//! Header of a dataset: `dataset.json`.
 
 use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform, rdm::SpecError};
 use serde::{Deserialize, Serialize};
@@ -6,14 +6,14 @@ use serde::{Deserialize, Serialize};
 /// Version of the format that is written; older ones are read.
 pub const FORMAT_VERSION: u32 = 1;
 
-/// What all maps of a dataset share.
+/// Properties that all maps of a dataset share.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct DatasetHeader {
     /// [`FORMAT_VERSION`] of the writer.
     pub format_version: u32,
     /// Waveform of the frames, as realised. With physical axes the first of several.
     pub waveform: Waveform,
-    /// How maps were made of frames.
+    /// Settings by which maps were made of frames.
     pub rdm_spec: RdmSpec,
     /// Shape of each map.
     pub shape: RdmShape,
@@ -24,7 +24,7 @@ pub struct DatasetHeader {
 }
 
 impl DatasetHeader {
-    /// The header for maps that `rdm_spec` makes of the frames of `waveform`.
+    /// Makes the header for maps that `rdm_spec` makes of the frames of `waveform`.
     ///
     /// # Errors
     /// If the spec cannot be applied to the waveform.

@@ -1,9 +1,11 @@
-//! `manifest.jsonl`: a row for each map.
+//! Manifest of a dataset: `manifest.jsonl`, with a row for each map.
+
+use std::borrow::Cow;
 
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
-/// Where frames came from.
+/// Source of frames.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Domain {
@@ -22,15 +24,15 @@ impl std::fmt::Display for Domain {
     }
 }
 
-/// What a map may be used for.
+/// Purpose of a map.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Split {
-    /// To learn from.
+    /// Training.
     Train,
-    /// To choose by.
+    /// Choice of models and settings.
     Validation,
-    /// To judge by, once.
+    /// Final evaluation.
     Test,
 }
 
@@ -44,24 +46,24 @@ impl std::fmt::Display for Split {
     }
 }
 
-/// What is known of one map.
+/// Row of the manifest: metadata of one map.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ManifestRow {
-    /// Where the frame came from.
+    /// Source of the frame.
     pub domain: Domain,
     /// Scene or place.
     pub scene: String,
     /// Recording (file or simulation run).
     pub recording: String,
-    /// Who is in it, where known.
+    /// Person in it, if known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subject: Option<String>,
-    /// Stretch of frames that belong together: no two splits share one.
+    /// Sequence of frames that belong together: no two splits share one.
     pub sequence: String,
     /// Sequence number of the (last) frame within its recording.
     pub frame: u64,
-    /// When that frame began, by its recording's clock, ns.
+    /// Start of that frame on its recording's clock, ns.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub time_ns: Option<u64>,
     /// Common name of a recording and of the simulation that mirrors it: maps of the two with the same frame are of the same
@@ -70,10 +72,10 @@ pub struct ManifestRow {
     pub pair: Option<String>,
     /// The class.
     pub label: Occupancy,
-    /// Someone is entering or leaving.
+    /// Whether someone is entering or leaving.
     #[serde(default)]
     pub transition: bool,
-    /// Split, where fixed by whoever made the dataset.
+    /// Split, if the author of the dataset fixed it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub split: Option<Split>,
     /// Seed of the simulation.
@@ -85,7 +87,7 @@ pub struct ManifestRow {
 }
 
 impl ManifestRow {
-    /// A row with what must be known; the rest is empty.
+    /// Makes a row with the required fields; the others are empty.
     pub fn new(domain: Domain, scene: &str, recording: &str, sequence: &str, frame: u64, label: Occupancy) -> Self {
         ManifestRow {
             domain,
@@ -102,5 +104,53 @@ impl ManifestRow {
             seed: None,
             hash: String::new(),
         }
+    }
+}
+
+/// Kind of group that stays within one split.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SplitBy {
+    /// Sequences: people in the test split may be in the training split on another day.
+    #[default]
+    Sequence,
+    /// Subjects: people in the test split are in no other split. A sequence without a subject is a group of its own.
+    Subject,
+    /// Scenes: rooms in the test split are in no other split.
+    Scene,
+    /// Seeds of a scene that draws a different room for each seed: runs of one seed with different numbers of people share their
+    /// room. A recording without a seed is a group of its own.
+    Seed,
+}
+
+impl SplitBy {
+    /// Name of the group of a row; `None` if the row has none.
+    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
+        match self {
+            SplitBy::Sequence => Some(Cow::from(&row.sequence)),
+            SplitBy::Subject => row.subject.as_ref().map(Cow::from),
+            SplitBy::Scene => Some(Cow::from(&row.scene)),
+            SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
+        }
+    }
+
+    /// Name in files.
+    pub fn label(self) -> &'static str {
+        match self {
+            SplitBy::Sequence => "sequence",
+            SplitBy::Subject => "subject",
+            SplitBy::Scene => "scene",
+            SplitBy::Seed => "seed",
+        }
+    }
+
+    pub(super) fn is_sequence(&self) -> bool {
+        *self == SplitBy::Sequence
+    }
+}
+
+impl std::fmt::Display for SplitBy {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.label())
     }
 }

@@ -1,8 +1,12 @@
-//! Datasets one behind the other.
+//! Concatenation of datasets.
 
 use std::path::Path;
 
-use super::{Dataset, DatasetError, DatasetHeader, DatasetWriter, SplitSpec};
+use super::error::DatasetError;
+use super::header::DatasetHeader;
+use super::reader::Dataset;
+use super::split::SplitSpec;
+use super::writer::DatasetWriter;
 
 /// Writes the maps of all `parts`, in order, as one dataset at `dir`; returns how many there are. With `split`, every row
 /// gets its split ([`SplitSpec::assign`]), fixed from then on.

@@ -7,11 +7,12 @@ use std::path::{Path, PathBuf};
 use radome_dsp::{Rdm, RdmShape};
 use sha2::{Digest, Sha256};
 
-use super::{
-    DatasetError, DatasetHeader, FORMAT_VERSION, MAPS_PER_SHARD, ManifestRow, Split, SplitSpec, network_input,
-    shard_name,
-    writer::{check_map, hex, map_hash},
-};
+use super::error::DatasetError;
+use super::header::{DatasetHeader, FORMAT_VERSION};
+use super::layout::{MAPS_PER_SHARD, network_input, shard_name};
+use super::manifest::{ManifestRow, Split};
+use super::split::SplitSpec;
+use super::writer::{check_map, hex, map_hash};
 use crate::bounded_file::{Refused, TEXT_LIMIT_BYTES, read_text, within};
 
 /// Longest manifest that is read: a row has some 300 bytes, and datasets some hundred thousand maps.
@@ -19,7 +20,18 @@ pub const MANIFEST_LIMIT_BYTES: u64 = 512 << 20;
 /// Longest row of a manifest: names of scenes, recordings and people, and a hash.
 const LONGEST_ROW_BYTES: usize = 64 << 10;
 
-/// Labelled maps.
+/// Dataset of labelled maps, in a folder or in memory.
+///
+/// # Examples
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_models::Dataset;
+///
+/// let dataset = Dataset::open(Path::new("dataset"))?;
+/// println!("{} maps of {}", dataset.len(), dataset.header().shape);
+/// # Ok::<(), radome_models::dataset::DatasetError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Dataset {
     header: DatasetHeader,
@@ -36,7 +48,7 @@ enum Cells {
 
 impl Dataset {
     /// Opens a folder: reads header and manifest, and checks that the shards hold as many maps as the manifest lists.
-    /// Cells are read when asked for.
+    /// Cells are read on demand.
     ///
     /// # Errors
     /// [`DatasetError`] where a file is missing, too large, not a regular file of this folder, or contradicts the others.
@@ -45,7 +57,7 @@ impl Dataset {
         let read = |name: &str, limit_bytes: u64| within(dir, name).and_then(|path| read_text(&path, limit_bytes));
         let text = read("dataset.json", TEXT_LIMIT_BYTES).map_err(DatasetError::io(&path, "reading"))?;
         let json = |source: serde_json::Error| DatasetError::Json { path: path.clone(), line: source.line(), source };
-        // The version alone first: a newer header may have other fields.
+        // Reads the version alone first: a newer header may have other fields.
         #[derive(serde::Deserialize)]
         struct Version {
             format_version: u32,
@@ -105,7 +117,11 @@ impl Dataset {
         Ok(Dataset { header, rows, cells: Cells::Shards(shards) })
     }
 
-    /// A dataset in memory. Hashes of the rows are filled in.
+    /// Makes a dataset in memory, and fills in the hashes of the rows.
+    ///
+    /// # Errors
+    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for the first map of another shape than the header's or with a cell
+    /// that is not finite.
     pub fn from_maps(header: DatasetHeader, maps: Vec<(Rdm, ManifestRow)>) -> Result<Self, DatasetError> {
         let mut rows = Vec::with_capacity(maps.len());
         let mut cells = Vec::with_capacity(maps.len());
@@ -118,7 +134,7 @@ impl Dataset {
         Ok(Dataset { header, rows, cells: Cells::Memory(cells) })
     }
 
-    /// What all maps share.
+    /// Properties that all maps share.
     pub fn header(&self) -> &DatasetHeader {
         &self.header
     }
@@ -139,6 +155,10 @@ impl Dataset {
     }
 
     /// Cells of a map, `[rx][doppler][range]` dB, all finite.
+    ///
+    /// # Errors
+    /// [`DatasetError::NoSuchMap`] beyond the last map, [`DatasetError::Io`] if the shard cannot be read, and
+    /// [`DatasetError::NonFinite`] if a cell is NaN or infinite.
     pub fn map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let missing = || DatasetError::NoSuchMap { index, maps: self.rows.len() };
         let db = match &self.cells {
@@ -167,6 +187,9 @@ impl Dataset {
     }
 
     /// One channel of a map as a network sees it, `[range][doppler]` dB.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::map`], and [`DatasetError::Inconsistent`] if the maps have no channel `rx`.
     pub fn input(&self, index: usize, rx: usize) -> Result<Vec<f32>, DatasetError> {
         let shape = self.header.shape;
         network_input(&self.map(index)?, shape, rx).ok_or_else(|| DatasetError::Inconsistent {
@@ -177,6 +200,9 @@ impl Dataset {
     }
 
     /// The split of each map ([`SplitSpec::assign`]).
+    ///
+    /// # Errors
+    /// Those of [`SplitSpec::assign`].
     pub fn splits(&self, spec: &SplitSpec) -> Result<Vec<Split>, DatasetError> {
         spec.assign(&self.rows)
     }
@@ -184,7 +210,7 @@ impl Dataset {
     /// SHA-256 over header and manifest (which holds the hash of every map), hex.
     pub fn hash(&self) -> String {
         let mut hash = Sha256::new();
-        // Neither type holds a map with keys that are no strings, the one thing that fails to serialise.
+        // Serialisation fails only for maps with keys that are no strings, and neither type has one.
         hash.update(serde_json::to_vec(&self.header).unwrap_or_default());
         for row in &self.rows {
             hash.update(serde_json::to_vec(row).unwrap_or_default());
@@ -193,11 +219,17 @@ impl Dataset {
     }
 
     /// Reads every map and compares it with its hash; the first that differs is an error.
+    ///
+    /// # Errors
+    /// The first error of [`Dataset::verified_map`].
     pub fn verify(&self) -> Result<(), DatasetError> {
         (0..self.len()).try_for_each(|index| self.verified_map(index).map(|_| ()))
     }
 
     /// Cells of a map, compared with its hash.
+    ///
+    /// # Errors
+    /// Those of [`Dataset::map`], and [`DatasetError::Hash`] if the cells are not those that were hashed.
     pub fn verified_map(&self, index: usize) -> Result<Vec<f32>, DatasetError> {
         let map = self.map(index)?;
         let found = map_hash(&map);
@@ -222,7 +254,7 @@ const LONGEST_HEADER: u64 = 10 + 65_535;
 fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, DatasetError> {
     let inconsistent =
         |expected: String, found: String| DatasetError::Inconsistent { path: path.to_owned(), expected, found };
-    // Before opening: opening a pipe waits for its writer.
+    // This check comes before opening, because opening a pipe waits for its writer.
     let is_file = std::fs::metadata(path).map_err(DatasetError::io(path, "opening"))?.is_file();
     if !is_file {
         return Err(DatasetError::io(path, "opening")(Refused::NotRegular.into()));
@@ -230,8 +262,8 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     let file = File::open(path).map_err(DatasetError::io(path, "opening"))?;
     let length = file.metadata().map_err(DatasetError::io(path, "reading"))?.len();
     let mut reader = BufReader::new(file);
-    // The time that its parser takes doubles with each bracket within brackets: an array of numbers has one dictionary and
-    // one tuple.
+    // The parser's time doubles with each level of nested brackets. The header of an array of numbers has one dictionary and one
+    // tuple.
     let mut start = vec![0; length.min(LONGEST_HEADER) as usize];
     reader.read_exact(&mut start).map_err(DatasetError::io(path, "reading the npy header"))?;
     let header_length = start.get(8..10).map_or(0, |l| usize::from(l[0]) | usize::from(l[1]) << 8);
@@ -240,7 +272,7 @@ fn check_shard(path: &Path, shape: RdmShape, maps: usize) -> Result<u64, Dataset
     if start.get(6) != Some(&1) || count(b'[') > 0 || count(b'(') > 1 || count(b'{') > 1 {
         return Err(inconsistent("an npy header of version 1 of an array of numbers".into(), "another header".into()));
     }
-    // Its parser multiplies them without a look.
+    // The parser multiplies them unchecked.
     let axes = text.split(|byte| *byte == b'(').nth(1).and_then(|rest| rest.split(|byte| *byte == b')').next());
     let axes = String::from_utf8_lossy(axes.unwrap_or(&[])).into_owned();
     let lengths = axes.split(',').map(str::trim).filter(|word| !word.is_empty());

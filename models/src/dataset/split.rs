@@ -1,4 +1,4 @@
-//! Which map is for training, validation and test: by whole sequences, or by whole subjects or scenes.
+//! Splits into training, validation and test, by whole sequences, subjects, scenes or seeds.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -6,57 +6,21 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use super::{DatasetError, ManifestRow, Split};
+use super::error::DatasetError;
+use super::manifest::{Domain, ManifestRow, Split, SplitBy};
 
-/// What stays whole.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum SplitBy {
-    /// Sequences: who is judged may have been seen on another day.
-    #[default]
-    Sequence,
-    /// Subjects: who is judged has never been seen. Sequences without a subject stand for themselves.
-    Subject,
-    /// Scenes: where is judged has never been seen.
-    Scene,
-    /// Seeds of a scene, where what it draws makes another place of each: runs of one seed with nobody, one and two people
-    /// share their room. Recordings stand for themselves.
-    Seed,
-}
-
-impl SplitBy {
-    /// Its name in a row; `None` where the row has none.
-    pub(super) fn name(self, row: &ManifestRow) -> Option<Cow<'_, str>> {
-        match self {
-            SplitBy::Sequence => Some(Cow::from(&row.sequence)),
-            SplitBy::Subject => row.subject.as_ref().map(Cow::from),
-            SplitBy::Scene => Some(Cow::from(&row.scene)),
-            SplitBy::Seed => row.seed.map(|seed| Cow::from(format!("{}, seed {seed}", row.scene))),
-        }
-    }
-
-    /// As files spell it.
-    pub fn label(self) -> &'static str {
-        match self {
-            SplitBy::Sequence => "sequence",
-            SplitBy::Subject => "subject",
-            SplitBy::Scene => "scene",
-            SplitBy::Seed => "seed",
-        }
-    }
-
-    fn is_sequence(&self) -> bool {
-        *self == SplitBy::Sequence
-    }
-}
-
-impl std::fmt::Display for SplitBy {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(self.label())
-    }
-}
-
-/// How maps without a split of their own get one.
+/// Rule that assigns splits to maps without one.
+///
+/// # Examples
+/// ```
+/// use radome_dsp::Occupancy;
+/// use radome_models::dataset::{Domain, ManifestRow, SplitSpec};
+///
+/// let row = |k: u64| ManifestRow::new(Domain::Sim, "hall", "run", &format!("sequence {k}"), 0, Occupancy::One);
+/// let rows: Vec<ManifestRow> = (0..10).map(row).collect();
+/// assert_eq!(SplitSpec::default().assign(&rows)?.len(), 10);
+/// # Ok::<(), radome_models::dataset::DatasetError>(())
+/// ```
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct SplitSpec {
@@ -66,22 +30,22 @@ pub struct SplitSpec {
     pub validation: f64,
     /// Share for test.
     pub test: f64,
-    /// What stays whole beside sequences, which always do.
+    /// Kind of group that stays whole, besides sequences, which always do.
     #[serde(skip_serializing_if = "SplitBy::is_sequence")]
     pub by: SplitBy,
-    /// The sequence whose group alone is the test split, whatever rows say and `test` asks for: what people with a dozen
-    /// recordings do with each in turn.
+    /// Sequence whose group alone is the test split, regardless of the rows and of `test`: for leave-one-out evaluation of few
+    /// recordings.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub held_out: Option<String>,
 }
 
-/// A group behind the hash that orders it.
+/// Group name, after the hash that orders it.
 type Ranked<'a> = ([u8; 32], &'a str);
 
-/// What is known of a group of sequences.
+/// Group of sequences that stay in one split.
 #[derive(Default)]
 struct Group<'a> {
-    /// Its split, and the sequence that says so.
+    /// Fixed split, and the sequence that fixes it.
     fixed: Option<(Split, &'a str)>,
     is_real: bool,
     classes: [bool; 3],
@@ -94,13 +58,18 @@ impl Default for SplitSpec {
 }
 
 impl SplitSpec {
-    /// The split of each row, in order.
+    /// Assigns a split to each row, in order.
     ///
-    /// Sequences that share a subject, a scene or a seed, where `by` says so, make a group; else each is one. Rows with a split
-    /// keep it, and so does the rest of their group. The other groups are sorted into strata by domain and by the set of
-    /// classes that they show, ordered within a stratum by a seeded hash of their name, and dealt out: test first, then
-    /// validation, each rounded to the nearest whole group, and at least one for training. So neither thread, order of
-    /// rows nor machine matters, and every split sees every class where there are enough groups.
+    /// With `by`, sequences that share a subject, a scene or a seed form a group; otherwise each sequence is a group. Rows with a
+    /// split keep it, and so does the rest of their group. The other groups are stratified by domain and by the set of their
+    /// classes. Within a stratum they are ordered by a seeded hash of their name and assigned: test first, then validation, each
+    /// rounded to the nearest whole group, with at least one group for training. The result does not depend on threads, order of
+    /// rows or machine, and every split contains every class if there are enough groups.
+    ///
+    /// # Errors
+    /// [`DatasetError::Fractions`] if the shares leave nothing to train on, [`DatasetError::NoSuchSequence`] if there is no
+    /// sequence to hold out, and [`DatasetError::SequenceInTwoSplits`] or [`DatasetError::GroupInTwoSplits`] if rows divide what
+    /// must stay whole.
     pub fn assign(&self, rows: &[ManifestRow]) -> Result<Vec<Split>, DatasetError> {
         let fraction = |f: f64| (0.0..1.0).contains(&f);
         if !fraction(self.validation) || !fraction(self.test) || self.validation + self.test >= 1.0 {
@@ -134,7 +103,7 @@ impl SplitSpec {
                 (None, Some(split)) => group.fixed = Some((split, &row.sequence)),
                 _ => {}
             }
-            group.is_real |= row.domain == super::Domain::Real;
+            group.is_real |= row.domain == Domain::Real;
             group.classes[row.label.index()] = true;
         }
         let mut strata: BTreeMap<(bool, [bool; 3]), Vec<Ranked>> = BTreeMap::new();
@@ -184,9 +153,9 @@ impl SplitSpec {
     }
 }
 
-/// The name of each sequence's group: of the sequences that hang together, the first in the order of letters.
+/// Name of each sequence's group: the alphabetically first sequence of the group.
 fn group_names(rows: &[ManifestRow], by: SplitBy) -> BTreeMap<&str, &str> {
-    // Every sequence points to an earlier one of its group, or to itself.
+    // Union-find: every sequence points to an earlier one of its group, or to itself.
     let mut before: BTreeMap<&str, &str> =
         rows.iter().map(|row| (row.sequence.as_str(), row.sequence.as_str())).collect();
     fn first<'a>(before: &BTreeMap<&'a str, &'a str>, mut name: &'a str) -> &'a str {

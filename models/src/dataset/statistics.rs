@@ -1,11 +1,13 @@
-//! The paper's table: mean and sigma of the cells of maps by domain, scene and class.
+//! Mean and sigma of the cells of maps by domain, scene and class: the paper's table.
 
 use std::collections::BTreeMap;
 
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use super::{Dataset, DatasetError, Domain};
+use super::error::DatasetError;
+use super::manifest::Domain;
+use super::reader::Dataset;
 
 /// Count, mean and standard deviation of numbers that come in blocks (Welford's update, block by block, in f64).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -16,7 +18,7 @@ pub struct Moments {
 }
 
 impl Moments {
-    /// Takes in a block.
+    /// Adds a block.
     pub fn add(&mut self, block: &[f32]) {
         if block.is_empty() {
             return;
@@ -30,17 +32,17 @@ impl Moments {
         self.count += n;
     }
 
-    /// Numbers so far.
+    /// Number of values.
     pub fn count(&self) -> f64 {
         self.count
     }
 
-    /// Their mean; 0 if there are none.
+    /// Mean; 0 without values.
     pub fn mean(&self) -> f64 {
         self.mean
     }
 
-    /// Their standard deviation about the mean; NaN if there are none.
+    /// Standard deviation about the mean; NaN without values.
     pub fn sigma(&self) -> f64 {
         (self.squares / self.count).sqrt()
     }
@@ -53,7 +55,7 @@ pub struct CellStatistics {
     pub scene: String,
     /// The class.
     pub class: Occupancy,
-    /// Where the frames came from.
+    /// Source of the frames.
     pub domain: Domain,
     /// Maps.
     pub maps: usize,
@@ -69,7 +71,10 @@ pub struct CellStatistics {
     pub raised_level_db: Option<f64>,
 }
 
-/// The table over the maps with these indices, by domain, scene and class.
+/// Computes the table over the maps with these indices, by domain, scene and class.
+///
+/// # Errors
+/// Those of [`Dataset::map`].
 pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatistics>, DatasetError> {
     let mut cells: BTreeMap<(Domain, &str, Occupancy), (usize, Moments)> = BTreeMap::new();
     for &index in indices {
@@ -96,7 +101,7 @@ pub fn statistics(dataset: &Dataset, indices: &[usize]) -> Result<Vec<CellStatis
     Ok(cells.iter().map(row).collect())
 }
 
-/// Share and level, dB, of the cells that stand above the empty scene's.
+/// Share and level, dB, of the cells above those of the empty scene.
 fn raised(empty: &Moments, with_people: &Moments) -> Option<(f64, f64)> {
     let mean = with_people.mean() - empty.mean();
     let variance = with_people.sigma().powi(2) - empty.sigma().powi(2);
@@ -115,7 +120,7 @@ mod tests {
         Moments { count: 1e6, mean, squares: 1e6 * sigma * sigma }
     }
 
-    /// The paper's real table, and the shares and levels that reference/sbr.md section 5.1 reads from it.
+    /// Shares and levels that follow from the paper's table of real maps.
     #[test]
     fn the_papers_table_gives_the_published_shares() {
         let (corridor, room) = (moments(-24.98, 5.48), moments(-24.63, 5.52));

@@ -1,6 +1,7 @@
 use radome_dsp::rdm::PhysicalAxes;
 use radome_dsp::{MapFlags, Occupancy, Rdm, RdmSpec, Waveform, WaveformRequest};
 
+use super::layout::MAPS_PER_SHARD;
 use super::*;
 
 fn header() -> DatasetHeader {
@@ -113,7 +114,7 @@ fn whole_subjects_and_whole_scenes_are_held_out() {
         }
         assert!([Split::Train, Split::Test].iter().all(|split| splits.contains(split)), "{by}");
     }
-    // By sequence the same subjects are on both sides: that is what is to be chosen between.
+    // By sequence, both splits contain the same subjects.
     let splits = SplitSpec::default().assign(&rows).expect("splits");
     let splits_of = |subject: String| {
         let rows = rows.iter().zip(&splits).filter(|(row, _)| row.subject.as_ref() == Some(&subject));
@@ -146,7 +147,7 @@ fn merged_parts_are_what_one_writer_would_have_written() {
             .collect::<Result<std::collections::BTreeMap<_, _>, _>>()
     };
     assert_eq!(files("merged").expect("files"), files("whole").expect("files"));
-    // A split that is fixed on the way is everybody's from then on.
+    // A split that is fixed while merging stays fixed.
     merge(&parts, &dir.path().join("split"), Some(&SplitSpec::default())).expect("merges");
     let split = Dataset::open(&dir.path().join("split")).expect("open");
     assert!(split.rows().iter().all(|row| row.split.is_some()));
@@ -223,7 +224,7 @@ mod hard_cases {
         let first = DatasetWriter::create(&path, &header()).expect("create");
         assert!(matches!(DatasetWriter::create(&path, &header()), Err(DatasetError::Busy { .. })));
         drop(first);
-        // What a killed writer left is no obstacle.
+        // Files of a killed writer do not block the next one.
         std::fs::create_dir(dir.path().join("set.partial")).expect("folder");
         std::fs::write(dir.path().join("set.partial/maps-00000.npy"), b"half").expect("write");
         let mut writer = DatasetWriter::create(&path, &header()).expect("create");
@@ -273,7 +274,7 @@ mod hard_cases {
         assert!(matches!(writer.push(&bad, row("a", 7, Occupancy::Empty)), Err(DatasetError::Shape { .. })));
     }
 
-    /// A small dataset, and what each of its files holds.
+    /// A small dataset, and the content of its files.
     fn small(path: &std::path::Path) -> [(&'static str, Vec<u8>); 3] {
         let mut writer = DatasetWriter::create(path, &header()).expect("create");
         for frame in 0..3 {
@@ -339,7 +340,7 @@ mod hard_cases {
         refused("manifest.jsonl", "\"frame\":2", "\"frame\":1e400", "manifest.jsonl, line 3");
     }
 
-    /// Whatever has a dataset's names but is not its own file is not read.
+    /// Links, devices and pipes with the names of a dataset's files are not read.
     #[cfg(unix)]
     #[test]
     fn links_devices_and_pipes_are_not_read() {
@@ -410,7 +411,7 @@ mod hard_cases {
     }
 }
 
-/// A recording and its mirror: whatever they should share and do not is named, and nothing is wrong with those that do.
+/// Pairs whose sides differ are named with the difference, and matching pairs are not.
 #[test]
 fn pairs_whose_sides_differ_are_named() {
     let header = header();

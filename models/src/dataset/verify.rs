@@ -1,4 +1,4 @@
-//! Whether a dataset is what its manifest says, and whether training has seen what testing asks.
+//! Verification of a dataset: maps against the manifest, duplicates, and leaks between splits.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -6,23 +6,26 @@ use std::collections::{BTreeMap, BTreeSet};
 use radome_dsp::Occupancy;
 use serde::Serialize;
 
-use super::{Dataset, DatasetError, Domain, ManifestRow, Split, SplitBy, SplitSpec};
+use super::error::DatasetError;
+use super::manifest::{Domain, ManifestRow, Split, SplitBy};
+use super::reader::Dataset;
+use super::split::SplitSpec;
 
-/// A map that cannot be read or is not the one that was written.
+/// Map that cannot be read or differs from its hash.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Damage {
     /// Index of the map.
     pub map: usize,
-    /// What is wrong, and in which file.
+    /// Cause, with the file.
     pub what: String,
 }
 
-/// Maps that are the same to the bit, or rows of the same frame.
+/// Maps with equal cells, or rows of the same frame.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Duplicate {
     /// Indices of the maps, two or more.
     pub maps: Vec<usize>,
-    /// What they have in common: `cells`, or `frame` for one frame of a recording that is listed twice.
+    /// Common property: `cells`, or `frame` for a frame of a recording that is listed twice.
     pub what: &'static str,
     /// Their splits, each once.
     pub splits: Vec<Split>,
@@ -30,27 +33,27 @@ pub struct Duplicate {
     pub labels: Vec<Occupancy>,
 }
 
-/// Something that lies in more than one split.
+/// Group of sequences that lies in more than one split.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Leak {
-    /// Of what kind.
+    /// Kind of the group.
     pub by: SplitBy,
-    /// Its name.
+    /// Name of the group.
     pub name: String,
     /// The splits.
     pub splits: Vec<Split>,
 }
 
-/// A recording and its mirror that do not fit together.
+/// Recording and simulation of a pair that do not match.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct PairFault {
     /// Name of the pair.
     pub pair: String,
-    /// What is wrong.
+    /// Cause.
     pub what: String,
 }
 
-/// What [`verify`] finds.
+/// Findings of [`verify`].
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct VerifyReport {
     /// Maps.
@@ -59,30 +62,30 @@ pub struct VerifyReport {
     pub sequences: usize,
     /// Maps in training, validation and test.
     pub split_maps: [usize; 3],
-    /// Maps that are not as written.
+    /// Damaged maps.
     pub damaged: Vec<Damage>,
-    /// Maps that are there more than once.
+    /// Maps that occur more than once.
     pub duplicates: Vec<Duplicate>,
-    /// Sequences, and what else was asked about, in more than one split.
+    /// Sequences and other groups in more than one split.
     pub leaks: Vec<Leak>,
     /// Pairs of a recording and its mirror.
     pub pairs: usize,
-    /// Those whose sides differ in what they should share.
+    /// Pairs whose two sides do not match.
     pub unpaired: Vec<PairFault>,
 }
 
 impl VerifyReport {
-    /// Nothing was found.
+    /// Whether there are no findings.
     pub fn is_sound(&self) -> bool {
         self.damaged.is_empty() && self.duplicates.is_empty() && self.leaks.is_empty() && self.unpaired.is_empty()
     }
 }
 
-/// Reads every map, compares it with its hash, and looks for duplicates and for what lies in more than one split. Whether
-/// subjects or scenes are shared among splits is looked at where `spec` splits by them.
+/// Reads every map, compares it with its hash, and finds duplicates and groups that lie in more than one split. Subjects, scenes
+/// and seeds are checked if `spec` splits by them.
 ///
 /// # Errors
-/// What [`SplitSpec::assign`] refuses, except what should be whole and lies in two splits, which is reported.
+/// Those of [`SplitSpec::assign`], except groups in two splits, which are reported as leaks.
 pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, DatasetError> {
     let rows = dataset.rows();
     let damaged = (0..rows.len())
@@ -90,7 +93,7 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
         .collect();
     let splits = match spec.assign(rows) {
         Ok(splits) => splits,
-        // As they are written: the report says where it leaks.
+        // The splits are taken as written: the report lists the leaks.
         Err(DatasetError::SequenceInTwoSplits { .. } | DatasetError::GroupInTwoSplits { .. }) => {
             rows.iter().map(|row| row.split.unwrap_or(Split::Train)).collect()
         }
@@ -132,10 +135,10 @@ pub fn verify(dataset: &Dataset, spec: &SplitSpec) -> Result<VerifyReport, Datas
     Ok(VerifyReport { maps: rows.len(), sequences, split_maps, damaged, duplicates, leaks, pairs, unpaired })
 }
 
-/// How many pairs there are, and what is wrong with them: both sides must have the same frames, of the same times, with the
-/// same labels, and belong to one sequence, so that no split parts them.
+/// Number of pairs, and those with faults. Both sides must have the same frames with the same times and labels, and belong to one
+/// sequence, so that they are in one split.
 fn check_pairs(rows: &[ManifestRow]) -> (usize, Vec<PairFault>) {
-    /// Of a frame: when it began, what it shows.
+    /// By frame: start, label, and whether it is a transition.
     type Side = BTreeMap<u64, (Option<u64>, Occupancy, bool)>;
     let mut pairs: BTreeMap<&str, (Side, Side, BTreeSet<&str>)> = BTreeMap::new();
     for row in rows {

@@ -1,4 +1,4 @@
-//! Writes a dataset folder.
+//! Writing of dataset folders.
 
 use std::fs::{self, File, TryLockError};
 use std::io::{BufWriter, Write};
@@ -8,14 +8,17 @@ use npyz::WriterBuilder;
 use radome_dsp::{Rdm, RdmShape};
 use sha2::{Digest, Sha256};
 
-use super::{DatasetError, DatasetHeader, MAPS_PER_SHARD, ManifestRow, shard_name};
+use super::error::DatasetError;
+use super::header::DatasetHeader;
+use super::layout::{MAPS_PER_SHARD, shard_name};
+use super::manifest::ManifestRow;
 use crate::whole_file::sync_folder;
 
 /// Name of the file that a writer locks, in its temporary folder.
 const LOCK: &str = ".lock";
 
-/// Writes maps one by one; nothing has the final name before [`DatasetWriter::finish`]. Until then the folder is called
-/// `NAME.partial`: what a killed writer left there is removed by the next one, and two at once are refused.
+/// Writer of a dataset, map by map. [`DatasetWriter::finish`] gives the folder its name. Until then it is called `NAME.partial`:
+/// the next writer removes the files of a killed one, and only one process at a time may write it.
 pub struct DatasetWriter {
     target: PathBuf,
     temporary: PathBuf,
@@ -53,6 +56,10 @@ pub(super) fn check_map(db: &[f32], shape: RdmShape, expected: RdmShape, frame: 
 
 impl DatasetWriter {
     /// Starts a dataset that will be at `dir`, which must not exist.
+    ///
+    /// # Errors
+    /// [`DatasetError::Exists`] if `dir` exists, [`DatasetError::Busy`] if another process writes it, and [`DatasetError::Io`] if
+    /// its files cannot be created.
     pub fn create(dir: &Path, header: &DatasetHeader) -> Result<Self, DatasetError> {
         if dir.exists() {
             return Err(DatasetError::Exists { path: dir.to_owned() });
@@ -62,7 +69,7 @@ impl DatasetWriter {
         let temporary = dir.with_file_name(name);
         fs::create_dir_all(&temporary).map_err(DatasetError::io(&temporary, "creating the folder"))?;
         let lock = lock_folder(&temporary)?;
-        // Whoever held the lock may have finished since.
+        // The process that held the lock may have finished in the meantime.
         if dir.exists() {
             let _ = fs::remove_dir_all(&temporary);
             return Err(DatasetError::Exists { path: dir.to_owned() });
@@ -83,12 +90,16 @@ impl DatasetWriter {
     }
 
     /// Appends a map; its hash is filled in here. A map with NaN, infinity or another shape is refused.
+    ///
+    /// # Errors
+    /// [`DatasetError::Shape`] or [`DatasetError::NonFinite`] for a map that is refused, [`DatasetError::Io`] or
+    /// [`DatasetError::Json`] if it cannot be written.
     pub fn push(&mut self, map: &Rdm, row: ManifestRow) -> Result<(), DatasetError> {
         check_map(&map.db, map.shape, self.header.shape, map.sequence)?;
         self.push_checked(&map.db, row)
     }
 
-    /// Appends cells that have been looked at.
+    /// Appends cells that passed the checks.
     pub(super) fn push_checked(&mut self, db: &[f32], mut row: ManifestRow) -> Result<(), DatasetError> {
         row.hash = map_hash(db);
         let path = self.temporary.join("manifest.jsonl");
@@ -106,14 +117,17 @@ impl DatasetWriter {
         Ok(())
     }
 
-    /// Puts a file of another kind beside the maps: it appears when they do.
+    /// Adds another file to the folder, which appears with the maps.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] if the file cannot be written.
     pub fn add_file(&mut self, name: &str, content: &[u8]) -> Result<(), DatasetError> {
         let path = self.temporary.join(name);
         let write = || File::create(&path).and_then(|mut f| f.write_all(content).and(f.sync_all()));
         write().map_err(DatasetError::io(&path, "writing"))
     }
 
-    /// Maps so far.
+    /// Number of maps so far.
     pub fn maps(&self) -> usize {
         self.maps
     }
@@ -141,7 +155,10 @@ impl DatasetWriter {
         Ok(())
     }
 
-    /// Writes what is left and gives the folder its name.
+    /// Writes the remaining maps and gives the folder its name.
+    ///
+    /// # Errors
+    /// [`DatasetError::Io`] or [`DatasetError::Json`] if a file cannot be written or the folder cannot be renamed.
     pub fn finish(mut self) -> Result<(), DatasetError> {
         self.write_shard()?;
         let path = self.temporary.join("manifest.jsonl");
@@ -158,7 +175,7 @@ impl DatasetWriter {
         let lock = self.temporary.join(LOCK);
         fs::remove_file(&lock).map_err(DatasetError::io(&lock, "removing"))?;
         sync_folder(&self.temporary).map_err(DatasetError::io(&self.temporary, "writing"))?;
-        // Renaming over an empty folder succeeds; over anything else it fails, as it should.
+        // Renaming succeeds over an empty folder only.
         fs::rename(&self.temporary, &self.target).map_err(DatasetError::io(&self.target, "renaming to"))?;
         let parent = self.target.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
         sync_folder(parent).map_err(DatasetError::io(parent, "writing"))?;
@@ -168,7 +185,7 @@ impl DatasetWriter {
 }
 
 impl Drop for DatasetWriter {
-    /// A writer that was not finished leaves nothing behind.
+    /// Removes the folder of a writer that was not finished.
     fn drop(&mut self) {
         if !self.finished {
             let _ = fs::remove_dir_all(&self.temporary);
@@ -176,10 +193,10 @@ impl Drop for DatasetWriter {
     }
 }
 
-/// Locks a folder that one process at a time may write, until the file that comes back is dropped.
+/// Locks a folder that one process at a time may write, until the returned file is dropped.
 ///
 /// # Errors
-/// [`DatasetError::Busy`] if another process has it. A file system that knows no locks goes without.
+/// [`DatasetError::Busy`] if another process holds the lock. On file systems without locks it succeeds without one.
 pub fn lock_folder(folder: &Path) -> Result<File, DatasetError> {
     let path = folder.join(LOCK);
     let file = File::create(&path).map_err(DatasetError::io(&path, "creating"))?;

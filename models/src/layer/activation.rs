@@ -1,11 +1,12 @@
-//! Activations, by themselves and behind a sum of two maps.
+//! Activations, alone or behind a sum of two maps.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
-use super::level::{dispatch, multiply_add};
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::{dispatch, multiply_add};
 
 /// Values that one task passes over.
 pub(super) const CHUNK: usize = 1 << 14;
@@ -158,7 +159,10 @@ dispatch! {
     pub(super) fn add_in_place(activation: Activation, values: &mut [f32], others: &[f32]) = add_generic
 }
 
-/// The activation of every value of a tensor of any shape.
+/// Applies an activation to every value of a tensor of any shape.
+///
+/// # Errors
+/// The tensor is not f32 on the CPU.
 pub fn activation(input: &Tensor, activation: Activation, level: KernelLevel) -> Result<Tensor> {
     apply(&[input], Activate { activation, level: level.available() })
 }
@@ -203,6 +207,9 @@ fn sum_relu_generic<const FUSED: bool>(a: &[f32], b: &[f32], output: &mut [f32])
 dispatch! { fn sum_relu(a: &[f32], b: &[f32], output: &mut [f32]) = sum_relu_generic }
 
 /// `max(a + b, 0)`: the end of a residual block.
+///
+/// # Errors
+/// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add_relu(a: &Tensor, b: &Tensor, level: KernelLevel) -> Result<Tensor> {
     apply(&[a, b], AddRelu { level: level.available() })
 }

@@ -1,14 +1,16 @@
-//! Adaptive average pooling: any map size to a fixed one.
+//! Adaptive average pooling of maps of any size to a fixed size.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::crew::for_each_chunk;
-use super::level::dispatch;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
-use super::{Feature, KernelLevel};
+use super::feature::Feature;
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::dispatch;
+use crate::kernel::spin_pool::for_each_chunk;
 
-/// Channels that are added up at once.
+/// Channels that are summed at once.
 const LANES: usize = 16;
 const NAME: &str = "adaptive_average_pool";
 
@@ -16,6 +18,9 @@ const NAME: &str = "adaptive_average_pool";
 /// PyTorch's `AdaptiveAvgPool2d` and `Flatten` would, so that weights are interchangeable.
 ///
 /// Bin `i` of `n` over a length `l` runs from `floor(i l / n)` to `ceil((i + 1) l / n)`.
+///
+/// # Errors
+/// An axis or a number of bins is 0, the input has another number of axes, or it is not f32 on the CPU.
 pub fn adaptive_average_pool(input: &Tensor, rows: usize, columns: usize) -> Result<Tensor> {
     apply(&[input], AveragePool { rows, columns })
 }
@@ -58,7 +63,7 @@ impl AveragePool {
         }
     }
 
-    /// Fills in the means. Channels that are added up at once are a task, where no others are left.
+    /// Computes the means. A task is one map, or one group of its channels if these are a multiple of the group.
     fn run(&self, [_, rows, columns, channels]: [usize; 4], input: &[f32], result: &mut [f32]) {
         let (bins, level) = (self.rows * self.columns, KernelLevel::detect());
         let group = if channels.is_multiple_of(LANES) { LANES } else { channels };
@@ -89,7 +94,7 @@ dispatch! {
 fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: usize, sums: &mut [f32]) {
     let cells = cells.chunks_exact(channels);
     if let Ok(sums) = <&mut [f32; LANES]>::try_from(&mut *sums) {
-        // They stay in registers while cells go by.
+        // The sums stay in registers over all cells.
         let mut of_lanes = *sums;
         for values in cells.filter_map(|cell| cell[first..].first_chunk::<LANES>()) {
             of_lanes.iter_mut().zip(values).for_each(|(s, &v)| *s += v);
@@ -104,6 +109,9 @@ fn add_cells_generic<const FUSED: bool>(cells: &[f32], channels: usize, first: u
 
 impl Feature {
     /// [`adaptive_average_pool`] without a graph of gradients: `[batch][1][1][channel * rows * columns]`.
+    ///
+    /// # Errors
+    /// An axis or a number of bins is 0.
     pub fn adaptive_average_pool(&self, rows: usize, columns: usize, output: &mut Feature) -> Result<()> {
         let pool = AveragePool { rows, columns };
         let sizes @ [batch, _, _, channels] = pool.sizes(&self.dims())?;

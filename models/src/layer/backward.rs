@@ -9,13 +9,17 @@ use rayon::prelude::*;
 
 use super::activation::CHUNK;
 use super::operation::node_of;
-use super::with_values;
+use super::tensor::with_values;
 
-/// Gradients of all variables that the scalar `loss` depends on: what `loss.backward()` computes, several times faster.
+/// Computes the gradients of all variables that the scalar `loss` depends on: the result of `loss.backward()`, several times
+/// faster.
 ///
-/// candle's own pass fills an array with zeros for each gradient, adds to it and copies the sum; here gradients are handed
-/// from layer to layer. Where it meets an operation that is not one of this crate's layers, candle does that operation and
-/// everything before it: right, but no faster than before. Gradients of tensors that are not variables are not kept.
+/// candle's pass fills an array with zeros for each gradient, adds to it and copies the sum. This pass moves gradients from layer
+/// to layer. At an operation that is no layer of this crate, candle computes the gradients of that operation and of everything
+/// before it, at candle's speed. Gradients of tensors that are not variables are dropped.
+///
+/// # Errors
+/// A layer of the graph has no gradient by an input that asks for one, or a tensor operation fails.
 pub fn backward(loss: &Tensor) -> Result<GradStore> {
     let order = loss.sorted_nodes();
     let tracked: HashSet<TensorId> = order.iter().map(|t| t.id()).collect();

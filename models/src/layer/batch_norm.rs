@@ -1,21 +1,22 @@
-//! Batch normalisation with the activation behind it.
+//! Batch normalisation with a fused activation.
 
 use std::sync::{Arc, OnceLock, RwLock};
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
 use super::activation::{Activation, activate, by_activation, descend};
-use super::level::{dispatch, multiply_add};
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::{dispatch, multiply_add};
 
 const NAME: &str = "batch_norm";
 
-/// Values of a block that is summed at once: it stays in the first caches while it is passed over twice.
+/// Values of a block that is summed at once. It stays in the first-level cache for two passes.
 const BLOCK: usize = 1 << 13;
 
-/// What batch normalisation is set to.
+/// Settings of batch normalisation.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct BatchNormConstants {
     /// Added to the variance.
@@ -25,16 +26,16 @@ pub struct BatchNormConstants {
 }
 
 impl Default for BatchNormConstants {
-    /// PyTorch's.
+    /// The values of PyTorch.
     fn default() -> Self {
         BatchNormConstants { epsilon: 1e-5, momentum: 0.1 }
     }
 }
 
-/// Whose mean and variance are used.
+/// Source of mean and variance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum BatchNormMode {
-    /// The batch's own; the running statistics move towards them.
+    /// The batch; the running statistics move towards its values.
     Training,
     /// The running statistics.
     Evaluation,
@@ -55,13 +56,13 @@ struct Moments {
 }
 
 impl RunningStatistics {
-    /// Mean 0 and variance 1, as before training.
+    /// Starts with mean 0 and variance 1.
     pub fn new(channels: usize, constants: BatchNormConstants) -> Self {
         let moments = Moments { mean: vec![0.0; channels], variance: vec![1.0; channels] };
         RunningStatistics { constants, channels, shared: Arc::new(RwLock::new(moments)) }
     }
 
-    /// What the layer is set to.
+    /// Settings of the layer.
     pub fn constants(&self) -> BatchNormConstants {
         self.constants
     }
@@ -85,7 +86,10 @@ impl RunningStatistics {
         self.moments().variance
     }
 
-    /// Sets both, as from a file. Both need a value for each channel.
+    /// Sets mean and variance of each channel, as read from a file.
+    ///
+    /// # Errors
+    /// The number of means or of variances is not the number of channels.
     pub fn set(&self, mean: Vec<f32>, variance: Vec<f32>) -> Result<()> {
         if mean.len() != self.channels || variance.len() != self.channels {
             candle_core::bail!(
@@ -115,6 +119,9 @@ impl RunningStatistics {
 ///
 /// `input` is `[batch][..][channel]`, `weight` and `bias` `[channel]`. A batch with a single value for each channel has no
 /// variance: an error in training.
+///
+/// # Errors
+/// Shapes differ from those above, a training batch has one value for each channel, or a tensor is not f32 on the CPU.
 pub fn batch_norm(
     input: &Tensor,
     weight: &Tensor,
@@ -137,14 +144,14 @@ struct BatchNorm {
     used: OnceLock<Used>,
 }
 
-/// What the forward pass normalised with.
+/// Mean and scale that the forward pass used.
 struct Used {
     mean: Vec<f32>,
     /// One over the standard deviation.
     inverse: Vec<f32>,
 }
 
-/// `values`, as often one after the other as makes loops over channels long enough for vectors.
+/// Repeats `values` until loops over channels are long enough for vectors.
 fn repeated(values: &[f32]) -> Vec<f32> {
     values.repeat((256 / values.len().max(1)).max(1))
 }
@@ -390,7 +397,7 @@ impl Operation for BatchNorm {
         // The sums so far are of centred, not of normalised inputs.
         product.iter_mut().zip(inverse).for_each(|(p, &i)| *p *= f64::from(i));
         let count = (input.values.len() / channels) as f64;
-        // In training the batch's mean and variance move with every input.
+        // In training, mean and variance of the batch depend on every input.
         let moving = if self.mode == BatchNormMode::Training { 1.0 / count } else { 0.0 };
         let offset: Vec<f32> = (0..channels).map(|k| (-f64::from(scale[k]) * sum[k] * moving) as f32).collect();
         let slope: Vec<f32> = (0..channels)

@@ -1,7 +1,7 @@
-//! The quantum circuit as a layer: rows of f32 in, expectations out, everything between in f64.
+//! Quantum circuit as a layer: inputs and expectations in f32, computation in f64.
 //!
-//! Expectations are those of f64 at the same inputs, rounded once: within 6e-8. So are gradients by inputs, within 6e-8
-//! of their magnitude, and gradients by angles, which are summed over rows in f64.
+//! Expectations are computed in f64 and rounded once, within 6e-8. Gradients by inputs are within 6e-8 of their magnitude.
+//! Gradients by angles are summed over rows in f64.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -10,11 +10,14 @@ use super::operation::{Argument, Gradients, Operation, apply};
 use crate::quantum::{Circuit, CircuitError, CircuitSpec, Draw, Trained, expectations_of_rows, gradients_of_rows};
 
 const NAME: &str = "circuit";
-/// Rows of the closed form that a thread takes at once: fewer are not worth another thread.
+/// Rows of the closed form in one task: fewer are not worth another thread.
 const ROWS: usize = 1024;
 
 /// `[<ZI>, <IZ>]` of [`crate::quantum::circuit`] for each row of `input` `[batch][2]` (radians) at `theta` `[4]`
 /// (radians).
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn circuit(input: &Tensor, theta: &Tensor) -> Result<Tensor> {
     circuit_of(input, theta, &Circuit::new(&CircuitSpec::default()).map_err(failed)?)
 }
@@ -22,12 +25,18 @@ pub fn circuit(input: &Tensor, theta: &Tensor) -> Result<Tensor> {
 /// `<Z>` of each qubit of `circuit` for each row of `input` `[batch][qubits]` (radians) at `theta` `[angles]` (radians),
 /// in the order of [`CircuitSpec::observables`].
 ///
-/// With shots, outcomes are a function of the seed, of how many calls the circuit has had, and of the row.
+/// With shots, outcomes are a function of the seed, of the number of the call, and of the row.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn circuit_of(input: &Tensor, theta: &Tensor, circuit: &Circuit) -> Result<Tensor> {
     circuit_of_call(input, theta, circuit, circuit.next_call())
 }
 
-/// [`circuit_of`] with a call's number of the caller's choice: the same number, the same shots.
+/// [`circuit_of`] with a given number of the call. The same number gives the same shots.
+///
+/// # Errors
+/// Those of [`circuit_of`].
 pub fn circuit_of_call(input: &Tensor, theta: &Tensor, circuit: &Circuit, call: u64) -> Result<Tensor> {
     apply(&[input, theta], CircuitLayer { circuit: circuit.clone(), call })
 }
@@ -46,7 +55,7 @@ fn widen(values: &[f32]) -> Vec<f64> {
 }
 
 impl CircuitLayer {
-    /// Number of rows.
+    /// Checks the shapes. Returns the number of rows.
     fn check(&self, input: &[usize], theta: &[usize]) -> Result<usize> {
         let (qubits, angles) = (self.circuit.qubits(), self.circuit.angle_count());
         match (input, theta) {
@@ -58,7 +67,7 @@ impl CircuitLayer {
         }
     }
 
-    /// What the closed form needs, if it serves.
+    /// Coefficients of the closed form, if it applies to the circuit.
     fn trained(&self, theta: &[f32]) -> Option<Trained> {
         match *theta {
             [a, b, c, d] if self.circuit.is_closed_form() => Some(Trained::new([a, b, c, d].map(f64::from))),
@@ -143,7 +152,7 @@ impl Operation for CircuitLayer {
 mod tests {
     use super::*;
     use crate::quantum::{self, Encoding, Execution, Noise, ShotGradient, Shots, state_vector};
-    use crate::stream;
+    use crate::random::stream;
     use candle_core::{Device, Var};
     use rand::Rng;
     use std::f32::consts::PI;
@@ -260,9 +269,9 @@ mod tests {
         let (first, second) = (next(), next());
         assert_ne!(first, second);
         assert!(first[..2] != first[2..4] || first[2..4] != first[4..], "rows have outcomes of their own");
-        circuit.clone().set_next_call(0);
-        assert_eq!(first, next());
-        assert_eq!(second, flat(&circuit_of_call(&x, &theta, &circuit, 1).expect("forward")));
+        let again = |call| flat(&circuit_of_call(&x, &theta, &circuit, call).expect("forward"));
+        assert_eq!([first, second], [again(0), again(1)]);
+        assert_eq!(flat(&circuit_of(&x, &theta, &circuit.clone()).expect("forward")), again(2));
     }
 
     mod hard_cases {
@@ -293,7 +302,7 @@ mod tests {
             }
         }
 
-        /// One bad row is a bad row and no other, in the batch and in its gradients; the angles' are lost.
+        /// A row with a NaN spoils its own results and gradients and the gradients by the angles, but no other row.
         #[test]
         fn what_is_no_number_stays_visible_and_in_its_row() {
             for spec in [

@@ -2,39 +2,40 @@
 
 use candle_core::{Error, Result, Shape, Tensor};
 
-use super::depthwise;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
-use super::packed::{Packed, Side};
-use super::sweep::{Sweep, Tap};
-use super::tile::Tiles;
-use super::weight_gradient::{column_sums, weight_gradient};
-use super::{InputGradient, KernelLevel};
+use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::depthwise;
+use crate::kernel::implicit_gemm::{ImplicitGemm, KernelOffset};
+use crate::kernel::packed::{Packed, Side};
+use crate::kernel::tile::Tiles;
+use crate::kernel::weight_gradient::{column_sums, weight_gradient};
 
 const NAME: &str = "conv2d";
 
-/// How a kernel moves over a map; the same along rows and columns.
+/// Stride, padding and groups of a convolution, equal along rows and columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ConvGeometry {
     /// Cells from one output to the next, at least 1.
     pub stride: usize,
     /// Rows and columns of zeros on each side.
     pub padding: usize,
-    /// 1, or the number of channels: every channel by itself (depthwise).
+    /// 1, or the number of channels for a depthwise convolution.
     pub groups: usize,
 }
 
 impl ConvGeometry {
-    /// All channels with all channels.
+    /// Geometry of a dense convolution.
     pub const fn dense(stride: usize, padding: usize) -> Self {
         ConvGeometry { stride, padding, groups: 1 }
     }
 
-    /// Every channel by itself.
+    /// Geometry of a depthwise convolution.
     pub const fn depthwise(stride: usize, padding: usize, channels: usize) -> Self {
         ConvGeometry { stride, padding, groups: channels }
     }
 
-    /// Cells along an axis of the output, or nothing where the kernel does not fit into the padded input.
+    /// Cells along an axis of the output; `None` if the kernel does not fit into the padded input.
     pub fn output_length(&self, input: usize, kernel: usize) -> Option<usize> {
         let room = (input + 2 * self.padding).checked_sub(kernel)?;
         Some(room.checked_div(self.stride)? + 1)
@@ -45,6 +46,10 @@ impl ConvGeometry {
 ///
 /// `input` is `[batch][row][column][i]`, `weight` `[o][i / groups][kernel row][kernel column]`, `bias` `[o]`; the result
 /// is `[batch][row][column][o]`.
+///
+/// # Errors
+/// Shapes differ from those above, an axis or the stride is 0, the groups are neither 1 nor the number of channels, the kernel
+/// does not fit into the padded input, or a tensor is not f32 on the CPU.
 pub fn conv2d(
     input: &Tensor,
     weight: &Tensor,
@@ -80,7 +85,10 @@ pub(super) struct ConvSizes {
 }
 
 impl ConvSizes {
-    /// Sizes of a convolution, or an error that names `layer`.
+    /// Checks the sizes of a convolution. Errors name `layer`.
+    ///
+    /// # Errors
+    /// The sizes contradict each other, one of them is 0, or the kernel does not fit into the padded input.
     pub fn new(
         layer: &str,
         input: &[usize],
@@ -126,13 +134,13 @@ impl ConvSizes {
         })
     }
 
-    /// Whether every channel goes by itself. A single channel is dense.
+    /// Whether the convolution is depthwise. One with a single channel is dense.
     pub fn is_depthwise(&self) -> bool {
         self.geometry.groups > 1
     }
 
     /// Cells of the kernel.
-    pub fn taps(&self) -> usize {
+    pub fn offsets(&self) -> usize {
         self.kernel[0] * self.kernel[1]
     }
 
@@ -146,68 +154,71 @@ impl ConvSizes {
         self.output_shape().iter().product()
     }
 
-    /// From input to output.
-    pub fn forward_sweep(&self) -> Sweep {
+    /// Product from the input to the output.
+    pub fn forward_gemm(&self) -> ImplicitGemm {
         let padding = -(self.geometry.padding as isize);
-        let taps = (0..self.taps())
-            .map(|t| Tap { offset: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize], index: t as u32 })
+        let offsets = (0..self.offsets())
+            .map(|t| KernelOffset {
+                by: [(t / self.kernel[1]) as isize, (t % self.kernel[1]) as isize],
+                index: t as u32,
+            })
             .collect();
-        Sweep {
+        ImplicitGemm {
             batch: self.batch,
             grid: self.output,
             source: self.input,
             channels: self.inputs,
             source_step: self.geometry.stride as isize,
             source_start: [padding; 2],
-            taps,
+            offsets,
             target: self.output,
             target_step: 1,
             target_start: [0; 2],
         }
     }
 
-    /// From the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by which taps of the
-    /// kernel ever touch them; each kind is a sweep of its own. Cells that no tap touches are in none.
-    pub fn backward_sweeps(&self) -> Vec<Sweep> {
+    /// Products from the output's gradient to the input's. With a stride of s, cells fall into s x s kinds by the kernel offsets
+    /// that touch them; each kind is one product. Cells that no offset touches are in none.
+    pub fn backward_gemms(&self) -> Vec<ImplicitGemm> {
         let ConvGeometry { stride, padding, .. } = self.geometry;
-        let mut sweeps = Vec::new();
+        let mut gemms = Vec::new();
         for kind in 0..stride * stride {
             let start = [kind / stride, kind % stride];
             let mut grid = [0; 2];
-            let mut taps_along: [Vec<(isize, usize)>; 2] = Default::default();
+            let mut offsets_along: [Vec<(isize, usize)>; 2] = Default::default();
             for axis in 0..2 {
                 grid[axis] = self.input[axis].saturating_sub(start[axis]).div_ceil(stride);
-                // Input cell y is touched by tap k of output cell (y + padding - k) / stride where that is whole.
-                taps_along[axis] = (0..self.kernel[axis])
+                // Input cell y is touched by offset k of output cell (y + padding - k) / stride where that is whole.
+                offsets_along[axis] = (0..self.kernel[axis])
                     .filter(|k| (start[axis] + padding + stride * self.kernel[axis] - k).is_multiple_of(stride))
                     .map(|k| (((start[axis] + padding) as isize - k as isize).div_euclid(stride as isize), k))
                     .collect();
             }
-            let taps: Vec<Tap> = taps_along[0]
+            let offsets: Vec<KernelOffset> = offsets_along[0]
                 .iter()
                 .flat_map(|&(y, ky)| {
-                    taps_along[1]
+                    offsets_along[1]
                         .iter()
-                        .map(move |&(x, kx)| Tap { offset: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
+                        .map(move |&(x, kx)| KernelOffset { by: [y, x], index: (ky * self.kernel[1] + kx) as u32 })
                 })
                 .collect();
-            if taps.is_empty() || grid.contains(&0) {
+            if offsets.is_empty() || grid.contains(&0) {
                 continue;
             }
-            sweeps.push(Sweep {
+            gemms.push(ImplicitGemm {
                 batch: self.batch,
                 grid,
                 source: self.output,
                 channels: self.outputs,
                 source_step: 1,
                 source_start: [0; 2],
-                taps,
+                offsets,
                 target: self.input,
                 target_step: stride,
                 target_start: start,
             });
         }
-        sweeps
+        gemms
     }
 }
 
@@ -231,14 +242,14 @@ impl Operation for Conv2d {
         let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
         let bias = inputs.get(2).map(|b| b.values);
         let mut output = unwritten(sizes.output_count());
-        let sweep = sizes.forward_sweep();
+        let gemm = sizes.forward_gemm();
         if sizes.is_depthwise() {
-            let weight = depthwise::tap_first(weight.values, sizes.taps());
-            depthwise::run(&sweep, input.values, &weight, bias, &mut output, self.tiles);
+            let weight = depthwise::offset_first(weight.values, sizes.offsets());
+            depthwise::run(&gemm, input.values, &weight, bias, &mut output, self.tiles);
         } else {
             let weight =
-                Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.taps()], Side::Forward, self.tiles);
-            sweep.run(input.values, &weight, bias, &mut output);
+                Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.offsets()], Side::Forward, self.tiles);
+            gemm.run(input.values, &weight, bias, &mut output);
         }
         Ok((output, Shape::from(sizes.output_shape().to_vec())))
     }
@@ -246,27 +257,32 @@ impl Operation for Conv2d {
     fn backward(&self, inputs: &[Argument<'_>], _output: &[f32], gradient: Vec<f32>) -> Result<Gradients> {
         let sizes = self.sizes(inputs)?;
         let [input, weight, ..] = inputs else { candle_core::bail!("{NAME}: no weight") };
-        let sweep = sizes.forward_sweep();
+        let gemm = sizes.forward_gemm();
         let weight_gradient = if sizes.is_depthwise() {
-            depthwise::weight_gradient(&sweep, input.values, &gradient, self.tiles)
+            depthwise::weight_gradient(&gemm, input.values, &gradient, self.tiles)
         } else {
-            weight_gradient(&sweep, input.values, &gradient, sizes.outputs, self.tiles)
+            weight_gradient(&gemm, input.values, &gradient, sizes.outputs, self.tiles)
         };
         let input_gradient = (self.input_gradient == InputGradient::Needed).then(|| {
-            let sweeps = sizes.backward_sweeps();
-            // With strides longer than the kernel there are cells that no tap touches, and no sweep writes.
-            let all = sweeps.iter().map(Sweep::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
+            let gemms = sizes.backward_gemms();
+            // With strides longer than the kernel there are cells that no offset touches, and no gemm writes.
+            let all =
+                gemms.iter().map(ImplicitGemm::cells).sum::<usize>() == sizes.batch * sizes.input[0] * sizes.input[1];
             let mut target = if all { unwritten(input.values.len()) } else { vec![0.0; input.values.len()] };
             if sizes.is_depthwise() {
-                let weight = depthwise::tap_first(weight.values, sizes.taps());
-                for sweep in &sweeps {
-                    depthwise::run(sweep, &gradient, &weight, None, &mut target, self.tiles);
+                let weight = depthwise::offset_first(weight.values, sizes.offsets());
+                for gemm in &gemms {
+                    depthwise::run(gemm, &gradient, &weight, None, &mut target, self.tiles);
                 }
             } else {
-                let weight =
-                    Packed::new(weight.values, [sizes.outputs, sizes.inputs, sizes.taps()], Side::Backward, self.tiles);
-                for sweep in &sweeps {
-                    sweep.run(&gradient, &weight, None, &mut target);
+                let weight = Packed::new(
+                    weight.values,
+                    [sizes.outputs, sizes.inputs, sizes.offsets()],
+                    Side::Backward,
+                    self.tiles,
+                );
+                for gemm in &gemms {
+                    gemm.run(&gradient, &weight, None, &mut target);
                 }
             }
             target

@@ -1,33 +1,27 @@
-//! 3x3 convolution with padding 1, ReLU and 2x2 max-pooling as one op.
+//! 3x3 convolution with padding 1, ReLU and 2x2 max-pooling as one operation.
 
 use std::sync::OnceLock;
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::KernelLevel;
-use super::kernel::{self, Block};
-use super::operation::{Argument, Gradients, Operation, apply};
+use super::operation::{Argument, Gradients, InputGradient, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::conv_pool::{self, Block};
 
 const NAME: &str = "conv_relu_pool";
-/// Batches below this are cut into bands of rows, so that all threads have something to do.
+/// Batches below this size are cut into bands of rows, so that all threads have work.
 const FEW_SAMPLES: usize = 8;
 /// Rows of the pooled output in a band.
 const BAND: usize = 8;
-
-/// Whether the backward pass computes the gradient of a layer's input.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum InputGradient {
-    /// The input comes from another layer.
-    Needed,
-    /// The input is data.
-    Unused,
-}
 
 /// `max_pool2(relu(conv3x3(input) + bias))`.
 ///
 /// `input` is `[batch][row][column][input channel]`, `weight` `[output][input][3][3]`, `bias` `[output]`; the result is
 /// `[batch][row / 2][column / 2][output]`. An odd last row or column feeds the convolution but is not pooled.
+///
+/// # Errors
+/// Shapes differ from those above, the input has fewer than two rows or columns, or a tensor is not f32 on the CPU.
 pub fn conv_relu_pool(
     input: &Tensor,
     weight: &Tensor,
@@ -41,7 +35,7 @@ pub fn conv_relu_pool(
 struct ConvReluPool {
     input_gradient: InputGradient,
     level: KernelLevel,
-    /// Which cell of each pooling window won in the forward pass: all that the backward pass needs of it.
+    /// Index of the largest cell of each pooling window in the forward pass. The backward pass needs nothing else of it.
     winner: OnceLock<Vec<u8>>,
 }
 
@@ -81,10 +75,10 @@ impl Operation for ConvReluPool {
                 |padded, ((pooled, winner), input)| {
                     block.pad(input, padded);
                     if batch >= FEW_SAMPLES {
-                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
+                        conv_pool::forward(self.level, block, padded, &packed, bias, pooled, winner);
                         return;
                     }
-                    // Bands of rows are blocks of their own: every cell is the same sum.
+                    // Bands of rows are separate blocks: every cell is the same sum.
                     let pooled_line = block.columns / 2 * block.outputs;
                     let line = (block.columns + 2) * block.inputs;
                     let bands =
@@ -93,7 +87,7 @@ impl Operation for ConvReluPool {
                         let rows = 2 * (pooled.len() / pooled_line);
                         let padded = &padded[2 * BAND * band * line..][..(rows + 2) * line];
                         let block = Block { rows, ..block };
-                        kernel::forward(self.level, block, padded, &packed, bias, pooled, winner);
+                        conv_pool::forward(self.level, block, padded, &packed, bias, pooled, winner);
                     });
                 },
             );
@@ -120,7 +114,7 @@ impl Operation for ConvReluPool {
             let mut weights = vec![0.0f32; weight.len()];
             let mut biases = vec![0.0f32; block.outputs];
             scratch.gradient.fill(0.0);
-            kernel::backward(
+            conv_pool::backward(
                 self.level,
                 block,
                 &scratch.padded,
@@ -153,8 +147,8 @@ impl Operation for ConvReluPool {
         let mut weights = vec![0.0f32; weight.len()];
         let mut biases = vec![0.0f32; block.outputs];
         for (partial_weights, partial_biases) in &partials {
-            kernel::axpy(self.level, &mut weights, 1.0, partial_weights);
-            kernel::axpy(self.level, &mut biases, 1.0, partial_biases);
+            conv_pool::axpy(self.level, &mut weights, 1.0, partial_weights);
+            conv_pool::axpy(self.level, &mut biases, 1.0, partial_biases);
         }
         Ok(vec![wanted.then_some(input_gradient), Some(block.to_channel_first(&weights)), Some(biases)])
     }

@@ -9,6 +9,10 @@ const NAME: &str = "cross_entropy";
 /// `sum_i w_i (log sum_k exp z_ik - z_i,label) / sum_i w_i` with `w_i` the weight of sample i's class: a scalar.
 ///
 /// `logits` is `[batch][class]`. Where all weights of a batch are zero the loss is zero.
+///
+/// # Errors
+/// `logits` has another shape, there is not one label for each row and one weight for each class, a label is no class, or the
+/// tensor is not f32 on the CPU.
 pub fn cross_entropy(logits: &Tensor, labels: &[usize], class_weights: &[f32]) -> Result<Tensor> {
     let &[batch, classes] = logits.dims() else {
         candle_core::bail!("{NAME}: expected logits [batch, class], got {:?}", logits.dims());

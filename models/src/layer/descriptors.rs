@@ -1,77 +1,77 @@
-//! Plain numbers that describe a map: what a linear classifier needs to count people, without any training.
+//! Descriptors of a map: numbers without trained parameters, from which a linear classifier counts people.
 //!
-//! One person moves one way at a time, and so do most of the echoes of that person by way of walls: they are spread over ranges, not
-//! over directions. A second person mostly moves another way or at another speed. Numbers of cells above levels do not tell a
-//! near person with many such echoes from two, so nearly all numbers here are relative to the strongest cell: its level, its range and
-//! its velocity. In real rooms this decides between one and two; in simulated ones counts did as well.
+//! A person moves in one direction at a time, and so do most multipath echoes of that person: they spread over ranges, not over
+//! directions. A second person mostly moves in another direction or at another speed. The number of cells above a level does not
+//! distinguish a near person with many such echoes from two people. Therefore nearly all descriptors are relative to the level, the
+//! range and the velocity of the strongest cell. In real rooms this separates one from two; in simulated rooms counts did as well.
 //!
-//! The cells of zero velocity stand apart: they tell change from frame to frame
-//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), by which people who stand, sit or breathe are seen. Only whether there is
-//! change while nothing moves is taken from them: how change is spread over ranges does not carry over from simulated rooms to real ones,
-//! where people shadow more, and it says little about how many people walk.
+//! Cells of zero velocity are treated separately: they hold the change from frame to frame
+//! ([`change_over_s`](radome_dsp::RdmSpec::change_over_s)), which shows people who stand, sit or breathe. One descriptor uses them:
+//! whether there is change while nothing moves. The distribution of change over ranges differs between simulated and real rooms,
+//! where people shadow more, and says little about the number of walking people.
 //!
-//! `dataset/features.rs` is something else: quantiles over many maps, by which simulated rooms are held against real ones.
+//! `dataset/features.rs` has other features: quantiles over many maps, which compare simulated rooms with real ones.
 
 use candle_core::{Error, Result, Shape, Tensor};
 
-use super::Feature;
-use super::crew::for_each_chunk;
+use super::feature::Feature;
 use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::spin_pool::for_each_chunk;
 
-/// Numbers that describe a map.
+/// Number of descriptors of a map.
 pub const DESCRIPTORS: usize = 43;
 
-/// Level above which a cell stands out of noise, dB: of 8,192 cells of noise one does.
+/// Level above which a cell is an echo, dB. One of 8,192 cells of noise exceeds it.
 const STANDS_OUT_DB: f32 = 10.0;
-/// The same as `1 + P / N`.
+/// The same level as `1 + P / N`.
 const STANDS_OUT: f64 = 10.0;
-/// Strongest cell above which the mean velocity of a range bin is not that of noise, dB: no cell of noise reaches it.
+/// Level of the strongest cell above which the mean velocity of a range bin is known, dB. No cell of noise reaches it.
 const VELOCITY_KNOWN_DB: f32 = 15.0;
-/// Level that stronger cells are taken for, dB, so that sums of powers stay finite.
+/// Upper bound of levels, dB, which keeps sums of powers finite.
 const MOST_DB: f32 = 350.0;
 /// Range bins to either side of the strongest cell that count as its range.
 const SAME_RANGE_BINS: i64 = 2;
 /// Velocity bins to either side of the strongest cell that count as its velocity: limbs move that much faster and slower.
 const SAME_VELOCITY_BINS: i64 = 4;
-/// Velocity bins to either side of zero that are slow: a room at rest reaches them.
+/// Velocity bins to either side of zero that are slow. A room at rest reaches them.
 const SLOW_BINS: i64 = 1;
 /// Levels below the strongest cell down to which cells are counted, dB.
 const COUNTED_DB: [f32; 5] = [10.0, 15.0, 20.0, 25.0, 30.0];
-/// Change from frame to frame that nobody and that somebody certainly makes, dB over noise: rooms at rest have up to 19 dB, people who
-/// sit 30 dB and more.
+/// Change from frame to frame of an empty room at most and of people at least, dB over noise: rooms at rest have up to 19 dB,
+/// sitting people 30 dB and more.
 const CHANGE_DB: [f32; 2] = [20.0, 35.0];
-/// Strongest cell of a map in which nothing moves within the frame, and of one in which somebody certainly does, dB.
+/// Level of the strongest cell of a map without motion within the frame at most, and of a map with motion at least, dB.
 const MOTION_DB: [f32; 2] = [10.0, 25.0];
-/// By so many dB one direction has to be stronger than the other in a range bin to own it.
+/// Difference by which one direction must exceed the other in a range bin to dominate it, dB.
 const OWNS_DB: f32 = 3.0;
 const NAME: &str = "map_descriptors";
 
-/// Where a cell is in range, held against the strongest one.
+/// Range of a cell relative to the strongest one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Place {
+enum RelativeRange {
     Nearer,
     Farther,
     Same,
 }
 
-/// A cell that stands out of noise.
+/// Cell above the noise.
 struct Cell {
     row: usize,
     /// Velocity bins from zero, not 0.
     speed: i64,
     level_db: f32,
-    /// `1 + P / N` less that at which cells begin to stand out, so that a cell does not enter a sum with a step.
+    /// `1 + P / N` minus the threshold, so that a cell enters a sum without a step.
     excess: f64,
 }
 
-/// Descriptors of a map: energies, places, and what lies apart from the strongest cell.
+/// Computes the descriptors of a map: energies, ranges and velocities, and cells away from the strongest one.
 ///
 /// `map_db` is `[range][velocity]`, `10 log10(1 + P / N)` of power over noise
 /// ([`OverNoise`](crate::standardise::MapReference::OverNoise)).
 ///
 /// | index | what | unit |
 /// |---|---|---|
-/// | 0 | total energy of the cells that stand out of noise, over noise | dB |
+/// | 0 | total energy of the cells above the noise, over noise | dB |
 /// | 1, 2 | energy-weighted mean and spread of range | that of `range_step` |
 /// | 3, 4 | magnitude of the energy-weighted mean of velocity, and its spread | that of `velocity_step` |
 /// | 5 | spread over range bins of the bins' mean velocity | that of `velocity_step` |
@@ -86,7 +86,7 @@ struct Cell {
 /// | 30, 31 | range bins in which the opposite direction is the stronger one by 3 dB, and in which it is the weaker one, `ln(1 + count)` | 1 |
 /// | 32 to 36 | cells of the opposite direction down to 10, 15, 20, 25 and 30 dB below the strongest cell, `ln(1 + count)` | 1 |
 /// | 37 to 41 | the same for cells of another velocity that are not at the same range | 1 |
-/// | 42 | somebody who does not move: strongest cell of zero velocity, 0 up to 20 dB and 1 from 35 dB on, times 1 where no other cell stands out, and 0 where the strongest one has 25 dB | 1 |
+/// | 42 | person without motion: strongest cell of zero velocity, 0 up to 20 dB and 1 from 35 dB on, times 1 where no other cell is above the noise, and 0 where the strongest one has 25 dB | 1 |
 ///
 /// Cells of zero velocity are in 42 only.
 ///
@@ -96,11 +96,11 @@ struct Cell {
 /// None of them changes when approaching and receding are exchanged about zero Doppler: the direction of motion says nothing
 /// about the number of people, and a linear classifier can use the magnitude of a velocity only if it is given one.
 ///
-/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above 10
-/// dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
-/// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single
-/// cell of noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The
-/// spread over range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
+/// Zero velocity is at index `velocity_bins / 2`, range 0 at row 0; cells of an incomplete last row are left out. Only cells above
+/// 10 dB count, and energies are `1 + P / N` less 10: cells of noise do not count. Means and spreads of range and velocity are
+/// multiplied by `energy / (energy + 10)` (the mean of range as its distance from the middle of the axis), so that a single cell of
+/// noise moves them little: without any energy, the mean of range is the middle of the axis and the others are 0. The spread over
+/// range bins is the standard deviation over bins whose strongest cell is above 15 dB, 0 without any.
 ///
 /// Of equals, the strongest cell is the one of the smallest index. A map without cells above 10 dB has a strongest cell of 10 dB in
 /// the middle of the range axis that stands still; so has a region without cells a strongest level of 10 dB and no energy.
@@ -163,9 +163,9 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
     let peak = cells.iter().fold(&middle, |best, cell| if cell.level_db > best.level_db { cell } else { best });
     let toward = if peak.speed < 0 { -1 } else { 1 };
     let place = |cell: &Cell| match cell.row as i64 - peak.row as i64 {
-        bins if bins < -SAME_RANGE_BINS => Place::Nearer,
-        bins if bins > SAME_RANGE_BINS => Place::Farther,
-        _ => Place::Same,
+        bins if bins < -SAME_RANGE_BINS => RelativeRange::Nearer,
+        bins if bins > SAME_RANGE_BINS => RelativeRange::Farther,
+        _ => RelativeRange::Same,
     };
     let is_opposite = |cell: &Cell| cell.speed * toward < -SLOW_BINS;
     let is_along = |cell: &Cell| cell.speed * toward > SLOW_BINS;
@@ -186,14 +186,14 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
         values.push(level_of(region));
         values.push(energy_db(cells.iter().filter(|cell| region(cell))) - total_db);
     };
-    let places = [Place::Nearer, Place::Farther, Place::Same];
+    let places = [RelativeRange::Nearer, RelativeRange::Farther, RelativeRange::Same];
     for at in places {
         level_and_energy(&|cell| is_opposite(cell) && place(cell) == at);
     }
     for at in places {
         level_and_energy(&|cell| is_other(cell) && place(cell) == at);
     }
-    for at in [Place::Nearer, Place::Farther] {
+    for at in [RelativeRange::Nearer, RelativeRange::Farther] {
         level_and_energy(&|cell| !is_other(cell) && place(cell) == at);
     }
     values.extend(places.map(|at| level_of(&|cell| is_slow(cell) && place(cell) == at)));
@@ -212,11 +212,13 @@ fn beside_the_strongest(cells: &[Cell], rows: usize, range_step: f64, velocity_s
         logarithm_of(cells.iter().filter(|cell| cell.level_db > least && region(cell)).count())
     };
     values.extend(COUNTED_DB.map(|within_db| count(within_db, &is_opposite)));
-    values.extend(COUNTED_DB.map(|within_db| count(within_db, &|cell| is_other(cell) && place(cell) != Place::Same)));
+    values.extend(
+        COUNTED_DB.map(|within_db| count(within_db, &|cell| is_other(cell) && place(cell) != RelativeRange::Same)),
+    );
     values
 }
 
-/// Share by a level: 0 up to the first one, 1 from the second one on, linear between them.
+/// Weight by a level: 0 up to the first level, 1 from the second on, linear between them.
 fn share_of([none_db, all_db]: [f32; 2], level_db: f32) -> f64 {
     f64::from(((level_db - none_db) / (all_db - none_db)).clamp(0.0, 1.0))
 }
@@ -228,7 +230,7 @@ fn weighted_mean(cells: &[Cell], of: impl Fn(&Cell) -> f64) -> f64 {
     sum / energy.max(f64::MIN_POSITIVE)
 }
 
-/// Level of the strongest of cells, at least that of a cell that just stands out.
+/// Level of the strongest of cells, dB, at least the threshold above noise.
 fn strongest_db<'a>(cells: impl IntoIterator<Item = &'a Cell>) -> f32 {
     cells.into_iter().fold(STANDS_OUT_DB, |most, cell| cell.level_db.max(most))
 }
@@ -253,7 +255,7 @@ fn logarithm_of(count: usize) -> f64 {
 
 /// [`descriptors`] of each of the maps `[batch][range][velocity][1]`, dB over noise: `[batch][43]`, ranges and velocities in bins.
 ///
-/// The input has no gradient: to ask for one is an error of the backward pass.
+/// The input has no gradient: the backward pass fails if it needs one.
 ///
 /// # Errors
 /// The input has another shape, more than one channel, or maps without cells.
@@ -261,7 +263,7 @@ pub fn map_descriptors(input: &Tensor) -> Result<Tensor> {
     apply(&[input], MapDescriptors)
 }
 
-/// Batch, rows and columns of maps that can be described.
+/// Checks the shape of maps. Returns batch, rows and columns.
 fn sizes_of(dims: &[usize]) -> Result<[usize; 3]> {
     match *dims {
         [batch, rows, columns, 1] if rows > 0 && columns > 0 => Ok([batch, rows, columns]),
@@ -330,7 +332,7 @@ mod tests {
         descriptors(map, columns, RANGE_STEP_M, VELOCITY_STEP_M_PER_S)
     }
 
-    /// A map of 64 x 64 cells without any power but echoes of so many dB at range and velocity bins.
+    /// A map of 64 x 64 cells with echoes of given range bins, velocity bins and levels, and no other power.
     fn echoes(at: &[(usize, usize, f32)]) -> Vec<f32> {
         let mut map = vec![0.0; 64 * 64];
         at.iter().for_each(|&(row, column, level)| map[row * 64 + column] = level);
@@ -338,7 +340,7 @@ mod tests {
     }
 
     fn noise(rows: usize, columns: usize, seed: u64) -> Vec<f32> {
-        let mut rng = crate::stream(seed, "noise", 0);
+        let mut rng = crate::random::stream(seed, "noise", 0);
         let mut cell = || 10.0 * (1.0 - rng.random_range(f32::MIN_POSITIVE..1.0).ln()).log10();
         (0..rows * columns).map(|_| cell()).collect()
     }
@@ -361,7 +363,7 @@ mod tests {
             near("range", found[PEAK + 1], 20.0 * RANGE_STEP_M, 1e-6);
             near("logarithm of range", found[PEAK + 2], 21f64.ln(), 1e-6);
             near("speed", found[PEAK + 3], speed, 1e-6);
-            // Nothing else stands out: 30 dB less, and no energy.
+            // There is no other echo: 30 dB less, and no energy.
             for k in 0..8 {
                 near("level apart", found[OPPOSITE + 2 * k], -30.0, 1e-6);
                 near("energy apart", found[OPPOSITE + 2 * k + 1], -40.0, 0.01);
@@ -374,7 +376,7 @@ mod tests {
         }
     }
 
-    /// Somebody who sits, beside whom nothing else or somebody who walks moves.
+    /// A sitting person, alone or with a walking one.
     #[test]
     fn change_at_zero_velocity_stands_apart() {
         for (level, change) in [(15.0, 0.0), (20.0, 0.0), (27.5, 0.5), (35.0, 1.0), (60.0, 1.0)] {
@@ -403,7 +405,7 @@ mod tests {
         }
     }
 
-    /// Somebody who comes, an echo of the same motion by way of a wall, and a second one who goes.
+    /// An approaching person, a multipath echo of the same motion, and a receding person.
     #[test]
     fn who_goes_the_other_way_stands_apart() {
         let (first, ghost, second) = ((20, 40, 40.0), (30, 41, 25.0), (12, 26, 31.0));

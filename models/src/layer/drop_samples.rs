@@ -5,12 +5,15 @@ use rand::Rng;
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::stream;
+use crate::random::stream;
 
 const NAME: &str = "drop_samples";
 
-/// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)` (Huang et al.,
-/// ECCV 2016; torchvision's "row" mode): training only. Which ones is a function of `seed` and `draw`.
+/// Sets whole samples of a batch to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only
+/// (Huang et al., ECCV 2016; torchvision's "row" mode). The choice is a function of `seed` and `draw`.
+///
+/// # Errors
+/// The probability is outside of `0..1`, or the tensor is not f32 on the CPU.
 pub fn drop_samples(input: &Tensor, probability: f32, seed: u64, draw: u64) -> Result<Tensor> {
     if !(0.0..1.0).contains(&probability) {
         return Err(Error::Msg(format!("{NAME}: expected a probability from 0 to below 1, got {probability}")).bt());

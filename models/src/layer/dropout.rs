@@ -5,15 +5,17 @@ use rand::Rng;
 use rayon::prelude::*;
 
 use super::operation::{Argument, Gradients, Operation, apply};
-use crate::stream;
+use crate::random::stream;
 
 const NAME: &str = "dropout";
-/// Values that draw from one generator.
+/// Values for which one generator is used.
 const BLOCK: usize = 4096;
 
-/// Sets each value to zero with `probability` and scales the others by `1 / (1 - probability)`: training only; at
-/// evaluation nothing is to be done. Which values is a function of `seed`, `draw` (the number of the step, say) and their
-/// index.
+/// Sets each value to zero with `probability` and scales the others by `1 / (1 - probability)`, in training only. The choice is a
+/// function of `seed`, `draw` (for example the number of the step) and the index of the value.
+///
+/// # Errors
+/// The probability is outside of `0..1`, or the tensor is not f32 on the CPU.
 pub fn dropout(input: &Tensor, probability: f32, seed: u64, draw: u64) -> Result<Tensor> {
     if !(0.0..1.0).contains(&probability) {
         return Err(Error::Msg(format!("{NAME}: expected a probability from 0 to below 1, got {probability}")).bt());

@@ -2,16 +2,20 @@
 
 use candle_core::{Error, Result, Shape, Tensor};
 
-use super::KernelLevel;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
-use super::packed::{Packed, Side};
-use super::sweep::Sweep;
-use super::tile::Tiles;
-use super::weight_gradient::{column_sums, weight_gradient};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::implicit_gemm::ImplicitGemm;
+use crate::kernel::packed::{Packed, Side};
+use crate::kernel::tile::Tiles;
+use crate::kernel::weight_gradient::{column_sums, weight_gradient};
 
 const NAME: &str = "linear";
 
 /// `input weight^T + bias`: `input` `[batch][i]`, `weight` `[o][i]`, `bias` `[o]`, result `[batch][o]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn linear(input: &Tensor, weight: &Tensor, bias: &Tensor, level: KernelLevel) -> Result<Tensor> {
     apply(&[input, weight, bias], Linear { tiles: Tiles::new(level) })
 }
@@ -38,7 +42,7 @@ impl Operation for Linear {
         let [input, weight, bias] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Forward, self.tiles);
         let mut output = unwritten(batch * o);
-        Sweep::rows(batch, i).run(input.values, &weight, Some(bias.values), &mut output);
+        ImplicitGemm::rows(batch, i).run(input.values, &weight, Some(bias.values), &mut output);
         Ok((output, Shape::from((batch, o))))
     }
 
@@ -47,8 +51,8 @@ impl Operation for Linear {
         let [input, weight, _] = inputs else { candle_core::bail!("{NAME}: expected three inputs") };
         let weight = Packed::new(weight.values, [o, i, 1], Side::Backward, self.tiles);
         let mut input_gradient = unwritten(batch * i);
-        Sweep::rows(batch, o).run(&gradient, &weight, None, &mut input_gradient);
-        let weight_gradient = weight_gradient(&Sweep::rows(batch, i), input.values, &gradient, o, self.tiles);
+        ImplicitGemm::rows(batch, o).run(&gradient, &weight, None, &mut input_gradient);
+        let weight_gradient = weight_gradient(&ImplicitGemm::rows(batch, i), input.values, &gradient, o, self.tiles);
         Ok(vec![Some(input_gradient), Some(weight_gradient), Some(column_sums(&gradient, o))])
     }
 }

@@ -5,15 +5,21 @@ use std::sync::OnceLock;
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::crew::for_each_chunk;
-use super::level::dispatch;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
-use super::{Feature, KernelLevel};
+use super::feature::Feature;
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::KernelLevel;
+use crate::kernel::buffer::unwritten;
+use crate::kernel::level::dispatch;
+use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "max_pool2d";
 
-/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window; padding never wins, a NaN always does,
-/// and of equals the first in row-major order.
+/// PyTorch's `max_pool2d` of `[batch][row][column][channel]` with a square window. Padding is never the largest, a NaN always is,
+/// and among equals the first in row-major order.
+///
+/// # Errors
+/// The kernel has a side of 0 or more than 15 cells, the stride is 0, the padding exceeds half of the kernel, the padded input is
+/// smaller than the kernel or has an empty axis, or it is not f32 on the CPU.
 pub fn max_pool2d(input: &Tensor, kernel: usize, stride: usize, padding: usize, level: KernelLevel) -> Result<Tensor> {
     apply(&[input], MaxPool { kernel, stride, padding, level: level.available(), winners: OnceLock::new() })
 }
@@ -23,7 +29,7 @@ struct MaxPool {
     stride: usize,
     padding: usize,
     level: KernelLevel,
-    /// Which cell of its window each output is.
+    /// Index in its window of the cell that each output comes from.
     winners: OnceLock<Vec<u8>>,
 }
 
@@ -66,7 +72,7 @@ impl MaxPool {
         })
     }
 
-    /// Fills in the largest values and which cells of their windows they are.
+    /// Computes the largest values and their indices in the windows.
     fn run(&self, sizes: &Sizes, input: &[f32], output: &mut [f32], winners: &mut [u8]) {
         let channels = sizes.channels;
         let line = sizes.output[1] * channels;
@@ -89,6 +95,9 @@ impl MaxPool {
 
 impl Feature {
     /// [`max_pool2d`] without a graph of gradients.
+    ///
+    /// # Errors
+    /// Those of [`max_pool2d`].
     pub fn max_pool2d(
         &self,
         kernel: usize,
@@ -137,7 +146,7 @@ fn pick_lanes(input: &[f32], window: &[(u8, usize)], channels: usize, first: usi
         let Some(values) = input[cell * channels + first..].first_chunk::<LANES>() else { break };
         for lane in 0..LANES {
             let value = values[lane];
-            // The first cell wins over nothing. A NaN wins, and stays: comparisons with it are false.
+            // The first cell is taken in any case. A NaN is taken and stays, because comparisons with it are false.
             let better = (winner[lane] == u32::MAX) | (value > best[lane]) | value.is_nan();
             best[lane] = if better { value } else { best[lane] };
             winner[lane] = if better { u32::from(k) } else { winner[lane] };
@@ -186,7 +195,7 @@ fn spread_generic<const FUSED: bool>(gradient: &[f32], winners: &[u8], window: &
 }
 
 dispatch! {
-    /// Adds each channel's gradient to the cell of the window that won.
+    /// Adds each channel's gradient to the largest cell of the window.
     fn spread(gradient: &[f32], winners: &[u8], window: &[(u8, usize)], map: &mut [f32]) = spread_generic
 }
 

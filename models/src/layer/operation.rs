@@ -1,11 +1,11 @@
-//! What a layer is to the graph of gradients: a function of one to three arrays with a hand-written gradient.
+//! Layers as operations of candle's graph: functions of one to three arrays with hand-written gradients.
 
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, MutexGuard, OnceLock, Weak};
 
 use candle_core::{CpuStorage, CustomOp1, CustomOp2, CustomOp3, Layout, Result, Shape, Storage, Tensor, TensorId};
 
-use super::{values, with_values};
+use super::tensor::{values, with_values};
 
 /// One input of a layer: its values in row-major order and its shape.
 #[derive(Clone, Copy)]
@@ -14,7 +14,7 @@ pub(super) struct Argument<'a> {
     pub dims: &'a [usize],
 }
 
-/// Gradients of a layer's inputs, in their order; `None` where nobody needs one.
+/// Gradients of a layer's inputs, in their order; `None` where none is needed.
 pub(super) type Gradients = Vec<Option<Vec<f32>>>;
 
 /// A layer of one to three inputs and one output.
@@ -25,27 +25,18 @@ pub(super) trait Operation: Send + Sync + 'static {
     /// Checks the shapes and computes the output.
     fn forward(&self, inputs: &[Argument<'_>]) -> Result<(Vec<f32>, Shape)>;
 
-    /// `gradient` belongs to `output`; it is handed over, so that it can become an input's gradient in place.
+    /// Computes gradients of the inputs. `gradient` belongs to `output`; it is passed by value, so that an input's gradient can
+    /// reuse it.
     fn backward(&self, inputs: &[Argument<'_>], output: &[f32], gradient: Vec<f32>) -> Result<Gradients>;
 }
 
-/// An array for a layer's result with arbitrary values, all of which the layer overwrites: filling tens of megabytes with zeros
-/// first would take as long as many a layer.
-#[allow(clippy::uninit_vec)]
-pub(super) fn unwritten(length: usize) -> Vec<f32> {
-    if cfg!(miri) || !cfg!(any(target_arch = "x86_64", target_arch = "aarch64")) {
-        return vec![0.0; length];
-    }
-    let mut values = Vec::<f32>::with_capacity(length);
-    #[cfg(any(target_arch = "x86_64", target_arch = "aarch64"))]
-    // SAFETY: the capacity is `length`, and any bits are an f32. The assembly stands for code that writes arbitrary bits to the
-    // whole block, of which leaving what is there is one way; the compiler has to assume such writes, so that the block is
-    // initialised behind it.
-    unsafe {
-        std::arch::asm!("/* {} */", in(reg) values.as_mut_ptr(), options(nostack, preserves_flags));
-        values.set_len(length);
-    }
-    values
+/// Whether the backward pass computes the gradient of a layer's input.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InputGradient {
+    /// The input comes from another layer.
+    Needed,
+    /// The input is data.
+    Unused,
 }
 
 /// Applies `operation` to tensors as one node of candle's graph.
@@ -62,7 +53,7 @@ pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Ten
         [a, b, c] => a.apply_op3(b, c, handle),
         _ => candle_core::bail!("{}: {} inputs", node.operation.name(), inputs.len()),
     }?;
-    // Where no input is a variable or comes of one, candle has let go of the operation, and nobody will ask for it.
+    // If no input depends on a variable, candle has dropped the operation, and no backward pass will need it.
     if Arc::strong_count(&node) > 1 {
         let _ = node.output.set(output.id());
         nodes().insert(output.id(), Arc::downgrade(&node));
@@ -70,19 +61,19 @@ pub(super) fn apply(inputs: &[&Tensor], operation: impl Operation) -> Result<Ten
     Ok(output)
 }
 
-/// The node that computed a tensor, if it is one of this crate's layers.
+/// Node that computed a tensor, if it is a layer of this crate.
 pub(super) fn node_of(tensor: &Tensor) -> Option<Arc<Node>> {
     nodes().get(&tensor.id())?.upgrade()
 }
 
-/// Which layer computed which tensor: candle keeps its operations to itself. A node leaves with its tensor.
+/// Layers by the tensors that they computed, because candle does not expose its operations. A node is dropped with its tensor.
 static NODES: LazyLock<Mutex<HashMap<TensorId, Weak<Node>>>> = LazyLock::new(Mutex::default);
 
 fn nodes() -> MutexGuard<'static, HashMap<TensorId, Weak<Node>>> {
     NODES.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
 }
 
-/// A layer that has been applied.
+/// Layer that was applied to tensors.
 pub(super) struct Node {
     operation: Box<dyn Operation>,
     pub inputs: Vec<Tensor>,
@@ -99,6 +90,9 @@ impl Drop for Node {
 
 impl Node {
     /// Gradients of the inputs from the gradient of the output.
+    ///
+    /// # Errors
+    /// A tensor is not f32 on the CPU, or the layer has no such gradient.
     pub fn backward(&self, output: &Tensor, gradient: Vec<f32>) -> Result<Gradients> {
         let name = self.operation.name();
         let contiguous = self.inputs.iter().map(|t| t.contiguous()).collect::<Result<Vec<_>>>()?;

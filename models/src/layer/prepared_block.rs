@@ -1,18 +1,19 @@
-//! The fused block of [`super::conv_relu_pool()`] prepared once and run often, without gradients.
+//! Fused block of [`super::conv_relu_pool()`] prepared for inference, without gradients.
 //!
-//! Several threads share one map, and every cell is summed in the same order whoever does it.
+//! Several threads share one map. Every cell is summed in the same order on any thread.
 
 use std::cell::RefCell;
 
 use candle_core::{Error, Result};
 
-use super::crew::for_each_chunk;
-use super::kernel::{Block, LANES};
-use super::level::{dispatch, multiply_add};
-use super::winograd::{Finish, Winograd};
-use super::{Affine, Feature, KernelLevel};
+use super::feature::{Affine, Feature};
+use crate::kernel::KernelLevel;
+use crate::kernel::conv_pool::{Block, LANES};
+use crate::kernel::level::{dispatch, multiply_add};
+use crate::kernel::spin_pool::for_each_chunk;
+use crate::kernel::winograd::{Finish, Winograd};
 
-/// Pooled rows of a strip of a single channel, which is one task.
+/// Pooled rows of one task for an input of a single channel.
 const STRIP_ROWS: usize = 2;
 
 /// `max_pool2(relu((conv3x3(input) + bias) * scale + shift))`, padded by 1.
@@ -24,7 +25,7 @@ pub struct PreparedBlock {
 }
 
 enum Weight {
-    /// Of a single input channel `[output / 16][row][column][output % 16]`, and what sums start from, padded alike.
+    /// For a single input channel: weights `[output / 16][row][column][output % 16]`, and accumulator init, padded alike.
     Single(Vec<f32>, Vec<f32>),
     Winograd(Winograd),
 }
@@ -36,6 +37,9 @@ thread_local! {
 
 impl PreparedBlock {
     /// Prepares weights `[o][i][3][3]`, `shape` `[o, i]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `shape` asks for, or there are no weights.
     pub fn new(
         weight: &[f32],
         shape: [usize; 2],
@@ -56,18 +60,21 @@ impl PreparedBlock {
         }
         let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
         let folded: Vec<f32> = weight.iter().enumerate().map(|(k, w)| w * scale(k / (9 * inputs))).collect();
-        let mut start: Vec<f32> =
+        let mut init: Vec<f32> =
             (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
         let weight = if inputs == 1 {
-            start.resize(outputs.next_multiple_of(LANES), 0.0);
-            Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), start)
+            init.resize(outputs.next_multiple_of(LANES), 0.0);
+            Weight::Single(Block { rows: 0, columns: 0, inputs, outputs }.pack(&folded), init)
         } else {
-            Weight::Winograd(Winograd::new(&folded, shape, &start, level))
+            Weight::Winograd(Winograd::new(&folded, shape, &init, level))
         };
         Ok(PreparedBlock { inputs, outputs, weight, level: level.available() })
     }
 
     /// `input` `[batch][row][column][i]`; `output` becomes `[batch][row / 2][column / 2][o]` and keeps its memory.
+    ///
+    /// # Errors
+    /// The input has another number of channels, or fewer than two rows or columns.
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, inputs] = input.dims();
         if inputs != self.inputs || rows < 2 || columns < 2 {
@@ -84,7 +91,7 @@ impl PreparedBlock {
             Weight::Winograd(winograd) => {
                 winograd.run(input.values(), [batch, rows, columns], Finish::Pool, output.values_mut());
             }
-            Weight::Single(weight, start) => {
+            Weight::Single(weight, init) => {
                 let row = pooled_columns * self.outputs;
                 for_each_chunk(output.values_mut(), STRIP_ROWS * row, |strip, output| {
                     PADDED.with_borrow_mut(|padded| {
@@ -97,7 +104,7 @@ impl PreparedBlock {
                                 2 * pooled_row,
                                 padded,
                             );
-                            single(self.level, padded, weight, start, self.outputs, output);
+                            single(self.level, padded, weight, init, self.outputs, output);
                         }
                     });
                 });
@@ -124,29 +131,23 @@ fn pad(input: &[f32], columns: usize, first: usize, padded: &mut Vec<f32>) {
 
 dispatch! {
     /// A pooled row from four padded rows of a single channel, whose every cell is read once for a window.
-    fn single(padded: &[f32], weight: &[f32], start: &[f32], outputs: usize, output: &mut [f32]) = single_generic
+    fn single(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) = single_generic
 }
 
 #[inline(always)]
-fn single_generic<const FUSED: bool>(
-    padded: &[f32],
-    weight: &[f32],
-    start: &[f32],
-    outputs: usize,
-    output: &mut [f32],
-) {
+fn single_generic<const FUSED: bool>(padded: &[f32], weight: &[f32], init: &[f32], outputs: usize, output: &mut [f32]) {
     let line = padded.len() / 4;
     let lines: [&[f32]; 4] = std::array::from_fn(|k| &padded[k * line..(k + 1) * line]);
-    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(start.as_chunks::<LANES>().0);
-    for (group, (weight, start)) in groups.enumerate() {
+    let groups = weight.as_chunks::<LANES>().0.as_chunks::<9>().0.iter().zip(init.as_chunks::<LANES>().0);
+    for (group, (weight, init)) in groups.enumerate() {
         let lanes = LANES.min(outputs - group * LANES);
         {
             for (column, output) in output.chunks_exact_mut(outputs).enumerate() {
                 let patch: [&[f32; 4]; 4] = lines.map(|line| line[2 * column..].first_chunk().unwrap_or(&[0.0; 4]));
-                let mut sums = [*start; 4];
-                for (tap, weight) in weight.iter().enumerate() {
+                let mut sums = [*init; 4];
+                for (offset, weight) in weight.iter().enumerate() {
                     for (cell, sum) in sums.iter_mut().enumerate() {
-                        let value = patch[cell / 2 + tap / 3][cell % 2 + tap % 3];
+                        let value = patch[cell / 2 + offset / 3][cell % 2 + offset % 3];
                         for lane in 0..LANES {
                             sum[lane] = multiply_add::<FUSED>(value, weight[lane], sum[lane]);
                         }

@@ -1,11 +1,12 @@
-//! Dense layers prepared once and run often, summed in f64: a latent feeds a circuit that turns an error of 1e-6 in it into one
-//! of 1e-5 in a probability, and sums over a thousand features lose that much in f32.
+//! Dense layer prepared for inference, summed in f64: the circuit amplifies an error of 1e-6 in the latent to 1e-5 in a
+//! probability, and f32 sums over a thousand features have such errors.
 
 use candle_core::{Error, Result};
 
 use super::activation::{Activation, in_place};
-use super::level::dispatch;
-use super::{Feature, KernelLevel};
+use super::feature::Feature;
+use crate::kernel::KernelLevel;
+use crate::kernel::level::dispatch;
 
 /// Outputs that are summed at once, in registers.
 const LANES: usize = 32;
@@ -24,6 +25,9 @@ pub struct PreparedDense {
 
 impl PreparedDense {
     /// Prepares weights `[o][i]`, `shape` `[o, i]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `shape` asks for, or there are no weights.
     pub fn new(
         weight: &[f32],
         shape: [usize; 2],
@@ -47,12 +51,16 @@ impl PreparedDense {
                 packed[(o / LANES * inputs + i) * LANES + o % LANES] = w;
             }
         }
-        let mut start = bias.to_vec();
-        start.resize(groups * LANES, 0.0);
-        Ok(PreparedDense { inputs, outputs, weight: packed, bias: start, activation, level: level.available() })
+        let mut padded = bias.to_vec();
+        padded.resize(groups * LANES, 0.0);
+        Ok(PreparedDense { inputs, outputs, weight: packed, bias: padded, activation, level: level.available() })
     }
 
-    /// `input` `[batch][i]`, however `i` is made up of rows, columns and channels; `output` becomes `[batch][1][1][o]`.
+    /// Runs the layer on `input` `[batch][i]`, where `i` is the product of rows, columns and channels; `output` becomes
+    /// `[batch][1][1][o]`.
+    ///
+    /// # Errors
+    /// The input has another number of features.
     pub fn run(&self, input: &Feature, output: &mut Feature) -> Result<()> {
         let [batch, rows, columns, channels] = input.dims();
         if rows * columns * channels != self.inputs {

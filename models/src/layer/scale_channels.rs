@@ -1,15 +1,19 @@
-//! One factor for each channel of each map: the end of squeeze-and-excitation.
+//! Multiplication of each channel of each map by a factor: the last step of squeeze-and-excitation.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
-use super::Feature;
-use super::crew::for_each_chunk;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::feature::Feature;
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::buffer::unwritten;
+use crate::kernel::spin_pool::for_each_chunk;
 
 const NAME: &str = "scale_channels";
 
 /// `input` `[batch][row][column][channel]` times `scale` `[batch][channel]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn scale_channels(input: &Tensor, scale: &Tensor) -> Result<Tensor> {
     apply(&[input, scale], ScaleChannels)
 }
@@ -34,6 +38,9 @@ fn sizes(inputs: &[Argument<'_>]) -> Result<(usize, usize)> {
 
 impl Feature {
     /// [`scale_channels`] in place; `scale` is `[batch][1][1][channel]`.
+    ///
+    /// # Errors
+    /// Shapes differ from those above, or an axis is empty.
     pub fn scale_channels(&mut self, scale: &Feature) -> Result<()> {
         let ([batch, rows, columns, channels], [b, 1, 1, c]) = (self.dims(), scale.dims()) else {
             candle_core::bail!("{NAME}: expected a scale [batch, 1, 1, c], got {:?}", scale.dims());

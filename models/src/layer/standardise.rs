@@ -1,4 +1,4 @@
-//! Centring and scaling by constants.
+//! Normalisation by constants.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
@@ -8,6 +8,9 @@ use super::operation::{Argument, Gradients, Operation, apply};
 const NAME: &str = "standardise";
 
 /// `(input - mean) / sigma`, `input` `[batch][feature]` and a mean and a sigma for each feature. Constants have no gradient.
+///
+/// # Errors
+/// There is not one mean and one sigma for each feature, there are none, or the tensor is not f32 on the CPU.
 pub fn standardise(input: &Tensor, mean: &[f32], sigma: &[f32]) -> Result<Tensor> {
     let factor = sigma.iter().map(|sigma| 1.0 / sigma).collect();
     apply(&[input], Standardise { mean: mean.to_vec(), factor })

@@ -1,12 +1,16 @@
-//! Two arrays as one: added, or one after the other.
+//! Sum and concatenation of two arrays.
 
 use candle_core::{Error, Result, Shape, Tensor};
 use rayon::prelude::*;
 
 use super::activation::CHUNK;
-use super::operation::{Argument, Gradients, Operation, apply, unwritten};
+use super::operation::{Argument, Gradients, Operation, apply};
+use crate::kernel::buffer::unwritten;
 
 /// `a + b`, of one shape.
+///
+/// # Errors
+/// The shapes differ, or a tensor is not f32 on the CPU.
 pub fn add(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     apply(&[a, b], Add)
 }
@@ -38,6 +42,9 @@ impl Operation for Add {
 }
 
 /// `[batch][a]` and `[batch][b]` to `[batch][a + b]`.
+///
+/// # Errors
+/// Shapes differ from those above, or a tensor is not f32 on the CPU.
 pub fn concatenate(a: &Tensor, b: &Tensor) -> Result<Tensor> {
     apply(&[a, b], Concatenate)
 }

@@ -9,6 +9,9 @@ use super::operation::{Argument, Gradients, Operation, apply};
 const NAME: &str = "trigonometric";
 
 /// `[batch][2]` radians to the features a, b, c, d, e of [`crate::quantum`], `[batch][5]`.
+///
+/// # Errors
+/// The input has another shape, or it is not f32 on the CPU.
 pub fn trigonometric(input: &Tensor) -> Result<Tensor> {
     apply(&[input], Trigonometric)
 }

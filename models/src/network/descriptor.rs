@@ -1,4 +1,4 @@
-//! Descriptors of a map with a linear head or with the HQNN's: the plain classifiers that networks are compared with.
+//! Descriptors of a map with a linear head or with the HQNN's: baseline classifiers.
 //!
 //! ```text
 //! map [1][range][doppler], dB over noise
@@ -11,63 +11,14 @@
 //!                                           two-qubit circuit, <ZI> and <IZ>       4
 //!                                           linear 2 -> 3: logits                  9
 //! ```
-//! Any [`Head`] can stand behind the latent, as behind the HQNN's. Bins or metres are the same here: the unit of a descriptor is
-//! a factor of its weights, and the axes of a model's maps are fixed by its card.
+//! Any [`Head`] can follow the latent, as in the HQNN. Bins and metres are equivalent here: the unit of a descriptor is a factor of
+//! its weights, and a model's card fixes the axes of its maps.
 
-use thiserror::Error;
-
-use super::NetworkKind;
 use super::graph::{Graph, INPUT, Layer, Value};
 use super::hqnn::{self, Head};
 use crate::layer::DESCRIPTORS;
-use crate::standardise::MapReference;
 
 const CLASSES: usize = 3;
-
-/// Maps that a network of descriptors cannot read.
-#[derive(Debug, Clone, PartialEq, Eq, Error)]
-#[error(
-    "{network:?} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
-     reference = {{ over_noise = {{ skip_range_bins = 3 }} }}, and neither transposed nor label_leaking_cells"
-)]
-pub struct UnreadableMaps {
-    /// The network.
-    pub network: NetworkKind,
-    /// What the maps are instead.
-    pub found: &'static str,
-}
-
-impl NetworkKind {
-    /// Whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not standardised.
-    pub fn reads_descriptors(self) -> bool {
-        matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
-    }
-
-    /// Whether a narrow latent stands before a [`Head`].
-    pub fn has_latent(self) -> bool {
-        matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
-    }
-
-    /// Checks that the network can read maps of this reference and orientation.
-    ///
-    /// # Errors
-    /// The network describes maps, and they are not in dB over noise, or transposed, or standardised by scene and class.
-    pub fn check_maps(
-        self,
-        reference: MapReference,
-        transposed: bool,
-        label_leaking: bool,
-    ) -> Result<(), UnreadableMaps> {
-        let found = match reference {
-            _ if !self.reads_descriptors() => return Ok(()),
-            MapReference::Absolute => "their reference is absolute",
-            _ if transposed => "they are transposed",
-            _ if label_leaking => "they are standardised by scene and class",
-            _ => return Ok(()),
-        };
-        Err(UnreadableMaps { network: self, found })
-    }
-}
 
 /// Descriptors and a linear head.
 pub(crate) fn linear() -> Graph {
@@ -96,14 +47,15 @@ mod tests {
 
     use super::*;
     use crate::layer::{KernelLevel, backward};
-    use crate::network::{Centring, Inference, Mode, Network, NetworkSpec, Parameter, Placement};
+    use crate::network::{Inference, Mode, Network, NetworkKind, NetworkSpec, Normalisation, Parameter, Placement};
     use crate::quantum::{CircuitSpec, Encoding};
+    use crate::standardise::MapReference;
 
     const SHAPE: [usize; 3] = [4, 24, 33];
 
     /// Noise and echoes up to 40 dB, more of them in each map than in the one before.
     fn maps() -> Vec<f32> {
-        let mut rng = crate::stream(5, "maps", 0);
+        let mut rng = crate::random::stream(5, "maps", 0);
         let [batch, rows, columns] = SHAPE;
         let mut maps: Vec<f32> = (0..batch * rows * columns).map(|_| rng.random_range(0.0..9.0)).collect();
         for (k, map) in maps.chunks_exact_mut(rows * columns).enumerate() {
@@ -137,7 +89,7 @@ mod tests {
         let mean: Vec<f32> = (0..DESCRIPTORS).map(|k| rows.iter().map(|row| row[k] / SHAPE[0] as f32).sum()).collect();
         let largest = |k: usize| rows.iter().fold(0.1f32, |most, row| most.max((row[k] - mean[k]).abs()));
         let sigma = (0..DESCRIPTORS).map(largest).collect();
-        network.parameters_mut().set_centring("features", Centring { mean, sigma });
+        network.parameters_mut().set_normalisation("features", Normalisation { mean, sigma });
         network
     }
 

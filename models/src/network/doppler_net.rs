@@ -1,5 +1,5 @@
 //! DopplerNet, a reconstruction: the paper gives five convolution blocks, three dense layers and 2.558 million parameters, not
-//! the layout. Of the many layouts with that number this is the plainest (models.md section 5), 2,558,307 parameters:
+//! the layout. This is the simplest layout with that number: 2,558,307 parameters.
 //!
 //! ```text
 //!   5 x [conv 3x3, batch norm, ReLU, max-pool 2], channels 16, 32, 64, 128, 256

@@ -1,5 +1,4 @@
-//! What a network is made of: layers in the order in which they run. Training, inference, costs and ONNX all read this one
-//! list, so that they cannot disagree.
+//! Layers of a network in the order in which they run. Training, inference, costs and ONNX read this list, so that they agree.
 
 use crate::layer::{Activation, ConvGeometry, DESCRIPTORS};
 use crate::quantum::CircuitSpec;
@@ -14,7 +13,7 @@ pub(crate) const INPUT: Value = 0;
 pub(crate) enum Layer {
     /// Numbers that describe a map in dB over noise ([`crate::layer::descriptors`]), ranges and velocities in bins: a vector.
     Descriptors,
-    /// The map once for each of so many channels.
+    /// Copies of the map as channels.
     Repeat { channels: usize },
     /// 3x3 convolution with padding, ReLU and 2x2 max-pooling.
     ConvReluPool { inputs: usize, outputs: usize },
@@ -26,7 +25,7 @@ pub(crate) enum Layer {
     Activate(Activation),
     /// Largest value of windows.
     MaxPool { kernel: usize, stride: usize, padding: usize },
-    /// Means of so many bins in range and Doppler, flattened channel-first: a vector.
+    /// Means over a grid of bins in range and Doppler, flattened channel-first: a vector.
     AveragePool { rows: usize, columns: usize },
     /// Fully connected.
     Linear { inputs: usize, outputs: usize },
@@ -41,7 +40,7 @@ pub(crate) enum Layer {
     /// `(x - mean) / sigma` by constants that travel with the model or are folded into the layer behind.
     Standardise { width: usize },
     /// `pi * sigmoid(x)`: radians in (0, pi).
-    Squash,
+    ScaledSigmoid,
     /// Expectations of a quantum circuit at angles that are trained, or stay as they were drawn.
     Circuit { circuit: CircuitSpec, frozen: bool },
     /// The five features of which the two-qubit circuit is a linear combination (see [`crate::quantum`]).
@@ -59,7 +58,7 @@ pub(crate) struct Node {
     pub inputs: Vec<Value>,
 }
 
-/// How a parameter starts.
+/// Initial distribution of a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Start {
     /// Uniform in plus or minus this.
@@ -84,7 +83,7 @@ pub(crate) struct Graph {
     pub nodes: Vec<Node>,
     /// The logits.
     pub output: Value,
-    /// Logits of a linear head that stands in for the head during the warm-up, where there is one.
+    /// Logits of the linear head that replaces the head during the warm-up, if there is one.
     pub warm_up: Option<Value>,
 }
 
@@ -96,7 +95,7 @@ pub(crate) enum Size {
 }
 
 impl Graph {
-    /// Adds a node that reads `inputs`, and gives its result.
+    /// Adds a node that reads `inputs`. Returns its result.
     pub fn add(&mut self, name: impl Into<String>, layer: Layer, inputs: &[Value]) -> Value {
         self.nodes.push(Node { name: name.into(), layer, inputs: inputs.to_vec() });
         self.nodes.len()
@@ -107,7 +106,7 @@ impl Graph {
         self.nodes.iter().position(|node| node.name == name).map(|index| index + 1)
     }
 
-    /// Which nodes have to run for `wanted` where the values `given` are there.
+    /// For each node, whether it has to run to compute `wanted` from the values `given`.
     pub fn needed(&self, wanted: &[Value], given: &[Value]) -> Vec<bool> {
         let mut values = vec![false; self.nodes.len() + 1];
         for &value in wanted {
@@ -127,7 +126,10 @@ impl Graph {
         values.into_iter().skip(1).collect()
     }
 
-    /// Sizes of all values for maps of `range x doppler`, or the node that such maps are too small for.
+    /// Sizes of all values for maps of `range x doppler`.
+    ///
+    /// # Errors
+    /// The first node that has nothing left to work on.
     pub fn sizes(&self, range: usize, doppler: usize) -> Result<Vec<Size>, &Node> {
         let mut sizes = vec![Size::Map { rows: range, columns: doppler, channels: 1 }];
         for node in &self.nodes {
@@ -171,7 +173,7 @@ impl Graph {
         self.nodes.iter().flat_map(Node::declarations).collect()
     }
 
-    /// Names and widths of the batch normalisations, whose running statistics travel with the parameters.
+    /// Names and widths of the batch normalisations. Model files hold their running statistics beside the parameters.
     pub fn batch_norms(&self) -> impl Iterator<Item = (&str, usize)> {
         self.nodes.iter().filter_map(|node| match node.layer {
             Layer::BatchNorm { channels, .. } => Some((node.name.as_str(), channels)),
@@ -188,7 +190,7 @@ fn state_vector_multiplications(circuit: &CircuitSpec) -> usize {
 }
 
 impl Layer {
-    /// Size of the result, or nothing where the layer cannot read such a value.
+    /// Size of the result; `None` if the layer cannot read such a value.
     fn size(&self, first: Size, second: Option<Size>) -> Option<Size> {
         let window = |length: usize, kernel: usize, stride: usize, padding: usize| {
             (length + 2 * padding).checked_sub(kernel).map(|rest| rest / stride.max(1) + 1)
@@ -239,7 +241,7 @@ impl Layer {
                 | Layer::Dropout { .. }
                 | Layer::DropSamples { .. }
                 | Layer::Standardise { .. }
-                | Layer::Squash,
+                | Layer::ScaledSigmoid,
                 _,
             ) => Some(first),
             _ => None,

@@ -1,4 +1,4 @@
-//! The hybrid quantum-classical network (paper.md section 6), 66,447 parameters, and the heads that it is compared with.
+//! The hybrid quantum-classical network of the paper, 66,447 parameters, and the heads that it is compared with.
 //!
 //! ```text
 //! map [1][range][doppler]
@@ -11,11 +11,11 @@
 //!   two-qubit circuit, <ZI> and <IZ>             4
 //!   linear 2 -> 3: logits                        9
 //! ```
-//! These are the paper's sizes; the pooled grid is a setting, for a map of which half the range is a room, and so is what
-//! stands behind the latent ([`Head`]).
+//! These are the paper's sizes. The pooled grid is a setting, because in some maps only half of the ranges lie inside the room. The
+//! layers behind the latent are a setting as well ([`Head`]).
 //!
-//! The paper does not say whether a nonlinearity stands between the two dense layers. Without one they are a single
-//! linear map and 61,504 of the parameters would be pointless, so there is a ReLU here.
+//! The paper does not say whether there is a nonlinearity between the two dense layers. Without one they would be a single linear
+//! map, and 61,504 of the parameters would be redundant, so there is a ReLU here.
 
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +32,7 @@ const CHANNELS: usize = 32;
 const HIDDEN: usize = 64;
 const CLASSES: usize = 3;
 
-/// Where a circuit stands.
+/// Position of the circuit in the network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Placement {
@@ -45,20 +45,19 @@ pub enum Placement {
     Front,
 }
 
-/// What stands behind the latent. Those that squash see the same standardisation and `pi * sigmoid` as the circuit does
-/// (the fair controls of models.md section 7).
+/// Layers behind the latent. Heads with `pi * sigmoid` see the same standardised and scaled latent as the circuit does.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Head {
-    /// Squash, circuit, linear: the HQNN.
+    /// `pi * sigmoid`, circuit, linear: the HQNN.
     Circuit {
-        /// The circuit; the paper's if absent.
+        /// Settings of the circuit; the paper's if absent.
         #[serde(default)]
         circuit: CircuitSpec,
-        /// Leave the angles as they were drawn.
+        /// Whether the angles stay as they were drawn.
         #[serde(default)]
         frozen: bool,
-        /// Where it stands.
+        /// Position of the circuit.
         #[serde(default)]
         placement: Placement,
     },
@@ -66,11 +65,11 @@ pub enum Head {
     Linear,
     /// Linear 2 -> 2, ReLU, linear 2 -> 3, 15 parameters: the paper's "Dequantization".
     Dequantization,
-    /// Squash, linear 2 -> 3.
+    /// `pi * sigmoid`, linear 2 -> 3.
     SquashedLinear,
-    /// Squash, linear 2 -> 2, ReLU, linear 2 -> 3.
+    /// `pi * sigmoid`, linear 2 -> 2, ReLU, linear 2 -> 3.
     SquashedDequantization,
-    /// Squash, the circuit's five trigonometric features, linear 5 -> 3: all that the circuit can be, without being one.
+    /// `pi * sigmoid`, the circuit's five trigonometric features, linear 5 -> 3: contains every function that the circuit can be.
     Trigonometric,
 }
 
@@ -90,7 +89,7 @@ impl Head {
     }
 
     /// Whether the latent goes through `pi * sigmoid`.
-    pub fn squashes(&self) -> bool {
+    pub fn uses_scaled_sigmoid(&self) -> bool {
         !matches!(self, Head::Linear | Head::Dequantization)
     }
 }
@@ -106,8 +105,8 @@ pub(crate) fn graph(pooled: [usize; 2], head: &Head) -> Graph {
     behind(g, centred, count, true, head)
 }
 
-/// Completes a network behind `count` features: a hidden layer where it is `deep` or the circuit stands in front of one, the
-/// latent, the head, and the linear head of the warm-up.
+/// Completes a network behind `count` features: a hidden layer if `deep` or if the circuit is in front of one, the latent, the
+/// head, and the linear head of the warm-up.
 pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, head: &Head) -> Graph {
     let width = head.width();
     if let Head::Circuit { circuit, frozen, placement: Placement::Front } = head {
@@ -131,15 +130,15 @@ pub(super) fn behind(mut g: Graph, centred: Value, count: usize, deep: bool, hea
         Head::Linear => linear(&mut g, "head", width, CLASSES, latent),
         Head::Dequantization => dequantized(&mut g, width, latent),
         Head::SquashedLinear => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             linear(&mut g, "head", width, CLASSES, squashed)
         }
         Head::SquashedDequantization => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             dequantized(&mut g, width, squashed)
         }
         Head::Trigonometric => {
-            let squashed = g.add("squash", Layer::Squash, &[latent]);
+            let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
             let features = g.add("trigonometric", Layer::Trigonometric, &[squashed]);
             linear(&mut g, "head", 5, CLASSES, features)
         }
@@ -164,7 +163,7 @@ fn latent(g: &mut Graph, inputs: usize, width: usize, from: Value) -> Value {
 }
 
 fn circuit_node(g: &mut Graph, circuit: &CircuitSpec, frozen: bool, latent: Value) -> Value {
-    let squashed = g.add("squash", Layer::Squash, &[latent]);
+    let squashed = g.add("squash", Layer::ScaledSigmoid, &[latent]);
     g.add("circuit", Layer::Circuit { circuit: circuit.clone(), frozen }, &[squashed])
 }
 

@@ -1,18 +1,20 @@
-//! A network prepared once and run often, without candle and without a graph of gradients: batch normalisations are folded into
-//! the convolutions and dense layers before them, activations and residual sums are fused with them, weights are packed, and
-//! buffers keep their memory from one run to the next.
+//! Inference: a network prepared once and run often, without gradients. Batch normalisations are folded into the convolutions and
+//! dense layers before them, activations and residual sums are fused with them, weights are packed, and buffers keep their memory
+//! from one run to the next.
 //!
-//! The same bits for any number of threads and any batch that a map is in (but for circuits with shots, which are numbered by
-//! row); within rounding what `run.rs` gives.
+//! Results are the same bits for any number of threads and for any batch that a map is in (except circuits with shots, whose draws
+//! are numbered by row). They agree with `run.rs` within rounding.
 
-use candle_core::{Result, bail};
+use candle_core::{Result, Tensor, bail};
 use rayon::prelude::*;
 
 use super::graph::{INPUT, Layer, Node, Value};
-use super::{Centring, Network};
+use super::instance::Network;
+use super::parameters::Normalisation;
+use crate::kernel::spin_pool::{SpinPool, for_each_chunk};
 use crate::layer::{
-    Activation, Affine, ConvGeometry, Crew, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
-    for_each_chunk, squashed, trigonometric_features,
+    Activation, Affine, ConvGeometry, Feature, KernelLevel, PreparedBlock, PreparedConv, PreparedDense,
+    scaled_sigmoid_of, trigonometric_features, with_values,
 };
 use crate::quantum::{Circuit, Draw, Trained, expectations_of_rows};
 
@@ -25,13 +27,13 @@ const MOST_EXACT: usize = 1 << 17;
 /// A network ready to run.
 pub struct Inference {
     steps: Vec<Step>,
-    /// Results of the steps. A buffer is used again once everybody has read it.
+    /// Results of the steps. A buffer is reused after its last reader.
     buffers: Vec<Feature>,
     output: usize,
-    crew: Crew,
+    pool: SpinPool,
 }
 
-/// A layer, or several that are one: the buffers that it reads, and the one that it writes.
+/// One layer or several fused layers, the buffers that it reads, and the buffer that it writes.
 struct Step {
     name: String,
     kernel: Kernel,
@@ -74,7 +76,7 @@ enum Kernel {
         mean: Vec<f32>,
         factor: Vec<f32>,
     },
-    Squash,
+    ScaledSigmoid,
     ClosedForm(Trained),
     Circuit {
         circuit: Circuit,
@@ -84,8 +86,28 @@ enum Kernel {
     Concatenate,
 }
 
+impl Network {
+    /// Logits `[batch][3]` for standardised maps `[batch][range][doppler]`.
+    ///
+    /// Prepares an [`Inference`] for this call. Callers with many maps keep one.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
+    pub fn logits(&self, input: &Tensor) -> Result<Tensor> {
+        let (batch, range, doppler) = input.dims3()?;
+        let mut inference = Inference::new(self)?;
+        let logits =
+            with_values("network", input, |maps| Ok(inference.logits(maps, [batch, range, doppler])?.to_vec()))?;
+        let classes = logits.len() / batch.max(1);
+        Tensor::from_vec(logits, (batch, classes), input.device())
+    }
+}
+
 impl Inference {
-    /// Prepares a network as it is now.
+    /// Prepares a network with its present numbers.
+    ///
+    /// # Errors
+    /// A layer's numbers contradict its sizes, or the circuit is none.
     pub fn new(network: &Network) -> Result<Self> {
         let graph = network.graph();
         let needed = graph.needed(&[graph.output], &[]);
@@ -107,11 +129,17 @@ impl Inference {
     }
 
     /// Logits `[batch][3]` of standardised maps `[batch][range][doppler]`.
+    ///
+    /// # Errors
+    /// The number of cells is not that of `shape` or is 0, or a layer cannot read maps of this size.
     pub fn logits(&mut self, maps: &[f32], shape: [usize; 3]) -> Result<&[f32]> {
         self.logits_step_by_step(maps, shape, |_| ())
     }
 
-    /// [`Inference::logits`] that calls `after` behind each step, with its name: to see what they take.
+    /// [`Inference::logits`] that calls `after` with the name of each step when it is done, to measure times.
+    ///
+    /// # Errors
+    /// Those of [`Inference::logits`].
     pub fn logits_step_by_step(
         &mut self,
         maps: &[f32],
@@ -125,8 +153,8 @@ impl Inference {
             input.reshape([batch, range, doppler, 1]);
             input.values_mut().copy_from_slice(maps);
         }
-        let Inference { steps, buffers, output, crew } = self;
-        crew.lead(|| {
+        let Inference { steps, buffers, output, pool } = self;
+        pool.run(|| {
             steps.iter().try_for_each(|step| {
                 let mut output = std::mem::take(&mut buffers[step.output]);
                 let done = step.run(buffers, &mut output);
@@ -165,7 +193,7 @@ fn share_buffers(mut steps: Vec<Step>, output: usize) -> Inference {
         buffer_of[index + 1] = step.output;
         free.extend(done.into_iter().filter(|&buffer| buffer != step.output));
     }
-    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], crew: Crew::default() }
+    Inference { steps, buffers: vec![Feature::default(); count], output: buffer_of[output], pool: SpinPool::default() }
 }
 
 /// Steps as they are found.
@@ -231,9 +259,9 @@ impl Plan<'_> {
                 Kernel::Block(PreparedBlock::new(&weight, [*outputs, *i], Some(&bias), None, level)?)
             }
             Layer::Dropout { .. } | Layer::DropSamples { .. } => return self.pass(value, &inputs),
-            Layer::Standardise { .. } => match self.network.parameters().centring(&node.name) {
+            Layer::Standardise { .. } => match self.network.parameters().normalisation(&node.name) {
                 None => return self.pass(value, &inputs),
-                Some(Centring { mean, sigma }) => {
+                Some(Normalisation { mean, sigma }) => {
                     Kernel::Standardise { mean: mean.clone(), factor: sigma.iter().map(|sigma| 1.0 / sigma).collect() }
                 }
             },
@@ -248,7 +276,7 @@ impl Plan<'_> {
             &Layer::AveragePool { rows, columns } => Kernel::AveragePool { rows, columns },
             Layer::ScaleChannels => Kernel::ScaleChannels,
             Layer::Add { rectified } => Kernel::Add { rectified: *rectified },
-            Layer::Squash => Kernel::Squash,
+            Layer::ScaledSigmoid => Kernel::ScaledSigmoid,
             Layer::Circuit { circuit, .. } => {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let theta: Vec<f64> = self.numbers(node, "theta")?.into_iter().map(f64::from).collect();
@@ -264,7 +292,7 @@ impl Plan<'_> {
         Ok(())
     }
 
-    /// A node that changes nothing here.
+    /// Takes a node that changes nothing in inference.
     fn pass(&mut self, value: Value, inputs: &[usize]) -> Result<()> {
         self.results[value] = inputs.first().copied();
         Ok(())
@@ -352,7 +380,7 @@ impl Kernel {
     /// Whether the first input may be overwritten by the output.
     fn is_in_place(&self) -> bool {
         use Kernel::*;
-        matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | Squash)
+        matches!(self, Activate(_) | ScaleChannels | Add { .. } | Affine { .. } | Standardise { .. } | ScaledSigmoid)
     }
 }
 
@@ -425,7 +453,7 @@ impl Step {
                         .for_each(|(x, (mean, factor))| *x = (*x - mean) * factor);
                 }
             }
-            Kernel::Squash => output.values_mut().iter_mut().for_each(|x| *x = squashed(*x)),
+            Kernel::ScaledSigmoid => output.values_mut().iter_mut().for_each(|x| *x = scaled_sigmoid_of(*x)),
             Kernel::ClosedForm(trained) => {
                 let input = input(0)?;
                 output.reshape(input.dims());

@@ -1,4 +1,4 @@
-//! The numbers of a network: trained arrays, running statistics of batch normalisations, and constants of standardisations.
+//! Numbers of a network: trained arrays, running statistics of batch normalisations, and constants of normalisations.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 use super::graph::{Declaration, Graph, Layer, Start};
 use crate::layer::{BatchNormConstants, RunningStatistics};
-use crate::stream;
+use crate::random::stream;
 
-/// Constants that standardise a vector: `(x - mean) / sigma`, number by number. Empty ones leave it as it is.
+/// Normalisation of a vector by constants: `(x - mean) / sigma`, element by element. Empty constants change nothing.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct Centring {
+pub struct Normalisation {
     /// Subtracted.
     pub mean: Vec<f32>,
     /// Divided by.
@@ -24,7 +24,7 @@ pub struct Centring {
 pub struct Parameter {
     /// Name in files: the layer's and what it is.
     pub name: String,
-    /// Its numbers.
+    /// Its values.
     pub variable: Var,
 }
 
@@ -33,7 +33,7 @@ pub(crate) struct Parameters {
     list: Vec<Parameter>,
     index: HashMap<String, usize>,
     statistics: BTreeMap<String, RunningStatistics>,
-    centrings: BTreeMap<String, Centring>,
+    normalisations: BTreeMap<String, Normalisation>,
 }
 
 /// Names of what a batch normalisation keeps besides its parameters, as PyTorch's.
@@ -46,6 +46,9 @@ fn is_transient(name: &str) -> bool {
 
 impl Parameters {
     /// Random parameters, each a function of seed, name and attempt.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn initialise(graph: &Graph, seed: u64, attempt: u64) -> Result<Self> {
         let start = |declaration: &Declaration| {
             let mut rng = stream(seed, &declaration.name, attempt);
@@ -63,6 +66,9 @@ impl Parameters {
     }
 
     /// Parameters by name. What only training needs may be missing; anything else is named in the error.
+    ///
+    /// # Errors
+    /// An array is missing or has another length.
     pub fn from_values(graph: &Graph, values: &BTreeMap<String, Vec<f32>>) -> Result<Self> {
         let start = |declaration: &Declaration| match values.get(&declaration.name) {
             None if is_transient(&declaration.name) => Some(vec![0.0; declaration.shape.iter().product()]),
@@ -91,7 +97,7 @@ impl Parameters {
             .batch_norms()
             .map(|(name, channels)| (name.to_owned(), RunningStatistics::new(channels, BatchNormConstants::default())))
             .collect();
-        Ok(Parameters { list, index, statistics, centrings: BTreeMap::new() })
+        Ok(Parameters { list, index, statistics, normalisations: BTreeMap::new() })
     }
 
     /// Trained arrays in the order of the layers.
@@ -100,6 +106,9 @@ impl Parameters {
     }
 
     /// The array of this name.
+    ///
+    /// # Errors
+    /// There is no array of this name.
     pub fn get(&self, name: &str) -> Result<&Tensor> {
         match self.index.get(name).and_then(|&index| self.list.get(index)) {
             Some(parameter) => Ok(parameter.variable.as_tensor()),
@@ -108,6 +117,9 @@ impl Parameters {
     }
 
     /// Running statistics of a batch normalisation.
+    ///
+    /// # Errors
+    /// There is no batch normalisation of this name.
     pub fn statistics(&self, name: &str) -> Result<&RunningStatistics> {
         match self.statistics.get(name) {
             Some(statistics) => Ok(statistics),
@@ -116,25 +128,31 @@ impl Parameters {
     }
 
     /// Constants of a standardisation; none leaves values as they are.
-    pub fn centring(&self, name: &str) -> Option<&Centring> {
-        self.centrings.get(name)
+    pub fn normalisation(&self, name: &str) -> Option<&Normalisation> {
+        self.normalisations.get(name)
     }
 
     /// Sets the constants of a standardisation; empty ones remove them.
-    pub fn set_centring(&mut self, name: &str, centring: Centring) {
-        if centring.mean.is_empty() {
-            self.centrings.remove(name);
+    pub fn set_normalisation(&mut self, name: &str, normalisation: Normalisation) {
+        if normalisation.mean.is_empty() {
+            self.normalisations.remove(name);
         } else {
-            self.centrings.insert(name.to_owned(), centring);
+            self.normalisations.insert(name.to_owned(), normalisation);
         }
     }
 
     /// Copies of an array's numbers.
+    ///
+    /// # Errors
+    /// There is no array of this name.
     pub fn numbers(&self, name: &str) -> Result<Vec<f32>> {
         self.get(name)?.flatten_all()?.to_vec1()
     }
 
     /// Overwrites an array's numbers.
+    ///
+    /// # Errors
+    /// There is no array of this name, or it has another length.
     pub fn set_numbers(&self, name: &str, values: &[f32]) -> Result<()> {
         let Some(parameter) = self.index.get(name).and_then(|&index| self.list.get(index)) else {
             candle_core::bail!("there is no parameter {name}");
@@ -143,7 +161,10 @@ impl Parameters {
         parameter.variable.set(&Tensor::from_slice(values, shape, &Device::Cpu)?)
     }
 
-    /// Copies of everything that travels with a model, by name; of what only training needs too if `all`.
+    /// Copies of the arrays of a model file, by name; with `all`, also of the arrays that only training needs.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn values(&self, all: bool) -> Result<BTreeMap<String, Vec<f32>>> {
         let mut values = BTreeMap::new();
         for Parameter { name, variable } in &self.list {
@@ -158,7 +179,10 @@ impl Parameters {
         Ok(values)
     }
 
-    /// Overwrites what [`Parameters::values`] gave.
+    /// Overwrites all arrays by the result of an earlier [`Parameters::values`].
+    ///
+    /// # Errors
+    /// An array is missing or has another length.
     pub fn set_values(&self, values: &BTreeMap<String, Vec<f32>>) -> Result<()> {
         for Parameter { name, variable } in &self.list {
             match values.get(name) {

@@ -3,38 +3,39 @@
 use candle_core::{Result, Tensor};
 
 use super::graph::{Graph, INPUT, Layer, Node, Value};
-use super::{Centring, Network};
+use super::instance::Network;
+use super::parameters::Normalisation;
 use crate::layer::{
     BatchNormMode, InputGradient, activation, adaptive_average_pool, add, add_relu, batch_norm, circuit_of_call,
     concatenate, conv_relu_pool, conv2d, drop_samples, dropout, linear, map_descriptors, max_pool2d, scale_channels,
-    squash, standardise, trigonometric,
+    scaled_sigmoid, standardise, trigonometric,
 };
 use crate::quantum::Circuit;
 
-/// What a run is for.
+/// Purpose of a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Mode {
     /// Gradients, statistics of the batch, and dropout that is a function of seed and step.
     Training {
-        /// Of the training.
+        /// Seed of the training.
         seed: u64,
         /// Number of the step.
         step: u64,
-        /// Weight of the mean square of what is squashed, in the loss: its gradient only ([`crate::layer::squash`]).
+        /// Weight in the loss of the mean square of the input of [`crate::layer::scaled_sigmoid`]; only its gradient is computed.
         penalty: f32,
     },
     /// Running statistics, nothing dropped, no gradients.
     Evaluation,
 }
 
-/// What the layers put out that have run.
+/// Outputs of the layers that have run.
 pub struct Values<'a> {
     graph: &'a Graph,
     tensors: Vec<Option<Tensor>>,
 }
 
 impl Values<'_> {
-    /// A result that was asked for.
+    /// Takes a result that was requested.
     pub(crate) fn take(&mut self, value: Value) -> Result<Tensor> {
         match self.tensors.get_mut(value).and_then(Option::take) {
             Some(tensor) => Ok(tensor),
@@ -42,7 +43,7 @@ impl Values<'_> {
         }
     }
 
-    /// A result that was asked for, or any of a training run.
+    /// A result that was requested, or any result of a training run.
     pub(crate) fn get(&self, value: Value) -> Result<&Tensor> {
         match self.tensors.get(value) {
             Some(Some(tensor)) => Ok(tensor),
@@ -51,6 +52,9 @@ impl Values<'_> {
     }
 
     /// Name of the first layer whose output holds a NaN or an infinity.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn first_non_finite(&self) -> Result<Option<&str>> {
         for (node, tensor) in self.graph.nodes.iter().zip(self.tensors.iter().skip(1)) {
             if let Some(tensor) = tensor
@@ -64,6 +68,17 @@ impl Values<'_> {
 }
 
 impl Network {
+    /// The latent before its standardisation, `[batch][width]`; nothing for networks without one.
+    ///
+    /// # Errors
+    /// `input` has another number of axes or is not f32 on the CPU, or a layer cannot read maps of this size.
+    pub fn latent(&self, input: &Tensor) -> Result<Option<Tensor>> {
+        match self.raw_latent() {
+            Some(value) => Ok(Some(self.run(input, value, Mode::Evaluation)?.take(value)?)),
+            None => Ok(None),
+        }
+    }
+
     /// Runs what `wanted` needs on standardised maps `[batch][range][doppler]`.
     pub(crate) fn run(&self, input: &Tensor, wanted: Value, mode: Mode) -> Result<Values<'_>> {
         let input = input.unsqueeze(3)?;
@@ -76,7 +91,7 @@ impl Network {
         let needed = self.graph().needed(wanted, &[given]);
         let running: Vec<(usize, &Node)> =
             nodes.iter().enumerate().zip(&needed).filter(|(_, needed)| **needed).map(|(node, _)| node).collect();
-        // Where no gradient will ask for them, values are let go after their last reader.
+        // Without gradients, a value is dropped after its last reader.
         let mut last_reader = vec![usize::MAX; nodes.len() + 1];
         if mode == Mode::Evaluation {
             for &(index, node) in &running {
@@ -142,11 +157,13 @@ impl Network {
                 Mode::Evaluation => Ok(first.clone()),
                 Mode::Training { seed, step, .. } => drop_samples(first, *probability, seed, mask(index, step)),
             },
-            Layer::Standardise { .. } => match self.parameters().centring(&node.name) {
+            Layer::Standardise { .. } => match self.parameters().normalisation(&node.name) {
                 None => Ok(first.clone()),
-                Some(Centring { mean, sigma }) => standardise(first, mean, sigma),
+                Some(Normalisation { mean, sigma }) => standardise(first, mean, sigma),
             },
-            Layer::Squash => squash(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 }),
+            Layer::ScaledSigmoid => {
+                scaled_sigmoid(first, if let Mode::Training { penalty, .. } = mode { penalty } else { 0.0 })
+            }
             Layer::Circuit { circuit, .. } => {
                 let circuit = Circuit::new(circuit).map_err(candle_core::Error::wrap)?;
                 let call = if let Mode::Training { step, .. } = mode { step } else { 0 };
@@ -158,7 +175,7 @@ impl Network {
     }
 }
 
-/// Which draw of a training's a layer's mask is, in a step.
+/// Index of the random draw of a layer's mask in a step of a training.
 fn mask(node: usize, step: u64) -> u64 {
     step.wrapping_mul(1 << 16) + node as u64
 }

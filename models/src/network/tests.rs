@@ -1,15 +1,16 @@
+use super::spec::named;
 use super::*;
 use crate::layer::KernelLevel;
-use candle_core::Device;
+use candle_core::{Device, Tensor};
 use rand::Rng;
 
 fn maps(batch: usize, range: usize, doppler: usize) -> Tensor {
-    let mut rng = crate::stream(5, "maps", 0);
+    let mut rng = crate::random::stream(5, "maps", 0);
     let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.0..1.0)).collect();
     Tensor::from_vec(cells, (batch, range, doppler), &Device::Cpu).expect("tensor")
 }
 
-/// paper.md section 6, models.md section 5.
+/// Numbers of parameters that the paper states, and those of torchvision.
 #[test]
 fn parameters_are_the_papers() {
     let expected = [
@@ -44,11 +45,11 @@ fn folding_the_feature_scale_leaves_the_answer_alone() {
     let spec = NetworkSpec { kind: NetworkKind::Hqnn, pooled: [3, 4], head: Head::default() };
     let mut network = Network::initialise(&spec, 5, 0, KernelLevel::detect()).expect("network");
     let input = maps(2, 40, 48);
-    let mut rng = crate::stream(5, "features", 0);
+    let mut rng = crate::random::stream(5, "features", 0);
     let features = 32 * 3 * 4;
-    network.parameters_mut().set_centring(
+    network.parameters_mut().set_normalisation(
         "features",
-        Centring {
+        Normalisation {
             mean: (0..features).map(|_| rng.random_range(0.0..1.0)).collect(),
             sigma: (0..features).map(|_| rng.random_range(0.5..2.0)).collect(),
         },
@@ -128,7 +129,7 @@ mod hard_cases {
         assert!(error.to_string().contains("fc2.bias has 3 values"), "{error}");
     }
 
-    /// A saturated squash is finite and so are the answers.
+    /// Logits are finite where the scaled sigmoid saturates.
     #[test]
     fn a_saturated_latent_gives_an_answer() {
         let spec = NetworkSpec::named("hqnn").expect("known");

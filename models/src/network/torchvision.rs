@@ -1,7 +1,7 @@
-//! Weights of torchvision's networks as a start: ResNet-18 and EfficientNet-B0 have its names and its layout.
+//! Initial weights from torchvision: ResNet-18 and EfficientNet-B0 have its names and its layout.
 //!
-//! What differs is brought into line here: the first convolution is summed over its three channels where ours has one (as if each
-//! of the three saw the map), squeeze-and-excitation's convolutions of one cell are dense layers, and a head for other classes
+//! Three things differ and are converted: the first convolution is summed over its three channels where ours has one (as if each of
+//! the three saw the map), squeeze-and-excitation's convolutions of one cell become dense layers, and a head for other classes
 //! stays as it was initialised.
 
 use std::collections::BTreeMap;
@@ -11,15 +11,16 @@ use safetensors::tensor::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-use super::{Network, NetworkKind, NetworkSpec};
-use crate::MODEL_LIMIT_BYTES;
-use crate::bounded_file::read;
+use super::instance::Network;
+use super::kind::NetworkKind;
+use super::spec::NetworkSpec;
+use crate::bounded_file::{MODEL_LIMIT_BYTES, read};
 
-/// How a `.pth` of torchvision becomes what is read here.
+/// Hint on the conversion of a `.pth` file of torchvision.
 const CONVERT_HINT: &str = "hint: convert a .pth in Python, with torch and safetensors installed:\n\
     import torch, safetensors.torch\n\
     safetensors.torch.save_file(torch.load(\"resnet18.pth\"), \"resnet18.safetensors\")";
-/// Names in an error or a report at most.
+/// Most names in an error or a report.
 const MOST_NAMES: usize = 6;
 
 /// Weights that cannot be started from.
@@ -30,7 +31,7 @@ pub enum WeightsError {
     Io {
         /// File.
         path: PathBuf,
-        /// Why.
+        /// Cause.
         source: std::io::Error,
     },
     /// No whole safetensors file.
@@ -38,12 +39,12 @@ pub enum WeightsError {
     NotSafetensors {
         /// File.
         path: PathBuf,
-        /// What the parser says.
+        /// Message of the parser.
         reason: String,
     },
     /// torchvision has no such network.
     #[error(
-        "torchvision has no {network:?}\n\nhint: weights are there for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
+        "torchvision has no {network:?}\n\nhint: weights exist for resnet18, efficientnet_b0 and efficientnet_b0_rgb"
     )]
     NoCounterpart {
         /// The network.
@@ -51,7 +52,7 @@ pub enum WeightsError {
     },
     /// Arrays that the network needs are not in the file.
     #[error(
-        "{path}: these are no weights of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
+        "{path}: the weights are not those of torchvision's {network:?}: {missing} missing; {unknown} unknown\n\n{CONVERT_HINT}"
     )]
     Missing {
         /// File.
@@ -70,26 +71,29 @@ pub enum WeightsError {
         path: PathBuf,
         /// Array.
         name: String,
-        /// What it should be.
+        /// Expected type or shape.
         expected: String,
-        /// What it is.
+        /// Type or shape found.
         found: String,
     },
 }
 
-/// Weights that fit a network, and what of file and network did not meet.
+/// Weights that fit a network, and the arrays without a counterpart.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TorchvisionWeights {
     values: BTreeMap<String, Vec<f32>>,
     hash: String,
     /// Arrays of the network that stay as they are initialised: its head, where the file's is for other classes.
     pub initialised: Vec<String>,
-    /// Arrays of the file that nothing is done with, but for counts of batches.
+    /// Arrays of the file that are not used, without counts of batches.
     pub unused: Vec<String>,
 }
 
 impl TorchvisionWeights {
     /// Reads weights for a network.
+    ///
+    /// # Errors
+    /// [`WeightsError::Io`] if the file cannot be read or is too long, and those of [`TorchvisionWeights::from_bytes`].
     pub fn load(path: &Path, spec: &NetworkSpec) -> Result<Self, WeightsError> {
         let data =
             read(path, MODEL_LIMIT_BYTES).map_err(|source| WeightsError::Io { path: path.to_owned(), source })?;
@@ -97,6 +101,10 @@ impl TorchvisionWeights {
     }
 
     /// Weights in the bytes of the file `path` (used in errors only).
+    ///
+    /// # Errors
+    /// [`WeightsError`] if torchvision has no such network, the bytes are no safetensors, or arrays are missing, of another shape
+    /// or not finite.
     pub fn from_bytes(path: &Path, data: &[u8], spec: &NetworkSpec) -> Result<Self, WeightsError> {
         let (stem, head) = match spec.kind {
             NetworkKind::ResNet18 => ("conv1.weight", "fc."),
@@ -162,7 +170,7 @@ impl TorchvisionWeights {
         self.values.len()
     }
 
-    /// What a user should know about file and network.
+    /// Warnings for the user about differences between file and network.
     pub fn warnings(&self) -> Vec<String> {
         let say =
             |names: &[String], what: &str| (!names.is_empty()).then(|| format!("weights: {} {what}", list(names)));
@@ -172,6 +180,9 @@ impl TorchvisionWeights {
     }
 
     /// Overwrites a network's numbers.
+    ///
+    /// # Errors
+    /// The network is another one than the weights were read for.
     pub fn apply(&self, network: &Network) -> candle_core::Result<()> {
         let mut values = network.parameters().values(true)?;
         values.extend(self.values.iter().map(|(name, numbers)| (name.clone(), numbers.clone())));
@@ -203,7 +214,7 @@ mod tests {
 
     type Arrays = Vec<(String, Vec<usize>, Vec<f32>)>;
 
-    /// What torchvision's file would hold: names and shapes of ours in its layout, three channels, a thousand classes.
+    /// Content of torchvision's file: names and shapes of ours in its layout, three channels, a thousand classes.
     fn file_of(spec: &NetworkSpec, classes: usize) -> Arrays {
         let mut arrays = Arrays::new();
         for (k, (name, mut shape)) in spec.layout().into_iter().enumerate() {

@@ -42,7 +42,7 @@ fn coefficients(angles: [(f64, f64); 4]) -> Coefficients {
     ]
 }
 
-/// What depends on the trained angles alone, for many inputs.
+/// Coefficients of the expectations at fixed trained angles, for many inputs.
 #[derive(Debug, Clone, Copy)]
 pub struct Trained {
     coefficients: Coefficients,
@@ -51,11 +51,11 @@ pub struct Trained {
 }
 
 impl Trained {
-    /// At these angles (radians).
+    /// Computes the coefficients at these angles (radians).
     pub fn new(theta: [f64; 4]) -> Self {
         let angles = theta.map(f64::sin_cos);
-        // Each coefficient has each angle once or not at all: parameter shift is its derivative, and zero where it
-        // should be.
+        // Each coefficient depends on each angle once or not at all, so parameter shift gives its derivative, and an exact zero
+        // where there is no dependence.
         let by_angle = std::array::from_fn(|k| {
             let (s, c) = angles[k];
             let (mut plus, mut minus) = (angles, angles);

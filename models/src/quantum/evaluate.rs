@@ -1,4 +1,4 @@
-//! Expectations and gradients of any circuit: which way each is come by.
+//! Expectations and gradients of any circuit: chooses the method for each.
 
 use super::closed_form;
 use super::gates::Circuit;
@@ -6,10 +6,10 @@ use super::layers::Workspace;
 use super::spec::{CircuitError, CircuitSpec, Execution, ShotGradient, Shots};
 use super::state_vector::{parameter_shift, z_expectations};
 use super::{noise, shots};
-use crate::stream;
+use crate::random::stream;
 
-/// Which of its measurements' outcomes a circuit with shots gets: they are a function of the seed, these two and what is
-/// measured for (expectations or gradients). Of no account where expectations are exact.
+/// Index of a random draw of measurements. Outcomes of a circuit with shots are a function of the seed, of these two numbers and of
+/// the purpose (expectations or gradients). Exact expectations do not depend on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Draw {
     /// Number of the call.
@@ -35,13 +35,14 @@ pub struct Jacobian {
     pub by_x: Vec<Vec<f64>>,
 }
 
-/// A number that is not finite spoils everything, even what does not depend on it: nobody takes the rest for an answer.
+/// Whether all numbers are finite. If not, all results are NaN, even those that do not depend on the bad number, so that no caller
+/// uses them.
 fn are_finite(x: &[f64], theta: &[f64]) -> bool {
     x.iter().chain(theta).all(|v| v.is_finite())
 }
 
 impl Circuit {
-    /// Whether [`closed_form`] is about this circuit: the paper's, exact and without noise.
+    /// Whether [`closed_form`] applies: to the paper's circuit, exact and without noise.
     pub(crate) fn is_closed_form(&self) -> bool {
         self.spec == CircuitSpec::default()
     }
@@ -68,6 +69,9 @@ impl Circuit {
 
     /// `<Z>` of each qubit at inputs `x` (radians) and angles `theta` (radians), in the order of
     /// [`CircuitSpec::observables`]. All NaN if one of the numbers is not finite.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
     pub fn expectations(&self, x: &[f64], theta: &[f64], draw: Draw) -> Result<Vec<f64>, CircuitError> {
         self.check_counts(x, theta)?;
         if !are_finite(x, theta) {
@@ -88,6 +92,9 @@ impl Circuit {
     }
 
     /// Gradients by `x` and by `theta` of the expectations' sum weighted by `cotangent`. All NaN if a number is not finite.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs, of angles or of cotangents is not the circuit's.
     pub fn gradients(
         &self,
         x: &[f64],
@@ -118,6 +125,9 @@ impl Circuit {
     }
 
     /// Expectations and all their gradients.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
     pub fn jacobian(&self, x: &[f64], theta: &[f64], draw: Draw) -> Result<Jacobian, CircuitError> {
         let expectations = self.expectations(x, theta, draw)?;
         if self.is_closed_form()
@@ -151,7 +161,7 @@ impl Circuit {
 
     /// Gradient of the exact expectations' weighted sum by the angle of each turned gate.
     fn exact_gradient(&self, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
-        // Reading errors shrink every expectation by the same factor.
+        // Readout errors scale every expectation by the same factor.
         let read: Vec<f64> = cotangent.iter().map(|g| g * (1.0 - 2.0 * self.spec.noise.readout_flip)).collect();
         if self.spec.noise.is_depolarising() {
             return noise::gradient(self, angles, &read);

@@ -28,7 +28,7 @@ pub(super) enum Gate {
     },
 }
 
-/// Gates that act together, as [`super::layers`] runs them.
+/// Layer of gates that [`super::layers`] runs together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Layer {
     /// H on each qubit.
@@ -42,7 +42,7 @@ pub(super) enum Layer {
     Entangler,
 }
 
-/// What the angle of a gate is made of.
+/// Value that the angle of a gate is computed from.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Angle {
     /// `x_i`.
@@ -55,9 +55,20 @@ pub(super) enum Angle {
     Theta(usize),
 }
 
-/// A circuit made ready from its settings.
+/// Quantum circuit, built from its settings.
 ///
 /// Clones share the count of calls from which the shots of [`crate::layer::circuit_of`] are numbered.
+///
+/// # Examples
+/// ```
+/// use radome_models::quantum::{Circuit, CircuitSpec, Draw};
+///
+/// let circuit = Circuit::new(&CircuitSpec { qubits: 3, ..CircuitSpec::default() })?;
+/// let theta = vec![0.1; circuit.angle_count()];
+/// let expectations = circuit.expectations(&[0.5, 1.0, 1.5], &theta, Draw::default())?;
+/// assert_eq!(expectations.len(), 3);
+/// # Ok::<(), radome_models::quantum::CircuitError>(())
+/// ```
 #[derive(Debug, Clone)]
 pub struct Circuit {
     pub(super) spec: CircuitSpec,
@@ -73,7 +84,10 @@ pub(super) fn pairs(qubits: usize) -> impl Iterator<Item = (usize, usize)> {
 }
 
 impl Circuit {
-    /// The circuit of these settings, or what is wrong with them.
+    /// Builds the circuit of these settings.
+    ///
+    /// # Errors
+    /// Those of [`CircuitSpec::check`].
     pub fn new(spec: &CircuitSpec) -> Result<Self, CircuitError> {
         spec.check()?;
         let qubits = spec.qubits;
@@ -121,7 +135,7 @@ impl Circuit {
         })
     }
 
-    /// What it was made from.
+    /// Settings of the circuit.
     pub fn spec(&self) -> &CircuitSpec {
         &self.spec
     }
@@ -136,17 +150,12 @@ impl Circuit {
         self.spec.angle_count()
     }
 
-    /// The number of the next call of [`crate::layer::circuit_of`], which counts on.
+    /// Number of the next call of [`crate::layer::circuit_of`]. The counter goes on by one.
     pub(crate) fn next_call(&self) -> u64 {
         self.calls.fetch_add(1, Ordering::Relaxed)
     }
 
-    /// Lets the next call of [`crate::layer::circuit_of`] have this number, so that a run's shots can be had again.
-    pub fn set_next_call(&self, call: u64) {
-        self.calls.store(call, Ordering::Relaxed);
-    }
-
-    /// Refuses inputs or angles of a wrong number.
+    /// Checks the number of inputs and of angles.
     pub(super) fn check_counts(&self, x: &[f64], theta: &[f64]) -> Result<(), CircuitError> {
         let count = |what, expected, got| match expected == got {
             true => Ok(()),
@@ -167,7 +176,7 @@ impl Circuit {
         self.angles.iter().map(angle).collect()
     }
 
-    /// The chain rule from gates to inputs and trained angles: an input feeds several gates, and all of them count.
+    /// Chain rule from gates to inputs and trained angles: sums over all gates that an input feeds.
     pub(super) fn pull_back(&self, x: &[f64], by_gate: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let (mut by_x, mut by_theta) = (vec![0.0; self.qubits()], vec![0.0; self.angle_count()]);
         for (angle, gradient) in self.angles.iter().zip(by_gate) {

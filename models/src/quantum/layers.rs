@@ -1,4 +1,4 @@
-//! Any circuit layer by layer on a state vector, with adjoint gradients (Jones and Gacon 2020, arXiv:2009.02823).
+//! Simulation of any circuit, layer by layer on a state vector, with adjoint gradients (Jones and Gacon 2020, arXiv:2009.02823).
 //!
 //! Real parts of all amplitudes stand before all imaginary ones, so that turns and Hadamards, which are real, act on one
 //! list of real numbers. The phases of a whole feature map are one Walsh-Hadamard transform, so are their gradients, and
@@ -9,7 +9,7 @@ use super::closed_form::vectorised;
 use super::gates::{Circuit, Layer, pairs};
 use super::sin_cos::sin_cos;
 
-/// State vectors of one circuit, and room to work.
+/// State vectors of one circuit, and work space.
 pub(super) struct Workspace {
     qubits: usize,
     /// `[real or imaginary][basis state]`
@@ -45,8 +45,8 @@ impl Workspace {
         re.iter().zip(im).map(|(re, im)| re * re + im * im).collect()
     }
 
-    /// Gradient by the angle of each turned gate of the expectations' sum weighted by `cotangent`. Takes the state back
-    /// to where it began: after [`Workspace::run`], once.
+    /// Gradient by the angle of each rotation gate of the expectations' sum weighted by `cotangent`. It reverts the state, so it is
+    /// called once after [`Workspace::run`].
     pub(super) fn gradient(&mut self, circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
         let mut weights = vec![cotangent.iter().sum::<f64>()];
         for g in cotangent.iter().rev() {
@@ -92,7 +92,7 @@ vectorised! {
     fn backward(work: &mut Workspace, circuit: &Circuit, angles: &[f64], gradient: &mut [f64]) {
         for (index, &layer) in circuit.layers.iter().enumerate().rev() {
             match layer {
-                // What comes before the first angles is of no interest.
+                // Gates before the first angles have no gradient.
                 Layer::Hadamards if index == 0 => {}
                 Layer::Hadamards => {
                     hadamards(&mut work.state, work.qubits);
@@ -168,7 +168,7 @@ fn hadamards(data: &mut [f64], qubits: usize) {
     data.iter_mut().for_each(|v| *v *= scale);
 }
 
-/// Which basis states a phase turns: those with an odd number of ones among these bits. In the order of the angles.
+/// Bit masks of the phases, in the order of the angles. A phase turns the basis states with an odd number of ones under its mask.
 fn masks(qubits: usize) -> impl Iterator<Item = usize> {
     (0..qubits).map(|q| 1 << q).chain(pairs(qubits).map(|(i, j)| (1 << i) | (1 << j)))
 }

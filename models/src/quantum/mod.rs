@@ -1,8 +1,7 @@
-//! The quantum layer: a circuit that encodes one input a qubit, turns it by trained angles, and is measured in Z on each
-//! qubit.
+//! Quantum layer: a circuit that encodes one input per qubit, rotates the qubits by trained angles, and measures Z on each qubit.
 //!
-//! [`CircuitSpec`] says what circuit, [`Circuit`] is one made ready. The paper's, of two qubits, has a closed form
-//! ([`circuit`], [`expectations`]).
+//! [`CircuitSpec`] has the settings of a circuit, [`Circuit`] is built from them. The paper's circuit of two qubits has a closed
+//! form ([`circuit`], [`expectations`]).
 //!
 //! # Conventions
 //! Qiskit's. Bit `q` of an outcome is qubit `q`, and qubit 0 is the rightmost letter of a Pauli string. Input `x[q]` is
@@ -12,9 +11,9 @@
 //! control, (0, 1), (0, 2), ..., (1, 2), ...
 //!
 //! # Files
-//! `spec.rs` and `gates.rs` say what the circuit is, `evaluate.rs` which way an answer is come by: `closed_form.rs`,
-//! `layers.rs` (state vector with adjoint gradients), `noise.rs` (density matrix), and `shots.rs` on top of either.
-//! [`state_vector`] is the slow obvious simulation, gate by gate with parameter shift, that all are tested against.
+//! `spec.rs` and `gates.rs` define the circuit. `evaluate.rs` chooses the method: `closed_form.rs`, `layers.rs` (state vector with
+//! adjoint gradients) or `noise.rs` (density matrix), each with `shots.rs` for measurements. [`state_vector`] is the reference
+//! simulation, gate by gate with parameter shift, that all methods are tested against.
 
 mod closed_form;
 mod evaluate;

@@ -1,4 +1,4 @@
-//! Circuits whose gates err: exact, by density matrix.
+//! Exact simulation of circuits with gate errors, by density matrix.
 //!
 //! A density matrix of `n` qubits is kept as a [`State`] of `2n`: bit `q` of an index is row bit `q`'s partner in the
 //! column, bit `q + n` the row's. A gate acts on both, conjugated on the column; a depolarising channel mixes them.
@@ -33,7 +33,7 @@ impl Density {
         (0..1 << self.qubits).map(|k| self.entries.0[k << self.qubits | k].re).collect()
     }
 
-    /// The gate with `angle` if it is a turned one.
+    /// Applies the gate, with `angle` if it is a rotation.
     fn apply(&mut self, gate: Gate, angle: f64) {
         let n = self.qubits;
         match gate {
@@ -46,7 +46,7 @@ impl Density {
         };
     }
 
-    /// What follows the gate: `rho -> (1 - p) rho + p I / d` on its qubits. It is its own adjoint.
+    /// Depolarising channel behind the gate: `rho -> (1 - p) rho + p I / d` on its qubits. It is its own adjoint.
     fn depolarise(&mut self, gate: Gate, noise: &Noise) {
         let (p, qubits) = match gate {
             Gate::Hadamard { qubit } | Gate::Phase { qubit, .. } | Gate::RotationY { qubit, .. } => {
@@ -63,7 +63,7 @@ impl Density {
         }
     }
 
-    /// Forgets a qubit: what is the same in its row and column becomes the mean of both, what differs zero.
+    /// Replaces a qubit by the maximally mixed state: entries with equal row and column bit become their mean, the others zero.
     fn mix(&mut self, qubit: usize) {
         for rows in self.entries.0.chunks_exact_mut(2 << (qubit + self.qubits)) {
             let (row0, row1) = rows.split_at_mut(1 << (qubit + self.qubits));
@@ -109,7 +109,7 @@ pub(super) fn probabilities(circuit: &Circuit, angles: &[f64]) -> Vec<f64> {
 /// exact because channels are linear. What follows a shifted gate is not run again: the observable is carried back to it.
 pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> Vec<f64> {
     let qubits = circuit.qubits();
-    // What each turned gate was given: 64 KiB each with six qubits.
+    // State before each rotation gate: 64 KiB each with six qubits.
     let mut before = Vec::with_capacity(angles.len());
     let mut rho = Density::diagonal(qubits, [1.0]);
     for &gate in circuit.gates.iter() {
@@ -144,7 +144,7 @@ pub(super) fn gradient(circuit: &Circuit, angles: &[f64], cotangent: &[f64]) -> 
     gradient
 }
 
-/// Probabilities of what is read, each qubit's outcome being read as the other one with probability `flip`.
+/// Probabilities of the outcomes that are read, where each qubit's outcome is inverted with probability `flip`.
 pub(super) fn read_out(probabilities: &mut [f64], flip: f64) {
     let mut bit = 1;
     while flip > 0.0 && bit < probabilities.len() {

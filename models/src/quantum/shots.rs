@@ -1,4 +1,4 @@
-//! Expectations as a quantum computer would estimate them: from a finite number of measurements of all qubits.
+//! Expectations estimated from a finite number of measurements of all qubits, as a quantum computer does.
 
 use rand::Rng;
 use rand_distr::{Binomial, Distribution};
@@ -8,10 +8,10 @@ use super::state_vector::z_expectations;
 /// `<Z>` of each qubit, the highest first, estimated from `shots` measurements (at least one) with these probabilities
 /// of outcomes: unbiased, with variance `(1 - <Z>^2) / shots`. NaN where a probability is not finite.
 ///
-/// How often each outcome comes up is drawn as one multinomial, outcome by outcome from what is left, which costs the
-/// same for any number of shots.
+/// The counts of the outcomes are one multinomial draw, outcome by outcome from the remaining shots. The cost does not depend on
+/// the number of shots.
 pub(super) fn estimate(probabilities: &[f64], shots: u32, rng: &mut impl Rng) -> Vec<f64> {
-    // What is left is summed from the end, so that the last possible outcome takes all that remain, whatever rounding.
+    // Sums from the end: the last possible outcome takes all remaining shots in spite of rounding.
     let mut tails: Vec<f64> = probabilities.iter().map(|&p| if p < 0.0 { 0.0 } else { p }).collect();
     for k in (1..tails.len()).rev() {
         tails[k - 1] += tails[k];
@@ -19,7 +19,7 @@ pub(super) fn estimate(probabilities: &[f64], shots: u32, rng: &mut impl Rng) ->
     let mut left = u64::from(shots);
     let mut share = |k: usize| {
         let next = tails.get(k + 1).copied().unwrap_or(0.0);
-        // Only the last possible outcome has nothing behind it.
+        // Only the last possible outcome has no probability behind it.
         let hits = match Binomial::new(left, (tails[k] - next) / tails[k]) {
             _ if left == 0 || tails[k] == 0.0 => 0,
             Ok(law) => law.sample(rng),

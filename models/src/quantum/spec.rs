@@ -1,4 +1,4 @@
-//! What circuit: the settings of the quantum layer, as they stand in files, and what is wrong with them.
+//! Settings of the quantum layer, as files hold them, and their checks.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ pub const MOST_DEPTH: usize = 1000;
 pub struct CircuitSpec {
     /// Qubits, 1 to [`MOST_QUBITS`]; also the number of inputs and of outputs.
     pub qubits: usize,
-    /// How inputs become a state.
+    /// Encoding of inputs as a state.
     pub encoding: Encoding,
     /// Repetitions of the ZZ feature map, 1 or 2; 1 with angle encoding.
     pub repetitions: usize,
@@ -42,7 +42,7 @@ impl Default for CircuitSpec {
     }
 }
 
-/// How inputs become a state.
+/// Encoding of inputs as a state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Encoding {
@@ -53,7 +53,7 @@ pub enum Encoding {
     Angle,
 }
 
-/// Where expectations come from.
+/// Source of expectations.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Execution {
@@ -72,7 +72,7 @@ pub struct Shots {
     /// Seed of their outcomes.
     #[serde(default)]
     pub seed: u64,
-    /// Where gradients come from.
+    /// Source of gradients.
     #[serde(default)]
     pub gradient: ShotGradient,
 }
@@ -81,7 +81,7 @@ pub struct Shots {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ShotGradient {
-    /// By parameter shift from shots of their own, as on hardware: two runs of `count` shots for each turned gate.
+    /// Parameter shift from separate shots, as on hardware: two runs of `count` shots for each rotation gate.
     #[default]
     Shots,
     /// The gradients of the exact expectations.
@@ -99,38 +99,38 @@ pub struct Noise {
     pub depolarising_one_qubit: f64,
     /// Strength after each gate on two qubits (CX), 0 to 1.
     pub depolarising_two_qubit: f64,
-    /// Probability that a qubit's outcome is read as the other one, 0 to 1.
+    /// Probability that a qubit's outcome is read inverted, 0 to 1.
     pub readout_flip: f64,
 }
 
 impl Noise {
-    /// Whether gates err, which takes a density matrix. Errors of the measurement alone do not.
+    /// Whether gates have errors, which need a density matrix. Readout errors alone do not.
     pub fn is_depolarising(&self) -> bool {
         self.depolarising_one_qubit > 0.0 || self.depolarising_two_qubit > 0.0
     }
 }
 
-/// Why there is no such circuit, or no answer from it.
+/// Error of a circuit's settings or of its inputs.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CircuitError {
-    /// A setting that no circuit has.
+    /// A setting is out of range.
     #[error("circuit: {key} is {value}, expected {expected}")]
     Setting {
         /// The setting.
         key: &'static str,
-        /// What it is.
+        /// Its value.
         value: String,
-        /// What it may be.
+        /// Allowed values.
         expected: String,
     },
-    /// Too few or too many numbers for this circuit.
+    /// The number of inputs, angles or cotangents is not the circuit's.
     #[error("circuit: expected {expected} {what}, got {got}")]
     Count {
-        /// Inputs, angles or cotangents, and what makes their number.
+        /// Name of the numbers.
         what: &'static str,
-        /// How many the circuit takes.
+        /// Number that the circuit takes.
         expected: usize,
-        /// How many there were.
+        /// Number given.
         got: usize,
     },
 }
@@ -148,34 +148,37 @@ impl CircuitSpec {
         (0..letters).map(|o| (0..letters).map(|k| if k == o { 'Z' } else { 'I' }).collect()).collect()
     }
 
-    /// Checks every setting.
+    /// Checks all settings.
+    ///
+    /// # Errors
+    /// [`CircuitError::Setting`] for the first setting that is out of range.
     pub fn check(&self) -> Result<(), CircuitError> {
-        let demand = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
+        let require = |fits: bool, key: &'static str, value: &dyn std::fmt::Display, expected: &str| match fits {
             true => Ok(()),
             false => Err(CircuitError::Setting { key, value: value.to_string(), expected: expected.to_owned() }),
         };
-        demand((1..=MOST_QUBITS).contains(&self.qubits), "qubits", &self.qubits, &format!("1 to {MOST_QUBITS}"))?;
+        require((1..=MOST_QUBITS).contains(&self.qubits), "qubits", &self.qubits, &format!("1 to {MOST_QUBITS}"))?;
         let (most, expected) = match self.encoding {
             Encoding::ZzFeatureMap => (2, "1 or 2"),
             Encoding::Angle => (1, "1 with angle encoding"),
         };
-        demand((1..=most).contains(&self.repetitions), "repetitions", &self.repetitions, expected)?;
-        demand(self.depth <= MOST_DEPTH, "depth", &self.depth, &format!("0 to {MOST_DEPTH}"))?;
+        require((1..=most).contains(&self.repetitions), "repetitions", &self.repetitions, expected)?;
+        require(self.depth <= MOST_DEPTH, "depth", &self.depth, &format!("0 to {MOST_DEPTH}"))?;
         if let Execution::Shots(shots) = self.execution {
-            demand(shots.count > 0, "shots", &shots.count, "at least 1")?;
+            require(shots.count > 0, "shots", &shots.count, "at least 1")?;
         }
         for (key, p) in [
             ("depolarising_one_qubit", self.noise.depolarising_one_qubit),
             ("depolarising_two_qubit", self.noise.depolarising_two_qubit),
             ("readout_flip", self.noise.readout_flip),
         ] {
-            demand((0.0..=1.0).contains(&p), key, &p, "a probability, 0 to 1")?;
+            require((0.0..=1.0).contains(&p), key, &p, "a probability, 0 to 1")?;
         }
         let expected = format!(
             "at most {MOST_DEPOLARISED_QUBITS} with depolarising gates, which take a density matrix of 4^qubits entries\n\n\
              hint: use fewer qubits, or errors of the readout alone"
         );
-        demand(
+        require(
             !self.noise.is_depolarising() || self.qubits <= MOST_DEPOLARISED_QUBITS,
             "qubits",
             &self.qubits,

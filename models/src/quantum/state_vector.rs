@@ -1,4 +1,4 @@
-//! Any circuit gate by gate on a vector of amplitudes, and gradients by parameter shift: slow, obvious, f64.
+//! Reference simulation of any circuit: gate by gate on a state vector in f64, gradients by parameter shift.
 
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
 
@@ -46,7 +46,7 @@ impl State {
         self.single(qubit, |a, b| (a * c - b * s, a * s + b * c));
     }
 
-    /// Exchanges what the target tells apart where the control, the lower qubit, is 1.
+    /// Flips the target where the control, the lower qubit, is 1.
     pub(super) fn controlled_not(&mut self, control: usize, target: usize) {
         for pair in self.0.chunks_exact_mut(2 << target) {
             let (zeros, ones) = pair.split_at_mut(1 << target);
@@ -76,8 +76,8 @@ impl State {
     }
 }
 
-/// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. Each qubit that has been looked at is
-/// summed over.
+/// `<Z>` of each qubit, the highest first, from the probabilities of all outcomes. After each qubit, the probabilities are summed
+/// over it.
 pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
     let (mut left, mut expectations) = (probabilities.to_vec(), Vec::new());
     while left.len() > 1 {
@@ -88,14 +88,16 @@ pub(super) fn z_expectations(probabilities: &[f64]) -> Vec<f64> {
     expectations
 }
 
-/// State at the end of the circuit at inputs `x` and angles `theta`, before the measurement; noise and shots are not
-/// looked at.
+/// State at the end of the circuit at inputs `x` and angles `theta`, before the measurement, without noise and shots.
+///
+/// # Errors
+/// [`CircuitError::Count`] if the number of inputs or of angles is not the circuit's.
 pub fn run(circuit: &Circuit, x: &[f64], theta: &[f64]) -> Result<State, CircuitError> {
     circuit.check_counts(x, theta)?;
     Ok(run_at(circuit, &circuit.gate_angles(x, theta)))
 }
 
-/// The same at these angles of all turned gates.
+/// State at the end of the circuit at these angles of all rotation gates.
 pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
     let mut state = State::zero(circuit.qubits());
     for &gate in circuit.gates.iter() {
@@ -107,6 +109,9 @@ pub(super) fn run_at(circuit: &Circuit, angles: &[f64]) -> State {
 impl Circuit {
     /// The trained part of the circuit at angles `theta`, a real orthogonal matrix `[from][to]` over the `2^qubits` basis
     /// states: row `k` is what becomes of state `k`.
+    ///
+    /// # Errors
+    /// [`CircuitError::Count`] if the number of angles is not the circuit's.
     pub fn trained_matrix(&self, theta: &[f64]) -> Result<Vec<f64>, CircuitError> {
         let nowhere = vec![0.0; self.qubits()];
         self.check_counts(&nowhere, theta)?;

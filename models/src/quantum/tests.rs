@@ -4,7 +4,7 @@ use rand::Rng;
 
 use super::state_vector::{parameter_shift, run_at, z_expectations};
 use super::*;
-use crate::stream;
+use crate::random::stream;
 
 /// Nothing is drawn.
 const NONE: Draw = Draw { call: 0, row: 0 };
@@ -85,7 +85,7 @@ fn the_fast_ways_are_the_gate_by_gate_one_with_its_parameter_shift() {
         close("expectations", &expectations, &slow.expectations(), 1e-12);
 
         let by_gate: Vec<f64> = if spec.qubits > 9 {
-            continue; // Hundreds of slow runs; `twelve_qubits` looks at some of them.
+            continue; // Hundreds of slow runs; `twelve_qubits` tests some of them.
         } else {
             let jacobian = parameter_shift(&angles, |angles| run_at(&circuit, angles).expectations());
             (0..angles.len()).map(|k| jacobian.iter().zip(&cotangent).map(|(row, g)| row[k] * g).sum()).collect()
@@ -126,7 +126,7 @@ fn gradients_by_inputs_are_those_of_finite_differences() {
     }
 }
 
-/// What the circuit's parts do by themselves: RY(x) on |0> has <Z> = cos x, and turns about one axis add up.
+/// Parts of the circuit alone: RY(x) on |0> has <Z> = cos x, and rotations about one axis add up.
 #[test]
 fn angle_encoding_without_an_entangler_is_cosines() {
     let circuit = ready(&by_angle(3, 0));
@@ -276,7 +276,7 @@ mod noisy {
         close("by x", &got.by_x[0], &[want.by_x[0][0] * factor], 1e-13);
     }
 
-    /// With depolarising one-qubit gates and no entangler each qubit stands for itself.
+    /// With depolarising one-qubit gates and no entangler the qubits are independent.
     #[test]
     fn qubits_that_do_not_meet_shrink_by_themselves() {
         let spec = CircuitSpec { noise: noise(0.2, 0.9, 0.0), ..by_angle(3, 0) };
@@ -366,7 +366,7 @@ mod noisy {
                 };
                 if rng.random_bool(p) {
                     for qubit in qubits {
-                        // X is H Z H, and Y their product but for a phase that nobody sees.
+                        // X is H Z H, and Y their product but for a global phase.
                         if rng.random_bool(0.5) {
                             state.phase(qubit, PI);
                         }

@@ -1,10 +1,11 @@
-//! Gaussian noise on maps, as the paper adds it (paper.md section 4).
+//! Gaussian noise on maps by the rule of the paper.
 
 use rand_distr::{Distribution, StandardNormal};
 
 use crate::dataset::Dataset;
-use crate::evaluate::{Metrics, most_probable};
-use crate::{Classifier, ClassifyError, stream};
+use crate::metrics::{Metrics, most_probable};
+use crate::model::{Classifier, ClassifyError};
+use crate::random::stream;
 
 /// Test maps with noise on them.
 pub struct NoisyMaps<'a> {
@@ -12,10 +13,13 @@ pub struct NoisyMaps<'a> {
     maps: Vec<(usize, Vec<f32>)>,
 }
 
-/// `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, `P` the mean square of the map's dB values before any
-/// standardisation. One draw for each map and ratio, the same for every model.
+/// Adds noise to maps: `Y = X + W` with `W ~ N(0, P / 10^(SNR / 10))` for each cell, where `P` is the mean square of the map's dB
+/// values before any standardisation. There is one draw for each map and ratio, the same for every model.
 ///
 /// On maps in dB, `P` depends on the dB reference: ratios are comparable between maps of one preset only.
+///
+/// # Errors
+/// [`ClassifyError::Dataset`] if a map cannot be read.
 pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> Result<NoisyMaps<'a>, ClassifyError> {
     let mut maps = Vec::with_capacity(indices.len());
     for &index in indices {
@@ -33,7 +37,10 @@ pub fn with_noise<'a>(dataset: &'a Dataset, indices: &[usize], snr_db: f64) -> R
 }
 
 impl NoisyMaps<'_> {
-    /// Scores of a classifier.
+    /// Computes the scores of a classifier.
+    ///
+    /// # Errors
+    /// Those of [`Classifier::classify_row`].
     pub fn evaluate(&self, classifier: &mut Classifier) -> Result<Metrics, ClassifyError> {
         let shape = self.dataset.header().shape;
         let mut pairs = Vec::with_capacity(self.maps.len());

@@ -1,4 +1,4 @@
-//! What a study says: tables in Markdown, the same as JSON, with the paper's numbers beside ours.
+//! Report of a study: tables in Markdown and JSON, with the paper's numbers for comparison.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -6,9 +6,11 @@ use std::fmt::Write;
 use radome_dsp::Occupancy;
 use serde::{Deserialize, Serialize};
 
+use super::outcome::{FAILED_BELOW, Outcome};
+use super::spec::StudySpec;
 use super::statistics::{Interval, t_interval};
-use super::{Outcome, StudySpec};
 use crate::dataset::Dataset;
+use crate::metrics::Metrics;
 
 /// Confusion matrices summed over seeds: `[truth][prediction]`.
 type Confusion = [[u64; Occupancy::ALL.len()]; Occupancy::ALL.len()];
@@ -22,9 +24,9 @@ pub struct Cell {
     pub label_fraction: f64,
     /// Learning rate, chosen on the validation split where there was a choice.
     pub learning_rate: f64,
-    /// Trainings that are there.
+    /// Number of trainings that are done.
     pub done: usize,
-    /// Of them, those that came to nothing; they stay in the means.
+    /// Number of them that failed; they stay in the means.
     pub failed: usize,
     /// Balanced accuracy on the test split; chance where a training broke off.
     pub test: Option<Interval>,
@@ -32,7 +34,7 @@ pub struct Cell {
     pub accuracy: Option<Interval>,
     /// Macro-F1 on the test split.
     pub macro_f1: Option<Interval>,
-    /// Recall of somebody (one or two) on the test split.
+    /// Share of populated test maps that are not classified as empty.
     pub populated_recall: Option<Interval>,
     /// Balanced accuracy on the training maps in the last epoch.
     pub training: Option<Interval>,
@@ -63,17 +65,17 @@ pub struct Cell {
 pub struct Report {
     /// Heading.
     pub title: String,
-    /// What differs from the protocol that it is put beside.
+    /// Differences from the protocol that it is compared with.
     pub remarks: Vec<String>,
     /// Hash of the dataset.
     pub dataset_hash: String,
     /// Maps of the dataset.
     pub maps: usize,
-    /// Trainings that are there, and that the plan has.
+    /// Number of trainings that are done.
     pub done: usize,
     /// Trainings of the plan, less those that only choose learning rates.
     pub planned: usize,
-    /// Seconds of all trainings that are there.
+    /// Time of all trainings that are done, s.
     pub seconds: f64,
     /// Balanced accuracy whose first epoch is reported.
     pub target: f64,
@@ -81,7 +83,7 @@ pub struct Report {
     pub cells: Vec<Cell>,
 }
 
-/// Puts outcomes together.
+/// Makes the report of outcomes.
 pub fn report(spec: &StudySpec, dataset: &Dataset, chosen: &BTreeMap<String, f64>, outcomes: &[Outcome]) -> Report {
     let mut cells = Vec::new();
     let held_out = if spec.leave_one_recording_out {
@@ -123,7 +125,7 @@ fn cell(spec: &StudySpec, variant: &str, label_fraction: f64, learning_rate: f64
         let values: Vec<f64> = of.iter().filter_map(|outcome| f(outcome)).collect();
         t_interval(&values)
     };
-    let test = |f: &dyn Fn(&crate::Metrics) -> Option<f64>, broken: Option<f64>| {
+    let test = |f: &dyn Fn(&Metrics) -> Option<f64>, broken: Option<f64>| {
         interval(&|outcome| match (&outcome.error, &outcome.test) {
             (Some(_), _) => broken,
             (None, Some(metrics)) => f(metrics),
@@ -229,7 +231,7 @@ impl Report {
             out,
             "Balanced accuracy with 95 % intervals of the mean over seeds (Student's t); [least, most]. Trainings that failed \
              (broke off, or ended below {} on their own training maps) are counted and stay in the means.\n",
-            super::FAILED_BELOW
+            FAILED_BELOW
         )?;
         for remark in &self.remarks {
             writeln!(out, "{remark}\n")?;

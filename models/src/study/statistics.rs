@@ -9,7 +9,7 @@ pub struct Interval {
     pub count: usize,
     /// Their mean.
     pub mean: f64,
-    /// Half of the interval's width, by Student's t; nothing for one value.
+    /// Half of the interval's width, by Student's t; absent for one value.
     pub half_width: Option<f64>,
     /// Smallest value.
     pub least: f64,
@@ -24,7 +24,7 @@ const T_QUANTILES: [f64; 30] = [
 ];
 const NORMAL_QUANTILE: f64 = 1.960;
 
-/// Mean of the values and the 95 % interval of the mean; nothing without values.
+/// Mean of the values and the 95 % interval of the mean; `None` without values.
 pub fn t_interval(values: &[f64]) -> Option<Interval> {
     let count = values.len();
     if count == 0 {

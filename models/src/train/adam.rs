@@ -47,7 +47,7 @@ impl Adam {
         arrays
     }
 
-    /// Takes back what [`Adam::arrays`] and [`Adam::steps`] gave; names what is missing or of another length.
+    /// Restores the results of [`Adam::arrays`] and [`Adam::steps`]. Errors name arrays that are missing or of another length.
     pub(super) fn restore<'a>(
         &mut self,
         names: impl Iterator<Item = &'a str>,
@@ -66,8 +66,8 @@ impl Adam {
         Ok(())
     }
 
-    /// One step. `rates` are step sizes, `decays` the shares of the values that a step takes away besides; arrays beyond the end of
-    /// `decays` keep theirs. Gives the index of the first array with a gradient that is not finite instead of taking it.
+    /// Takes one step with step sizes `rates` and weight decays `decays` (shares of the values that the step subtracts; 0 beyond
+    /// their end). If a gradient is not finite, it takes no step and returns the index of the first such array.
     pub(super) fn step<'a>(
         &mut self,
         variables: impl Iterator<Item = &'a Var> + Clone,
@@ -87,7 +87,7 @@ impl Adam {
         let (c1, c2) = (1.0 - BETA1.powi(self.steps), 1.0 - BETA2.powi(self.steps));
         let decays = decays.iter().copied().chain(std::iter::repeat(0.0));
         for (((variable, moments), &rate), decay) in variables.zip(&self.moments).zip(rates).zip(decays) {
-            // What has had no gradient yet stays as it is: its moments are zero.
+            // An array without a gradient stays unchanged: its moments are zero.
             let Some(gradient) = gradients.get(variable) else { continue };
             variable.inplace_op2(&gradient.contiguous()?, &Step { moments, rate, kept: 1.0 - decay, c1, c2 })?;
         }
@@ -154,7 +154,7 @@ mod tests {
         let last = (0..300).map(|_| step(&mut adam)).last().expect("steps");
         assert!(last.iter().all(|v| v.abs() < 0.02), "{last:?}");
     }
-    /// Decay takes its share of the values beside the step, whatever the gradient: at a step size of 0 nothing else moves.
+    /// Decay does not depend on the gradient: at a step size of 0 it is the only change.
     #[test]
     fn decay_is_decoupled() {
         let x = Var::new(&[3.0f32], &Device::Cpu).expect("var");

@@ -1,140 +1,52 @@
-//! Adapting a trained model to one room, by a few labelled minutes of it and without forgetting the others.
+//! Adaptation of a trained model to one room by a few labelled minutes, without forgetting other rooms.
 //!
-//! Of a network of descriptors everything behind the descriptors is adapted, of any other network its last linear layer. Their
-//! inputs are computed once a frame ([`Adapter::features`]). The objective is
+//! In a network of descriptors all layers behind the descriptors are adapted, in any other network its last linear layer. Their
+//! inputs are computed once for each frame ([`Adapter::features`]). The objective is
 //!
 //! ```text
 //! sum_i w_i cross_entropy_i + strength / 2 |theta - theta_before|^2
 //! ```
 //! with `theta` the parameters for features of mean 0 and deviation 1: the most probable parameters under a Gaussian prior about
-//! those before, so that a class without a recording keeps its place by the prior alone. Biases are pulled with a strength of 100 s at
-//! most: a few of them are known after half a minute of labels, weights are not. The weights of the samples sum to the labelled
-//! seconds, because frames within a second are one piece of evidence. Each class has the same share of them; within a class
-//! recordings of more than 10 s have nearly the same share. Simulated maps, where there are any, weigh as much as all recordings
-//! together.
+//! those before. The prior alone holds a class without recordings. The strength for biases is at most 100 s, because half a minute
+//! of labels determines a few biases, but not weights. The weights of the samples sum to the labelled seconds, because frames
+//! within a second are one piece of evidence. Each class has the same share of them; within a class, recordings of more than 10 s
+//! have nearly the same share. Simulated maps, if there are any, weigh as much as all recordings together.
 //!
-//! The strength is chosen on recordings that are held out. The less is labelled, the fewer weak strengths are tried: the same
-//! people walk through all recordings of a minute, so that held-out ones do not show what is lost on others.
+//! The strength is chosen by cross-validation over recordings. With less labelled time fewer weak strengths are tried: all
+//! recordings of a minute show the same people, so held-out recordings do not show the loss on other people.
 //!
-//! Where only the empty room was recorded, one number is fitted: what is added to the logit of `empty`. The relation of the other
-//! logits stays as it is. Frames weigh by the probability with which the model before takes them for somebody, so that a model that
-//! is right about the empty room stays as it is.
+//! If only the empty room was recorded, the bias of the logit of `empty` alone is fitted. The differences of the other logits stay
+//! unchanged. Frames are weighted by the probability of people by the model before, so that a model that is right about the empty
+//! room stays unchanged.
 //!
 //! [`minimise`] has the minimiser, [`tail`] the adapted layers and the samples.
 
 use candle_core::{Device, Tensor};
-use radome_dsp::{Occupancy, Rdm, RdmShape};
-use serde::{Deserialize, Serialize};
-use thiserror::Error;
+use radome_dsp::{Rdm, RdmShape};
 
-use crate::dataset::{Dataset, DatasetError, Split, SplitSpec};
-use crate::model_file::Model;
-use crate::network::{Layer, Mode, Network, NetworkKind, Value};
-use crate::{Classifier, ClassifyError};
-use tail::{Judged, Tail, empty_strength, last_node, shows_people};
+use crate::dataset::{Dataset, Split, SplitSpec};
+use crate::model::{Adapted, BeforeAfter, Classifier, Model, Scores};
+use crate::network::{Layer, Mode, Network, Value};
+use recording::{CLASSES, MOST_FRAMES};
+use tail::{Confusions, Tail, empty_strength, last_node, shows_people};
 
+mod error;
 mod minimise;
+mod recording;
 mod tail;
 
-const CLASSES: usize = Occupancy::ALL.len();
-/// Strengths of the pull that are tried, the strongest first, s of labelled frames for a squared deviation.
+pub use error::AdaptError;
+pub use recording::{AdaptFrame, AdaptRecording};
+
+/// Strengths of the penalty that are tried, the strongest first, s of labelled frames for a squared deviation.
 const STRENGTHS: [f64; 6] = [3000.0, 1000.0, 300.0, 100.0, 30.0, 10.0];
-/// Strength that is tried however little is labelled, and the only one where no recording can be held out.
+/// Strength that is always tried, and the only one if no recording can be held out.
 const SAFE_STRENGTH: f64 = 1000.0;
 /// Weakest strength that is tried, times the square of the labelled seconds, s^3: 100 s at two minutes. Measured on simulated rooms
 /// (`radome adapt --curve`).
 const WEAKEST_BY_TIME: f64 = 1.44e6;
-/// Parts of the recordings that are held out in turn, at most.
+/// Most parts of the recordings that are held out in turn.
 const MOST_FOLDS: usize = 10;
-/// A frame counts for the time since the frame before it, and for so much at most, s: as in the occupancy filter.
-const INDEPENDENT_S: f64 = 1.0;
-/// Labelled frames that are fitted to, about, and simulated maps at most.
-const MOST_FRAMES: usize = 2000;
-
-/// One frame of a recording as the adapted layers see it.
-#[derive(Debug, Clone)]
-pub struct AdaptFrame {
-    /// Start of the frame on the recording's clock, s.
-    pub time_s: f64,
-    /// Result of [`Adapter::features`].
-    pub features: Vec<f32>,
-    /// Number of people; absent where nobody has said it.
-    pub label: Option<Occupancy>,
-}
-
-/// A recording of the room.
-#[derive(Debug, Clone)]
-pub struct AdaptRecording {
-    /// Time from frame to frame, s.
-    pub frame_interval_s: f64,
-    /// Frames in the order of time.
-    pub frames: Vec<AdaptFrame>,
-}
-
-impl AdaptRecording {
-    /// Labelled seconds of empty, one and two. A frame counts for the time since the frame before it, 1 s at most.
-    pub fn seconds(&self) -> [f64; CLASSES] {
-        let mut seconds = [0.0; CLASSES];
-        let mut last_s = None;
-        for frame in &self.frames {
-            let elapsed_s = last_s.map_or(self.frame_interval_s, |last_s: f64| frame.time_s - last_s);
-            last_s = Some(frame.time_s);
-            // A clock that goes back says nothing.
-            let elapsed_s = if elapsed_s > 0.0 { elapsed_s } else { self.frame_interval_s };
-            if let Some(label) = frame.label {
-                seconds[label.index()] += elapsed_s.min(INDEPENDENT_S);
-            }
-        }
-        seconds
-    }
-}
-
-/// Balanced accuracies over recordings, frame by frame and behind the occupancy filter.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Scores {
-    /// Of each frame by itself.
-    pub by_frame: f64,
-    /// Of the filter's answers.
-    pub filtered: f64,
-}
-
-/// Scores of the model before and after an adaptation that has not seen the recordings.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct BeforeAfter {
-    /// Of the model as it was.
-    pub before: Scores,
-    /// Of the adapted model.
-    pub after: Scores,
-}
-
-impl Scores {
-    fn sum(self) -> f64 {
-        self.by_frame + self.filtered
-    }
-}
-
-impl BeforeAfter {
-    /// Whether the adaptation makes the mean of both scores lower.
-    pub fn is_worse(&self) -> bool {
-        self.after.sum() < self.before.sum() - 1e-9
-    }
-}
-
-/// Entry of a model card: what the model was last adapted on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Adapted {
-    /// Labelled seconds of empty, one and two.
-    pub seconds: [f64; CLASSES],
-    /// Recordings that they are from.
-    pub recordings: usize,
-    /// Strength of the pull towards the parameters before, s of labelled frames for a squared deviation.
-    pub strength: f64,
-    /// Simulated maps that were mixed in.
-    pub simulated_maps: usize,
-    /// Scores with each recording, of more than ten a tenth of them, held out in turn, where that says anything.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub held_out: Option<BeforeAfter>,
-}
 
 /// Result of an adaptation.
 pub struct Adaptation {
@@ -142,7 +54,7 @@ pub struct Adaptation {
     pub model: Model,
     /// The entry.
     pub adapted: Adapted,
-    /// Scores of each recording, by a model that was adapted on others; absent where a class of it is in no other recording.
+    /// Scores of each recording by a model that was adapted on others; absent if one of its classes is in no other recording.
     pub held_out: Vec<Option<BeforeAfter>>,
     /// Recordings that show empty, one and two.
     pub recordings_by_class: [usize; CLASSES],
@@ -150,7 +62,7 @@ pub struct Adaptation {
     pub is_measured: [bool; CLASSES],
 }
 
-/// Parameters that are fitted to recordings, and what recordings that were held out say of them.
+/// Parameters fitted to recordings, with cross-validated scores.
 #[derive(Debug, Clone)]
 pub struct Fit {
     numbers: Vec<f64>,
@@ -167,46 +79,7 @@ impl Fit {
     }
 }
 
-/// A model that cannot be adapted.
-#[derive(Debug, Error)]
-pub enum AdaptError {
-    /// The network has no layer to adapt.
-    #[error("{network:?} does not end in a linear layer, and nothing else of it can be adapted")]
-    Network {
-        /// The network.
-        network: NetworkKind,
-    },
-    /// No frame has a label.
-    #[error(
-        "none of the {recordings} recordings has a labelled frame\n\nhint: label them, or say what all of a recording shows: RECORDING=empty"
-    )]
-    NoLabels {
-        /// Recordings.
-        recordings: usize,
-    },
-    /// The simulated maps are made in another way than the model's.
-    #[error(
-        "the simulated maps are not those of the model: {what}\n\nhint: build the dataset with the scene's waveform and the map spec that the model was trained with"
-    )]
-    Simulated {
-        /// The difference.
-        what: String,
-    },
-    /// The objective is no number where it begins.
-    #[error("the loss on the recordings is not finite")]
-    NonFinite,
-    /// A map cannot be judged.
-    #[error(transparent)]
-    Classify(#[from] ClassifyError),
-    /// The simulated maps cannot be read.
-    #[error(transparent)]
-    Dataset(#[from] DatasetError),
-    /// A tensor operation failed.
-    #[error("network: {0}")]
-    Operation(#[from] candle_core::Error),
-}
-
-/// A model that is about to be adapted.
+/// Adaptation of a model.
 pub struct Adapter {
     classifier: Classifier,
     /// Input of the adapted layers.
@@ -218,7 +91,7 @@ pub struct Adapter {
 }
 
 impl Adapter {
-    /// Takes a model.
+    /// Starts the adaptation of a model.
     ///
     /// # Errors
     /// [`AdaptError::Network`] if the network does not end in a linear layer.
@@ -264,7 +137,7 @@ impl Adapter {
         self.classifier.network().ok_or(AdaptError::Network { network })
     }
 
-    /// Mixes in the maps of a dataset's training split, 2,000 of them at most; gives their number.
+    /// Mixes in the maps of a dataset's training split, at most 2,000. Returns their number.
     ///
     /// # Errors
     /// [`AdaptError::Simulated`] if the maps are made of another waveform or by another map spec, [`AdaptError::Dataset`] if they
@@ -293,7 +166,7 @@ impl Adapter {
         Ok(self.simulated.len())
     }
 
-    /// Adapts the model: [`fit`](Self::fit), and the fitted parameters become the model's.
+    /// Adapts the model: runs [`fit`](Self::fit) and sets the fitted parameters.
     ///
     /// The same model and recordings give the same numbers, on any number of threads.
     ///
@@ -308,10 +181,9 @@ impl Adapter {
         Ok(Adaptation { model, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Fits parameters to recordings. Each recording in turn, of more than ten a tenth of them, is held out first: that gives the
-    /// scores, and the strength of the pull is the one with the best of them, so that they are a little better than those of
-    /// recordings to come. Recordings that show a class that is in no other one are not held out: a model that never saw the class
-    /// would be judged.
+    /// Fits parameters to recordings. First, each recording, or each tenth of more than ten, is held out in turn, which gives the
+    /// scores. The strength with the best scores is chosen, so they are slightly optimistic. A recording with a class that is in no
+    /// other one is not held out, because the scores would be those of a model that never saw the class.
     ///
     /// # Errors
     /// [`AdaptError::NoLabels`] if no frame has a label, [`AdaptError::NonFinite`] if the loss of the model is no number,
@@ -348,15 +220,15 @@ impl Adapter {
             let others: Vec<&AdaptRecording> = others.map(|(_, recording)| recording).collect();
             let fits = tail.fit(&others, &self.simulated, &strengths, &self.before)?;
             for (index, recording) in recordings.iter().enumerate().filter(|(index, _)| is_held_out(*index)) {
-                // A recording without a label says nothing.
+                // A recording without labels has no scores.
                 if by_recording[index].iter().sum::<f64>() > 0.0 {
-                    let judge = |numbers: &Vec<f64>| tail.judge(numbers, recording, smoothing);
-                    let after = fits.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
-                    folds[index] = Some(Fold { before: judge(&self.before)?, after });
+                    let evaluate = |numbers: &Vec<f64>| tail.confusions(numbers, recording, smoothing);
+                    let after = fits.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
+                    folds[index] = Some(Fold { before: evaluate(&self.before)?, after });
                 }
             }
         }
-        // The strongest of equals.
+        // The strongest of equals wins.
         let measured: Vec<&Fold> = folds.iter().flatten().collect();
         let mut chosen: Option<(usize, BeforeAfter)> = None;
         for index in (0..strengths.len()).filter(|_| !measured.is_empty()) {
@@ -385,39 +257,40 @@ impl Adapter {
         Ok(Fit { numbers, adapted, held_out, recordings_by_class, is_measured })
     }
 
-    /// Scores on recordings with fitted parameters, or of the model as it was.
+    /// Computes scores on recordings with fitted parameters, or those of the model before.
     ///
     /// # Errors
     /// [`AdaptError::Operation`] if features or parameters are not those of this model.
     pub fn scores(&self, fit: Option<&Fit>, recordings: &[AdaptRecording]) -> Result<Scores, AdaptError> {
         let (tail, smoothing) = (self.tail()?, self.classifier.card().smoothing);
         let numbers = fit.map_or(&self.before, |fit| &fit.numbers);
-        let judge = |recording: &AdaptRecording| tail.judge(numbers, recording, smoothing);
-        let judged = recordings.iter().map(judge).collect::<Result<Vec<_>, _>>()?;
-        Ok(Judged::scores(judged.iter()))
+        let evaluate = |recording: &AdaptRecording| tail.confusions(numbers, recording, smoothing);
+        let confusions = recordings.iter().map(evaluate).collect::<Result<Vec<_>, _>>()?;
+        Ok(Confusions::scores(confusions.iter()))
     }
 }
 
-/// A recording that was held out: judged by the model before, and by one adapted on others for each strength of the pull.
+/// Held-out part of the recordings: predictions of the model before, and of one adapted on the others for each strength.
 struct Fold {
-    before: Judged,
-    after: Vec<Judged>,
+    before: Confusions,
+    after: Vec<Confusions>,
 }
 
 fn compared(folds: &[&Fold], strength: usize) -> BeforeAfter {
-    let after = Judged::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
-    BeforeAfter { before: Judged::scores(folds.iter().map(|fold| &fold.before)), after }
+    let after = Confusions::scores(folds.iter().filter_map(|fold| fold.after.get(strength)));
+    BeforeAfter { before: Confusions::scores(folds.iter().map(|fold| &fold.before)), after }
 }
 
 #[cfg(test)]
 mod tests {
     use std::path::Path;
 
+    use radome_dsp::Occupancy;
     use rand_distr::{Distribution, Normal};
 
     use super::*;
     use crate::layer::{DESCRIPTORS, KernelLevel};
-    use crate::model_file::ModelCard;
+    use crate::model::ModelCard;
     use crate::network::NetworkSpec;
     use crate::standardise::{MapReference, Standardisation};
 
@@ -435,9 +308,10 @@ mod tests {
         Model { card, network }
     }
 
-    /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the class.
+    /// A minute and a half of each class, of which every third frame has no label: features of order one about a centre of the
+    /// class.
     pub fn recording(seed: u64, classes: &[Occupancy]) -> AdaptRecording {
-        let mut rng = crate::stream(seed, "features", 0);
+        let mut rng = crate::random::stream(seed, "features", 0);
         let normal = Normal::new(0.0f32, 0.6).expect("normal");
         let mut frames = Vec::new();
         for class in classes {
@@ -456,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn recordings_that_are_held_out_are_judged_better() {
+    fn held_out_recordings_have_better_scores() {
         let recordings: Vec<AdaptRecording> = (0..3).map(|seed| recording(seed, &Occupancy::ALL)).collect();
         for (name, least) in [("descriptor_linear", 0.9), ("descriptor_hqnn", 0.6)] {
             let first = adapt(name, &recordings);
@@ -518,8 +392,8 @@ mod tests {
             assert_eq!(adaptation.adapted.strength, SAFE_STRENGTH);
         }
 
-        /// The only recording of two people cannot be held out, nor what else it shows: a model that has never seen two people
-        /// would be judged.
+        /// The only recording of two people cannot be held out, nor its other classes: the scores would be those of a model that
+        /// has never seen two people.
         #[test]
         fn a_recording_with_the_only_example_of_a_class_is_not_held_out() {
             let recordings = [

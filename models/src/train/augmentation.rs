@@ -1,4 +1,4 @@
-//! Changes made to training maps each time they are shown: what differs between rooms, boards and people and must not matter.
+//! Augmentation of training maps: random changes that imitate differences between rooms, boards and people.
 //!
 //! All but noise and flip work on maps over their own noise ([`MapReference::OverNoise`]), in powers `p = P / N` of a cell over the
 //! noise of its range bin, in which a cell of noise is exponential about 1. They come in the order of the fields of
@@ -11,11 +11,11 @@ use rand_distr::{Distribution, Normal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::{Deserialize, Serialize};
 
-use super::TrainError;
+use super::error::TrainError;
+use crate::random::stream;
 use crate::standardise::{MapReference, echo_share, gain_of_echo, levels_over_noise, noise_power, powers_over_noise};
-use crate::stream;
 
-/// Largest gain on echoes, dB: up to it stronger cells stay the stronger ones.
+/// Largest gain on echoes, dB. Up to it, stronger cells stay stronger.
 const MOST_GAIN_DB: f32 = 15.0;
 /// Largest stretch of an axis.
 const MOST_STRETCH: f32 = 0.5;
@@ -23,35 +23,35 @@ const MOST_STRETCH: f32 = 0.5;
 const MOST_BINS: usize = 256;
 /// Strongest sway, dB over noise.
 const MOST_SWAY_DB: f32 = 60.0;
-/// Maps that are drawn before one is given up that is of another sequence.
+/// Most draws of a map of another sequence.
 const TRIES: usize = 16;
-/// Classes: how many people there can be, and none.
+/// Number of classes.
 const CLASSES: usize = radome_dsp::Occupancy::ALL.len();
 
-/// Changes made to training maps each time they are shown; none by default.
+/// Settings of the changes made to a training map each time it is used; none by default.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Augmentation {
     /// Standard deviation of Gaussian noise added to each cell, dB; 0 for none.
     pub noise_db: f32,
-    /// Exchange receding and approaching in half of the maps (zero Doppler stays where it is).
+    /// Whether receding and approaching are exchanged in half of the maps. Zero Doppler keeps its bin.
     pub doppler_flip: bool,
-    /// Add the echoes of another map, and the people.
+    /// Addition of the echoes and the people of another map.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub superpose: Option<Superpose>,
-    /// Gain on what stands above noise, drawn evenly between these, dB; noise stays. Other targets, distances and aims.
+    /// Gain on echoes above noise, uniform between these, dB; noise stays. It imitates other people, distances and orientations.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub echo_gain_db: Option<[f32; 2]>,
-    /// Largest part by which ranges are stretched or shrunk about range zero. Another range step.
+    /// Largest relative stretch or compression of ranges about range zero. It imitates another range step.
     #[serde(skip_serializing_if = "is_default")]
     pub range_stretch: f32,
-    /// Most range bins by which the whole map is shifted either way; bins that are left read as noise. Another place of the room.
+    /// Most range bins by which the map is shifted either way; vacated bins become noise. It imitates another position in the room.
     #[serde(skip_serializing_if = "is_default")]
     pub range_shift_bins: usize,
-    /// Largest part by which velocities are stretched or shrunk about zero Doppler. Faster and slower people.
+    /// Largest relative stretch or compression of velocities about zero Doppler. It imitates faster and slower people.
     #[serde(skip_serializing_if = "is_default")]
     pub velocity_stretch: f32,
-    /// Add weak slow energy among the clutter. Cables, curtains and desks that sway in real rooms.
+    /// Addition of weak slow echoes. It imitates cables, curtains and desks that sway in real rooms.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sway: Option<Sway>,
 }
@@ -88,23 +88,23 @@ impl Default for Sway {
     }
 }
 
-/// One showing of a training map: its random changes are a function of this.
+/// One use of a training map. Its random changes are a function of this.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Showing {
+pub(super) struct MapUse {
     /// Seed of the training.
     pub seed: u64,
-    /// Number of the map among those of all epochs.
+    /// Index of the use among those of all epochs.
     pub index: u64,
 }
 
-impl Showing {
+impl MapUse {
     fn stream(self, purpose: &str) -> Xoshiro256PlusPlus {
         stream(self.seed, purpose, self.index)
     }
 }
 
 impl Augmentation {
-    /// The first setting that changes powers over noise; `None` if there is none.
+    /// Name of the first setting that changes powers over noise; `None` if there is none.
     pub(super) fn of_powers(&self) -> Option<&'static str> {
         [
             ("superpose", self.superpose.is_some()),
@@ -118,7 +118,7 @@ impl Augmentation {
         .find_map(|(name, is_on)| is_on.then_some(name))
     }
 
-    /// Refuses settings that are out of range or cannot be applied to maps in `reference`.
+    /// Checks that settings are in range and can be applied to maps in `reference`.
     pub(super) fn check(&self, reference: MapReference) -> Result<(), TrainError> {
         let fail = |name, value: String, expected| Err(TrainError::Setting { name, value, expected });
         let is_interval = |[low, high]: [f32; 2], least: f32, most: f32| low >= least && low <= high && high <= most;
@@ -182,7 +182,7 @@ impl Augmentation {
         other: Option<&[f32]>,
         doppler: usize,
         skip: usize,
-        showing: Showing,
+        map_use: MapUse,
     ) {
         let doppler = doppler.max(1);
         let first = skip.saturating_mul(doppler).min(cells.len());
@@ -194,28 +194,28 @@ impl Augmentation {
             add_echoes(powers, &other);
         }
         if let Some([low, high]) = self.echo_gain_db {
-            let gain_db = showing.stream("echo gain").random_range(low..=high);
+            let gain_db = map_use.stream("echo gain").random_range(low..=high);
             powers.iter_mut().for_each(|power| *power = gain_of_echo(*power, gain_db));
         }
         let factor = |rng: &mut Xoshiro256PlusPlus, most: f32| 1.0 + f64::from(rng.random_range(-most..=most));
         if self.range_stretch > 0.0 {
-            let mut rng = showing.stream("range stretch");
+            let mut rng = map_use.stream("range stretch");
             let factor = factor(&mut rng, self.range_stretch);
             stretch_range(powers, doppler, skip, factor, &mut rng);
         }
         if self.range_shift_bins > 0 {
-            let mut rng = showing.stream("range shift");
+            let mut rng = map_use.stream("range shift");
             let most = self.range_shift_bins as i64;
             let bins = rng.random_range(-most..=most);
             shift_range(powers, doppler, bins as isize, &mut rng);
         }
         if self.velocity_stretch > 0.0 {
-            let mut rng = showing.stream("velocity stretch");
+            let mut rng = map_use.stream("velocity stretch");
             let factor = factor(&mut rng, self.velocity_stretch);
             stretch_velocity(powers, doppler, factor, &mut rng);
         }
         if let Some(sway) = self.sway {
-            let mut rng = showing.stream("sway");
+            let mut rng = map_use.stream("sway");
             if rng.random::<f64>() < sway.probability {
                 add_sway(powers, doppler, &sway, &mut rng);
             }
@@ -224,8 +224,8 @@ impl Augmentation {
     }
 
     /// Flips a standardised map `[range][doppler]` and adds noise to it; `sigma_db` is the deviation that maps were divided by.
-    pub(super) fn flip_and_add_noise(&self, cells: &mut [f32], doppler: usize, sigma_db: f32, showing: Showing) {
-        let mut rng = showing.stream("augmentation");
+    pub(super) fn flip_and_add_noise(&self, cells: &mut [f32], doppler: usize, sigma_db: f32, map_use: MapUse) {
+        let mut rng = map_use.stream("augmentation");
         if self.doppler_flip && rng.random::<bool>() {
             flip_doppler(cells, doppler);
         }
@@ -238,7 +238,7 @@ impl Augmentation {
     }
 }
 
-/// Which maps can be added to which.
+/// Choice of maps that are added to other maps.
 pub(super) struct Partners {
     probability: f64,
     /// A number for the sequence of each map.
@@ -248,7 +248,7 @@ pub(super) struct Partners {
 }
 
 impl Partners {
-    /// Of maps with these classes, each in its sequence.
+    /// Makes the choice among maps of these classes and sequences.
     pub(super) fn new<'a>(
         superpose: Superpose,
         labels: &[usize],
@@ -269,7 +269,7 @@ impl Partners {
         (0..CLASSES.saturating_sub(label)).filter(|&class| !self.of_class[class].is_empty()).collect()
     }
 
-    /// How many maps of each class an epoch shows, as a mean over what is drawn.
+    /// Expected number of maps of each class in an epoch.
     pub(super) fn expected(&self) -> [f64; CLASSES] {
         let mut expected = [0.0; CLASSES];
         for (label, maps) in self.of_class.iter().enumerate() {
@@ -283,9 +283,9 @@ impl Partners {
         expected
     }
 
-    /// Position of the map that is added to the map at `position` of this class, where one is.
-    pub(super) fn partner(&self, position: usize, label: usize, showing: Showing) -> Option<usize> {
-        let mut rng = showing.stream("superpose");
+    /// Position of the map that is added to the map at `position` of this class; `None` if none is added.
+    pub(super) fn partner(&self, position: usize, label: usize, map_use: MapUse) -> Option<usize> {
+        let mut rng = map_use.stream("superpose");
         if rng.random::<f64>() >= self.probability {
             return None;
         }
@@ -301,14 +301,14 @@ impl Partners {
     }
 }
 
-/// Adds what stands above noise in another map.
+/// Adds the echoes above noise of another map.
 fn add_echoes(powers: &mut [f32], other: &[f32]) {
     for (power, other) in powers.iter_mut().zip(other) {
         *power += other * echo_share(*other);
     }
 }
 
-/// Moves everything so many range bins away; bins to which nothing comes are filled with noise.
+/// Shifts all ranges by `bins`; vacated bins are filled with noise.
 fn shift_range(powers: &mut [f32], doppler: usize, bins: isize, rng: &mut impl Rng) {
     let source = powers.to_vec();
     for (bin, row) in powers.chunks_exact_mut(doppler).enumerate() {
@@ -320,8 +320,8 @@ fn shift_range(powers: &mut [f32], doppler: usize, bins: isize, rng: &mut impl R
     }
 }
 
-/// Multiplies ranges by `factor`, between bins linearly in power. The first row is range bin `first_bin`; rows to which nothing
-/// comes are filled with noise.
+/// Multiplies ranges by `factor`, with linear interpolation of power between bins. The first row is range bin `first_bin`; vacated
+/// rows are filled with noise.
 fn stretch_range(powers: &mut [f32], doppler: usize, first_bin: usize, factor: f64, rng: &mut impl Rng) {
     let source = powers.to_vec();
     let bins = source.len() / doppler;
@@ -339,7 +339,7 @@ fn stretch_range(powers: &mut [f32], doppler: usize, first_bin: usize, factor: f
     }
 }
 
-/// Multiplies velocities by `factor`, between bins linearly in power; bins to which nothing comes are filled with noise.
+/// Multiplies velocities by `factor`, with linear interpolation of power between bins; vacated bins are filled with noise.
 fn stretch_velocity(powers: &mut [f32], doppler: usize, factor: f64, rng: &mut impl Rng) {
     let zero = (doppler / 2) as f64;
     for row in powers.chunks_exact_mut(doppler) {
@@ -354,8 +354,8 @@ fn stretch_velocity(powers: &mut [f32], doppler: usize, factor: f64, rng: &mut i
     }
 }
 
-/// The bins about a place on an axis of `length` bins, and how far the place is on the way from the first to the second; `None` off
-/// the axis.
+/// Bins on both sides of a position on an axis of `length` bins, and the fraction of the way from the first to the second; `None`
+/// off the axis.
 fn neighbours(place: f64, length: usize) -> Option<(usize, usize, f32)> {
     let last = length.checked_sub(1)?;
     if !(0.0..=last as f64).contains(&place) {
@@ -447,7 +447,7 @@ mod tests {
         }
     }
 
-    /// What stays inside keeps its cells and so its power, what is vacated has the level of noise.
+    /// Shifted cells keep their power, and vacated bins have the level of noise.
     #[test]
     fn a_shift_keeps_what_stays_inside() {
         for bins in [-7isize, -1, 0, 4, 8, 200] {
@@ -471,7 +471,7 @@ mod tests {
         }
     }
 
-    /// Beside the fast ones: each cell straight from its definition, in f64.
+    /// Reference of the stretches: each cell by its definition, in f64.
     #[test]
     fn stretches_are_their_definition() {
         let given = noise(RANGE, 2);
@@ -524,7 +524,7 @@ mod tests {
         for gain_db in [-7.0f32, 7.0] {
             let augmentation = Augmentation { echo_gain_db: Some([gain_db; 2]), ..Augmentation::default() };
             let mut changed = levels.clone();
-            augmentation.change_powers(&mut changed, None, DOPPLER, skip, Showing { seed: 1, index: 2 });
+            augmentation.change_powers(&mut changed, None, DOPPLER, skip, MapUse { seed: 1, index: 2 });
             let echo = 20 * DOPPLER + 9;
             assert!((changed[echo] - levels[echo] - gain_db).abs() < 0.1, "{} {}", changed[echo], levels[echo]);
             assert_eq!(changed[..skip * DOPPLER], levels[..skip * DOPPLER]);
@@ -532,12 +532,12 @@ mod tests {
             // A setting without a gain changes nothing.
             let none = Augmentation { echo_gain_db: Some([0.0; 2]), ..Augmentation::default() };
             let mut same = levels.clone();
-            none.change_powers(&mut same, None, DOPPLER, skip, Showing { seed: 1, index: 2 });
+            none.change_powers(&mut same, None, DOPPLER, skip, MapUse { seed: 1, index: 2 });
             assert!(same.iter().zip(&levels).all(|(a, b)| (a - b).abs() < 1e-4));
         }
     }
 
-    /// Sway is where it may be, of the level that was asked for, and nothing else is touched.
+    /// Sway is in its range of velocities, has its level, and changes no other cells.
     #[test]
     fn sway_is_slow_and_has_its_level() {
         let sway =
@@ -558,7 +558,7 @@ mod tests {
         assert!((below - 0.632).abs() < 0.05, "{below}");
     }
 
-    /// One and one are two, empty and whoever are whoever, and never more than two; from another sequence.
+    /// One and one are two, empty adds nothing, and there are never more than two; partners are of another sequence.
     #[test]
     fn people_of_two_maps_add_up() {
         let labels: Vec<usize> = (0..90).map(|i| i % 3).collect();
@@ -569,7 +569,7 @@ mod tests {
         let epochs = 200;
         for epoch in 0..epochs {
             for (position, &label) in labels.iter().enumerate() {
-                let other = partners.partner(position, label, Showing { seed: 3, index: epoch * 90 + position as u64 });
+                let other = partners.partner(position, label, MapUse { seed: 3, index: epoch * 90 + position as u64 });
                 if let Some(other) = other {
                     assert_ne!(names[other], names[position]);
                 }
@@ -590,20 +590,20 @@ mod tests {
         add_echoes(&mut a, &b);
         assert!((a[5] / 2e4 - 1.0).abs() < 1e-3 && (a[6] / 1e4 - 1.0).abs() < 1e-3 && (a[7] / 1e4 - 1.0).abs() < 1e-3);
         assert!(mean(&a[8..]) / mean(&before[8..]) < 1.4);
-        // With one sequence there is nobody to add.
+        // With one sequence there is no partner.
         let alone = Partners::new(Superpose { probability: 1.0 }, &labels, labels.iter().map(|_| "the same"));
-        assert_eq!(alone.partner(0, 0, Showing { seed: 3, index: 0 }), None);
+        assert_eq!(alone.partner(0, 0, MapUse { seed: 3, index: 0 }), None);
     }
 
-    /// The same map is changed in the same way whenever it is shown, and in another way in another showing.
+    /// Changes depend on the use of a map only.
     #[test]
     fn changes_are_a_function_of_the_showing() {
         let mut levels = noise(RANGE, 8);
         levels_over_noise(&mut levels);
         let change = |index| {
             let mut changed = levels.clone();
-            everything().change_powers(&mut changed, None, DOPPLER, 3, Showing { seed: 5, index });
-            everything().flip_and_add_noise(&mut changed, DOPPLER, 3.0, Showing { seed: 5, index });
+            everything().change_powers(&mut changed, None, DOPPLER, 3, MapUse { seed: 5, index });
+            everything().flip_and_add_noise(&mut changed, DOPPLER, 3.0, MapUse { seed: 5, index });
             changed
         };
         assert_eq!(change(1), change(1));
@@ -637,10 +637,10 @@ mod tests {
                 (Vec::new(), 4, 2),
             ] {
                 for index in 0..20 {
-                    let (mut changed, showing) = (cells.clone(), Showing { seed: 2, index });
-                    everything().change_powers(&mut changed, Some(&cells), doppler, skip, showing);
+                    let (mut changed, map_use) = (cells.clone(), MapUse { seed: 2, index });
+                    everything().change_powers(&mut changed, Some(&cells), doppler, skip, map_use);
                     assert!(changed.iter().all(|v| v.is_finite() && *v >= 0.0), "{changed:?}");
-                    everything().flip_and_add_noise(&mut changed, doppler, 3.0, showing);
+                    everything().flip_and_add_noise(&mut changed, doppler, 3.0, map_use);
                     assert!(changed.iter().all(|v| v.is_finite()), "{changed:?}");
                 }
             }

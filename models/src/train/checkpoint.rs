@@ -1,4 +1,5 @@
-//! A training on disk after each epoch, so that one that was stopped ends with the same weights as one that was not.
+//! Checkpoints: the state of a training after each epoch, so that a stopped training ends with the same weights as one that was
+//! not.
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
@@ -6,18 +7,28 @@ use std::path::Path;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 
-use super::run::Best;
-use super::{EpochReport, TrainError};
+use super::error::TrainError;
+use super::outcome::EpochReport;
 use crate::bounded_file::read;
-use crate::network::Centring;
+use crate::network::Normalisation;
 use crate::whole_file;
 
 /// Largest checkpoint that is read: two starts with moments and best weights, seven times the largest model.
 const LIMIT_BYTES: u64 = 4 << 30;
-/// Key of the numbers that are no arrays.
+/// Key in the metadata of the numbers that are no arrays.
 const KEY: &str = "radome-training";
 
-/// One initialisation between two epochs.
+/// State after the best epoch so far.
+#[derive(Debug, Clone)]
+pub(super) struct Best {
+    pub balanced_accuracy: f64,
+    pub loss: f64,
+    pub epoch: usize,
+    pub values: BTreeMap<String, Vec<f32>>,
+    pub latent: Normalisation,
+}
+
+/// State of one initialisation between two epochs.
 pub(super) struct RunState {
     pub start: u64,
     pub epoch: usize,
@@ -26,7 +37,7 @@ pub(super) struct RunState {
     pub head_step: usize,
     pub adam_steps: i32,
     pub latest_loss: f64,
-    pub centrings: BTreeMap<String, Centring>,
+    pub normalisations: BTreeMap<String, Normalisation>,
     /// Parameters and running statistics.
     pub values: BTreeMap<String, Vec<f32>>,
     /// Adam's.
@@ -34,16 +45,16 @@ pub(super) struct RunState {
     pub best: Option<Best>,
 }
 
-/// A training between two epochs.
+/// State of a training between two epochs.
 pub(super) struct Checkpoint {
-    /// What decides the outcome: spec, dataset, kernel level.
+    /// Text of everything that decides the outcome: spec, dataset, kernel level.
     pub fingerprint: String,
     pub history: Vec<EpochReport>,
-    /// The best of the starts that have had their trial.
+    /// Best of the starts after their trial.
     pub leader: Option<RunState>,
-    /// The start that is having its trial.
+    /// Start in its trial.
     pub trial: Option<RunState>,
-    /// The start after it.
+    /// Index of the next start.
     pub next_start: u64,
 }
 
@@ -64,9 +75,10 @@ struct RunNumbers {
     warming_up: bool,
     head_step: usize,
     adam_steps: i32,
-    /// Nothing for infinity, which JSON lacks.
+    /// `None` for infinity, which JSON lacks.
     latest_loss: Option<f64>,
-    centrings: BTreeMap<String, Centring>,
+    #[serde(rename = "centrings")]
+    normalisations: BTreeMap<String, Normalisation>,
     best: Option<BestNumbers>,
 }
 
@@ -75,7 +87,7 @@ struct BestNumbers {
     balanced_accuracy: f64,
     loss: f64,
     epoch: usize,
-    latent: Centring,
+    latent: Normalisation,
 }
 
 impl Checkpoint {
@@ -114,7 +126,7 @@ impl Checkpoint {
         whole_file::write(path, &data).map_err(|e| unusable(path, e))
     }
 
-    /// What a checkpoint file holds; nothing if there is no file.
+    /// Reads a checkpoint; `None` if there is no file.
     pub(super) fn load(path: &Path) -> Result<Option<Self>, TrainError> {
         let data = match read(path, LIMIT_BYTES) {
             Ok(data) => data,
@@ -154,7 +166,7 @@ impl Checkpoint {
                 head_step: numbers.head_step,
                 adam_steps: numbers.adam_steps,
                 latest_loss: numbers.latest_loss.unwrap_or(f64::INFINITY),
-                centrings: numbers.centrings,
+                normalisations: numbers.normalisations,
                 values: take("value"),
                 moments: take("moment"),
                 best,
@@ -180,7 +192,7 @@ impl RunState {
             head_step: self.head_step,
             adam_steps: self.adam_steps,
             latest_loss: self.latest_loss.is_finite().then_some(self.latest_loss),
-            centrings: self.centrings.clone(),
+            normalisations: self.normalisations.clone(),
             best: self.best.as_ref().map(|best| BestNumbers {
                 balanced_accuracy: best.balanced_accuracy,
                 loss: best.loss,

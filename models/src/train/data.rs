@@ -7,18 +7,19 @@ use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
 
-use super::augmentation::{Partners, Showing};
-use super::{Augmentation, TrainError, TrainSpec};
+use super::augmentation::{Augmentation, MapUse, Partners};
+use super::error::TrainError;
+use super::spec::TrainSpec;
 use crate::dataset::{Dataset, Split};
-use crate::model_file::input_shape;
+use crate::model::input_shape;
+use crate::random::stream;
 use crate::standardise::{Scale, Standardisation};
-use crate::stream;
 
 /// Maps `[range][doppler]` and their classes.
 pub(super) struct Part {
     /// Index of each map in the dataset.
     pub indices: Vec<usize>,
-    /// In reference, but neither bounded nor scaled: augmentation comes before.
+    /// Cells in the map's reference, before bound and scaling, because augmentation comes first.
     pub maps: Vec<Vec<f32>>,
     pub labels: Vec<usize>,
     /// Constants of each map.
@@ -28,7 +29,7 @@ pub(super) struct Part {
 pub(super) struct Data {
     pub train: Part,
     pub validation: Part,
-    /// Indices only: the test maps are read when all is done.
+    /// Indices only: the test maps are read at the end.
     pub test: Vec<usize>,
     pub standardisation: Standardisation,
     pub class_weights: Vec<f32>,
@@ -36,7 +37,7 @@ pub(super) struct Data {
     pub doppler: usize,
     /// Whether batches have range and Doppler exchanged.
     pub transposed: bool,
-    /// Where training maps are superposed, which on which.
+    /// Maps that can be added to each other, if the augmentation superposes maps.
     partners: Option<Partners>,
     pub warnings: Vec<String>,
 }
@@ -156,7 +157,7 @@ impl Data {
         self.tensor(maps)
     }
 
-    /// Bounds and scales a map as it is shown to the network; `None` where the part has no such map.
+    /// Bounds and scales a map for the network; `None` if the part has no such map.
     fn standardise(&self, part: &Part, position: usize, cells: &mut [f32]) -> Option<()> {
         self.standardisation.reference.bound(cells);
         part.scales.get(position)?.apply(cells);
@@ -168,7 +169,7 @@ impl Data {
         if self.transposed { maps.transpose(1, 2)?.contiguous() } else { Ok(maps) }
     }
 
-    /// Training maps with augmentation and their classes, which it may change. What happens to a map is a function of seed, epoch
+    /// Training maps after augmentation, and their classes, which it may change. The changes of a map are a function of seed, epoch
     /// and map.
     pub(super) fn augmented(
         &self,
@@ -179,27 +180,27 @@ impl Data {
     ) -> CandleResult<(Tensor, Vec<usize>)> {
         let shown = |&position: &usize| {
             let index = (epoch * self.train.maps.len() + position) as u64;
-            self.shown(position, augmentation, Showing { seed, index })
+            self.shown(position, augmentation, MapUse { seed, index })
         };
         let shown: Vec<(Vec<f32>, usize)> = positions.par_iter().filter_map(shown).collect();
         let (maps, labels) = shown.into_iter().unzip();
         Ok((self.tensor(maps)?, labels))
     }
 
-    /// One showing of a training map and its class.
-    fn shown(&self, position: usize, augmentation: &Augmentation, showing: Showing) -> Option<(Vec<f32>, usize)> {
+    /// One use of a training map, and its class.
+    fn shown(&self, position: usize, augmentation: &Augmentation, map_use: MapUse) -> Option<(Vec<f32>, usize)> {
         let part = &self.train;
         let (mut cells, mut label) = (part.maps.get(position)?.clone(), *part.labels.get(position)?);
         if augmentation.of_powers().is_some() {
-            let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, showing));
+            let other = self.partners.as_ref().and_then(|partners| partners.partner(position, label, map_use));
             label += other.and_then(|other| part.labels.get(other)).copied().unwrap_or(0);
             let other = other.and_then(|other| part.maps.get(other)).map(Vec::as_slice);
             let skip = self.standardisation.reference.skipped_range_bins().unwrap_or(0);
-            augmentation.change_powers(&mut cells, other, self.doppler, skip, showing);
+            augmentation.change_powers(&mut cells, other, self.doppler, skip, map_use);
         }
         self.standardise(part, position, &mut cells)?;
         let sigma_db = self.standardisation.sigma_db as f32;
-        augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, showing);
+        augmentation.flip_and_add_noise(&mut cells, self.doppler, sigma_db, map_use);
         Some((cells, label))
     }
 }
@@ -264,8 +265,8 @@ mod tests {
         tensor.flatten_all().and_then(|t| t.to_vec1()).expect("cells")
     }
 
-    /// The settings of old training files: maps that are standardised when they are read, then flipped, then noisy, by the same
-    /// random numbers. Their trainings give the same bytes as before there were others.
+    /// Settings of old training files: maps are standardised, flipped and get noise by the same random numbers, so that their
+    /// trainings give the same bytes.
     #[test]
     fn flip_and_noise_are_what_they_were() {
         let dataset = noise();
@@ -289,7 +290,7 @@ mod tests {
             expected.extend(map);
         }
         assert_eq!(cells(&shown), expected);
-        // Without any, a map is as the classifier sees it.
+        // Without augmentation, a map is the classifier's input.
         let none = data.augmented(&[5], &Augmentation::default(), seed, epoch).expect("maps").0;
         let mut map = dataset.input(data.train.indices[5], 0).expect("a map");
         data.standardisation.apply(&mut map, SIZE, None);
@@ -297,7 +298,7 @@ mod tests {
         assert_eq!(cells(&data.batch(&data.train, &[5]).expect("maps")), map);
     }
 
-    /// What is added in training is bounded as in use, whatever it comes to.
+    /// Augmented maps are bounded as in use, at any level.
     #[test]
     fn the_bound_comes_after_augmentation() {
         let dataset = noise();

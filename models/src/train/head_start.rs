@@ -1,19 +1,19 @@
-//! Where a head starts: its parameters and the placement of the latent, fitted to latents that a linear head has already drawn
-//! apart.
+//! Initialisation of a head: its parameters and an affine map of the latent, fitted to latents that a linear head has already
+//! separated.
 //!
-//! The backbone is trained with the plain linear head first, which never failed here. Its latent shows the classes as
-//! clusters; what is left is a problem of a few numbers on a few hundred points, small enough to be solved many times over
-//! from random angles and rotations, and the best solution is taken. Every head gets this.
+//! The backbone is first trained with the linear head, which never failed. Its latent shows the classes as clusters. The rest is a
+//! fit of a few numbers to a few hundred points, which is repeated from random angles and rotations; the best solution is taken.
+//! Every head is initialised in this way.
 
 use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 
-use super::TrainError;
 use super::adam::Adam;
+use super::error::TrainError;
 use crate::layer::{backward, cross_entropy};
 use crate::network::{Layer, Mode, Network, Parameter, Value};
-use crate::stream;
+use crate::random::stream;
 
 /// Random starts of the search.
 const SEARCHES: u64 = 24;
@@ -27,7 +27,7 @@ pub(super) struct Points<'a> {
     pub latents: &'a [Vec<f32>],
     pub labels: &'a [usize],
     pub class_weights: &'a [f32],
-    /// Weight of the mean square of the placed latent; 0 where nothing squashes it.
+    /// Weight of the mean square of the mapped latent; 0 for heads without `pi * sigmoid`.
     pub penalty: f64,
     /// Whether an affine map of the latent is fitted too.
     pub move_latent: bool,
@@ -37,26 +37,26 @@ pub(super) struct Points<'a> {
 
 /// The map `u = matrix z + offset` of the latent, row by row.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Placing {
+pub(super) struct AffineMap {
     pub matrix: Vec<f32>,
     pub offset: Vec<f32>,
     /// Loss that was reached.
     pub loss: f64,
 }
 
-/// Fits what stands behind the latent, leaves the best fit's parameters in the network, and gives its placing of the latent.
+/// Fits the layers behind the latent, leaves the parameters of the best fit in the network, and returns its map of the latent.
 pub(super) fn search(
     network: &Network,
     latent: Value,
     points: &Points,
     seed: u64,
     start: u64,
-) -> Result<Placing, TrainError> {
+) -> Result<AffineMap, TrainError> {
     let head = parameters_behind(network, latent);
     let width = points.latents.first().map_or(0, Vec::len);
     let flat: Vec<f32> = points.latents.iter().flatten().copied().collect();
     let latents = Tensor::from_vec(flat, (points.latents.len(), width), &Device::Cpu)?;
-    let mut best: Option<(Placing, Vec<Vec<f32>>)> = None;
+    let mut best: Option<(AffineMap, Vec<Vec<f32>>)> = None;
     for index in 0..SEARCHES {
         let mut rng = stream(seed, "head start", start * SEARCHES + index);
         for Parameter { name, variable } in head.iter().copied().filter(|p| is_trained(network, p)) {
@@ -72,16 +72,16 @@ pub(super) fn search(
         let matrix = Var::from_tensor(&Tensor::from_vec(matrix, (width, width), &Device::Cpu)?)?;
         let offset = Var::zeros(width, candle_core::DType::F32, &Device::Cpu)?;
         let loss = fit(network, latent, points, &latents, &head, &matrix, &offset)?;
-        // The first of equals; a NaN loses against everything.
+        // The first of equals; any loss is better than a NaN.
         if best.as_ref().is_none_or(|(b, _)| loss < b.loss || (b.loss.is_nan() && !loss.is_nan())) {
             let placing =
-                Placing { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
+                AffineMap { matrix: matrix.flatten_all()?.to_vec1()?, offset: offset.flatten_all()?.to_vec1()?, loss };
             let values = head.iter().map(|p| p.variable.flatten_all()?.to_vec1()).collect::<Result<_, _>>()?;
             best = Some((placing, values));
         }
     }
     let Some((placing, values)) = best else {
-        return Ok(Placing { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
+        return Ok(AffineMap { matrix: identity(width), offset: vec![0.0; width], loss: f64::NAN });
     };
     for (Parameter { variable, .. }, values) in head.iter().zip(values) {
         variable.set(&Tensor::from_vec(values, variable.shape(), &Device::Cpu)?)?;
@@ -89,7 +89,7 @@ pub(super) fn search(
     Ok(placing)
 }
 
-/// One fit from where the parameters are; gives the loss at its end.
+/// Fits once from the present parameters. Returns the loss at the end.
 fn fit(
     network: &Network,
     latent: Value,
@@ -112,7 +112,7 @@ fn fit(
     rates.extend([if points.move_latent { RATE } else { 0.0 }; 2]);
     let mut adam = Adam::new(variables.iter());
     for _ in 0..STEPS {
-        // A fit that runs away is not the best one.
+        // A fit that diverges is not the best one.
         if adam.step(variables.iter(), &backward(&loss(&placed()?)?)?, &rates, &[])?.is_some() {
             return Ok(f64::NAN);
         }
@@ -181,7 +181,7 @@ mod tests {
         }
     }
 
-    /// Three clusters in general position are separated by every head that can, whatever its random start.
+    /// Three clusters in general position are separated by every head that can, from any random start.
     #[test]
     fn three_clusters_are_told_apart() {
         let (latents, labels) = clusters();
@@ -192,7 +192,7 @@ mod tests {
                 latents: &latents,
                 labels: &labels,
                 class_weights: &[1.0; 3],
-                penalty: if spec.head.squashes() { 0.02 } else { 0.0 },
+                penalty: if spec.head.uses_scaled_sigmoid() { 0.02 } else { 0.0 },
                 move_latent: true,
                 sigma: 0.7,
             };

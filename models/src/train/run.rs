@@ -1,6 +1,5 @@
-//! One initialisation on its way through the epochs.
+//! Training of one initialisation over the epochs.
 
-use std::collections::BTreeMap;
 use std::time::Instant;
 
 use candle_core::{Tensor, Var};
@@ -8,15 +7,19 @@ use radome_dsp::Occupancy;
 use rand::seq::SliceRandom;
 
 use super::adam::Adam;
-use super::checkpoint::RunState;
+use super::checkpoint::{Best, RunState};
 use super::data::Data;
+use super::error::TrainError;
 use super::head_start;
-use super::start::{self, collect, descriptor_centring, feature_centring, moments, place_hidden, place_latent};
-use super::{EpochReport, LatentStandardisation, TrainError, TrainSpec};
-use crate::evaluate::Metrics;
+use super::outcome::EpochReport;
+use super::spec::{LatentStandardisation, TrainSpec};
+use super::start::{
+    self, collect, descriptor_normalisation, feature_normalisation, moments, place_hidden, place_latent,
+};
 use crate::layer::{KernelLevel, backward, cross_entropy};
-use crate::network::{Centring, Mode, Network, NetworkKind, TorchvisionWeights, Value};
-use crate::stream;
+use crate::metrics::{Metrics, most_probable};
+use crate::network::{Mode, Network, NetworkKind, Normalisation, TorchvisionWeights, Value};
+use crate::random::stream;
 
 pub(super) struct Run<'a> {
     data: &'a Data,
@@ -26,26 +29,16 @@ pub(super) struct Run<'a> {
     adam: Adam,
     epoch: usize,
     step: usize,
-    /// Whether a linear head stands in for the head.
+    /// Whether the linear head of the warm-up replaces the head.
     warming_up: bool,
-    /// Step at which the head came in: the step size warms up again from there.
+    /// Step at which the head was initialised: the step size warms up again from there.
     head_step: usize,
     latest_loss: f64,
     best: Option<Best>,
 }
 
-/// The best epoch so far.
-#[derive(Debug, Clone)]
-pub(super) struct Best {
-    pub balanced_accuracy: f64,
-    pub loss: f64,
-    pub epoch: usize,
-    pub values: BTreeMap<String, Vec<f32>>,
-    pub latent: Centring,
-}
-
 impl<'a> Run<'a> {
-    /// Initialises a network and puts its features and its latent where they belong.
+    /// Initialises a network and scales its features and its latent.
     pub(super) fn start(
         data: &'a Data,
         spec: &'a TrainSpec,
@@ -64,9 +57,9 @@ impl<'a> Run<'a> {
         };
         let mut positions: Vec<usize> = (0..data.train.maps.len()).collect();
         if spec.network.reads_descriptors() {
-            // Of all maps: some descriptors are other than zero on few of them.
+            // Measured on all maps, because some descriptors are non-zero on few of them.
             let descriptors = of(&run.network, "descriptors", &positions)?;
-            run.network.parameters_mut().set_centring("features", descriptor_centring(&descriptors));
+            run.network.parameters_mut().set_normalisation("features", descriptor_normalisation(&descriptors));
         }
         if !spec.network.has_latent() {
             return Ok(run);
@@ -75,7 +68,9 @@ impl<'a> Run<'a> {
         positions.truncate(start::START_MAPS);
         if spec.network == NetworkKind::Hqnn {
             let features = of(&run.network, "pool", &positions)?;
-            run.network.parameters_mut().set_centring("features", feature_centring(&features, spec.feature_sigma));
+            run.network
+                .parameters_mut()
+                .set_normalisation("features", feature_normalisation(&features, spec.feature_sigma));
         }
         // In front of the latent there may be no hidden layer.
         let graph = run.network.graph();
@@ -110,7 +105,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// Carries on from where [`Run::state`] was taken; names what does not fit.
+    /// Continues from the result of [`Run::state`]. Errors name what does not fit.
     pub(super) fn resume(
         data: &'a Data,
         spec: &'a TrainSpec,
@@ -120,8 +115,8 @@ impl<'a> Run<'a> {
         let network = Network::initialise(&spec.network_spec(), spec.seed, state.start, level)?;
         let mut run = Self::around(data, spec, state.start, network);
         run.network.parameters().set_values(&state.values)?;
-        for (name, centring) in state.centrings {
-            run.network.parameters_mut().set_centring(&name, centring);
+        for (name, normalisation) in state.normalisations {
+            run.network.parameters_mut().set_normalisation(&name, normalisation);
         }
         let names: Vec<String> = run.network.trained().iter().map(|p| p.name.clone()).collect();
         run.adam
@@ -139,9 +134,9 @@ impl<'a> Run<'a> {
     /// Everything that [`Run::resume`] needs.
     pub(super) fn state(&self) -> Result<RunState, TrainError> {
         let parameters = self.network.parameters();
-        let centrings = ["features", "latent"]
+        let normalisations = ["features", "latent"]
             .iter()
-            .filter_map(|name| Some(((*name).to_owned(), parameters.centring(name)?.clone())));
+            .filter_map(|name| Some(((*name).to_owned(), parameters.normalisation(name)?.clone())));
         Ok(RunState {
             start: self.start,
             epoch: self.epoch,
@@ -150,14 +145,14 @@ impl<'a> Run<'a> {
             head_step: self.head_step,
             adam_steps: self.adam.steps(),
             latest_loss: self.latest_loss,
-            centrings: centrings.collect(),
+            normalisations: normalisations.collect(),
             values: parameters.values(true)?,
             moments: self.adam.arrays(self.network.trained().iter().map(|p| p.name.as_str())),
             best: self.best.clone(),
         })
     }
 
-    /// Ends the warm-up: parameters of the head and placement of the latent from [`head_start`].
+    /// Ends the warm-up: [`head_start`] gives the parameters of the head and the map of the latent.
     fn start_head(&mut self) -> Result<(), TrainError> {
         let Some(latent) = self.network.graph().value("latent") else { return Ok(()) };
         let mut positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
@@ -165,7 +160,7 @@ impl<'a> Run<'a> {
         positions.truncate(start::START_MAPS);
         let move_latent = self.spec.latent == LatentStandardisation::None;
         let mut rows = collect(&self.network, self.data, &self.data.train, &positions, latent)?;
-        let found = if move_latent { moments(&rows) } else { Centring::default() };
+        let found = if move_latent { moments(&rows) } else { Normalisation::default() };
         for row in &mut rows {
             for ((z, mean), sigma) in row.iter_mut().zip(&found.mean).zip(&found.sigma) {
                 *z = (*z - mean) / sigma;
@@ -192,7 +187,7 @@ impl<'a> Run<'a> {
     }
 
     /// Folds `u = matrix (z - mean) / sigma + offset` with `z = weight h + bias` into weight and bias.
-    fn place(&self, placing: &head_start::Placing, found: &Centring) -> Result<(), TrainError> {
+    fn place(&self, placing: &head_start::AffineMap, found: &Normalisation) -> Result<(), TrainError> {
         let parameters = self.network.parameters();
         let (weight, bias) = (parameters.numbers("fc2.weight")?, parameters.numbers("fc2.bias")?);
         let width = bias.len();
@@ -225,15 +220,19 @@ impl<'a> Run<'a> {
         self.latest_loss
     }
 
-    /// The logits that are trained: the head's, or those of its stand-in.
+    /// Logits that are trained: the head's, or those of the linear head in the warm-up.
     fn output(&self) -> Value {
         let graph = self.network.graph();
         if self.warming_up { graph.warm_up.unwrap_or(graph.output) } else { graph.output }
     }
 
-    /// Weight of the mean square of the latent: heads that squash need it small.
+    /// Weight of the penalty on the mean square of the latent, for heads with `pi * sigmoid`.
     fn penalty(&self) -> f64 {
-        if self.spec.network.has_latent() && self.spec.head.squashes() { self.spec.latent_penalty } else { 0.0 }
+        if self.spec.network.has_latent() && self.spec.head.uses_scaled_sigmoid() {
+            self.spec.latent_penalty
+        } else {
+            0.0
+        }
     }
 
     /// Trains for one epoch.
@@ -301,11 +300,11 @@ impl<'a> Run<'a> {
         Ok((self.network, epoch))
     }
 
-    /// One step; gives the loss and appends (truth, prediction).
+    /// Takes one step. Returns the loss and appends (truth, prediction).
     fn train_batch(&mut self, batch: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<f64, TrainError> {
         self.step += 1;
         let (input, labels) = self.data.augmented(batch, &self.spec.augmentation, self.spec.seed, self.epoch)?;
-        // Another start is another draw of what is dropped.
+        // Each start has its own draws of dropped values.
         let step = (self.start << 32) + self.step as u64;
         let output = self.output();
         let penalty = if self.warming_up { 0.0 } else { self.penalty() as f32 };
@@ -360,7 +359,7 @@ impl<'a> Run<'a> {
             let factor = match parameter.name.split('.').next() {
                 Some("circuit") => self.spec.angle_rate,
                 Some("head" | "head_hidden" | "warm_up") => self.spec.head_rate,
-                // Before it nothing is trained: it is as far from the logits as a head.
+                // No layer before it is trained, so it learns at the head's rate.
                 Some("fc2") if self.spec.network.reads_descriptors() => self.spec.head_rate,
                 _ => 1.0,
             };
@@ -401,7 +400,7 @@ impl<'a> Run<'a> {
         Ok((if weight > 0.0 { loss / weight } else { 0.0 }, Metrics::from_predictions(pairs)))
     }
 
-    /// Takes mean and sigma of the latent over the training split.
+    /// Measures mean and sigma of the latent over the training split.
     fn measure_latent(&mut self) -> Result<(), TrainError> {
         let Some(raw) = self.network.raw_latent() else { return Ok(()) };
         let positions: Vec<usize> = (0..self.data.train.maps.len()).collect();
@@ -424,7 +423,7 @@ impl<'a> Run<'a> {
 fn predictions(logits: &Tensor, labels: &[usize], pairs: &mut Vec<(Occupancy, Occupancy)>) -> Result<(), TrainError> {
     for (row, &label) in logits.to_vec2::<f32>()?.iter().zip(labels) {
         if let (&[a, b, c], Some(truth)) = (row.as_slice(), Occupancy::from_index(label)) {
-            pairs.push((truth, crate::evaluate::most_probable(&[a, b, c])));
+            pairs.push((truth, most_probable(&[a, b, c])));
         }
     }
     Ok(())

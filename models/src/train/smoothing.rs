@@ -1,12 +1,12 @@
-//! Settings of the occupancy filter that explain labelled recordings best.
+//! Fit of the occupancy filter's settings to labelled recordings.
 
 use rayon::prelude::*;
 use serde::Serialize;
 
-use crate::evaluate::FramePrediction;
+use crate::metrics::FramePrediction;
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 
-/// Least value that a probability is taken for, so that one confident mistake does not decide alone.
+/// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-9;
 /// Start of the search: dwell and time of evidence, s, and temperature.
 const START: [f64; 3] = [4.0, 0.7, 1.4];
@@ -15,7 +15,7 @@ const STEPS: (f64, f64) = (std::f64::consts::LN_2, 0.02);
 /// Least gain of a step.
 const LEAST_GAIN: f64 = 1e-6;
 
-/// A recording as a network has judged it, frame by frame.
+/// Predictions of a network for a recording, frame by frame.
 #[derive(Debug, Clone)]
 pub struct FilterSequence {
     /// Time from frame to frame, s.
@@ -24,7 +24,7 @@ pub struct FilterSequence {
     pub frames: Vec<FramePrediction>,
 }
 
-/// Settings of the filter, fitted.
+/// Fitted settings of the filter.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct SmoothingFit {
     /// The settings.
@@ -38,8 +38,8 @@ pub struct SmoothingFit {
 /// Sum of losses and number of frames.
 type Sums = (f64, u64);
 
-/// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over the
-/// groups. `None` without a labelled frame.
+/// The settings of the filter with the least log loss: the mean over the labelled frames of a group of recordings, and then over
+/// the groups. `None` without a labelled frame.
 ///
 /// A compass search on the logarithms of [`Smoothing::dwell_s`], [`Smoothing::independent_s`] and [`Smoothing::temperature`] from
 /// [`START`] (Kolda, Lewis and Torczon, SIAM Review 45(3), 2003, section 1.3). It needs frames that follow each other more closely
@@ -104,7 +104,7 @@ impl FilterSequence {
                 None => frame.probabilities,
             };
             if let Some(truth) = frame.truth {
-                // What is no number counts as the least.
+                // A NaN counts as the lower bound.
                 loss -= f64::from(answer[truth.index()]).max(LEAST_PROBABILITY).ln();
                 frames += 1;
             }
@@ -131,7 +131,7 @@ mod tests {
     }
 
     fn recording(dwell_s: f64, independent_s: f64, interval_s: f64, index: u64) -> FilterSequence {
-        let mut rng = crate::stream(17, "recording", index);
+        let mut rng = crate::random::stream(17, "recording", index);
         let leaves = 1.0 - (-interval_s / dwell_s).exp();
         let mut truth = (index % 3) as usize;
         let mut frames = Vec::new();
@@ -155,7 +155,7 @@ mod tests {
         FilterSequence { frame_interval_s: interval_s, frames }
     }
 
-    /// Recordings by a filter's own model lead to its settings, and those are no worse than the ones that made them.
+    /// A fit to recordings from the filter's own model finds its settings, with a loss no larger than that of the true settings.
     #[test]
     fn the_settings_that_made_recordings_are_found() {
         for (dwell_s, independent_s) in [(6.0, 0.5), (12.0, 0.8)] {
@@ -203,7 +203,7 @@ mod tests {
             assert_eq!(fit_smoothing(&[vec![unlabelled]]), None);
         }
 
-        /// Frames that are no numbers, and a recording in which nobody comes or goes.
+        /// Frames with NaN, and a recording with a constant number of people.
         #[test]
         fn odd_recordings_end_in_settings_that_are_allowed() {
             let mut odd = recording(1e9, 0.5, 0.2, 1);

@@ -1,29 +1,29 @@
-//! Measuring a network on training maps, and rescaling its layers so that it starts where it can learn.
+//! Initialisation of a network from training maps: measures values and rescales layers.
 
-use super::TrainError;
 use super::data::{Data, Part};
-use crate::network::{Centring, Mode, Network, Value};
+use super::error::TrainError;
+use crate::network::{Mode, Network, Normalisation, Value};
 
 /// Training maps that the start is measured on.
 pub(super) const START_MAPS: usize = 256;
 /// Maps of a forward pass without gradients.
 pub(super) const EVALUATION_BATCH: usize = 64;
 
-/// A latent that does not vary is not blown up.
+/// Least deviation of the latent that it is divided by.
 pub(super) const LEAST_LATENT_SIGMA: f32 = 1e-3;
 
 /// Mean and standard deviation of each column.
-pub(super) fn moments(rows: &[Vec<f32>]) -> Centring {
+pub(super) fn moments(rows: &[Vec<f32>]) -> Normalisation {
     let n = rows.len().max(1) as f64;
     let width = rows.first().map_or(0, Vec::len);
     let column = |k: usize| rows.iter().filter_map(move |r| r.get(k)).map(|&v| f64::from(v));
     let mean: Vec<f64> = (0..width).map(|k| column(k).sum::<f64>() / n).collect();
     let sigma = |(k, mean): (usize, &f64)| (column(k).map(|v| (v - mean).powi(2)).sum::<f64>() / n).sqrt() as f32;
     let sigma = mean.iter().enumerate().map(sigma).map(|s| s.max(LEAST_LATENT_SIGMA)).collect();
-    Centring { mean: mean.iter().map(|&v| v as f32).collect(), sigma }
+    Normalisation { mean: mean.iter().map(|&v| v as f32).collect(), sigma }
 }
 
-/// One value's rows for the maps at `positions`.
+/// Rows of one value for the maps at `positions`.
 pub(super) fn collect(
     network: &Network,
     data: &Data,
@@ -39,9 +39,9 @@ pub(super) fn collect(
     Ok(rows)
 }
 
-/// Constants that give each feature mean 0 and standard deviation `sigma`. A feature that hardly varies (a dead unit, or one
-/// far off every target) is not blown up: no deviation counts as less than a fifth of the root mean square of all.
-pub(super) fn feature_centring(rows: &[Vec<f32>], sigma: f32) -> Centring {
+/// Constants that give each feature mean 0 and standard deviation `sigma`. The least deviation is a fifth of the root mean square
+/// of all, so that a feature that hardly varies (such as a dead unit) is not amplified.
+pub(super) fn feature_normalisation(rows: &[Vec<f32>], sigma: f32) -> Normalisation {
     let n = rows.len().max(1) as f64;
     let width = rows.first().map_or(0, Vec::len);
     let mut mean = vec![0.0f64; width];
@@ -56,20 +56,20 @@ pub(super) fn feature_centring(rows: &[Vec<f32>], sigma: f32) -> Centring {
     }
     let typical = (variance.iter().sum::<f64>() / width.max(1) as f64).sqrt();
     let floor = (0.2 * typical).max(1e-6);
-    Centring {
+    Normalisation {
         mean: mean.iter().map(|&m| m as f32).collect(),
         sigma: variance.iter().map(|v| v.sqrt().max(floor) as f32 / sigma).collect(),
     }
 }
 
-/// Deviation that a descriptor has at least, dB, bins or natural logarithms: one that hardly varies on the training maps is not
-/// blown up on others.
+/// Least deviation of a descriptor, dB, bins or natural logarithms, so that one that hardly varies on the training maps is not
+/// amplified on others.
 const LEAST_DESCRIPTOR_SIGMA: f32 = 0.1;
 
 /// Constants that give each descriptor mean 0 and standard deviation 1, each in its own unit.
-pub(super) fn descriptor_centring(rows: &[Vec<f32>]) -> Centring {
-    let Centring { mean, sigma } = moments(rows);
-    Centring { mean, sigma: sigma.into_iter().map(|sigma| sigma.max(LEAST_DESCRIPTOR_SIGMA)).collect() }
+pub(super) fn descriptor_normalisation(rows: &[Vec<f32>]) -> Normalisation {
+    let Normalisation { mean, sigma } = moments(rows);
+    Normalisation { mean, sigma: sigma.into_iter().map(|sigma| sigma.max(LEAST_DESCRIPTOR_SIGMA)).collect() }
 }
 
 /// Rescales the dense layer before the hidden one so that the hidden values have a mean square of 1/2, as the ReLU of unit

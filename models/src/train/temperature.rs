@@ -1,16 +1,16 @@
-//! One temperature that makes probabilities match frequencies (Guo et al., ICML 2017, section 4.2).
+//! Calibration of probabilities by one temperature (Guo et al., ICML 2017, section 4.2).
 
-use super::TrainError;
 use super::data::Data;
+use super::error::TrainError;
 use crate::layer::softmax;
 use crate::network::Network;
 
-/// Temperatures that are considered.
+/// Range of temperatures.
 const RANGE: (f64, f64) = (0.05, 20.0);
-/// A probability is never taken for less, so that one confident mistake does not decide alone.
+/// Lower bound of probabilities in the loss, which limits the weight of a single confident mistake.
 const LEAST_PROBABILITY: f64 = 1e-12;
 
-/// The temperature with the least class-weighted cross-entropy on the validation split: golden-section search on its
+/// Fits the temperature with the least class-weighted cross-entropy on the validation split, by golden-section search on its
 /// logarithm (the loss is convex in 1/T).
 pub(super) fn fit(network: &Network, data: &Data) -> Result<f64, TrainError> {
     let part = &data.validation;
@@ -43,7 +43,7 @@ fn minimise(logits: &[Vec<f32>], labels: &[usize], class_weights: &[f32]) -> f64
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stream;
+    use crate::random::stream;
     use rand::Rng;
 
     /// Labels drawn from softmax(z / 2.5) are explained best by a temperature of 2.5.

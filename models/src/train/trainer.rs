@@ -1,4 +1,4 @@
-//! Single training steps on given maps: what a benchmark times.
+//! Single training steps on given maps, for benchmarks.
 
 use candle_core::{Device, Result, Tensor, Var};
 use rand::Rng;
@@ -6,9 +6,9 @@ use rand::Rng;
 use super::adam::Adam;
 use crate::layer::{KernelLevel, backward, cross_entropy};
 use crate::network::{Mode, Network, NetworkSpec};
-use crate::stream;
+use crate::random::stream;
 
-/// A network and its optimiser.
+/// Network with its optimiser.
 pub struct Trainer {
     network: Network,
     adam: Adam,
@@ -17,7 +17,10 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// A network with random parameters.
+    /// Makes a network with random parameters.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn new(spec: &NetworkSpec, seed: u64, learning_rate: f32, level: KernelLevel) -> Result<Self> {
         let network = Network::initialise(spec, seed, 0, level)?;
         let adam = Adam::new(network.trained().iter().map(|p| &p.variable));
@@ -30,7 +33,10 @@ impl Trainer {
         &self.network
     }
 
-    /// Forward, backward and Adam's step on maps `[batch][range][doppler]`; gives the loss before it.
+    /// Runs a forward pass, a backward pass and Adam's step on maps `[batch][range][doppler]`. Returns the loss before the step.
+    ///
+    /// # Errors
+    /// Maps or labels do not fit the network, or a gradient is not finite.
     pub fn step(&mut self, maps: &Tensor, labels: &[usize]) -> Result<f32> {
         self.steps += 1;
         let output = self.network.graph().output;
@@ -49,6 +55,9 @@ impl Trainer {
     }
 
     /// Maps of random numbers and labels in turn.
+    ///
+    /// # Errors
+    /// A tensor operation failed.
     pub fn made_up_maps(batch: usize, range: usize, doppler: usize) -> Result<(Tensor, Vec<usize>)> {
         let mut rng = stream(1, "made-up maps", 0);
         let cells: Vec<f32> = (0..batch * range * doppler).map(|_| rng.random_range(-1.5..1.5)).collect();

@@ -7,7 +7,7 @@ use radome_models::{Dataset, stream};
 use rand::Rng;
 use rand_distr::{Distribution, Exp1, Normal};
 
-/// How a set is made.
+/// Settings of a set of maps.
 #[derive(Clone, Copy)]
 pub struct Maps {
     pub seed: u64,

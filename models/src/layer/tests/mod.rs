@@ -2,10 +2,11 @@ use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
 use super::*;
-use crate::stream;
+use crate::random::stream;
 
 mod convolution;
 mod maps;
+mod reference;
 mod vectors;
 
 fn random(count: usize, purpose: &str) -> Vec<f32> {
@@ -41,7 +42,7 @@ fn close(name: &str, got: &[f32], want: &[f64], tolerance: f64) {
 fn differences(at: &[f64], f: impl Fn(&[f64]) -> f64) -> Vec<f64> {
     let h = 1e-6;
     let step = at.len().div_ceil(100);
-    // A step that shares factors with the axes would see the same channels and taps again and again.
+    // A step that shares factors with the axes would test the same channels and offsets again and again.
     let step = (step..).find(|s| [2, 3, 5, 7].iter().all(|p| s % p != 0) || *s == 1).unwrap_or(1);
     let mut moved = at.to_vec();
     (0..at.len())
@@ -115,7 +116,7 @@ fn conv_relu_pool_agrees_with_the_reference_and_with_finite_differences() {
     }
 }
 
-/// The first layer takes another way through the backward pass, since nobody needs the gradient of the data.
+/// The first layer has its own backward pass, because no gradient of the data is needed.
 #[test]
 fn gradients_do_not_depend_on_whether_the_input_needs_one() {
     for (batch, rows, columns, inputs, outputs) in CASES {

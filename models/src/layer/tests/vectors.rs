@@ -3,8 +3,8 @@
 use candle_core::{Device, Tensor, Var};
 use rand::Rng;
 
-use crate::layer::{add, backward, concatenate, squash, standardise, trigonometric};
-use crate::stream;
+use crate::layer::{add, backward, concatenate, scaled_sigmoid, standardise, trigonometric};
+use crate::random::stream;
 
 fn var(rows: usize, columns: usize, what: &str) -> Var {
     let mut rng = stream(7, what, 0);
@@ -46,7 +46,9 @@ fn check(layer: &str, input: &Var, output: &dyn Fn(&Tensor) -> Tensor, formula: 
 fn outputs_and_gradients_are_those_of_the_formulas() {
     let pi = std::f64::consts::PI;
     let x = var(3, 2, "x");
-    check("squash", &x, &|x| squash(x, 0.0).expect("squash"), &|x| x.iter().map(|u| pi / (1.0 + (-u).exp())).collect());
+    check("scaled_sigmoid", &x, &|x| scaled_sigmoid(x, 0.0).expect("scaled_sigmoid"), &|x| {
+        x.iter().map(|u| pi / (1.0 + (-u).exp())).collect()
+    });
     let (mean, sigma) = ([0.3f32, -0.2], [0.5f32, 2.0]);
     check("standardise", &x, &|x| standardise(x, &mean, &sigma).expect("standardise"), &|x| {
         x.iter().enumerate().map(|(k, v)| (v - f64::from(mean[k % 2])) / f64::from(sigma[k % 2])).collect()
@@ -67,12 +69,12 @@ fn outputs_and_gradients_are_those_of_the_formulas() {
     });
 }
 
-/// The penalty of the squash is the gradient of its weight times the mean square, and no part of the output.
+/// The penalty of the scaled sigmoid is the gradient of its weight times the mean square, and no part of the output.
 #[test]
 fn the_penalty_is_a_gradient_alone() {
     let x = var(4, 2, "x");
     let gradient = |penalty: f32| {
-        let loss = squash(&x, penalty).and_then(|t| t.sum_all()).expect("loss");
+        let loss = scaled_sigmoid(&x, penalty).and_then(|t| t.sum_all()).expect("loss");
         (flat(&loss)[0], flat(backward(&loss).expect("backward").get(&x).expect("gradient")))
     };
     let ((with, a), (without, b)) = (gradient(0.7), gradient(0.0));
@@ -86,9 +88,9 @@ mod hard_cases {
     use super::*;
 
     #[test]
-    fn a_saturated_squash_is_finite_and_has_no_gradient() {
+    fn a_saturated_sigmoid_is_finite_and_has_no_gradient() {
         let x = Var::new(&[[1e4f32, -1e4], [f32::MAX, f32::MIN]], &Device::Cpu).expect("variable");
-        let loss = squash(&x, 0.0).and_then(|t| t.sum_all()).expect("loss");
+        let loss = scaled_sigmoid(&x, 0.0).and_then(|t| t.sum_all()).expect("loss");
         let gradient = flat(backward(&loss).expect("backward").get(&x).expect("gradient"));
         assert!(flat(&loss)[0].is_finite() && gradient.iter().all(|g| g.abs() < 1e-6), "{gradient:?}");
     }
@@ -96,7 +98,7 @@ mod hard_cases {
     #[test]
     fn a_nan_comes_out() {
         let x = Tensor::new(&[[f32::NAN, 0.0]], &Device::Cpu).expect("tensor");
-        for output in [squash(&x, 0.0), trigonometric(&x), add(&x, &x), standardise(&x, &[0.0; 2], &[1.0; 2])] {
+        for output in [scaled_sigmoid(&x, 0.0), trigonometric(&x), add(&x, &x), standardise(&x, &[0.0; 2], &[1.0; 2])] {
             assert!(flat(&output.expect("output")).iter().any(|v| v.is_nan()));
         }
     }

@@ -8,7 +8,7 @@ use rand::Rng;
 
 /// Maps of which each is stronger than the one before, so that answers differ. Descriptors count from 6 dB over noise.
 fn maps(spec: &NetworkSpec, [batch, range, doppler]: [usize; 3]) -> Vec<f32> {
-    let mut rng = crate::stream(5, "maps", 0);
+    let mut rng = crate::random::stream(5, "maps", 0);
     let scale = if spec.kind.reads_descriptors() { 12.0 } else { 1.0 };
     let strength = |index: usize| scale * (0.5 + (index / (range * doppler)) as f32);
     (0..batch * range * doppler).map(|index| strength(index) * rng.random_range(-1.0..1.0)).collect()
@@ -34,13 +34,13 @@ fn network(spec: &NetworkSpec, values: &std::collections::BTreeMap<String, Vec<f
     let mut network = Network::from_values(spec, values, level).expect("network");
     if spec.kind.has_latent() {
         let width = spec.head.width();
-        // Spread over the squash, whatever the training left.
+        // Spread over the scaled sigmoid, whatever the training left.
         let shape = [2, 32, 32];
         let input = Tensor::from_vec(maps(spec, shape), &shape[..], &Device::Cpu).expect("tensor");
         let latent = network.latent(&input).expect("latent").and_then(|l| l.to_vec2::<f32>().ok()).expect("two rows");
         let of = |f: fn(f32, f32) -> f32| (0..width).map(|k| f(latent[0][k], latent[1][k])).collect();
         let (mean, sigma) = (of(|a, b| 0.4 * a + 0.6 * b), of(|a, b| 2.0 * (a - b).abs() + 1e-6));
-        network.set_latent_constants(Centring { mean, sigma });
+        network.set_latent_constants(Normalisation { mean, sigma });
     }
     network
 }
@@ -70,7 +70,7 @@ fn specs() -> Vec<(String, NetworkSpec)> {
     specs
 }
 
-/// What is folded and fused is what runs layer by layer.
+/// The folded and fused steps give the results of the layers one by one.
 #[test]
 fn prepared_networks_are_the_networks() {
     for (name, spec) in specs() {

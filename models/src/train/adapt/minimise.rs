@@ -2,14 +2,14 @@
 
 use std::collections::VecDeque;
 
-use super::AdaptError;
+use super::error::AdaptError;
 
-/// Steps of the minimisation at most.
+/// Most steps of the minimisation.
 const MOST_STEPS: usize = 100;
-/// Steps that the minimisation remembers.
+/// Steps in the memory of L-BFGS.
 const MEMORY: usize = 10;
 
-/// A minimum near `start` of a function that is given with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
+/// Finds a minimum near `start` of a function with its gradient: L-BFGS (Nocedal and Wright, Numerical Optimization, 2006,
 /// algorithm 7.5) with steps that are halved until the function falls.
 pub(super) fn minimise(
     start: Vec<f64>,
@@ -67,7 +67,7 @@ pub(super) fn minimise(
         }
         let gain = value - next_value;
         (at, value, gradient) = (next, next_value, next_gradient);
-        // Sums of f32 say no more.
+        // Smaller gains are below the rounding errors of f32 sums.
         if gain < 1e-6 * value.abs() {
             break;
         }

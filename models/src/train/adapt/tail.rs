@@ -1,25 +1,27 @@
-//! The layers of a network that are adapted, with their parameters as one vector, and the frames that they are fitted to.
+//! Adapted layers of a network, with their parameters as one vector, and the frames that they are fitted to.
 
 use candle_core::{Device, Tensor};
 use radome_dsp::Occupancy;
 
+use super::error::AdaptError;
 use super::minimise::minimise;
-use super::{AdaptError, AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES, Scores};
-use crate::evaluate::{Metrics, most_probable};
+use super::recording::{AdaptFrame, AdaptRecording, CLASSES, MOST_FRAMES};
 use crate::layer::{backward, softmax};
+use crate::metrics::{Metrics, most_probable};
+use crate::model::Scores;
 use crate::network::{Layer, Mode, Network, Node, Parameter, Value};
 use crate::occupancy_filter::{OccupancyFilter, Smoothing};
 use crate::train::head_start::{is_trained, parameters_behind};
 
-/// Largest strength of the pull on biases, s of labelled frames for a squared deviation. Half a minute of labels is enough for a
-/// handful of biases; weights would follow the few people who happened to be there.
+/// Largest strength of the penalty on biases, s of labelled frames for a squared deviation. Half a minute of labels determines a
+/// few biases; weights would overfit to the few people in it.
 const BIAS_STRENGTH: f64 = 100.0;
-/// Strength of the pull on the logit of `empty` where only the empty room was recorded, as a share of its seconds: a longer look at
-/// nobody is no better reason to take people for nobody.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded, as a share of its seconds: a longer
+/// recording of the empty room must not make the model miss people.
 const EMPTY_SHARE: f64 = 1.0 / 12.0;
 /// Labelled time of a recording at which its share within a class is half of the largest possible, s.
 const LONG_S: f64 = 10.0;
-/// Least deviation that a feature is divided by, as in training (`start.rs`).
+/// Least deviation that a feature is divided by, as in training (`train/start.rs`).
 const LEAST_SIGMA: f64 = 0.1;
 /// Frames of a forward pass without gradients.
 const BATCH: usize = 4096;
@@ -27,19 +29,19 @@ const BATCH: usize = 4096;
 /// Counts `[truth][label]`.
 type Confusion = [[u64; CLASSES]; CLASSES];
 
-/// Labelled frames as a model judges them, each by itself and behind the filter.
+/// Confusion of a model on labelled frames, for single frames and behind the filter.
 #[derive(Default)]
-pub(super) struct Judged {
+pub(super) struct Confusions {
     by_frame: Confusion,
     filtered: Confusion,
 }
 
-impl Judged {
+impl Confusions {
     /// Scores over several recordings.
-    pub(super) fn scores<'a>(judged: impl Iterator<Item = &'a Judged>) -> Scores {
-        let mut all = Judged::default();
-        for judged in judged {
-            for (sum, counts) in [(&mut all.by_frame, &judged.by_frame), (&mut all.filtered, &judged.filtered)] {
+    pub(super) fn scores<'a>(recordings: impl Iterator<Item = &'a Confusions>) -> Scores {
+        let mut all = Confusions::default();
+        for recording in recordings {
+            for (sum, counts) in [(&mut all.by_frame, &recording.by_frame), (&mut all.filtered, &recording.filtered)] {
                 sum.iter_mut().flatten().zip(counts.iter().flatten()).for_each(|(sum, count)| *sum += count);
             }
         }
@@ -48,13 +50,13 @@ impl Judged {
     }
 }
 
-/// Whether somebody is there in a labelled frame.
+/// Whether a labelled frame shows people.
 pub(super) fn shows_people(recordings: &[&AdaptRecording]) -> bool {
     let mut labels = recordings.iter().flat_map(|recording| &recording.frames).filter_map(|frame| frame.label);
     labels.any(|label| label != Occupancy::Empty)
 }
 
-/// Strength of the pull on the logit of `empty` where only the empty room was recorded.
+/// Strength of the penalty on the logit of `empty` if only the empty room was recorded.
 pub(super) fn empty_strength(recordings: &[&AdaptRecording]) -> f64 {
     EMPTY_SHARE * recordings.iter().map(|recording| recording.seconds()[0]).sum::<f64>()
 }
@@ -65,7 +67,7 @@ pub(super) fn last_node(network: &Network) -> Option<&Node> {
     graph.nodes.get(graph.output.checked_sub(1)?)
 }
 
-/// A frame that is fitted to.
+/// Frame in a fit.
 struct Sample<'a> {
     features: &'a [f32],
     label: usize,
@@ -102,7 +104,7 @@ fn samples<'a>(recordings: &[&'a AdaptRecording], simulated: &'a [(Vec<f32>, usi
 }
 
 /// Mean and deviation of each feature, by the samples' weights.
-fn centring(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
+fn normalisation(samples: &[Sample], inputs: usize) -> Vec<(f64, f64)> {
     let total: f64 = samples.iter().map(|sample| sample.weight).sum();
     let mut moments = vec![(0.0f64, 0.0f64); inputs];
     for sample in samples {
@@ -126,16 +128,16 @@ pub(super) struct Tail<'a> {
     temperature: f64,
     /// Features of a frame.
     inputs: usize,
-    /// Places in the vector at which weight `[output][input]` and bias of the first layer begin.
+    /// Positions in the vector of weight `[output][input]` and bias of the first layer.
     weight: usize,
     bias: usize,
     outputs: usize,
-    /// Place in the vector of the bias of the logit of `empty`.
+    /// Position in the vector of the bias of the logit of `empty`.
     empty: usize,
 }
 
 impl<'a> Tail<'a> {
-    /// Takes the layers of a network behind `given`. `None` if `given` is not followed by a linear layer, or the network does not end in
+    /// Selects the layers of a network behind `given`. `None` if no linear layer follows `given`, or the network does not end in
     /// one.
     pub(super) fn new(network: &'a Network, given: Value, temperature: f64) -> Option<Self> {
         let parameters = parameters_behind(network, given);
@@ -153,7 +155,7 @@ impl<'a> Tail<'a> {
         Some(Tail { network, given, parameters, temperature, inputs, weight, bias, outputs, empty })
     }
 
-    /// The parameters as they are.
+    /// Present parameters.
     pub(super) fn numbers(&self) -> Result<Vec<f64>, AdaptError> {
         let mut numbers = Vec::new();
         for parameter in &self.parameters {
@@ -162,7 +164,7 @@ impl<'a> Tail<'a> {
         Ok(numbers)
     }
 
-    /// Gives the network these parameters.
+    /// Sets the parameters of the network.
     pub(super) fn set(&self, numbers: &[f64]) -> Result<(), AdaptError> {
         let mut rest = numbers.iter();
         for Parameter { variable, .. } in self.parameters.iter() {
@@ -172,11 +174,11 @@ impl<'a> Tail<'a> {
         Ok(())
     }
 
-    /// Parameters for features `(x - mean) / sigma`, of those for features `x`.
-    fn standardised(&self, numbers: &[f64], centring: &[(f64, f64)]) -> Vec<f64> {
+    /// Converts parameters for features `x` to those for features `(x - mean) / sigma`.
+    fn standardised(&self, numbers: &[f64], normalisation: &[(f64, f64)]) -> Vec<f64> {
         let mut numbers = numbers.to_vec();
         for row in 0..self.outputs {
-            for (column, (mean, sigma)) in centring.iter().enumerate() {
+            for (column, (mean, sigma)) in normalisation.iter().enumerate() {
                 let at = self.weight + row * self.inputs + column;
                 numbers[self.bias + row] += numbers[at] * mean;
                 numbers[at] *= sigma;
@@ -185,23 +187,23 @@ impl<'a> Tail<'a> {
         numbers
     }
 
-    /// Probabilities of the classes for features, with the parameters as they are.
+    /// Probabilities of the classes for features, with the present parameters.
     fn probabilities(&self, features: &Tensor) -> Result<Vec<Vec<f64>>, AdaptError> {
         let output = self.network.graph().output;
         let logits = self.network.run_from(self.given, features, &[output], Mode::Evaluation)?.take(output)?;
         Ok(logits.to_vec2::<f32>()?.iter().map(|logits| softmax(logits, self.temperature)).collect())
     }
 
-    /// Judges a recording frame by frame and through the filter, which sees frames without a label too.
-    pub(super) fn judge(
+    /// Classifies a recording frame by frame and through the filter, which also uses frames without a label.
+    pub(super) fn confusions(
         &self,
         numbers: &[f64],
         recording: &AdaptRecording,
         smoothing: Smoothing,
-    ) -> Result<Judged, AdaptError> {
+    ) -> Result<Confusions, AdaptError> {
         self.set(numbers)?;
         let mut filter = OccupancyFilter::new(smoothing, recording.frame_interval_s);
-        let mut judged = Judged::default();
+        let mut confusions = Confusions::default();
         for frames in recording.frames.chunks(BATCH) {
             let features: Vec<f32> = frames.iter().flat_map(|frame| &frame.features).copied().collect();
             let features = Tensor::from_vec(features, (frames.len(), self.inputs), &Device::Cpu)?;
@@ -210,16 +212,16 @@ impl<'a> Tail<'a> {
                 let alone = [empty as f32, one as f32, two as f32];
                 let filtered = filter.update(frame.time_s, alone);
                 if let Some(label) = frame.label.map(Occupancy::index) {
-                    judged.by_frame[label][most_probable(&alone).index()] += 1;
-                    judged.filtered[label][most_probable(&filtered).index()] += 1;
+                    confusions.by_frame[label][most_probable(&alone).index()] += 1;
+                    confusions.filtered[label][most_probable(&filtered).index()] += 1;
                 }
             }
         }
-        Ok(judged)
+        Ok(confusions)
     }
 
-    /// Parameters fitted to recordings and simulated maps, for each strength of the pull towards `before`; of each the next one
-    /// starts. Where nobody is there in any recording, the logit of `empty` alone is fitted, whatever the strength.
+    /// Fits parameters to recordings and simulated maps, for each strength of the penalty towards `before`; each fit starts from
+    /// the one before it. If no recording shows people, the logit of `empty` alone is fitted, independently of the strength.
     pub(super) fn fit(
         &self,
         recordings: &[&AdaptRecording],
@@ -229,14 +231,14 @@ impl<'a> Tail<'a> {
     ) -> Result<Vec<Vec<f64>>, AdaptError> {
         let mut samples = samples(recordings, simulated);
         let total: f64 = samples.iter().map(|sample| sample.weight).sum();
-        let centring = centring(&samples, self.inputs);
+        let normalisation = normalisation(&samples, self.inputs);
         let standardise = |sample: &Sample| -> Vec<f32> {
             let of = |(x, (mean, sigma)): (&f32, &(f64, f64))| ((f64::from(*x) - mean) / sigma) as f32;
-            sample.features.iter().zip(&centring).map(of).collect()
+            sample.features.iter().zip(&normalisation).map(of).collect()
         };
         let features: Vec<f32> = samples.iter().flat_map(standardise).collect();
         let features = Tensor::from_vec(features, (samples.len(), self.inputs), &Device::Cpu)?;
-        let origin = self.standardised(before, &centring);
+        let origin = self.standardised(before, &normalisation);
         let is_empty_only = !shows_people(recordings);
         if is_empty_only {
             self.set(&origin)?;
@@ -263,7 +265,7 @@ impl<'a> Tail<'a> {
             raised[self.empty] += minimum(origin.clone(), empty_strength(recordings))?[self.empty] - origin[self.empty];
             return Ok(vec![raised; strengths.len()]);
         }
-        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
         let (mut numbers, mut fits) = (origin.clone(), Vec::with_capacity(strengths.len()));
         for strength in strengths {
             numbers = minimum(numbers, *strength)?;
@@ -286,7 +288,7 @@ impl<'a> Tail<'a> {
                 by_logit.push((sample.weight * (p - target) / self.temperature) as f32);
             }
         }
-        // A sum that is linear in the logits has the same gradient here.
+        // This sum is linear in the logits and has the same gradient at this point.
         let by_logit = Tensor::from_vec(by_logit, (samples.len(), CLASSES), &Device::Cpu)?;
         let gradients = backward(&(&logits * &by_logit)?.sum_all()?)?;
         let mut gradient = Vec::with_capacity(numbers.len());
@@ -337,9 +339,9 @@ mod tests {
         let features: Vec<f32> = samples.iter().flat_map(|sample| sample.features.to_vec()).collect();
         let features = Tensor::from_vec(features, (samples.len(), DESCRIPTORS), &Device::Cpu).expect("tensor");
         let numbers = tail.numbers().expect("numbers");
-        let centring: Vec<(f64, f64)> = (0..DESCRIPTORS).map(|k| (k as f64 - 7.0, 0.1 + k as f64)).collect();
-        let back: Vec<(f64, f64)> = centring.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
-        let there_and_back = tail.standardised(&tail.standardised(&numbers, &centring), &back);
+        let normalisation: Vec<(f64, f64)> = (0..DESCRIPTORS).map(|k| (k as f64 - 7.0, 0.1 + k as f64)).collect();
+        let back: Vec<(f64, f64)> = normalisation.iter().map(|(mean, sigma)| (-mean / sigma, 1.0 / sigma)).collect();
+        let there_and_back = tail.standardised(&tail.standardised(&numbers, &normalisation), &back);
         assert!(numbers.len() > 90 && there_and_back.iter().zip(&numbers).all(|(a, b)| (a - b).abs() < 1e-9));
         let (_, gradient) = tail.loss(&numbers, &features, &samples).expect("loss");
         for k in (0..numbers.len()).step_by(7) {

@@ -1,0 +1,97 @@
+//! Weights in the order in which tiles read them.
+
+use rayon::prelude::*;
+
+use super::tile::Tiles;
+
+/// Weights `[panel][offset][channel][column of the panel]`: each panel as wide as a tile, the last one a single vector if
+/// that is enough, filled up with zeros.
+pub(crate) struct Packed {
+    pub values: Vec<f32>,
+    /// Offsets times channels.
+    pub depth: usize,
+    pub columns: usize,
+    pub tiles: Tiles,
+}
+
+/// Direction of a product.
+pub(crate) enum Side {
+    /// Columns are outputs, channels inputs.
+    Forward,
+    /// Columns are inputs, channels outputs.
+    Backward,
+}
+
+impl Packed {
+    /// Packs `[output][input][offset]`.
+    pub fn new(weight: &[f32], [outputs, inputs, offsets]: [usize; 3], side: Side, tiles: Tiles) -> Self {
+        let (columns, channels) = match side {
+            Side::Forward => (outputs, inputs),
+            Side::Backward => (inputs, outputs),
+        };
+        let depth = offsets * channels;
+        let panels = columns.div_ceil(tiles.width());
+        let mut values = vec![0.0; Self::length(columns, tiles) * depth];
+        let pack = |panel: usize, target: &mut [f32]| {
+            let first = panel * tiles.width();
+            let width = target.len() / depth;
+            let columns = first..columns.min(first + width);
+            match side {
+                Side::Forward => {
+                    // One stream for each column, so that both sides access memory in order.
+                    let streams: Vec<&[f32]> = columns.map(|o| &weight[o * depth..(o + 1) * depth]).collect();
+                    for channel in 0..channels {
+                        for offset in 0..offsets {
+                            let target = &mut target[(offset * channels + channel) * width..][..streams.len()];
+                            for (value, stream) in target.iter_mut().zip(&streams) {
+                                *value = stream[channel * offsets + offset];
+                            }
+                        }
+                    }
+                }
+                Side::Backward => {
+                    for o in 0..outputs {
+                        let source = &weight[o * inputs * offsets..(o + 1) * inputs * offsets];
+                        for offset in 0..offsets {
+                            let target = &mut target[(offset * channels + o) * width..][..columns.len()];
+                            for (value, i) in target.iter_mut().zip(columns.clone()) {
+                                *value = source[i * offsets + offset];
+                            }
+                        }
+                    }
+                }
+            }
+        };
+        values
+            .par_chunks_mut((tiles.width() * depth).max(1))
+            .enumerate()
+            .for_each(|(panel, target)| pack(panel, target));
+        debug_assert_eq!(values.len().div_ceil((tiles.width() * depth).max(1)), panels);
+        Packed { values, depth, columns, tiles }
+    }
+
+    /// Columns with padding.
+    fn length(columns: usize, tiles: Tiles) -> usize {
+        let rest = columns % tiles.width();
+        let narrow = if rest == 0 {
+            0
+        } else if rest <= tiles.lanes {
+            tiles.lanes
+        } else {
+            tiles.width()
+        };
+        columns - rest + narrow
+    }
+
+    /// `values`, one for each column, filled up with zeros for the padding.
+    pub fn pad(&self, values: &[f32]) -> Vec<f32> {
+        let mut padded = values.to_vec();
+        padded.resize(Self::length(self.columns, self.tiles), 0.0);
+        padded
+    }
+
+    /// Number of panels.
+    pub fn panels(&self) -> usize {
+        self.columns.div_ceil(self.tiles.width())
+    }
+}

@@ -1,0 +1,130 @@
+//! Gradients of weights: products over all cells of an implicit GEMM.
+
+use rayon::prelude::*;
+
+use super::buffer::unwritten;
+use super::implicit_gemm::ImplicitGemm;
+use super::tile::{OuterTile, Shared, Tiles, part};
+
+/// Cells of a block, whose operands stay in the caches over all tiles.
+const BLOCK: usize = 256;
+/// Number of tasks, where the product is large enough.
+const TASKS: usize = 8;
+/// Weights up to this many values are summed by parts of the batch; larger ones by parts of the outputs.
+const SMALL_WEIGHTS: usize = 1 << 17;
+
+/// Gradient `[output][channel][offset]` of a convolution's weights, where `gradient` `[cell][output]` belongs to the result of
+/// `gemm` on `source`.
+///
+/// The parts depend on shapes only and are added in their order: the same bits for any number of threads.
+pub(crate) fn weight_gradient(
+    gemm: &ImplicitGemm,
+    source: &[f32],
+    gradient: &[f32],
+    outputs: usize,
+    tiles: Tiles,
+) -> Vec<f32> {
+    let cells = gemm.cells();
+    let gathered = gemm.is_gathered();
+    let all_offsets = gemm.offsets.len();
+    let (offsets, channels) = if gathered { (1, all_offsets * gemm.channels) } else { (all_offsets, gemm.channels) };
+    assert_eq!(gradient.len(), cells * outputs);
+    assert_eq!(source.len(), gemm.batch * gemm.source[0] * gemm.source[1] * gemm.channels);
+    let size = offsets * outputs * channels;
+    let groups = if size <= SMALL_WEIGHTS { TASKS.min(cells.div_ceil(BLOCK)).max(1) } else { 1 };
+    let output_tiles = outputs.div_ceil(tiles.rows);
+    let splits = TASKS.div_ceil(groups).min(output_tiles);
+    // [group][offset][output][channel]
+    let mut sums = vec![0.0f32; groups * size];
+    let shared = Shared::new(&mut sums);
+    let zeros = vec![0.0f32; gemm.channels];
+    let task = |scratch: &mut Scratch, index: usize| {
+        let (group, split) = (index / splits, index % splits);
+        let cells = part(cells, groups, group);
+        let blocks = cells.len().div_ceil(BLOCK);
+        for block in 0..blocks {
+            let block = part(cells.len(), blocks, block);
+            let block = cells.start + block.start..cells.start + block.end;
+            scratch.addresses.resize(offsets * block.len(), std::ptr::null());
+            scratch.patches.resize(if gathered { channels * block.len() } else { 0 }, 0.0);
+            gemm.addresses(block.clone(), source, &zeros, &mut scratch.patches, &mut scratch.addresses);
+            for offset in 0..offsets {
+                for first_channel in (0..channels).step_by(tiles.width()) {
+                    for output_tile in part(output_tiles, splits, split) {
+                        let rows = part(outputs, output_tiles, output_tile);
+                        let at = group * size + (offset * outputs + rows.start) * channels + first_channel;
+                        let tile = OuterTile {
+                            left: gradient[block.start * outputs + rows.start..].as_ptr(),
+                            left_stride: outputs,
+                            right: scratch.addresses[offset * block.len()..].as_ptr(),
+                            right_offset: first_channel,
+                            cells: block.len(),
+                            // SAFETY: inside `sums`: at most its last row of channels.
+                            target: unsafe { shared.get().add(at) },
+                            target_stride: channels,
+                            columns: tiles.width().min(channels - first_channel),
+                        };
+                        // SAFETY: all addresses are of whole cells; no other task has this group and these outputs.
+                        unsafe { tiles.outer_tile(rows.len(), &tile) };
+                    }
+                }
+            }
+        }
+    };
+    (0..groups * splits).into_par_iter().for_each_init(Scratch::default, task);
+    let (total, others) = sums.split_at_mut(size);
+    const CHUNK: usize = 1 << 14;
+    total.par_chunks_mut(CHUNK).enumerate().for_each(|(chunk, total)| {
+        for other in others.chunks_exact(size.max(1)) {
+            let other = &other[chunk * CHUNK..][..total.len()];
+            total.iter_mut().zip(other).for_each(|(t, &o)| *t += o);
+        }
+    });
+    sums.truncate(size);
+    if all_offsets == 1 {
+        return sums;
+    }
+    let mut ordered = unwritten(size);
+    let row = all_offsets * gemm.channels;
+    ordered.par_chunks_exact_mut(row).enumerate().for_each(|(output, to)| {
+        for offset in 0..all_offsets {
+            let from = if gathered {
+                &sums[output * row + offset * gemm.channels..][..gemm.channels]
+            } else {
+                &sums[(offset * outputs + output) * channels..][..channels]
+            };
+            for (channel, &value) in from.iter().enumerate() {
+                to[channel * all_offsets + offset] = value;
+            }
+        }
+    });
+    ordered
+}
+
+/// Sums over cells of each column of `[cell][column]`, in blocks added in f64: the gradient of a bias.
+pub(crate) fn column_sums(values: &[f32], columns: usize) -> Vec<f32> {
+    if columns == 0 {
+        return Vec::new();
+    }
+    let partials: Vec<Vec<f32>> = values
+        .par_chunks(BLOCK * columns)
+        .map(|block| {
+            let mut sums = vec![0.0f32; columns];
+            for row in block.chunks_exact(columns) {
+                sums.iter_mut().zip(row).for_each(|(s, &v)| *s += v);
+            }
+            sums
+        })
+        .collect();
+    let mut sums = vec![0.0f64; columns];
+    for partial in &partials {
+        sums.iter_mut().zip(partial).for_each(|(s, &v)| *s += f64::from(v));
+    }
+    sums.into_iter().map(|s| s as f32).collect()
+}
+
+#[derive(Default)]
+struct Scratch {
+    addresses: Vec<*const f32>,
+    patches: Vec<f32>,
+}

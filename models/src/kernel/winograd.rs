@@ -1,0 +1,229 @@
+//! Winograd's algorithm for 3x3 convolutions of stride 1 and padding 1: 16 products instead of 36.
+//!
+//! F(2x2, 3x3) of Winograd's minimal filtering (Lavin and Gray, "Fast Algorithms for Convolutional Neural Networks", 2016): the
+//! four cells of a 2x2 window are `A^T [sum over channels of (B^T d B) * (G g G^T)] A`, where `d` are their 4x4 input cells and `g`
+//! is the kernel. The sums over channels are 16 dense products, one for each point of the transformed window. The output transform
+//! is fused with the operation behind the convolution. Rounding errors are at most about twice those of the direct sums.
+
+use std::cell::RefCell;
+
+use super::level::KernelLevel;
+use super::packed::{Packed, Side};
+use super::spin_pool::for_each_task;
+use super::tile::{RowTile, Shared, Tiles, part};
+use super::winograd_transform::{InputWindow, OutputWindow};
+
+/// Numbers of a transformed window.
+const POINTS: usize = 16;
+/// Point that enters each of the four cells once: its sums start from the bias.
+const CENTRE: usize = 5;
+/// Most rows of tiles of a task: intermediate results stay in the cache.
+const TILES_PER_TASK: usize = 1;
+/// Least number of tasks, where the map is large enough.
+const TASKS: usize = 8;
+/// Values of a row of sums: the widest tile.
+const WIDTH: usize = 32;
+
+/// Transformed weights of a convolution, and accumulator init.
+pub(crate) struct Winograd {
+    inputs: usize,
+    outputs: usize,
+    weight: Packed,
+    init: Vec<f32>,
+}
+
+/// Operation on the four cells of a window.
+#[derive(Clone, Copy)]
+pub(crate) enum Finish<'a> {
+    /// ReLU and 2x2 max-pooling. Cells of an odd last row or column are dropped.
+    Pool,
+    /// Optional sum with a map of the same shape, then optional ReLU.
+    Cells { residual: Option<&'a [f32]>, rectified: bool },
+}
+
+#[derive(Default)]
+struct Scratch {
+    /// Transformed windows `[point][window][channel]`.
+    windows: Vec<f32>,
+    /// `[point][window][column]`, [`WIDTH`] columns.
+    sums: Vec<f32>,
+    sources: Vec<*const f32>,
+    targets: Vec<*mut f32>,
+}
+
+thread_local! {
+    static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+impl Winograd {
+    /// Transforms weights `[o][i][3][3]`, `shape` `[o, i]`; sums start from `init`, one value for each output.
+    pub fn new(weight: &[f32], [outputs, inputs]: [usize; 2], init: &[f32], level: KernelLevel) -> Self {
+        const G: [[f64; 3]; 4] = [[1.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.5, -0.5, 0.5], [0.0, 0.0, 1.0]];
+        let transformed: Vec<f32> = weight
+            .as_chunks::<9>()
+            .0
+            .iter()
+            .flat_map(|kernel| {
+                (0..POINTS).map(move |point| {
+                    let (rows, columns) = (G[point / 4], G[point % 4]);
+                    let terms = kernel.iter().enumerate().map(|(k, &w)| rows[k / 3] * columns[k % 3] * f64::from(w));
+                    terms.sum::<f64>() as f32
+                })
+            })
+            .collect();
+        let weight = Packed::new(&transformed, [outputs, inputs, POINTS], Side::Forward, Tiles::new(level));
+        let init = weight.pad(init);
+        Winograd { inputs, outputs, weight, init }
+    }
+
+    /// `source` `[batch][row][column][i]` to `target` `[batch][row / 2][column / 2][o]` where it is pooled,
+    /// `[batch][row][column][o]` otherwise.
+    ///
+    /// # Panics
+    /// Lengths of `source`, `target` and the residual differ from the shapes above.
+    pub fn run(&self, source: &[f32], [batch, rows, columns]: [usize; 3], finish: Finish<'_>, target: &mut [f32]) {
+        let (grid, cells) = match finish {
+            Finish::Pool => ([rows / 2, columns / 2], rows / 2 * (columns / 2)),
+            Finish::Cells { .. } => ([rows.div_ceil(2), columns.div_ceil(2)], rows * columns),
+        };
+        assert_eq!(source.len(), batch * rows * columns * self.inputs);
+        assert_eq!(target.len(), batch * cells * self.outputs);
+        if let Finish::Cells { residual: Some(residual), .. } = finish {
+            assert_eq!(residual.len(), target.len());
+        }
+        let windows = batch * grid[0] * grid[1];
+        let (panels, shared) = (self.weight.panels(), Shared::new(target));
+        let parts = windows.div_ceil(TILES_PER_TASK * self.weight.tiles.rows);
+        let panel_parts = TASKS.div_ceil(parts.max(1)).min(panels);
+        let map = Map { source, rows, columns, grid };
+        for_each_task(parts * panel_parts, |index| {
+            let windows = part(windows, parts, index / panel_parts);
+            let panels = part(panels, panel_parts, index % panel_parts);
+            SCRATCH.with_borrow_mut(|scratch| self.task(scratch, &map, windows, panels, finish, shared));
+        });
+    }
+
+    fn task(
+        &self,
+        scratch: &mut Scratch,
+        map: &Map<'_>,
+        windows: std::ops::Range<usize>,
+        panels: std::ops::Range<usize>,
+        finish: Finish<'_>,
+        target: Shared,
+    ) {
+        let (tiles, count, inputs) = (self.weight.tiles, windows.len(), self.inputs);
+        let Scratch { windows: transformed, sums, sources, targets } = scratch;
+        transformed.resize(POINTS * count * inputs, 0.0);
+        sums.resize(POINTS * count * WIDTH, 0.0);
+        for (k, window) in windows.clone().enumerate() {
+            let patch = map.patch(window, inputs, transformed[k * inputs..].as_mut_ptr(), count * inputs);
+            // SAFETY: the patch knows which of its cells are in the map; there is room for all windows' points.
+            unsafe { patch.transform(tiles.level) };
+        }
+        sources.clear();
+        targets.clear();
+        for row in 0..POINTS * count {
+            sources.push(transformed[row * inputs..].as_ptr());
+            targets.push(sums[row * WIDTH..].as_mut_ptr());
+        }
+        let row_tiles = count.div_ceil(tiles.rows);
+        for panel in panels {
+            let first = panel * tiles.width();
+            let columns = tiles.width().min(self.outputs - first);
+            for point in 0..POINTS {
+                let offsets = [point as u32];
+                for tile in 0..row_tiles {
+                    let rows = part(count, row_tiles, tile);
+                    let at = point * count + rows.start;
+                    let tile = RowTile {
+                        cells: sources[at..].as_ptr(),
+                        cell_stride: 0,
+                        offsets: offsets.as_ptr(),
+                        offset_count: 1,
+                        channels: inputs,
+                        panel: self.weight.values[first * self.weight.depth..].as_ptr(),
+                        init: if point == CENTRE { self.init[first..].as_ptr() } else { std::ptr::null() },
+                        targets: targets[at..].as_ptr(),
+                        first: 0,
+                        // Whole vectors: there is room for them.
+                        columns: columns.next_multiple_of(tiles.lanes),
+                    };
+                    // SAFETY: sources are windows of `inputs` values each, targets rows as wide as the widest tile; panel
+                    // and init are padded to the tile's width.
+                    unsafe { tiles.row_tile(rows.len(), &tile) };
+                }
+            }
+            for (k, window) in windows.clone().enumerate() {
+                let sums = sums[k * WIDTH..].as_ptr();
+                let window = map.window(window, first, columns, self.outputs, finish, target, sums, count * WIDTH);
+                // SAFETY: each target has `columns` values that no other task writes, and so has each residual that there
+                // is; sums are of all points, as wide as whole vectors.
+                unsafe { window.transform_back(tiles.level, matches!(finish, Finish::Pool)) };
+            }
+        }
+    }
+}
+
+/// Maps `[batch][row][column][channel]` and the grid of windows over each.
+struct Map<'a> {
+    source: &'a [f32],
+    rows: usize,
+    columns: usize,
+    grid: [usize; 2],
+}
+
+impl Map<'_> {
+    /// Image, row and column of a window.
+    fn place(&self, window: usize) -> [usize; 3] {
+        let [rows, columns] = self.grid;
+        [window / (rows * columns), window / columns % rows, window % columns]
+    }
+
+    /// Input cells of a window.
+    fn patch(&self, window: usize, channels: usize, target: *mut f32, stride: usize) -> InputWindow {
+        let [image, row, column] = self.place(window);
+        // Of four cells from cell `2 index - 1` on, those from the first to the end are among `length`.
+        let inside = |index: usize, length: usize| [usize::from(index == 0), (length + 1 - 2 * index).min(4)];
+        let first = ((image * self.rows + 2 * row) * self.columns + 2 * column) * channels;
+        InputWindow {
+            corner: self.source.as_ptr().wrapping_add(first).wrapping_sub((self.columns + 1) * channels),
+            line: self.columns * channels,
+            channels,
+            rows: inside(row, self.rows),
+            columns: inside(column, self.columns),
+            target,
+            stride,
+        }
+    }
+
+    /// Addresses of the results of a window: `columns` of `outputs`, from `first` on.
+    #[allow(clippy::too_many_arguments)]
+    fn window(
+        &self,
+        window: usize,
+        first: usize,
+        columns: usize,
+        outputs: usize,
+        finish: Finish<'_>,
+        target: Shared,
+        sums: *const f32,
+        stride: usize,
+    ) -> OutputWindow {
+        let [image, row, column] = self.place(window);
+        let (mut targets, mut residual) = ([std::ptr::null_mut(); 4], [std::ptr::null(); 4]);
+        let Finish::Cells { residual: others, rectified } = finish else {
+            targets[0] = target.get().wrapping_add(window * outputs + first);
+            return OutputWindow { sums, stride, columns, targets, residual, rectified: true };
+        };
+        for k in 0..4 {
+            let (row, column) = (2 * row + k / 2, 2 * column + k % 2);
+            if row < self.rows && column < self.columns {
+                let at = ((image * self.rows + row) * self.columns + column) * outputs + first;
+                targets[k] = target.get().wrapping_add(at);
+                residual[k] = others.map_or(std::ptr::null(), |others| others[at..at + columns].as_ptr());
+            }
+        }
+        OutputWindow { sums, stride, columns, targets, residual, rectified }
+    }
+}

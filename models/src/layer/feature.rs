@@ -1,0 +1,58 @@
+//! Feature maps of inference, without a graph of gradients.
+
+use candle_core::{Error, Result};
+
+/// Maps `[batch][row][column][channel]` in a buffer that keeps its memory between uses.
+#[derive(Debug, Clone, Default)]
+pub struct Feature {
+    pub(super) dims: [usize; 4],
+    pub(super) values: Vec<f32>,
+}
+
+impl Feature {
+    /// Makes maps of these values.
+    ///
+    /// # Errors
+    /// The number of values is not the product of `dims`.
+    pub fn new(dims: [usize; 4], values: Vec<f32>) -> Result<Self> {
+        if dims.iter().product::<usize>() != values.len() {
+            return Err(Error::Msg(format!(
+                "feature: {dims:?} needs {} values, got {}",
+                dims.iter().product::<usize>(),
+                values.len()
+            ))
+            .bt());
+        }
+        Ok(Feature { dims, values })
+    }
+
+    /// Batch, rows, columns, channels.
+    pub fn dims(&self) -> [usize; 4] {
+        self.dims
+    }
+
+    /// The values, in row-major order.
+    pub fn values(&self) -> &[f32] {
+        &self.values
+    }
+
+    /// The values, to be overwritten.
+    pub fn values_mut(&mut self) -> &mut [f32] {
+        &mut self.values
+    }
+
+    /// Changes the shape. Values are arbitrary and must be overwritten.
+    pub fn reshape(&mut self, dims: [usize; 4]) {
+        self.dims = dims;
+        self.values.resize(dims.iter().product(), 0.0);
+    }
+}
+
+/// `x scale + shift` for each channel behind a convolution: batch normalisation in evaluation.
+#[derive(Debug, Clone, Copy)]
+pub struct Affine<'a> {
+    /// A factor for each output.
+    pub scale: &'a [f32],
+    /// Added to each output.
+    pub shift: &'a [f32],
+}

@@ -1,0 +1,134 @@
+//! Convolution prepared for inference: weights packed or transformed once, batch normalisation and activation fused.
+
+use super::activation::{Activation, CHUNK, add_in_place, in_place};
+use super::conv2d::{ConvGeometry, ConvSizes};
+use super::feature::{Affine, Feature};
+use crate::kernel::packed::{Packed, Side};
+use crate::kernel::spin_pool::for_each_chunk;
+use crate::kernel::tile::Tiles;
+use crate::kernel::winograd::{Finish, Winograd};
+use crate::kernel::{KernelLevel, depthwise};
+use candle_core::{Error, Result};
+
+/// Least number of input channels for which Winograd's transforms are worth their cost.
+const FEW_CHANNELS: usize = 8;
+/// Most weights for which they are. There are 16 transformed weights for nine, and loading more takes longer than the saved sums.
+const MOST_TRANSFORMED: usize = 1 << 16;
+
+/// Convolution with folded batch normalisation, bias and activation.
+pub struct PreparedConv {
+    weight_dims: [usize; 4],
+    geometry: ConvGeometry,
+    activation: Activation,
+    bias: Vec<f32>,
+    weight: Weight,
+    tiles: Tiles,
+    level: KernelLevel,
+}
+
+enum Weight {
+    Dense(Packed),
+    Winograd(Winograd),
+    Depthwise(Vec<f32>),
+}
+
+impl PreparedConv {
+    /// Prepares `activation((conv(x, weight) + bias) * scale + shift)`, `weight` `[o][i / groups][kernel row][kernel
+    /// column]`.
+    ///
+    /// # Errors
+    /// A number of values differs from what `weight_dims` asks for, there are no weights, the stride is 0, or the groups are
+    /// neither 1 nor the number of outputs.
+    pub fn new(
+        weight: &[f32],
+        weight_dims: [usize; 4],
+        bias: Option<&[f32]>,
+        affine: Option<Affine<'_>>,
+        geometry: ConvGeometry,
+        activation: Activation,
+        level: KernelLevel,
+    ) -> Result<Self> {
+        let [outputs, inputs, rows, columns] = weight_dims;
+        let lengths = [bias.map(<[f32]>::len), affine.map(|a| a.scale.len()), affine.map(|a| a.shift.len())];
+        let groups = [1, outputs].contains(&geometry.groups) && (geometry.groups == 1 || inputs == 1);
+        if weight.len() != weight_dims.iter().product::<usize>()
+            || weight.is_empty()
+            || geometry.stride == 0
+            || !groups
+            || lengths.iter().flatten().any(|&l| l != outputs)
+        {
+            return Err(Error::Msg(format!(
+                "prepared convolution: expected weight [o, i / groups, kernel rows, kernel columns], groups 1 or o, and o \
+                 values of bias, scale and shift; got {} values for {weight_dims:?}, {lengths:?} with {geometry:?}",
+                weight.len()
+            ))
+            .bt());
+        }
+        let scale = |o: usize| affine.map_or(1.0, |a| a.scale[o]);
+        let mut folded = weight.to_vec();
+        for (o, kernel) in folded.chunks_exact_mut(inputs * rows * columns).enumerate() {
+            kernel.iter_mut().for_each(|w| *w *= scale(o));
+        }
+        let bias: Vec<f32> =
+            (0..outputs).map(|o| bias.map_or(0.0, |b| b[o]) * scale(o) + affine.map_or(0.0, |a| a.shift[o])).collect();
+        let tiles = Tiles::new(level);
+        let in_windows = [rows, columns] == [3, 3]
+            && geometry == ConvGeometry::dense(1, 1)
+            && inputs >= FEW_CHANNELS
+            && inputs * outputs <= MOST_TRANSFORMED;
+        let weight = if in_windows {
+            Weight::Winograd(Winograd::new(&folded, [outputs, inputs], &bias, level))
+        } else if geometry.groups > 1 {
+            Weight::Depthwise(depthwise::offset_first(&folded, rows * columns))
+        } else {
+            Weight::Dense(Packed::new(&folded, [outputs, inputs, rows * columns], Side::Forward, tiles))
+        };
+        Ok(PreparedConv { weight_dims, geometry, activation, bias, weight, tiles, level: level.available() })
+    }
+
+    /// `output = activation(conv(input) + residual)`. `output` takes the shape it needs and keeps its memory.
+    ///
+    /// # Errors
+    /// The input has another number of channels or is smaller than the kernel, or the residual has another shape than the output.
+    pub fn run(&self, input: &Feature, residual: Option<&Feature>, output: &mut Feature) -> Result<()> {
+        let sizes = ConvSizes::new("prepared convolution", &input.dims, &self.weight_dims, None, self.geometry)?;
+        if let Some(residual) = residual
+            && residual.dims != sizes.output_shape()
+        {
+            return Err(Error::Msg(format!(
+                "prepared convolution: expected a residual {:?}, got {:?}",
+                sizes.output_shape(),
+                residual.dims
+            ))
+            .bt());
+        }
+        output.reshape(sizes.output_shape());
+        let gemm = sizes.forward_gemm();
+        match &self.weight {
+            Weight::Dense(weight) => gemm.run(&input.values, weight, Some(&self.bias), &mut output.values),
+            Weight::Depthwise(weight) => {
+                depthwise::run(&gemm, &input.values, weight, Some(&self.bias), &mut output.values, self.tiles);
+            }
+            Weight::Winograd(winograd) => {
+                let [batch, rows, columns, _] = input.dims;
+                let rectified = self.activation == Activation::Relu;
+                let whole = rectified || self.activation == Activation::None;
+                let residual = residual.filter(|_| whole).map(|residual| residual.values.as_slice());
+                let finish = Finish::Cells { residual, rectified };
+                winograd.run(&input.values, [batch, rows, columns], finish, &mut output.values);
+                if whole {
+                    return Ok(());
+                }
+            }
+        }
+        if let Some(residual) = residual {
+            for_each_chunk(&mut output.values, CHUNK, |index, values| {
+                let residual = &residual.values[index * CHUNK..][..values.len()];
+                add_in_place(self.level, self.activation, values, residual);
+            });
+        } else if self.activation != Activation::None {
+            for_each_chunk(&mut output.values, CHUNK, |_, values| in_place(self.level, self.activation, values));
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,287 @@
+//! Model card: everything about a model but its numbers.
+
+use std::path::{Path, PathBuf};
+
+use radome_dsp::{Occupancy, RdmShape, RdmSpec, Waveform};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use super::adapted::Adapted;
+use super::onnx_runtime::OnnxError;
+use crate::kernel::KernelLevel;
+use crate::metrics::Metrics;
+use crate::network::{Head, MOST_POOLED, NetworkKind, NetworkSpec, Normalisation, PAPER_POOLED};
+use crate::occupancy_filter::Smoothing;
+use crate::standardise::Standardisation;
+
+/// Version of the format that is written; older ones are read.
+pub const MODEL_FORMAT_VERSION: u32 = 1;
+/// Key of the card in a file's metadata, safetensors or ONNX.
+pub(crate) const CARD_KEY: &str = "radome";
+
+/// Summary of a model's training.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct TrainingSummary {
+    /// Epochs trained.
+    pub epochs: usize,
+    /// Epoch of these parameters, from 1: the best on the validation split.
+    pub best_epoch: usize,
+    /// Maps trained on.
+    pub training_maps: usize,
+    /// SHA-256 of the file of initial weights; absent if they were random.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weights_hash: Option<String>,
+    /// Index of the initialisation that was chosen.
+    pub chosen_start: u64,
+    /// Instruction set of the inner loops in training.
+    pub kernel_level: KernelLevel,
+    /// Scores on the validation split.
+    pub validation: Metrics,
+    /// Scores on the test split, if there is one.
+    pub test: Option<Metrics>,
+}
+
+/// Everything about a model but its numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ModelCard {
+    /// [`MODEL_FORMAT_VERSION`] of the writer.
+    pub format_version: u32,
+    /// Kind of the network.
+    pub network: NetworkKind,
+    /// Layers behind the latent of the HQNN or of descriptors.
+    #[serde(default, skip_serializing_if = "is_default_head")]
+    pub head: Head,
+    /// Classes in the order of the probabilities.
+    pub classes: Vec<Occupancy>,
+    /// Shape of the input, `axes` long.
+    pub input_shape: [usize; 3],
+    /// Names of the axes of the input, slowest first.
+    pub axes: [String; 3],
+    /// Waveform that maps must come from; with physical axes in `rdm_spec` the one that a board is programmed with, and maps may
+    /// come from any within the limits of [`PhysicalAxes`](radome_dsp::rdm::PhysicalAxes).
+    pub waveform: Waveform,
+    /// Settings by which maps must be made.
+    pub rdm_spec: RdmSpec,
+    /// Standardisation of the input.
+    pub standardisation: Standardisation,
+    /// Rows and columns that the network's second block is averaged to.
+    #[serde(default = "paper_pooled", skip_serializing_if = "is_paper_pooled")]
+    pub pooled: [usize; 2],
+    /// Settings of the filter over frames.
+    #[serde(default = "Smoothing::of_old_models")]
+    pub smoothing: Smoothing,
+    /// Standardisation of the latent; empty where there is none.
+    pub latent: Normalisation,
+    /// Logits are divided by this before the softmax, so that probabilities are calibrated on the validation split.
+    pub temperature: f64,
+    /// Hash of the dataset trained on.
+    pub dataset_hash: String,
+    /// Seed of the training.
+    pub seed: u64,
+    /// Summary of the training.
+    pub training: TrainingSummary,
+    /// Data of the last adaptation after the training.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub adapted: Option<Adapted>,
+}
+
+/// Error of writing or reading a model file.
+#[derive(Debug, Error)]
+pub enum ModelError {
+    /// A file operation failed.
+    #[error("{path}: {action} failed: {source}")]
+    Io {
+        /// File.
+        path: PathBuf,
+        /// Operation that failed.
+        action: &'static str,
+        /// Cause.
+        source: std::io::Error,
+    },
+    /// The file is no complete safetensors file.
+    #[error(
+        "{path}: expected a safetensors file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
+    )]
+    NotSafetensors {
+        /// File.
+        path: PathBuf,
+        /// Message of the parser.
+        reason: String,
+        /// Length of the file.
+        length: usize,
+    },
+    /// The file is no complete ONNX file.
+    #[error(
+        "{path}: expected an ONNX file, but {reason} ({length} bytes); it is truncated, damaged or of another kind"
+    )]
+    NotOnnx {
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        reason: String,
+        /// Length of the file.
+        length: usize,
+    },
+    /// The safetensors or ONNX file has no card.
+    #[error(
+        "{path}: the metadata has no '{CARD_KEY}' entry, which says which maps the network needs and how they are \
+         standardised\n\nhint: only models that `radome train` and `radome export` wrote can be loaded"
+    )]
+    NoCard {
+        /// File.
+        path: PathBuf,
+    },
+    /// The card is no valid JSON of a card.
+    #[error("{path}: model card: {source}")]
+    Card {
+        /// File.
+        path: PathBuf,
+        /// Cause.
+        source: serde_json::Error,
+    },
+    /// A newer program wrote the file.
+    #[error("{path}: model format {found} is newer than {supported}, the newest this program reads\n\nhint: update it")]
+    Newer {
+        /// File.
+        path: PathBuf,
+        /// Version found.
+        found: u32,
+        /// Newest version that is understood.
+        supported: u32,
+    },
+    /// A value in the file contradicts another one or is out of range.
+    #[error("{path}: {what}: expected {expected}, found {found}")]
+    Inconsistent {
+        /// File.
+        path: PathBuf,
+        /// Name of the value.
+        what: String,
+        /// Expected value.
+        expected: String,
+        /// Value found.
+        found: String,
+    },
+    /// An ONNX network cannot be run.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+impl ModelCard {
+    /// Reads a card and checks that it makes sense; `path` is used in errors only.
+    pub(crate) fn parse(path: &Path, text: &str) -> Result<Self, ModelError> {
+        let json = |source| ModelError::Card { path: path.to_owned(), source };
+        // Reads the version alone first: a newer card may have other fields.
+        #[derive(Deserialize)]
+        struct Version {
+            format_version: u32,
+        }
+        let found = serde_json::from_str::<Version>(text).map_err(json)?.format_version;
+        if found > MODEL_FORMAT_VERSION {
+            return Err(ModelError::Newer { path: path.to_owned(), found, supported: MODEL_FORMAT_VERSION });
+        }
+        let card: ModelCard = serde_json::from_str(text).map_err(json)?;
+        card.check(path)?;
+        Ok(card)
+    }
+
+    /// Settings of the network.
+    pub fn network_spec(&self) -> NetworkSpec {
+        NetworkSpec { kind: self.network, pooled: self.pooled, head: self.head.clone() }
+    }
+
+    /// Whether the network sees range and Doppler exchanged.
+    pub fn is_transposed(&self) -> bool {
+        self.axes == input_axes(true)
+    }
+
+    fn check(&self, path: &Path) -> Result<(), ModelError> {
+        let fail = |what: &str, expected: String, found: String| {
+            Err(ModelError::Inconsistent { path: path.to_owned(), what: what.to_owned(), expected, found })
+        };
+        if self.classes != Occupancy::ALL {
+            return fail("classes", format!("{:?}", Occupancy::ALL), format!("{:?}", self.classes));
+        }
+        if self.axes != input_axes(false) && self.axes != input_axes(true) {
+            return fail("axes", format!("{:?}", input_axes(false)), format!("{:?}", self.axes));
+        }
+        match self.rdm_spec.shape(&self.waveform) {
+            Ok(RdmShape { rx: 1, doppler, range })
+                if self.input_shape == input_shape(range, doppler, self.is_transposed()) => {}
+            Ok(shape) => {
+                return fail("input_shape", format!("that of a map of {shape}"), format!("{:?}", self.input_shape));
+            }
+            Err(error) => return fail("rdm_spec", "one that fits the waveform".to_owned(), error.to_string()),
+        }
+        // This comes before the layout of the network, whose sizes are products of these numbers.
+        if self.pooled.iter().any(|n| !(1..=MOST_POOLED).contains(n)) {
+            return fail("pooled", format!("1 to {MOST_POOLED} rows and columns"), format!("{:?}", self.pooled));
+        }
+        if let Head::Circuit { circuit, .. } = &self.head
+            && let Err(error) = circuit.check()
+        {
+            return fail("head.circuit", "a circuit that can be run".to_owned(), error.to_string());
+        }
+        let [_, rows, columns] = self.input_shape;
+        if let Some(layer) = self.network_spec().too_small_for(rows, columns) {
+            return fail(
+                "input_shape",
+                format!("a map that is large enough for layer {layer}"),
+                format!("{:?}", self.input_shape),
+            );
+        }
+        let Normalisation { mean, sigma } = &self.latent;
+        let width = if self.network.has_latent() { self.head.width() } else { 0 };
+        if mean.len() != sigma.len() || !(mean.is_empty() || mean.len() == width) {
+            let found = format!("{} means and {} sigmas", mean.len(), sigma.len());
+            return fail("latent", format!("{width} constants or none"), found);
+        }
+        if let Some((name, value, expected)) = self.smoothing.fault() {
+            return fail(name, expected.to_owned(), value.to_string());
+        }
+        let Standardisation { reference, mean_db, sigma_db, .. } = self.standardisation;
+        if let Some((name, value, expected)) = reference.fault() {
+            return fail(name, expected.to_owned(), value.to_string());
+        }
+        let readable = self.network.check_maps(reference, self.is_transposed(), self.standardisation.needs_labels());
+        if let Err(error) = readable {
+            return fail("standardisation", "dB over noise, range by velocity".to_owned(), error.found.to_owned());
+        }
+        if self.network.reads_descriptors() && (mean_db != 0.0 || sigma_db != 1.0) {
+            let found = format!("mean {mean_db} dB, sigma {sigma_db} dB");
+            return fail("standardisation", "mean 0 dB, sigma 1 dB: descriptors are of levels in dB".to_owned(), found);
+        }
+        let sigmas = sigma.iter().map(|&sigma| f64::from(sigma));
+        let positive = [sigma_db, self.temperature].into_iter().chain(sigmas).all(|v| v.is_finite() && v > 0.0);
+        if !positive || !mean_db.is_finite() || mean.iter().any(|v| !v.is_finite()) {
+            let found = format!("{:?}, {:?}, temperature {}", self.standardisation, self.latent, self.temperature);
+            return fail("constants", "finite means, sigmas and temperature above zero".to_owned(), found);
+        }
+        Ok(())
+    }
+}
+
+fn is_default_head(head: &Head) -> bool {
+    *head == Head::default()
+}
+
+fn paper_pooled() -> [usize; 2] {
+    PAPER_POOLED
+}
+
+fn is_paper_pooled(pooled: &[usize; 2]) -> bool {
+    *pooled == PAPER_POOLED
+}
+
+/// Names of the axes of a network's input.
+pub(crate) fn input_axes(transposed: bool) -> [String; 3] {
+    let axes = if transposed { ["channel", "doppler", "range"] } else { ["channel", "range", "doppler"] };
+    axes.map(str::to_owned)
+}
+
+/// Shape of a network's input.
+pub(crate) fn input_shape(range: usize, doppler: usize, transposed: bool) -> [usize; 3] {
+    if transposed { [1, doppler, range] } else { [1, range, doppler] }
+}

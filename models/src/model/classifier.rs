@@ -1,0 +1,279 @@
+//! Classification of maps by a trained model.
+
+use std::path::Path;
+
+use candle_core::{Device, Tensor};
+use radome_dsp::{Occupancy, Rdm, RdmShape, RdmSpec, Waveform};
+use thiserror::Error;
+
+use super::card::{ModelCard, ModelError};
+use super::file::{Model, is_onnx, read};
+use super::onnx::read_card;
+use super::onnx_runtime::{OnnxError, OnnxSession};
+use crate::dataset::{DatasetError, ManifestRow, network_input};
+use crate::layer::softmax;
+use crate::network::{Inference, Network};
+
+/// Model that classifies maps one by one: a network of this crate, or an ONNX file in onnxruntime.
+///
+/// # Examples
+/// ```no_run
+/// use std::path::Path;
+///
+/// use radome_dsp::Rdm;
+/// use radome_models::Classifier;
+///
+/// fn probability_of_people(map: &Rdm) -> Result<f32, Box<dyn std::error::Error>> {
+///     let mut classifier = Classifier::load(Path::new("model.safetensors"))?;
+///     let [_, one, two] = classifier.classify(map)?;
+///     Ok(one + two)
+/// }
+/// ```
+pub struct Classifier {
+    card: ModelCard,
+    engine: Engine,
+}
+
+// A program has one classifier, so the size does not matter.
+#[allow(clippy::large_enum_variant)]
+enum Engine {
+    Native {
+        network: Network,
+        /// Prepared network, made at the first map.
+        inference: Option<Inference>,
+    },
+    Onnx(OnnxSession),
+}
+
+impl Engine {
+    /// Logits of one standardised map `[row][column]`.
+    fn logits(&mut self, map: &[f32], rows: usize, columns: usize) -> Result<Vec<f32>, ClassifyError> {
+        match self {
+            Engine::Native { network, inference } => {
+                let inference = match inference {
+                    Some(inference) => inference,
+                    None => inference.insert(Inference::new(network)?),
+                };
+                Ok(inference.logits(map, [1, rows, columns])?.to_vec())
+            }
+            Engine::Onnx(session) => Ok(session.logits(map)?),
+        }
+    }
+}
+
+/// Error of the classification of a map.
+#[derive(Debug, Error)]
+pub enum ClassifyError {
+    /// The map has another shape than the model was trained for.
+    #[error(
+        "map is {got} ({cells} cells), the model needs {expected}\n\nhint: make maps with the waveform and the map spec that the model names"
+    )]
+    Shape {
+        /// Shape that is needed.
+        expected: RdmShape,
+        /// Shape of the map.
+        got: RdmShape,
+        /// Number of its cells.
+        cells: usize,
+    },
+    /// The map holds NaN or infinity.
+    #[error("map of frame {sequence}: {cells} cells are not finite, the first at index {first}; it is not classified")]
+    NonFinite {
+        /// Sequence number of its frame.
+        sequence: u64,
+        /// Number of these cells.
+        cells: usize,
+        /// Index of the first in `db`.
+        first: usize,
+    },
+    /// The model standardises maps by scene and class, so it needs labels.
+    #[error(
+        "the model standardises maps by scene and class, so it classifies only maps with known labels\n\nhint: evaluate it on a dataset, or train without label_leaking_cells"
+    )]
+    NeedsLabels,
+    /// The network put out a number that is not finite.
+    #[error("the network's output is not finite; cells of the map reach {largest_db} dB in magnitude")]
+    Diverged {
+        /// Largest magnitude of a cell.
+        largest_db: f32,
+    },
+    /// A map could not be read.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// An ONNX network failed.
+    #[error(transparent)]
+    Onnx(#[from] OnnxError),
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}
+
+impl Classifier {
+    /// Loads a model file: safetensors, or ONNX if its name ends in `.onnx`, which needs onnxruntime.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the file cannot be read, is damaged, has no card or contradicts it, and [`ModelError::Onnx`] if
+    /// onnxruntime is missing or refuses an ONNX file.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        if !is_onnx(path) {
+            return Ok(Self::new(Model::load(path)?));
+        }
+        let data = read(path)?;
+        let card = read_card(path, &data)?;
+        let [_, rows, columns] = card.input_shape;
+        let session = OnnxSession::new(path, &data, rows, columns)?;
+        Ok(Classifier { card, engine: Engine::Onnx(session) })
+    }
+
+    /// Makes a classifier of a model.
+    pub fn new(model: Model) -> Self {
+        let Model { card, network } = model;
+        Classifier { card, engine: Engine::Native { network, inference: None } }
+    }
+
+    /// Waveform that maps must come from, or with physical axes the nominal one ([`ModelCard::waveform`]).
+    pub fn waveform(&self) -> &Waveform {
+        &self.card.waveform
+    }
+
+    /// Settings by which maps must be made.
+    pub fn rdm_spec(&self) -> &RdmSpec {
+        &self.card.rdm_spec
+    }
+
+    /// Everything about the model but its numbers.
+    pub fn card(&self) -> &ModelCard {
+        &self.card
+    }
+
+    /// The network; `None` for ONNX files.
+    pub(crate) fn network(&self) -> Option<&Network> {
+        match &self.engine {
+            Engine::Native { network, .. } => Some(network),
+            Engine::Onnx(_) => None,
+        }
+    }
+
+    /// Input of the network for a map without a label.
+    pub(crate) fn unlabelled_input(
+        &self,
+        db: &[f32],
+        shape: RdmShape,
+        sequence: u64,
+    ) -> Result<Vec<f32>, ClassifyError> {
+        self.check_unlabelled()?;
+        self.check_sequence(db, shape, sequence)?;
+        self.input(db, shape, None)
+    }
+
+    /// Returns the model; `None` for ONNX files.
+    pub fn into_model(self) -> Option<Model> {
+        match self.engine {
+            Engine::Native { network, .. } => Some(Model { card: self.card, network }),
+            Engine::Onnx(_) => None,
+        }
+    }
+
+    /// Probabilities of empty, one, two; they sum to one.
+    ///
+    /// # Errors
+    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails or
+    /// puts out a number that is not finite.
+    pub fn classify(&mut self, map: &Rdm) -> Result<[f32; 3], ClassifyError> {
+        self.check_unlabelled()?;
+        self.check_sequence(&map.db, map.shape, map.sequence)?;
+        self.run(&map.db, map.shape, None)
+    }
+
+    /// Latent of the HQNN for a map, before its standardisation; empty for other networks and for ONNX files.
+    ///
+    /// # Errors
+    /// [`ClassifyError`] if the model needs labels, the map has another shape or a cell that is not finite, or the network fails.
+    pub fn latent(&mut self, map: &Rdm) -> Result<Vec<f32>, ClassifyError> {
+        self.check_unlabelled()?;
+        self.check_sequence(&map.db, map.shape, map.sequence)?;
+        let Engine::Native { network, .. } = &self.engine else { return Ok(Vec::new()) };
+        let [_, rows, columns] = self.card.input_shape;
+        let input = Tensor::from_vec(self.input(&map.db, map.shape, None)?, (1, rows, columns), &Device::Cpu)?;
+        Ok(match network.latent(&input)? {
+            Some(latent) => latent.flatten_all()?.to_vec1()?,
+            None => Vec::new(),
+        })
+    }
+
+    /// [`Classifier::classify`] for the cells `[rx][doppler][range]`, dB, of a map of a dataset. Models that need scene and label take
+    /// them from the row.
+    ///
+    /// # Errors
+    /// Those of [`Classifier::classify`], but for a model that needs labels: `row` has one.
+    pub fn classify_row(&mut self, db: &[f32], shape: RdmShape, row: &ManifestRow) -> Result<[f32; 3], ClassifyError> {
+        self.check_sequence(db, shape, row.frame)?;
+        self.run(db, shape, Some((&row.scene, row.label)))
+    }
+
+    fn check_unlabelled(&self) -> Result<(), ClassifyError> {
+        if self.card.standardisation.needs_labels() { Err(ClassifyError::NeedsLabels) } else { Ok(()) }
+    }
+
+    fn expected_shape(&self) -> RdmShape {
+        let card = &self.card;
+        let [_, rows, columns] = card.input_shape;
+        let (range, doppler) = if card.is_transposed() { (columns, rows) } else { (rows, columns) };
+        RdmShape { rx: 1, doppler, range }
+    }
+
+    fn check_sequence(&self, db: &[f32], got: RdmShape, sequence: u64) -> Result<(), ClassifyError> {
+        let expected = self.expected_shape();
+        if got != expected || db.len() != expected.cells() {
+            return Err(ClassifyError::Shape { expected, got, cells: db.len() });
+        }
+        match db.iter().position(|v| !v.is_finite()) {
+            Some(first) => {
+                let cells = db.iter().filter(|v| !v.is_finite()).count();
+                Err(ClassifyError::NonFinite { sequence, cells, first })
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Probabilities of a map that passed the checks.
+    fn run(&mut self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<[f32; 3], ClassifyError> {
+        let input = self.input(db, shape, of)?;
+        let [_, rows, columns] = self.card.input_shape;
+        let logits = self.engine.logits(&input, rows, columns)?;
+        let probabilities = softmax(&logits, self.card.temperature);
+        match probabilities.as_slice() {
+            &[p, q, r] if [p, q, r].iter().all(|v| v.is_finite()) => Ok([p as f32, q as f32, r as f32]),
+            _ => Err(ClassifyError::Diverged { largest_db: db.iter().fold(0.0, |m, v| m.max(v.abs())) }),
+        }
+    }
+
+    /// Input of the network for a map: standardised, `[range][doppler]` or transposed by the card.
+    fn input(&self, db: &[f32], shape: RdmShape, of: Option<(&str, Occupancy)>) -> Result<Vec<f32>, ClassifyError> {
+        let wrong_shape = || ClassifyError::Shape { expected: self.expected_shape(), got: shape, cells: db.len() };
+        let mut input = network_input(db, shape, 0).ok_or_else(wrong_shape)?;
+        self.card.standardisation.apply(&mut input, shape.doppler, of);
+        if !self.card.is_transposed() {
+            return Ok(input);
+        }
+        let mut transposed = vec![0.0; input.len()];
+        for (row, line) in input.chunks_exact(shape.doppler).enumerate() {
+            for (column, &value) in line.iter().enumerate() {
+                transposed[column * shape.range + row] = value;
+            }
+        }
+        Ok(transposed)
+    }
+}
+
+impl ModelCard {
+    /// The card of a model file, safetensors or ONNX, without its numbers.
+    ///
+    /// # Errors
+    /// [`ModelError`] if the file cannot be read, has more than [`MODEL_LIMIT_BYTES`](crate::MODEL_LIMIT_BYTES), is damaged, has no
+    /// card, or the card makes no sense.
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        let data = read(path)?;
+        if is_onnx(path) { read_card(path, &data) } else { Self::of_safetensors(path, &data) }
+    }
+}

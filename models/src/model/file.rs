@@ -1,0 +1,119 @@
+//! Model files: safetensors with a card in the metadata.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+use safetensors::tensor::{Dtype, SafeTensors, TensorView};
+
+use super::card::{CARD_KEY, ModelCard, ModelError};
+use crate::bounded_file::{self, MODEL_LIMIT_BYTES};
+use crate::kernel::KernelLevel;
+use crate::network::Network;
+use crate::whole_file;
+
+/// A network with its card.
+pub struct Model {
+    /// Everything but the numbers.
+    pub card: ModelCard,
+    /// Network with its numbers.
+    pub network: Network,
+}
+
+/// Whether the name of a file says that it is ONNX.
+pub(crate) fn is_onnx(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("onnx"))
+}
+
+pub(crate) fn read(path: &Path) -> Result<Vec<u8>, ModelError> {
+    bounded_file::read(path, MODEL_LIMIT_BYTES).map_err(|source| ModelError::Io {
+        path: path.to_owned(),
+        action: "reading",
+        source,
+    })
+}
+
+impl Model {
+    /// Writes the model under a temporary name and renames it, so that a file of this name is whole.
+    ///
+    /// # Errors
+    /// [`ModelError::Card`] if the card cannot be written as JSON, [`ModelError::Network`] if the numbers cannot be read, and
+    /// [`ModelError::Io`] if the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<(), ModelError> {
+        let io = |action: &'static str| {
+            let path = path.to_owned();
+            move |source| ModelError::Io { path, action, source }
+        };
+        let card =
+            serde_json::to_string(&self.card).map_err(|source| ModelError::Card { path: path.to_owned(), source })?;
+        let values = self.network.values()?;
+        let arrays = self.network.spec().layout().into_iter().map(|(name, shape)| {
+            let numbers = values.get(&name).map(Vec::as_slice).unwrap_or_default();
+            (name, shape, numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>())
+        });
+        let arrays: Vec<_> = arrays.collect();
+        let mut views = Vec::new();
+        for (name, shape, bytes) in &arrays {
+            let view = TensorView::new(Dtype::F32, shape.clone(), bytes).map_err(|e| not_safetensors(path, 0, e))?;
+            views.push((name, view));
+        }
+        let metadata = HashMap::from([(CARD_KEY.to_owned(), card)]);
+        let data = safetensors::serialize(views, Some(metadata)).map_err(|e| not_safetensors(path, 0, e))?;
+        whole_file::write(path, &data).map_err(io("writing"))
+    }
+
+    /// Reads a model and checks that it is complete and consistent.
+    ///
+    /// # Errors
+    /// [`ModelError::Io`] if the file cannot be read or has more than [`MODEL_LIMIT_BYTES`], and those of [`Model::from_bytes`].
+    pub fn load(path: &Path) -> Result<Self, ModelError> {
+        Self::from_bytes(path, &read(path)?)
+    }
+
+    /// Reads a model from the bytes of the file `path` (used in errors only).
+    ///
+    /// # Errors
+    /// [`ModelError`] if the bytes are no safetensors, have no card, or if card and arrays contradict each other or hold numbers
+    /// that are not finite.
+    pub fn from_bytes(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
+        let card = ModelCard::of_safetensors(path, data)?;
+        let tensors = SafeTensors::deserialize(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        let spec = card.network_spec();
+        let mut values = BTreeMap::new();
+        for (name, shape) in spec.layout() {
+            let inconsistent = |found: String| ModelError::Inconsistent {
+                path: path.to_owned(),
+                what: format!("tensor {name}"),
+                expected: format!("F32 {shape:?}, finite"),
+                found,
+            };
+            let view = tensors.tensor(&name).map_err(|e| inconsistent(e.to_string()))?;
+            if view.dtype() != Dtype::F32 || view.shape() != shape {
+                return Err(inconsistent(format!("{:?} {:?}", view.dtype(), view.shape())));
+            }
+            let numbers: Vec<f32> = view.data().as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+            let bad = numbers.iter().filter(|v| !v.is_finite()).count();
+            if bad > 0 {
+                return Err(inconsistent(format!("{bad} values that are NaN or infinite")));
+            }
+            values.insert(name, numbers);
+        }
+        let mut network = Network::from_values(&spec, &values, KernelLevel::detect())?;
+        network.set_latent_constants(card.latent.clone());
+        Ok(Model { card, network })
+    }
+}
+
+impl ModelCard {
+    /// Card in the bytes of the safetensors file `path` (used in errors only).
+    pub(super) fn of_safetensors(path: &Path, data: &[u8]) -> Result<Self, ModelError> {
+        let (_, header) = SafeTensors::read_metadata(data).map_err(|e| not_safetensors(path, data.len(), e))?;
+        match header.metadata().as_ref().and_then(|metadata| metadata.get(CARD_KEY)) {
+            Some(text) => Self::parse(path, text),
+            None => Err(ModelError::NoCard { path: path.to_owned() }),
+        }
+    }
+}
+
+fn not_safetensors(path: &Path, length: usize, error: impl std::fmt::Display) -> ModelError {
+    ModelError::NotSafetensors { path: path.to_owned(), reason: error.to_string(), length }
+}

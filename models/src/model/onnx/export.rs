@@ -1,0 +1,215 @@
+//! Layers of a network as ONNX operators.
+
+use prost::Message;
+
+use super::circuit;
+use super::proto::{self, FLOAT};
+use super::writer::{ExportError, Writer, int};
+use crate::layer::{Activation, bin};
+use crate::model::card::CARD_KEY;
+use crate::model::file::Model;
+use crate::model::onnx_runtime::{INPUT_NAME, OUTPUT_NAME};
+use crate::network::{INPUT, Layer, Network, Node, Size, Value};
+
+const OPSET: i64 = 17;
+const IR_VERSION: i64 = 8;
+
+/// Writes a model with its card as the bytes of an ONNX file.
+///
+/// # Errors
+/// [`ExportError`] if a layer has no ONNX form, or the card or the numbers cannot be read.
+pub fn export(model: &Model) -> Result<Vec<u8>, ExportError> {
+    let [_, range, doppler] = model.card.input_shape;
+    let card = serde_json::to_string(&model.card)?;
+    let graph = graph(&model.network, range, doppler)?;
+    Ok(file(graph, vec![proto::Entry { key: CARD_KEY.to_owned(), value: card }]))
+}
+
+/// Writes a network without a card as the bytes of an ONNX file, for maps of `range x doppler` bins.
+///
+/// # Errors
+/// [`ExportError`] if a layer has no ONNX form, or the numbers cannot be read.
+pub fn export_network(network: &Network, range: usize, doppler: usize) -> Result<Vec<u8>, ExportError> {
+    Ok(file(graph(network, range, doppler)?, Vec::new()))
+}
+
+fn file(graph: proto::Graph, metadata: Vec<proto::Entry>) -> Vec<u8> {
+    let model = proto::Model {
+        ir_version: IR_VERSION,
+        producer_name: "radome".to_owned(),
+        producer_version: env!("CARGO_PKG_VERSION").to_owned(),
+        graph: Some(graph),
+        opset_import: vec![proto::OperatorSet { domain: String::new(), version: OPSET }],
+        metadata,
+    };
+    model.encode_to_vec()
+}
+
+fn graph(network: &Network, range: usize, doppler: usize) -> Result<proto::Graph, ExportError> {
+    let mut writer = Writer { network, graph: proto::Graph::default(), sizes: Vec::new() };
+    let layers = network.graph();
+    writer.sizes = match layers.sizes(range, doppler) {
+        Ok(sizes) => sizes,
+        Err(node) => {
+            let error = format!("maps of {range} x {doppler} bins are too small for layer {}", node.name);
+            return Err(ExportError::Network(candle_core::Error::Msg(error)));
+        }
+    };
+    let needed = layers.needed(&[layers.output], &[]);
+    for (index, (node, _)) in layers.nodes.iter().zip(needed).enumerate().filter(|(_, (_, needed))| *needed) {
+        let inputs: Vec<String> = node.inputs.iter().map(|&value| name_of(layers.output, value)).collect();
+        writer.layer(node, &inputs, name_of(layers.output, index + 1))?;
+    }
+    let mut graph = writer.graph;
+    graph.name = "radome".to_owned();
+    let map = [None, Some(1), Some(range), Some(doppler)];
+    graph.input = vec![value_info(INPUT_NAME, &map)];
+    graph.output = vec![value_info(OUTPUT_NAME, &[None, Some(3)])];
+    Ok(graph)
+}
+
+fn name_of(output: Value, value: Value) -> String {
+    match value {
+        INPUT => INPUT_NAME.to_owned(),
+        value if value == output => OUTPUT_NAME.to_owned(),
+        value => format!("v{value}"),
+    }
+}
+
+fn value_info(name: &str, shape: &[Option<usize>]) -> proto::ValueInfo {
+    let dim = |size: &Option<usize>| match size {
+        Some(size) => proto::Dimension { value: Some(*size as i64), name: None },
+        None => proto::Dimension { value: None, name: Some("batch".to_owned()) },
+    };
+    let shape = proto::Shape { dim: shape.iter().map(dim).collect() };
+    let tensor = proto::TensorType { element: FLOAT, shape: Some(shape) };
+    proto::ValueInfo { name: name.to_owned(), of: Some(proto::Type { tensor: Some(tensor) }) }
+}
+
+impl Writer<'_> {
+    fn layer(&mut self, node: &Node, inputs: &[String], output: String) -> Result<(), ExportError> {
+        let name = &node.name;
+        let first = inputs.first().map(String::as_str).unwrap_or_default();
+        let second = inputs.get(1).map(String::as_str).unwrap_or_default();
+        let named = |what: &str| format!("{name}.{what}");
+        match &node.layer {
+            Layer::Descriptors => return Err(ExportError::Descriptors { layer: name.clone() }),
+            Layer::Repeat { channels } => {
+                let copies = vec![first; *channels];
+                self.op("Concat", &copies, &output, vec![int("axis", 1)]);
+            }
+            Layer::ConvReluPool { .. } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                let window = window(3, 1, 1);
+                let convolved = self.op("Conv", &[first, &weight, &bias], &named("convolved"), window);
+                let rectified = self.op("Relu", &[&convolved], &named("rectified"), Vec::new());
+                self.op("MaxPool", &[&rectified], &output, pool(2, 2, 0));
+            }
+            Layer::Convolution { kernel, geometry, bias, .. } => {
+                let mut read = vec![first.to_owned(), self.parameter(&named("weight"))?];
+                if *bias {
+                    read.push(self.parameter(&named("bias"))?);
+                }
+                let mut attributes = window(*kernel, geometry.stride, geometry.padding);
+                attributes.push(int("group", geometry.groups as i64));
+                self.op("Conv", &read.iter().map(String::as_str).collect::<Vec<_>>(), &output, attributes);
+            }
+            Layer::BatchNorm { channels, activation } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                let statistics = self.network.parameters().statistics(name)?;
+                let (mean, variance, epsilon) =
+                    (statistics.mean(), statistics.variance(), statistics.constants().epsilon);
+                let mean = self.constant(&named("running_mean"), &[*channels], &mean);
+                let variance = self.constant(&named("running_var"), &[*channels], &variance);
+                let read = [first, &weight, &bias, &mean, &variance];
+                let epsilon = vec![float("epsilon", epsilon)];
+                self.activated("BatchNormalization", &read, &output, epsilon, *activation);
+            }
+            Layer::Activate(function) => drop(self.activate(*function, first, &output)),
+            Layer::MaxPool { kernel, stride, padding } => {
+                self.op("MaxPool", &[first], &output, pool(*kernel, *stride, *padding));
+            }
+            Layer::AveragePool { rows, columns } => {
+                let (height, width) = match node.inputs.first().and_then(|&value| self.sizes.get(value)) {
+                    Some(&Size::Map { rows, columns, .. }) => (rows, columns),
+                    _ => (1, 1),
+                };
+                let by_columns = self.constant(&named("columns"), &[width, *columns], &means(width, *columns, true));
+                let by_rows = self.constant(&named("rows"), &[*rows, height], &means(height, *rows, false));
+                let narrow = self.op("MatMul", &[first, &by_columns], &named("narrow"), Vec::new());
+                let pooled = self.op("MatMul", &[&by_rows, &narrow], &named("pooled"), Vec::new());
+                self.op("Flatten", &[&pooled], &output, vec![int("axis", 1)]);
+            }
+            Layer::Linear { .. } => {
+                let (weight, bias) = (self.parameter(&named("weight"))?, self.parameter(&named("bias"))?);
+                self.op("Gemm", &[first, &weight, &bias], &output, vec![int("transB", 1)]);
+            }
+            Layer::ScaleChannels => {
+                let axes = named("axes");
+                // ONNX takes axes as integers here, so they are written as a shape.
+                let shape = self.whole_numbers(&axes, &[0, -1, 1, 1]);
+                let factors = self.op("Reshape", &[second, &shape], &named("factors"), Vec::new());
+                self.op("Mul", &[first, &factors], &output, Vec::new());
+            }
+            Layer::Add { rectified } => {
+                let function = if *rectified { Activation::Relu } else { Activation::None };
+                self.activated("Add", &[first, second], &output, Vec::new(), function);
+            }
+            Layer::Dropout { .. } | Layer::DropSamples { .. } => {
+                self.op("Identity", &[first], &output, Vec::new());
+            }
+            Layer::Standardise { width } => match self.network.parameters().normalisation(name).cloned() {
+                None => drop(self.op("Identity", &[first], &output, Vec::new())),
+                Some(normalisation) => {
+                    let mean = self.constant(&named("mean"), &[*width], &normalisation.mean);
+                    let sigma = self.constant(&named("sigma"), &[*width], &normalisation.sigma);
+                    let centred = self.op("Sub", &[first, &mean], &named("centred"), Vec::new());
+                    self.op("Div", &[&centred, &sigma], &output, Vec::new());
+                }
+            },
+            Layer::ScaledSigmoid => {
+                let pi = self.constant(&named("pi"), &[1], &[std::f32::consts::PI]);
+                let sigmoid = self.op("Sigmoid", &[first], &named("sigmoid"), Vec::new());
+                self.op("Mul", &[&sigmoid, &pi], &output, Vec::new());
+            }
+            Layer::Circuit { circuit, .. } => {
+                let theta = self.network.parameters().numbers(&named("theta"))?;
+                circuit::write(self, name, circuit, &theta, first, &output)?;
+            }
+            Layer::Trigonometric => circuit::write_features(self, name, first, &output),
+            Layer::Concatenate => {
+                self.op("Concat", &[first, second], &output, vec![int("axis", 1)]);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Matrix `[length][bins]` (or transposed) that computes the means over the bins of an adaptive pooling.
+fn means(length: usize, bins: usize, bins_last: bool) -> Vec<f32> {
+    let mut matrix = vec![0.0; length * bins];
+    for index in 0..bins {
+        let (from, to) = bin(index, bins, length);
+        for cell in from..to {
+            let at = if bins_last { cell * bins + index } else { index * length + cell };
+            matrix[at] = 1.0 / (to - from) as f32;
+        }
+    }
+    matrix
+}
+
+fn window(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
+    vec![ints("kernel_shape", kernel, 2), ints("strides", stride, 2), ints("pads", padding, 4)]
+}
+
+fn pool(kernel: usize, stride: usize, padding: usize) -> Vec<proto::Attribute> {
+    window(kernel, stride, padding)
+}
+
+fn float(name: &str, value: f32) -> proto::Attribute {
+    proto::Attribute { name: name.to_owned(), f: Some(value), kind: 1, ..Default::default() }
+}
+
+fn ints(name: &str, value: usize, count: usize) -> proto::Attribute {
+    proto::Attribute { name: name.to_owned(), ints: vec![value as i64; count], kind: 7, ..Default::default() }
+}

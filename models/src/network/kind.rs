@@ -1,0 +1,75 @@
+//! Kinds of networks, and the maps that each can read.
+
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::standardise::MapReference;
+
+/// Kind of a network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NetworkKind {
+    /// The paper's backbone of two convolutions and a narrow latent, with a [`Head`](super::Head).
+    #[default]
+    Hqnn,
+    /// Five convolution blocks, three dense layers.
+    DopplerNet,
+    /// ResNet-18.
+    #[serde(rename = "resnet18")]
+    ResNet18,
+    /// EfficientNet-B0 with a stem for one channel.
+    #[serde(rename = "efficientnet_b0")]
+    EfficientNetB0,
+    /// EfficientNet-B0 with torchvision's stem, of which each of the three channels sees the map.
+    #[serde(rename = "efficientnet_b0_rgb")]
+    EfficientNetB0Rgb,
+    /// Descriptors of a map ([`crate::layer::descriptors`]) and a linear head.
+    DescriptorLinear,
+    /// Descriptors of a map, a narrow latent and a [`Head`](super::Head).
+    DescriptorHqnn,
+}
+
+/// Error: a network of descriptors cannot read such maps.
+#[derive(Debug, Clone, PartialEq, Eq, Error)]
+#[error(
+    "{network:?} describes maps in dB over their own noise, range by velocity, but {found}\n\nhint: give the training \
+     reference = {{ over_noise = {{ skip_range_bins = 3 }} }}, and neither transposed nor label_leaking_cells"
+)]
+pub struct UnreadableMaps {
+    /// The network.
+    pub network: NetworkKind,
+    /// Property of the maps that does not fit.
+    pub found: &'static str,
+}
+
+impl NetworkKind {
+    /// Whether the network describes maps by [`crate::layer::descriptors`]: it reads dB over noise that are not standardised.
+    pub fn reads_descriptors(self) -> bool {
+        matches!(self, NetworkKind::DescriptorLinear | NetworkKind::DescriptorHqnn)
+    }
+
+    /// Whether the network has a narrow latent and a [`Head`](super::Head).
+    pub fn has_latent(self) -> bool {
+        matches!(self, NetworkKind::Hqnn | NetworkKind::DescriptorHqnn)
+    }
+
+    /// Checks that the network can read maps of this reference and orientation.
+    ///
+    /// # Errors
+    /// The network describes maps, and they are not in dB over noise, or transposed, or standardised by scene and class.
+    pub fn check_maps(
+        self,
+        reference: MapReference,
+        transposed: bool,
+        label_leaking: bool,
+    ) -> Result<(), UnreadableMaps> {
+        let found = match reference {
+            _ if !self.reads_descriptors() => return Ok(()),
+            MapReference::Absolute => "their reference is absolute",
+            _ if transposed => "they are transposed",
+            _ if label_leaking => "they are standardised by scene and class",
+            _ => return Ok(()),
+        };
+        Err(UnreadableMaps { network: self, found })
+    }
+}

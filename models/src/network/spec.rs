@@ -1,0 +1,111 @@
+//! Settings that decide a network's layers, and the networks that have a name.
+
+use serde::{Deserialize, Serialize};
+
+use super::graph::Graph;
+use super::hqnn::{Head, PAPER_POOLED, Placement};
+use super::kind::NetworkKind;
+use super::{descriptor, doppler_net, efficientnet_b0, hqnn, parameters, resnet18};
+
+/// Settings that decide a network's layers.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+pub struct NetworkSpec {
+    /// Kind of the network.
+    pub kind: NetworkKind,
+    /// Rows and columns that the HQNN's second block is averaged to; ignored by other kinds.
+    pub pooled: [usize; 2],
+    /// Layers behind the latent of the HQNN or of descriptors; ignored by other kinds.
+    pub head: Head,
+}
+
+impl NetworkSpec {
+    /// The paper's HQNN with another head.
+    pub fn with_head(head: Head) -> Self {
+        NetworkSpec { kind: NetworkKind::Hqnn, pooled: PAPER_POOLED, head }
+    }
+
+    /// Finds a network by its name, one of [`networks`].
+    pub fn named(name: &str) -> Option<Self> {
+        named().into_iter().find(|(known, _)| *known == name).map(|(_, spec)| spec)
+    }
+
+    /// Names and shapes of the arrays in a model file, in order.
+    pub fn layout(&self) -> Vec<(String, Vec<usize>)> {
+        parameters::layout(&self.graph())
+    }
+
+    /// Number of trained parameters.
+    pub fn parameter_count(&self) -> usize {
+        let declared = self.graph().declarations();
+        let kept = declared.iter().filter(|declaration| !declaration.name.starts_with("warm_up."));
+        kept.map(|declaration| declaration.shape.iter().product::<usize>()).sum()
+    }
+
+    /// Multiply-adds of one map of `range x doppler` bins; 0 where the map is too small for the network.
+    pub fn multiply_adds(&self, range: usize, doppler: usize) -> u64 {
+        self.graph().multiply_adds(range, doppler)
+    }
+
+    /// Name of the first layer that maps of `range x doppler` bins are too small for, if there is one.
+    pub fn too_small_for(&self, range: usize, doppler: usize) -> Option<String> {
+        self.graph().sizes(range, doppler).err().map(|node| node.name.clone())
+    }
+
+    pub(crate) fn graph(&self) -> Graph {
+        match self.kind {
+            NetworkKind::Hqnn => hqnn::graph(self.pooled, &self.head),
+            NetworkKind::DopplerNet => doppler_net::graph(),
+            NetworkKind::ResNet18 => resnet18::graph(),
+            NetworkKind::EfficientNetB0 => efficientnet_b0::graph(1),
+            NetworkKind::EfficientNetB0Rgb => efficientnet_b0::graph(3),
+            NetworkKind::DescriptorLinear => descriptor::linear(),
+            NetworkKind::DescriptorHqnn => descriptor::hqnn(&self.head),
+        }
+    }
+}
+
+/// Networks with their names, as commands and studies spell them.
+pub(super) fn named() -> Vec<(&'static str, NetworkSpec)> {
+    let head = NetworkSpec::with_head;
+    let kind = |kind| NetworkSpec { kind, pooled: PAPER_POOLED, head: Head::default() };
+    let circuit = |frozen| Head::Circuit { circuit: Default::default(), frozen, placement: Placement::Latent };
+    vec![
+        ("hqnn", head(Head::default())),
+        ("estimator_matched", head(Head::Linear)),
+        ("dequantization", head(Head::Dequantization)),
+        ("squashed_linear", head(Head::SquashedLinear)),
+        ("squashed_dequantization", head(Head::SquashedDequantization)),
+        ("trigonometric", head(Head::Trigonometric)),
+        ("frozen_angles", head(circuit(true))),
+        ("doppler_net", kind(NetworkKind::DopplerNet)),
+        ("resnet18", kind(NetworkKind::ResNet18)),
+        ("efficientnet_b0", kind(NetworkKind::EfficientNetB0)),
+        ("efficientnet_b0_rgb", kind(NetworkKind::EfficientNetB0Rgb)),
+        ("descriptor_linear", kind(NetworkKind::DescriptorLinear)),
+        ("descriptor_hqnn", kind(NetworkKind::DescriptorHqnn)),
+    ]
+}
+
+/// Name, size and cost of a network.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NetworkInfo {
+    /// Name, as commands and studies spell it.
+    pub name: String,
+    /// Number of trained parameters.
+    pub parameters: usize,
+    /// Multiply-adds of one map of the size `input`.
+    pub multiply_adds: u64,
+    /// `[channel][range][doppler]` that `multiply_adds` is for; other sizes work too.
+    pub input: [usize; 3],
+}
+
+/// All networks and heads of the paper, of its fair controls, and the plain classifiers of descriptors.
+pub fn networks() -> Vec<NetworkInfo> {
+    let info = |(name, spec): (&str, NetworkSpec)| NetworkInfo {
+        name: name.to_owned(),
+        parameters: spec.parameter_count(),
+        multiply_adds: spec.multiply_adds(128, 128),
+        input: [1, 128, 128],
+    };
+    named().into_iter().map(info).collect()
+}

@@ -1,0 +1,69 @@
+//! Jobs of a study and their outcomes.
+
+use serde::{Deserialize, Serialize};
+
+use crate::metrics::Metrics;
+
+/// Balanced accuracy on the training maps below which a training has failed: chance is a third.
+pub const FAILED_BELOW: f64 = 0.45;
+
+/// One training and its evaluation.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Job {
+    /// Name of the variant.
+    pub variant: String,
+    /// Share of the training maps.
+    pub label_fraction: f64,
+    /// Learning rate.
+    pub learning_rate: f64,
+    /// Seed.
+    pub seed: u64,
+    /// Recording that is the test split, in studies that hold out each in turn.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<String>,
+}
+
+/// Outcome of a job.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// The job.
+    pub job: Job,
+    /// Error that ended the training early, if any.
+    pub error: Option<String>,
+    /// Balanced accuracy on the training maps in the last epoch, measured batch by batch.
+    pub training: f64,
+    /// Scores on the validation split.
+    pub validation: Option<Metrics>,
+    /// Scores on the test split.
+    pub test: Option<Metrics>,
+    /// Scores on the test split under noise, in the order of the spec.
+    pub noisy: Vec<Noisy>,
+    /// Epochs until the target was reached on the validation split.
+    pub epochs_to_target: Option<usize>,
+    /// Time of that, s.
+    pub seconds_to_target: Option<f64>,
+    /// Time of the epochs, s.
+    pub training_seconds: f64,
+    /// Median time of one map through the classifier, ms.
+    pub latency_ms: f64,
+    /// Trained numbers.
+    pub parameters: usize,
+    /// Multiply-adds of one map.
+    pub multiply_adds: u64,
+}
+
+impl Outcome {
+    /// Whether the training failed.
+    pub fn failed(&self) -> bool {
+        self.error.is_some() || self.training < FAILED_BELOW
+    }
+}
+
+/// Scores under noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Noisy {
+    /// Signal-to-noise ratio, dB.
+    pub snr_db: f64,
+    /// Scores.
+    pub metrics: Metrics,
+}

@@ -1,0 +1,47 @@
+//! Recordings that a model is adapted to.
+
+use radome_dsp::Occupancy;
+
+pub(super) const CLASSES: usize = Occupancy::ALL.len();
+/// Most time that a frame counts for, s. It counts for the time since the frame before it, as in the occupancy filter.
+const INDEPENDENT_S: f64 = 1.0;
+/// Approximate number of labelled frames in a fit, and most simulated maps.
+pub(super) const MOST_FRAMES: usize = 2000;
+
+/// Input of the adapted layers for one frame of a recording.
+#[derive(Debug, Clone)]
+pub struct AdaptFrame {
+    /// Start of the frame on the recording's clock, s.
+    pub time_s: f64,
+    /// Result of [`Adapter::features`](super::Adapter::features).
+    pub features: Vec<f32>,
+    /// Number of people; absent without a label.
+    pub label: Option<Occupancy>,
+}
+
+/// Recording of the room.
+#[derive(Debug, Clone)]
+pub struct AdaptRecording {
+    /// Time from frame to frame, s.
+    pub frame_interval_s: f64,
+    /// Frames in the order of time.
+    pub frames: Vec<AdaptFrame>,
+}
+
+impl AdaptRecording {
+    /// Labelled seconds of empty, one and two. A frame counts for the time since the frame before it, 1 s at most.
+    pub fn seconds(&self) -> [f64; CLASSES] {
+        let mut seconds = [0.0; CLASSES];
+        let mut last_s = None;
+        for frame in &self.frames {
+            let elapsed_s = last_s.map_or(self.frame_interval_s, |last_s: f64| frame.time_s - last_s);
+            last_s = Some(frame.time_s);
+            // If the clock goes back, the frame interval counts.
+            let elapsed_s = if elapsed_s > 0.0 { elapsed_s } else { self.frame_interval_s };
+            if let Some(label) = frame.label {
+                seconds[label.index()] += elapsed_s.min(INDEPENDENT_S);
+            }
+        }
+        seconds
+    }
+}

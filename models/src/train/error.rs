@@ -1,0 +1,111 @@
+//! Errors of a training.
+
+use radome_dsp::Occupancy;
+use thiserror::Error;
+
+use crate::dataset::{DatasetError, Split};
+use crate::model::{ClassifyError, ModelError};
+use crate::network::{UnreadableMaps, WeightsError};
+use crate::standardise::StandardiseError;
+
+/// Error of a training.
+#[derive(Debug, Error)]
+pub enum TrainError {
+    /// A setting is out of range.
+    #[error("training: {name} is {value}, expected {expected}")]
+    Setting {
+        /// Field of [`TrainSpec`](super::TrainSpec).
+        name: &'static str,
+        /// Its value.
+        value: String,
+        /// Allowed values.
+        expected: &'static str,
+    },
+    /// The augmentation needs levels over noise, which maps of an absolute reference lack.
+    #[error(
+        "training: augmentation.{setting} changes levels over noise, which maps of an absolute reference do not have\n\nhint: add [reference.over_noise] with skip_range_bins = 3 to the training's settings, or take augmentation.{setting} out"
+    )]
+    NeedsOverNoise {
+        /// Field of [`Augmentation`](super::Augmentation).
+        setting: &'static str,
+    },
+    /// Networks take one channel.
+    #[error(
+        "the dataset's maps have {rx} channels, a network takes one\n\nhint: build the dataset with channels = {{ one = 0 }} or \"incoherent_sum\" in its map spec"
+    )]
+    Channels {
+        /// Channels of a map.
+        rx: usize,
+    },
+    /// Maps are too small for the network's poolings.
+    #[error("maps are {range} range x {doppler} doppler bins, too few for the network's layer {layer}")]
+    TooSmall {
+        /// Layer whose input is too small.
+        layer: String,
+        /// Range bins.
+        range: usize,
+        /// Doppler bins.
+        doppler: usize,
+    },
+    /// A required split is empty.
+    #[error(
+        "the {split} split is empty: {maps} maps in {sequences} sequences\n\nhint: splits are made of whole sequences; record more of them, or give rows a split"
+    )]
+    EmptySplit {
+        /// The split.
+        split: Split,
+        /// Maps in the dataset.
+        maps: usize,
+        /// Sequences in the dataset.
+        sequences: usize,
+    },
+    /// The training split has maps of one class only.
+    #[error("the training split holds maps of one class only ({class}); at least two are needed")]
+    OneClass {
+        /// The class.
+        class: Occupancy,
+    },
+    /// The network cannot read such maps.
+    #[error(transparent)]
+    Maps(#[from] UnreadableMaps),
+    /// Maps cannot be standardised.
+    #[error(transparent)]
+    Standardise(#[from] StandardiseError),
+    /// A number became NaN or infinite.
+    #[error(
+        "{what} is not finite at start {start}, epoch {epoch}, step {step}\n\nhint: the learning rate of {learning_rate} may be too high"
+    )]
+    NonFinite {
+        /// Layer or gradient.
+        what: String,
+        /// Index of the initialisation.
+        start: u64,
+        /// Epoch, from 1.
+        epoch: usize,
+        /// Step within the start, from 1.
+        step: usize,
+        /// Learning rate of the spec.
+        learning_rate: f64,
+    },
+    /// Initial weights do not fit.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// A stopped training cannot be continued.
+    #[error("checkpoint: {what}\n\nhint: remove the file to start again")]
+    Checkpoint {
+        /// File and reason.
+        what: String,
+    },
+    /// The dataset cannot be read or split.
+    #[error(transparent)]
+    Dataset(#[from] DatasetError),
+    /// The trained model cannot be applied.
+    #[error(transparent)]
+    Classify(#[from] ClassifyError),
+    /// The model cannot be built.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// A tensor operation failed.
+    #[error("network: {0}")]
+    Network(#[from] candle_core::Error),
+}

@@ -1,0 +1,198 @@
+//! The training of a network, from a dataset to a model.
+
+use std::path::Path;
+
+use radome_dsp::Occupancy;
+
+use super::error::TrainError;
+use super::outcome::{EpochReport, TrainOutcome};
+use super::spec::TrainSpec;
+use super::{checkpoint, data, run, temperature};
+use crate::dataset::Dataset;
+use crate::evaluate::evaluate;
+use crate::kernel::KernelLevel;
+use crate::metrics::Metrics;
+use crate::model::{Classifier, MODEL_FORMAT_VERSION, Model, ModelCard, TrainingSummary, input_axes, input_shape};
+use crate::network::TorchvisionWeights;
+
+/// Trains a network. `report` is called after each epoch.
+///
+/// The same dataset, spec and kernel level give the same model, bit for bit, on any number of threads.
+///
+/// # Errors
+/// [`TrainError`] if a setting is out of range, the dataset cannot be read, split or standardised or does not fit the network,
+/// weights to start from do not fit, or a number becomes NaN or infinite.
+pub fn train(
+    dataset: &Dataset,
+    spec: &TrainSpec,
+    report: &mut dyn FnMut(EpochReport),
+) -> Result<TrainOutcome, TrainError> {
+    train_with_checkpoint(dataset, spec, None, report)
+}
+
+/// [`train`] that writes `checkpoint` after each epoch, continues from it if it exists, and removes it at the end. A training that
+/// was killed and continued gives the same model as one that was not.
+///
+/// # Errors
+/// Those of [`train`], and [`TrainError::Checkpoint`] if the checkpoint cannot be read or written, or is of another training.
+pub fn train_with_checkpoint(
+    dataset: &Dataset,
+    spec: &TrainSpec,
+    checkpoint: Option<&Path>,
+    report: &mut dyn FnMut(EpochReport),
+) -> Result<TrainOutcome, TrainError> {
+    spec.check()?;
+    let weights =
+        spec.weights.as_deref().map(|path| TorchvisionWeights::load(path, &spec.network_spec())).transpose()?;
+    let data = data::Data::load(dataset, spec)?;
+    let level = spec.kernel_level.unwrap_or_else(KernelLevel::detect).available();
+    let (run, history) =
+        Training { data: &data, spec, weights: weights.as_ref(), level, checkpoint, dataset_hash: dataset.hash() }
+            .run(report)?;
+
+    let chosen_start = run.start_index();
+    let (network, best_epoch) = run.finish()?;
+    let temperature = temperature::fit(&network, &data)?;
+    let header = dataset.header();
+    let mut card = ModelCard {
+        format_version: MODEL_FORMAT_VERSION,
+        network: spec.network,
+        head: spec.head.clone(),
+        classes: Occupancy::ALL.to_vec(),
+        input_shape: input_shape(header.shape.range, header.shape.doppler, spec.transposed),
+        axes: input_axes(spec.transposed),
+        waveform: header.waveform.clone(),
+        rdm_spec: header.rdm_spec,
+        standardisation: data.standardisation.clone(),
+        smoothing: spec.smoothing,
+        pooled: spec.pooled,
+        latent: network.latent_constants(),
+        temperature,
+        dataset_hash: dataset.hash(),
+        seed: spec.seed,
+        training: TrainingSummary {
+            epochs: spec.epochs,
+            best_epoch,
+            training_maps: data.train.labels.len(),
+            weights_hash: weights.as_ref().map(|weights| weights.hash().to_owned()),
+            chosen_start,
+            kernel_level: level,
+            validation: Metrics::from_predictions([]),
+            test: None,
+        },
+        adapted: None,
+    };
+    let mut warnings = data.warnings.clone();
+    warnings.extend(weights.iter().flat_map(TorchvisionWeights::warnings));
+    // Scores are computed by the same code as in live use.
+    let mut classifier = Classifier::new(Model { card: card.clone(), network });
+    let validation = evaluate(&mut classifier, dataset, &data.validation.indices)?;
+    let test = match data.test.as_slice() {
+        [] => None,
+        indices => Some(evaluate(&mut classifier, dataset, indices)?),
+    };
+    card.training.validation = validation.clone();
+    card.training.test = test.clone();
+    let Some(Model { network, .. }) = classifier.into_model() else {
+        return Err(candle_core::Error::Msg("a trained network is no ONNX file".to_owned()).into());
+    };
+    let model = Model { card, network };
+    if let Some(path) = checkpoint {
+        // A checkpoint that cannot be removed does no harm: a new training would repeat the last step.
+        let _ = std::fs::remove_file(path);
+    }
+    Ok(TrainOutcome { model, history, validation, test, warnings })
+}
+
+/// Training of all starts, in their order.
+struct Training<'a> {
+    data: &'a data::Data,
+    spec: &'a TrainSpec,
+    weights: Option<&'a TorchvisionWeights>,
+    level: KernelLevel,
+    checkpoint: Option<&'a Path>,
+    dataset_hash: String,
+}
+
+impl<'a> Training<'a> {
+    fn run(&self, report: &mut dyn FnMut(EpochReport)) -> Result<(run::Run<'a>, Vec<EpochReport>), TrainError> {
+        let Training { data, spec, weights, level, .. } = *self;
+        let trials = if spec.starts > 1 { spec.start_epochs.min(spec.epochs) } else { 0 };
+        let resume = |state| run::Run::resume(data, spec, state, level);
+        let (mut leader, mut trial, mut history, mut next_start) = match self.load()? {
+            None => (None, None, Vec::new(), 0),
+            Some(found) => (
+                found.leader.map(resume).transpose()?,
+                found.trial.map(resume).transpose()?,
+                found.history,
+                found.next_start,
+            ),
+        };
+        while trial.is_some() || next_start < spec.starts {
+            let mut run = match trial.take() {
+                Some(run) => run,
+                None => {
+                    next_start += 1;
+                    run::Run::start(data, spec, weights, next_start - 1, level)?
+                }
+            };
+            while run.epochs_done() < trials {
+                let told = run.epoch(false)?;
+                history.push(told.clone());
+                report(told);
+                self.save(leader.as_ref(), Some(&run), &history, next_start)?;
+            }
+            if leader.as_ref().is_none_or(|leader: &run::Run| run.validation_loss() < leader.validation_loss()) {
+                leader = Some(run);
+            }
+        }
+        let Some(mut run) = leader else {
+            return Err(TrainError::Setting { name: "starts", value: "0".into(), expected: "at least 1" });
+        };
+        while run.epochs_done() < spec.epochs {
+            let told = run.epoch(true)?;
+            history.push(told.clone());
+            report(told);
+            self.save(Some(&run), None, &history, next_start)?;
+        }
+        Ok((run, history))
+    }
+
+    /// Text of everything that decides the outcome.
+    fn fingerprint(&self) -> Result<String, TrainError> {
+        let spec = TrainSpec { weights: None, ..self.spec.clone() };
+        let spec = serde_json::to_string(&spec).map_err(|e| TrainError::Checkpoint { what: e.to_string() })?;
+        let weights = self.weights.map(|weights| format!(" {}", weights.hash())).unwrap_or_default();
+        Ok(format!("{spec} {:?} {}{weights}", self.level, self.dataset_hash))
+    }
+
+    fn load(&self) -> Result<Option<checkpoint::Checkpoint>, TrainError> {
+        let Some(path) = self.checkpoint else { return Ok(None) };
+        let Some(found) = checkpoint::Checkpoint::load(path)? else { return Ok(None) };
+        if found.fingerprint != self.fingerprint()? {
+            let what = format!("{} is of a training with other settings, data or instructions", path.display());
+            return Err(TrainError::Checkpoint { what });
+        }
+        Ok(Some(found))
+    }
+
+    fn save(
+        &self,
+        leader: Option<&run::Run>,
+        trial: Option<&run::Run>,
+        history: &[EpochReport],
+        next_start: u64,
+    ) -> Result<(), TrainError> {
+        let Some(path) = self.checkpoint else { return Ok(()) };
+        let state = |run: Option<&run::Run>| run.map(run::Run::state).transpose();
+        let history = history.to_vec();
+        checkpoint::Checkpoint {
+            fingerprint: self.fingerprint()?,
+            leader: state(leader)?,
+            trial: state(trial)?,
+            history,
+            next_start,
+        }
+        .save(path)
+    }
+}
