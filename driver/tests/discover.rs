@@ -222,7 +222,7 @@ fn left(board: &EmulatedBoard) -> Option<Waveform> {
     left
 }
 
-/// Found by hand: after `radome devices` nothing could be recorded without naming the waveform anew.
+/// Found by hand: after `radome board list` nothing could be recorded without naming the waveform anew.
 #[test]
 fn whoever_was_asked_keeps_what_it_was_programmed_with() {
     let machine = Machine::new();

@@ -25,7 +25,7 @@ pub enum BoardError {
     },
     /// No board of this address is attached.
     #[error(
-        "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome devices lists what is attached; boards with \
+        "no board with bulk firmware (058b:0252) is attached at {path}\n\nhint: radome board list lists what is attached; boards with \
          the vendor's shipped firmware answer on serial:/dev/ttyACM0",
         path = path.display()
     )]
@@ -242,7 +242,7 @@ mod tests {
             let absent = BoardError::Absent { path: path.clone() }.to_string();
             let (sentence, hint) = absent.split_once("\n\nhint: ").expect("a hint");
             assert_eq!(sentence, format!("no board with bulk firmware (058b:0252) is attached at {name}"));
-            assert!(hint.contains("radome devices"), "{hint}");
+            assert!(hint.contains("radome board list"), "{hint}");
             let ambiguous =
                 BoardError::Ambiguous { path: path.clone(), found: vec!["usb:1-4".into(), "usb:1-5".into()] };
             for message in [absent, ambiguous.to_string(), BoardError::Busy { path }.to_string()] {

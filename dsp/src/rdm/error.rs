@@ -71,7 +71,7 @@ pub enum SpecError {
     /// Frames of the waveform cannot be brought onto physical axes.
     #[error(
         "waveform: {quantity} is {given}, maps on physical axes need {needed}\n\nhint: capture with a waveform within this limit; \
-         `radome config` shows the sampled band of one"
+         `radome board config` shows the sampled band of one"
     )]
     Waveform {
         /// Quantity that is out of the limits.

@@ -125,7 +125,7 @@ pub enum ModelError {
     /// The safetensors or ONNX file has no card.
     #[error(
         "{path}: the metadata has no '{CARD_KEY}' entry, which says which maps the network needs and how they are \
-         standardised\n\nhint: only models that `radome train` and `radome export` wrote can be loaded"
+         standardised\n\nhint: only models that `radome model train` and `radome model export` wrote can be loaded"
     )]
     NoCard {
         /// File.

@@ -46,7 +46,7 @@ pub enum OnnxError {
         reason: String,
     },
     /// The file has other inputs or outputs than a network of this crate.
-    #[error("{path}: {what} is {found}, expected {expected}\n\nhint: `radome export` writes such files")]
+    #[error("{path}: {what} is {found}, expected {expected}\n\nhint: `radome model export` writes such files")]
     Signature {
         /// File.
         path: PathBuf,

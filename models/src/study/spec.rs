@@ -58,7 +58,7 @@ fn target() -> f64 {
 pub struct Variant {
     /// Name in the report; a network's own name needs nothing else.
     pub name: String,
-    /// Network, as `radome models` names it, if the name is another.
+    /// Network, as `radome model list` names it, if the name is another.
     #[serde(default)]
     pub network: Option<String>,
     /// Another head of the HQNN.

@@ -43,7 +43,7 @@ const STRENGTHS: [f64; 6] = [3000.0, 1000.0, 300.0, 100.0, 30.0, 10.0];
 /// Strength that is always tried, and the only one if no recording can be held out.
 const SAFE_STRENGTH: f64 = 1000.0;
 /// Weakest strength that is tried, times the square of the labelled seconds, s^3: 100 s at two minutes. Measured on simulated rooms
-/// (`radome adapt --curve`).
+/// (`radome model adapt --curve`).
 const WEAKEST_BY_TIME: f64 = 1.44e6;
 /// Most parts of the recordings that are held out in turn.
 const MOST_FOLDS: usize = 10;

@@ -101,7 +101,7 @@ impl Requests {
         if self.protocol == Protocol::V4 && is_former && !self.has_logged_version {
             self.has_logged_version = true;
             tracing::warn!(
-                "a client speaks protocol 3, which firmware of protocol 4 refuses; radome emulate --protocol mcu7-3 is a board for it"
+                "a client speaks protocol 3, which firmware of protocol 4 refuses; radome board emulate --protocol mcu7-3 is a board for it"
             );
         }
     }

@@ -197,7 +197,7 @@ fn scan(records: &mut Records, has_footer: bool, channels: &BTreeMap<u16, Topic>
 
 fn warn_of_end(records: &Records, offset: u64, reason: &str) {
     tracing::warn!(
-        "{}: never finished, and damaged at byte {offset} ({reason}): it is read up to there; radome repair looks for more behind it",
+        "{}: never finished, and damaged at byte {offset} ({reason}): it is read up to there; radome recording repair looks for more behind it",
         records.path.display()
     );
 }
