@@ -62,16 +62,13 @@ pub(super) fn past_people(
     point: DVec3,
 ) -> f64 {
     let last = order(image) as usize;
-    let mut corners = stage.room.corners(image, antenna, point);
-    let Some(mut from) = corners.next() else { return 1.0 };
     let mut weight = 1.0;
-    for (leg, to) in corners.enumerate() {
+    stage.room.each_leg(image, antenna, point, |leg, from, to| {
         for (i, other) in people.iter().enumerate() {
             if i != me || leg != last {
                 weight *= shadow::past(from, to, &other.column, stage.wavelength_m);
             }
         }
-        from = to;
-    }
+    });
     weight
 }
