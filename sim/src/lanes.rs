@@ -1,6 +1,8 @@
 //! Sixteen numbers side by side: loops over them are plain Rust, which is compiled once more for each set of instructions
 //! ([`compiled_for_levels`]) without fusing multiply and add, so that every level computes the same bits.
 
+pub mod vector;
+
 /// Numbers side by side.
 pub const LANES: usize = 16;
 
