@@ -52,7 +52,7 @@ pub(super) const LEAST_STEP_M: f64 = 5e-9;
 /// Newton takes no more steps than this.
 const MOST_STEPS: usize = 25;
 /// Highlights at smaller cosines of incidence are none.
-pub(super) const LEAST_COSINE: f64 = 0.1;
+pub(crate) const LEAST_COSINE: f64 = 0.1;
 /// Sources so many times as far as the ellipsoid is long see the highlight where the normal is their bisector.
 pub(super) const FAR: f64 = 7.0;
 
