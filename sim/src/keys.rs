@@ -208,10 +208,10 @@ impl Tracer<'_> {
         let least = self.demand.heard_lsb * self.demand.heard_lsb;
         // Receivers are so close together that the first stands for all, here and in `cut`.
         let is_loud = |met: &Met| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
-        let all = first.into_iter().zip(middle).zip(last).enumerate();
-        let open = all.map(|(path, ((first, middle), last))| Open { path, number: 0, met: [first, middle, last] });
         // People in its ways make no path louder.
-        let mut heard: Vec<Open> = open.filter(|open| open.met.iter().any(is_loud)).collect();
+        let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
+        let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
+        let mut heard: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
         for (i, instant) in at.into_iter().enumerate() {
             let numbered = heard.iter_mut().map(|open| (open.path, &mut open.met[i]));
             self.paths.shade(numbered, self.instants.people(instant));

@@ -83,12 +83,14 @@ impl Paths<'_> {
     pub fn meet(&self, asked: &[(usize, Option<DVec3>)], people: &[Snapshot], report: &mut EchoReport) -> Vec<Met> {
         let mut met = vec![Met::new(&[], None); asked.len()];
         if self.places == (0..1) {
-            let mut lanes: Vec<usize> = Vec::with_capacity(asked.len());
-            for segment in 0..SEGMENTS {
-                let is_of_segment = |path: usize| self.highlights.get(path).is_some_and(|&(_, of)| of == segment);
-                lanes.clear();
-                lanes.extend((0..asked.len()).filter(|&at| is_of_segment(asked[at].0)));
-                for lanes in lanes.chunks(WIDE) {
+            let mut of_segments: [Vec<usize>; SEGMENTS] = Default::default();
+            for (at, &(path, _)) in asked.iter().enumerate() {
+                if let Some(&(_, segment)) = self.highlights.get(path) {
+                    of_segments[segment].push(at);
+                }
+            }
+            for (segment, all) in of_segments.iter().enumerate() {
+                for lanes in all.chunks(WIDE) {
                     self.meet_lanes(segment, lanes, asked, people, &mut met, report);
                 }
             }

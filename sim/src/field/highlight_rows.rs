@@ -197,18 +197,19 @@ fn mirror(b: Vector, normal: Vector, tx: Vector, rx: Vector) -> Mirror {
     let square = times(b, b);
     let scaled = times(square, normal);
     let support_m = dot(scaled, normal).sqrt();
-    let point = scale(scaled, 1.0 / support_m);
+    let per_support = 1.0 / support_m;
+    let point = scale(scaled, per_support);
     let (to_tx, to_rx) = (subtract(tx, point), subtract(rx, point));
     let (t_m, r_m) = (dot(to_tx, to_tx).sqrt().max(1e-9), dot(to_rx, to_rx).sqrt().max(1e-9));
-    let (t, r) = (scale(to_tx, 1.0 / t_m), scale(to_rx, 1.0 / r_m));
-    let (per_t, per_r) = (0.5 / t_m, 0.5 / r_m);
+    let (inverse_t, inverse_r) = (1.0 / t_m, 1.0 / r_m);
+    let (t, r) = (scale(to_tx, inverse_t), scale(to_rx, inverse_r));
+    let (per_t, per_r) = (0.5 * inverse_t, 0.5 * inverse_r);
     let cosine = 0.5 * (dot(normal, t) + dot(normal, r));
     let u = tangent(normal);
     let v = cross(normal, u);
     // Radii of curvature over the tangent plane, and their product.
     let (p_u, p_v) = (dot(point, u), dot(point, v));
     let (scaled_u, scaled_v) = (times(square, u), times(square, v));
-    let per_support = 1.0 / support_m;
     let s_uu = (dot(scaled_u, u) - p_u * p_u) * per_support;
     let s_uv = (dot(scaled_u, v) - p_u * p_v) * per_support;
     let s_vv = (dot(scaled_v, v) - p_v * p_v) * per_support;
