@@ -65,7 +65,8 @@ impl Pattern {
         let [ahead, aside] = [x, y.abs()].map(|part| part / horizontal);
         let still = (1.0 - turn * turn).sqrt();
         let ahead = if ahead >= still { 1.0 } else { ahead * still + aside * turn };
-        let lobe = ahead.max(0.0).powf(self.azimuth_exponent) * level.powf(self.elevation_exponent);
+        let [ahead, level] = [ahead, level].map(|part| lanes::ln(part.max(f64::MIN_POSITIVE)));
+        let lobe = lanes::exp(self.azimuth_exponent * ahead + self.elevation_exponent * level);
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 }
