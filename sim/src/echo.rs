@@ -125,8 +125,9 @@ struct Pair {
     images: [usize; 2],
 }
 
-/// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make heard, then what a
-/// person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from which they scatter.
+/// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
+/// heard, then what a person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from
+/// which they scatter.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
