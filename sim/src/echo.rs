@@ -7,19 +7,22 @@ pub mod dense;
 mod key_rows;
 mod obstruction;
 mod patch;
+mod path_rows;
 mod posed_patch;
 pub mod self_shadow;
+mod side_by_side;
 pub mod skin;
 mod strength;
 mod workbench;
 
 pub use audible::{AudiblePair, HEARD, audible_pairs, audible_paths, loud_pairs};
 pub use patch::FrameTimes;
+pub use side_by_side::Met;
 
 use glam::DVec3;
 use num_complex::Complex64;
 use obstruction::{Way, past_people, visibility};
-use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use crate::actor::body::{CHEST, PELVIS, SEGMENTS};
 use crate::actor::clothing::FOLD_PLACES;
@@ -27,7 +30,7 @@ use crate::actor::motion::{AtDesk, BodyPoint, Motion};
 use crate::actor::track::smooth_step;
 use crate::field::fresnel::half_space;
 use crate::field::highlight::Ellipsoid;
-use crate::field::image::ImageIndex;
+use crate::field::image::{BoxRoom, ImageIndex};
 use crate::field::{Phasor3, incidence_frame};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::shadow::Column;
@@ -116,32 +119,47 @@ struct Pair {
     back: Way,
     /// The receivers' images.
     sinks: Vec<DVec3>,
+    /// Signs of the axes of both images, there and back.
+    signs: [[f64; 3]; 2],
+    /// Numbers of both images among those of all pairs.
+    images: [usize; 2],
 }
 
-/// Somebody's paths, to be traced one by one: `[pair][segment]`, of each pair the segments that it may make heard, then what a
-/// person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from which they scatter.
+/// Somebody's paths, to be traced one by one or many at once: `[pair][segment]`, of each pair the segments that it may make
+/// heard, then what a person at a desk has besides. Where folds are rough, each segment's highlight is followed by the places from
+/// which they scatter.
 pub struct Paths<'a> {
     stage: &'a Stage,
     motion: &'a Motion,
     me: usize,
     pairs: Vec<Pair>,
+    /// Number of images that pairs are made of.
+    images: usize,
     /// Number of the pair and segment of each highlight, in order.
     highlights: Vec<(usize, usize)>,
     /// Of each segment, its highlight (0) and its places with folds (from 1 on).
     places: std::ops::Range<usize>,
+    /// Instructions for paths side by side.
+    level: KernelLevel,
 }
 
 impl<'a> Paths<'a> {
     /// By these pairs of images, of which the direct one is the first: pairs of indices for all segments, or [`AudiblePair`]s.
     pub fn new<P: Copy + Into<AudiblePair>>(stage: &'a Stage, motion: &'a Motion, me: usize, pairs: &[P]) -> Self {
         let pairs: Vec<AudiblePair> = pairs.iter().map(|&pair| pair.into()).collect();
+        let mut images: Vec<ImageIndex> = pairs.iter().flat_map(|&AudiblePair { pair: (p, q), .. }| [p, q]).collect();
+        images.sort_unstable();
+        images.dedup();
         let pair = |&AudiblePair { pair: (p, q), .. }: &AudiblePair| {
             let source = stage.room.image_position(p, stage.tx.position);
             let sinks: Vec<DVec3> = stage.rx.iter().map(|rx| stage.room.image_position(q, rx.position)).collect();
             let first_rx = stage.rx.first().unwrap_or(&stage.tx);
             let there = Way { image: p, source, antenna: stage.tx.position };
             let back = Way { image: q, source: *sinks.first().unwrap_or(&source), antenna: first_rx.position };
-            Pair { there, back, sinks }
+            let signs = [p, q].map(|image| BoxRoom::image_vector(image, DVec3::ONE).to_array());
+            // Every image of a pair is among them.
+            let numbers = [p, q].map(|image| images.binary_search(&image).unwrap_or_default());
+            Pair { there, back, sinks, signs, images: numbers }
         };
         let folds = if motion.person.clothing.folds().is_some() { FOLD_PLACES } else { 0 };
         let of_pair = |(number, pair): (usize, &AudiblePair)| {
@@ -149,7 +167,9 @@ impl<'a> Paths<'a> {
             (0..SEGMENTS).filter(move |&segment| pair.has(segment)).map(move |segment| (number, segment))
         };
         let highlights = pairs.iter().enumerate().flat_map(of_pair).collect();
-        Paths { stage, motion, me, pairs: pairs.iter().map(pair).collect(), highlights, places: 0..1 + folds }
+        let pairs = pairs.iter().map(pair).collect();
+        let level = KernelLevel::detect();
+        Paths { stage, motion, me, pairs, images: images.len(), highlights, places: 0..1 + folds, level }
     }
 
     /// Those of rough folds alone: for a skin, whose highlights are not these.
@@ -213,7 +233,7 @@ impl<'a> Paths<'a> {
         out: &mut Vec<Key>,
         report: &mut EchoReport,
     ) -> Option<DVec3> {
-        let (stage, Pair { there: way_there, back: way_back, sinks }) = (self.stage, pair);
+        let (stage, Pair { there: way_there, back: way_back, sinks, .. }) = (self.stage, pair);
         report.paths += 1;
         let ellipsoid = own.body.get(segment)?;
         let Some(h) = ellipsoid.highlight(way_there.source, way_back.source, near) else {

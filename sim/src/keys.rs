@@ -5,7 +5,8 @@
 //! has two keys in a frame, a foot two or three, and a limb whose highlight passes behind another one as many as it takes.
 //! Quarters are there because shadows are short: one may come and go within half a frame, and middles alone would miss it.
 //!
-//! A path that is followed in one stretch is traced five times, and four more times for each time that it is cut.
+//! A path that is followed in one stretch is traced five times, and four more times for each time that it is cut. All paths of a
+//! person go on together, instant by instant, so that highlights are sought side by side ([`Paths::meet`]).
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -15,10 +16,10 @@ use num_complex::Complex64;
 
 use crate::actor::body::SEGMENTS;
 use crate::actor::motion::Motion;
-use crate::echo::{EchoReport, Paths, Snapshot};
+use crate::echo::{EchoReport, Met, Paths, Snapshot};
 use crate::field::highlight::Ellipsoid;
 use crate::slow_time::{FiveKeys, Key};
-use crate::tracks::{OTHERS, Track, Tracks};
+use crate::tracks::{Track, Tracks};
 
 /// Paths are halved no more often than this: sixteenths of a frame.
 pub const MOST_HALVINGS: u32 = 4;
@@ -107,33 +108,25 @@ pub struct KeyedPaths {
     power: f64,
 }
 
-/// A path at an instant, for each receiver, and where it is met on its segment.
-struct Met {
-    keys: Vec<Key>,
-    place: Option<DVec3>,
-}
-
-impl Met {
-    /// Key of a receiver; `None` where there is no such path.
-    fn existing(&self, receiver: usize) -> Option<&Key> {
-        self.keys.get(receiver).filter(|key| self.place.is_some() || key.amplitude != Complex64::ZERO)
-    }
+/// Key of a receiver; `None` where there is no such path.
+fn existing(met: &Met, receiver: usize) -> Option<&Key> {
+    met.keys().get(receiver).filter(|key| met.place.is_some() || key.amplitude != Complex64::ZERO)
 }
 
 /// Keys of every receiver at five instants, `apart_s` apart. Where there is no path its delay is that of the nearest instant at
 /// which there is one, and goes on at that one's rate.
 fn keys_of(five: [&Met; 5], apart_s: f64) -> Vec<FiveKeys> {
     let key = |receiver: usize, at: usize| {
-        let own = five[at].keys[receiver];
-        if five[at].existing(receiver).is_some() {
+        let own = five[at].keys()[receiver];
+        if existing(five[at], receiver).is_some() {
             return own;
         }
-        let existing = (0..5usize).filter_map(|i| Some((i, five[i].existing(receiver)?)));
+        let existing = (0..5usize).filter_map(|i| Some((i, existing(five[i], receiver)?)));
         let Some((i, near)) = existing.min_by_key(|(i, _)| i.abs_diff(at)) else { return own };
         let later_s = apart_s * (at as f64 - i as f64);
         Key { delay_s: near.delay_s + near.delay_rate * later_s, delay_rate: near.delay_rate, ..own }
     };
-    let receivers = five.iter().map(|met| met.keys.len()).min().unwrap_or(0);
+    let receivers = five.iter().map(|met| met.keys().len()).min().unwrap_or(0);
     (0..receivers).map(|receiver| std::array::from_fn(|at| key(receiver, at))).collect()
 }
 
@@ -145,66 +138,120 @@ impl KeyedPaths {
 
     /// Adds somebody's paths.
     pub fn add(&mut self, instants: &Instants, paths: &Paths, demand: &KeyDemand, report: &mut EchoReport) {
-        for path in 0..paths.count() {
-            self.traced += 1;
-            Tracer { instants, paths, path, demand, report, out: self }.follow();
-        }
+        self.traced += paths.count();
+        Tracer { instants, paths, demand, report, out: self }.follow();
     }
 }
 
-/// Follows one path through a frame.
+/// A path in a stretch in which it is not yet known whether it must be cut.
+#[derive(Debug, Clone, Copy)]
+struct Open {
+    path: usize,
+    /// Number among the paths that are heard.
+    number: usize,
+    /// At both ends and in the middle.
+    met: [Met; 3],
+}
+
+/// Follows somebody's paths through a frame.
 struct Tracer<'a> {
     instants: &'a Instants<'a>,
     paths: &'a Paths<'a>,
-    path: usize,
     demand: &'a KeyDemand,
     report: &'a mut EchoReport,
     out: &'a mut KeyedPaths,
 }
 
 impl Tracer<'_> {
-    fn trace(&mut self, instant: usize, near: Option<DVec3>) -> Met {
-        let mut keys = Vec::with_capacity(1 + OTHERS);
-        let place = self.paths.trace(self.path, self.instants.people(instant), near, &mut keys, self.report);
-        Met { keys, place }
+    /// Paths at an instant, of which it is told where each was met nearby.
+    fn meet(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
+        self.paths.meet(asked, self.instants.people(instant), self.report)
+    }
+
+    /// The same with the people in their ways.
+    fn meet_shaded(&mut self, instant: usize, asked: &[(usize, Option<DVec3>)]) -> Vec<Met> {
+        let mut met = self.meet(instant, asked);
+        let numbered = asked.iter().map(|&(path, _)| path).zip(&mut met);
+        self.paths.shade(numbered, self.instants.people(instant));
+        met
     }
 
     /// From one end of the frame to the other.
     fn follow(&mut self) {
-        let count = self.instants.count;
-        let first = self.trace(0, None);
-        let middle = self.trace(count / 2, first.place);
-        let last = self.trace(count, middle.place);
-        let least = self.demand.heard_lsb * self.demand.heard_lsb;
-        // Receivers are so close together that the first stands for all, here and in `cut`.
-        let is_heard = |met: &Met| met.keys.first().is_some_and(|key| key.amplitude.norm_sqr() > least);
-        if is_heard(&first) || is_heard(&middle) || is_heard(&last) {
-            let stretches = self.cut(0, 0, [&first, &middle, &last]);
-            self.out.heard += 1;
-            self.out.keys = self.out.keys.max(stretches + 1);
+        let open = self.heard();
+        self.out.heard += open.len();
+        let mut stretches = vec![0usize; open.len()];
+        // By place of the stretch; within it in the order of paths.
+        let (mut halvings, mut level) = (0, vec![open]);
+        while level.iter().any(|open| !open.is_empty()) {
+            let mut next: Vec<Vec<Open>> = vec![Vec::new(); 2 * level.len()];
+            for (place, open) in level.iter().enumerate().filter(|(_, open)| !open.is_empty()) {
+                self.cut(halvings, place, open, &mut next, &mut stretches);
+            }
+            (halvings, level) = (halvings + 1, next);
+        }
+        if let Some(most) = stretches.iter().max() {
+            self.out.keys = self.out.keys.max(most + 1);
         }
     }
 
-    /// Halves a stretch for as long as it takes, given the path at its ends and in its middle; returns the number of stretches.
-    fn cut(&mut self, halvings: u32, place: usize, [first, middle, last]: [&Met; 3]) -> usize {
+    /// Those paths that are heard at an end of the frame or in its middle.
+    fn heard(&mut self) -> Vec<Open> {
+        let at = [0, self.instants.count / 2, self.instants.count];
+        let mut asked: Vec<(usize, Option<DVec3>)> = (0..self.paths.count()).map(|path| (path, None)).collect();
+        let mut met_at = |instant: usize| {
+            let met = self.meet(instant, &asked);
+            asked.iter_mut().zip(&met).for_each(|((_, near), met)| *near = met.place);
+            met
+        };
+        let [first, middle, last] = at.map(&mut met_at);
+        let least = self.demand.heard_lsb * self.demand.heard_lsb;
+        // Receivers are so close together that the first stands for all, here and in `cut`.
+        let is_loud = |met: &Met| met.keys().first().is_some_and(|key| key.amplitude.norm_sqr() > least);
+        // People in its ways make no path louder.
+        let may_be_heard = |&path: &usize| [&first, &middle, &last].into_iter().any(|met| is_loud(&met[path]));
+        let open = |path: usize| Open { path, number: 0, met: [first[path], middle[path], last[path]] };
+        let mut heard: Vec<Open> = (0..first.len()).filter(may_be_heard).map(open).collect();
+        for (i, instant) in at.into_iter().enumerate() {
+            let numbered = heard.iter_mut().map(|open| (open.path, &mut open.met[i]));
+            self.paths.shade(numbered, self.instants.people(instant));
+        }
+        heard.retain(|open| open.met.iter().any(is_loud));
+        heard.iter_mut().enumerate().for_each(|(number, open)| open.number = number);
+        heard
+    }
+
+    /// Keeps those paths of a stretch that its keys hold, and hands the others on to its halves in `next`. `stretches` counts those
+    /// of each path.
+    fn cut(&mut self, halvings: u32, place: usize, all: &[Open], next: &mut [Vec<Open>], stretches: &mut [usize]) {
         let stretch_s = self.instants.span_s / f64::from(1u32 << halvings);
         let instant = |quarter: usize| ((4 * place + quarter) * self.instants.count) >> (halvings + 2);
+        let asked = |end: usize| -> Vec<(usize, Option<DVec3>)> {
+            all.iter().map(|open| (open.path, open.met[end].place)).collect()
+        };
         let [before, after] = [1, 3].map(instant);
-        let (before, after) = (self.trace(before, first.place), self.trace(after, last.place));
-        let five = [first, &before, middle, &after, last];
-        let keys = keys_of(five, 0.25 * stretch_s);
-        let Some((track, missed_lsb)) = Track::through(&keys, stretch_s, self.demand.frequency_hz) else { return 1 };
-        let between = [&before, middle, &after].into_iter().filter_map(|met| met.keys.first());
-        let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
-        let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
-        if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
-            self.out.missed += missed_lsb * missed_lsb * stretch_s;
-            self.out.power += loudest_lsb * loudest_lsb * stretch_s;
-            self.out.tracks.push(halvings, place, track);
-            return 1;
+        let (before, after) = (self.meet_shaded(before, &asked(0)), self.meet_shaded(after, &asked(2)));
+        for ((open, before), after) in all.iter().zip(before).zip(after) {
+            let [first, middle, last] = open.met;
+            let keys = keys_of([&first, &before, &middle, &after, &last], 0.25 * stretch_s);
+            let count = &mut stretches[open.number];
+            let Some((track, missed_lsb)) = Track::through(&keys, stretch_s, self.demand.frequency_hz) else {
+                *count += 1;
+                continue;
+            };
+            let between = [&before, &middle, &after].into_iter().filter_map(|met| met.keys().first());
+            let loudest_lsb = between.map(|key| key.amplitude.norm()).fold(0.0, f64::max);
+            let is_met = missed_lsb <= self.demand.least_lsb.max(self.demand.tolerance * loudest_lsb);
+            if self.demand.halvings.map_or(is_met || halvings == MOST_HALVINGS, |asked| halvings == asked) {
+                self.out.missed += missed_lsb * missed_lsb * stretch_s;
+                self.out.power += loudest_lsb * loudest_lsb * stretch_s;
+                self.out.tracks.push(halvings, place, track);
+                *count += 1;
+                continue;
+            }
+            next[2 * place].push(Open { met: [first, before, middle], ..*open });
+            next[2 * place + 1].push(Open { met: [middle, after, last], ..*open });
         }
-        self.cut(halvings + 1, 2 * place, [first, &before, middle])
-            + self.cut(halvings + 1, 2 * place + 1, [middle, &after, last])
     }
 }
 
@@ -216,8 +263,7 @@ mod tests {
     #[test]
     fn delays_go_on_where_paths_end_to_be() {
         let key = |delay_s: f64, amplitude: f64| Key { delay_s, delay_rate: 2.0, amplitude: amplitude.into() };
-        let met =
-            |delay_s: f64, amplitude: f64, place: Option<DVec3>| Met { keys: vec![key(delay_s, amplitude)], place };
+        let met = |delay_s: f64, amplitude: f64, place: Option<DVec3>| Met::new(&[key(delay_s, amplitude)], place);
         let (here, gone) = (|delay_s| met(delay_s, 1.0, Some(DVec3::X)), || met(99.0, 0.0, None));
         let five = [gone(), here(1.0), here(3.0), gone(), gone()];
         let keys = keys_of(five.each_ref(), 0.5)[0];

@@ -1,6 +1,8 @@
 //! Sixteen numbers side by side: loops over them are plain Rust, which is compiled once more for each set of instructions
 //! ([`compiled_for_levels`]) without fusing multiply and add, so that every level computes the same bits.
 
+pub mod vector;
+
 /// Numbers side by side.
 pub const LANES: usize = 16;
 
@@ -9,6 +11,15 @@ pub type Row = [f32; LANES];
 
 /// A vector in every lane: `[axis][lane]`.
 pub type Row3 = [Row; 3];
+
+/// Numbers in double precision side by side.
+pub const WIDE: usize = 8;
+
+/// As many numbers in double precision as there are such lanes.
+pub type WideRow = [f64; WIDE];
+
+/// A vector in double precision in every such lane: `[axis][lane]`.
+pub type WideRow3 = [WideRow; 3];
 
 /// A function that has the body of another, an `#[inline(always)]` one, compiled for the level of instructions that its first
 /// argument names (which the processor must have).
@@ -57,6 +68,47 @@ pub fn cos_sin_of_turns(turns: f32) -> (f32, f32) {
     (1.0 - 2.0 * sine * sine, 2.0 * sine * cosine)
 }
 
+/// Natural logarithm of a positive normal number, to 1e-15 of it or of one.
+#[inline(always)]
+pub fn ln(x: f64) -> f64 {
+    /// Bits of the root of 1/2, at which mantissas begin.
+    const LEAST: u64 = 0x3FE6_A09E_667F_3BCD;
+    /// Bits of 2^52: an integer in the last bits of it is added to it.
+    const INTEGER: u64 = 0x4330_0000_0000_0000;
+    let bits = x.to_bits().wrapping_add(0x3FF0_0000_0000_0000 - LEAST);
+    let exponent = f64::from_bits((bits >> 52) | INTEGER) - (4_503_599_627_370_496.0 + 1023.0);
+    let mantissa = f64::from_bits((bits & 0x000F_FFFF_FFFF_FFFF) + LEAST);
+    let y = (mantissa - 1.0) / (mantissa + 1.0);
+    let z = y * y;
+    // Written out, as all series are: a loop within a lane keeps lanes apart.
+    let high = 1.0 / 11.0 + z * (1.0 / 13.0 + z * (1.0 / 15.0 + z * (1.0 / 17.0 + z * (1.0 / 19.0))));
+    let sum = 1.0 + z * (1.0 / 3.0 + z * (1.0 / 5.0 + z * (1.0 / 7.0 + z * (1.0 / 9.0 + z * high))));
+    exponent * std::f64::consts::LN_2 + 2.0 * y * sum
+}
+
+/// Exponential, to 1e-14 of it, of numbers within 700 of zero; others count as the nearest of these.
+#[inline(always)]
+pub fn exp(x: f64) -> f64 {
+    /// 1.5 times 2^52: adding it leaves the nearest integer in a number's last bits.
+    const SHIFT: f64 = 6_755_399_441_055_744.0;
+    /// Parts of the logarithm of 2: integers times the first are exact.
+    const LN_2: [f64; 2] = [0.693_147_180_369_123_8, 1.908_214_929_270_587_7e-10];
+    let x = x.clamp(-700.0, 700.0);
+    let shifted = x * std::f64::consts::LOG2_E + SHIFT;
+    let whole = shifted - SHIFT;
+    let rest = (x - whole * LN_2[0]) - whole * LN_2[1];
+    let high = 1.0 / 40_320.0 + rest * (1.0 / 362_880.0 + rest * (1.0 / 3_628_800.0 + rest * (1.0 / 39_916_800.0)));
+    let middle = 1.0 / 24.0 + rest * (1.0 / 120.0 + rest * (1.0 / 720.0 + rest * (1.0 / 5040.0 + rest * high)));
+    let sum = 1.0 + rest * (1.0 + rest * (0.5 + rest * (1.0 / 6.0 + rest * middle)));
+    sum * f64::from_bits((shifted.to_bits() << 52).wrapping_add(1f64.to_bits()))
+}
+
+/// The vector of one lane, in double precision.
+#[inline(always)]
+pub fn wide_lane(of: &WideRow3, l: usize) -> [f64; 3] {
+    [of[0][l], of[1][l], of[2][l]]
+}
+
 /// The vector of one lane.
 #[inline(always)]
 pub fn lane(of: &Row3, l: usize) -> [f32; 3] {
@@ -77,6 +129,20 @@ pub fn dot(a: &Row3, b: &Row3) -> Row {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn logarithms_and_exponentials_are_those_of_the_library() {
+        for i in -6990..=6990 {
+            let x = 0.1 * f64::from(i);
+            assert!((exp(x) / x.exp() - 1.0).abs() < 3e-14, "{x}: {}", exp(x));
+            assert!((ln(x.exp()) - x).abs() < 1e-14 * x.abs().max(1.0), "{x}: {}", ln(x.exp()));
+            let near_one = 1.0 + 1e-4 * f64::from(i);
+            assert!((ln(near_one) - near_one.ln()).abs() < 1e-14, "{near_one}");
+        }
+        assert_eq!((ln(1.0), exp(0.0)), (0.0, 1.0));
+        assert!((ln(f64::MIN_POSITIVE) + 708.396_418_532_264_1).abs() < 1e-12);
+        assert!(exp(-1e9) < 1e-300);
+    }
 
     #[test]
     fn cosines_and_sines_are_right_over_many_turns() {

@@ -6,8 +6,11 @@
 
 use glam::DVec3;
 use num_complex::Complex64;
+use radome_dsp::KernelLevel;
 
 use crate::actor::track::{smooth_ramp, smooth_step};
+use crate::lanes::vector::{dot, subtract};
+use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
 
 /// An upright obstacle standing on the floor.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -94,6 +97,53 @@ pub fn past(a: DVec3, b: DVec3, column: &Column, wavelength_m: f64) -> f64 {
     knife_edge(-clearance * beside.square_nu_per_m2.sqrt())
 }
 
+compiled_for_levels! {
+    /// Computes Fresnel's parameter by which straight legs side by side are covered by a column; minus infinity where it is too
+    /// far off to matter.
+    fn covered_rows(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) = covered_body;
+}
+
+#[inline(always)]
+fn covered_body(from: &WideRow3, to: &WideRow3, column: &Column, wavelength_m: f64, nu: &mut WideRow) {
+    let reach_m = column.radius_m + REACH_M;
+    for (l, nu) in nu.iter_mut().enumerate() {
+        let (a, b) = (wide_lane(from, l), wide_lane(to, l));
+        let (ax, ay) = (a[0] - column.x, a[1] - column.y);
+        let way = subtract(b, a);
+        let plan = way[0] * way[0] + way[1] * way[1];
+        let along = -(ax * way[0] + ay * way[1]) / plan;
+        let along = if along > 0.0 { along } else { 0.0 };
+        let along = if along < 1.0 { along } else { 1.0 };
+        let fraction = if plan > 1e-12 { along } else { 0.5 };
+        let (x, y) = (ax + fraction * way[0], ay + fraction * way[1]);
+        let (square, length_m) = (x * x + y * y, dot(way, way).sqrt());
+        let (d1, d2) = (fraction * length_m, (1.0 - fraction) * length_m);
+        let d1 = if d1 > 0.05 { d1 } else { 0.05 };
+        let d2 = if d2 > 0.05 { d2 } else { 0.05 };
+        let square_nu_per_m2 = 2.0 * (d1 + d2) / (wavelength_m * d1 * d2);
+        let (aside_m, above_m) = (square.sqrt() - column.radius_m, a[2] + fraction * way[2] - column.height_m);
+        let clearance_m = if aside_m > above_m { aside_m } else { above_m };
+        let is_near = square <= reach_m * reach_m;
+        *nu = if is_near { -clearance_m * square_nu_per_m2.sqrt() } else { f64::NEG_INFINITY };
+    }
+}
+
+/// Multiplies by what a column leaves of the field on straight legs side by side ([`past`]).
+pub(crate) fn weaken_rows(
+    level: KernelLevel,
+    from: &WideRow3,
+    to: &WideRow3,
+    column: &Column,
+    wavelength_m: f64,
+    fields: &mut WideRow,
+) {
+    let mut nu = [0.0; WIDE];
+    covered_rows(level, from, to, column, wavelength_m, &mut nu);
+    for (field, nu) in fields.iter_mut().zip(nu).filter(|(_, nu)| *nu >= -CLEAR_NU) {
+        *field *= knife_edge(nu);
+    }
+}
+
 /// Part of the field that passes a half-plane whose edge lies `nu` beyond the leg, relative to free space: 1 far from the edge in the
 /// open, 0 far behind it, 1/2 at the edge. `(1 + j)/2 int_{-inf}^nu exp(-j pi t^2/2) dt`, with the auxiliary functions of
 /// Abramowitz and Stegun, Handbook of Mathematical Functions, 7.3.32 and 7.3.33, to 0.003.
@@ -149,7 +199,11 @@ pub fn along_strips(polyline: &[DVec3], columns: &[Column], wavelength_m: f64) -
 
 #[cfg(test)]
 mod tests {
+    use rand::Rng;
+
     use super::*;
+    use crate::lanes::vector::store;
+    use crate::random::{Purpose, generator};
 
     /// `(1 + j)/2 int exp(-j pi t^2/2)` between two places, by the midpoint rule.
     fn integral(from: f64, to: f64) -> Complex64 {
@@ -221,5 +275,37 @@ mod tests {
         assert_eq!(past(a, b, &column(0.8), 0.005), 1.0);
         let high = DVec3::new(0.0, 0.0, 2.5);
         assert_eq!(past(high, DVec3::new(4.0, 0.0, 2.5), &column(0.0), 0.005), 1.0);
+    }
+
+    /// Legs in any direction past columns anywhere: lanes lose what one leg loses.
+    #[test]
+    fn legs_side_by_side_lose_what_each_loses() {
+        let mut rng = generator(3, Purpose::Build, [0, 0]);
+        let mut shaded = 0;
+        for _ in 0..500 {
+            let mut place = |high_m: f64| {
+                DVec3::new(rng.random_range(0.0..5.0), rng.random_range(0.0..4.0), rng.random_range(0.0..high_m))
+            };
+            let middle = place(1.0);
+            let column = Column { x: middle.x, y: middle.y, radius_m: 0.18, height_m: 1.7 };
+            let legs: [[DVec3; 2]; WIDE] = std::array::from_fn(|l| {
+                let from = place(2.6);
+                // Some upright, some aimed at the column, some anywhere.
+                let to = [DVec3::new(from.x, from.y, 0.3), 2.0 * middle - from.with_z(-1.0), place(2.6)];
+                [from, to[l % 3]]
+            });
+            let (mut from, mut to, mut fields) = ([[0.0; WIDE]; 3], [[0.0; WIDE]; 3], [1.0; WIDE]);
+            for (l, leg) in legs.iter().enumerate() {
+                store(&mut from, l, leg[0].to_array());
+                store(&mut to, l, leg[1].to_array());
+            }
+            weaken_rows(KernelLevel::detect(), &from, &to, &column, 0.005, &mut fields);
+            for (leg, field) in legs.iter().zip(fields) {
+                let one = past(leg[0], leg[1], &column, 0.005);
+                assert!((field - one).abs() < 1e-12, "{leg:?} {column:?}: {field} {one}");
+                shaded += usize::from(one < 0.9);
+            }
+        }
+        assert!(shaded > 100, "{shaded}");
     }
 }

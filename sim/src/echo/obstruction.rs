@@ -1,15 +1,26 @@
 //! What people leave of a path: their own limbs and trunk, and everybody who stands beside one of its legs.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::Snapshot;
+use crate::field::highlight::Ellipsoid;
 use crate::field::image::{ImageIndex, order};
-use crate::shadow::{self, Column};
+use crate::shadow::{self, Column, REACH_M};
 use crate::stage::Stage;
 
 /// Which segment may hide a limb: the same limb of the other side.
-fn opposite(segment: usize) -> Option<usize> {
+pub(super) fn opposite(segment: usize) -> Option<usize> {
     (segment >= 3).then_some(if segment % 2 == 1 { segment + 1 } else { segment - 1 })
+}
+
+/// A limb as an upright column.
+pub(super) fn limb_column(limb: &Ellipsoid) -> Column {
+    Column {
+        x: limb.centre.x,
+        y: limb.centre.y,
+        radius_m: limb.semi_axes_m.x.min(limb.semi_axes_m.y),
+        height_m: limb.centre.z + limb.semi_axes_m.z,
+    }
 }
 
 /// One way of a path: between a highlight and an antenna by one of its images.
@@ -38,14 +49,7 @@ pub(super) fn visibility(
     if segment >= 3 {
         weight *= shadow::past(point, source, &own.trunk, wavelength_m);
         if let Some(other) = opposite(segment).and_then(|i| own.body.get(i)) {
-            let radius_m = other.semi_axes_m.x.min(other.semi_axes_m.y);
-            let column = Column {
-                x: other.centre.x,
-                y: other.centre.y,
-                radius_m,
-                height_m: other.centre.z + other.semi_axes_m.z,
-            };
-            weight *= shadow::past(point, source, &column, wavelength_m);
+            weight *= shadow::past(point, source, &limb_column(other), wavelength_m);
         }
     }
     weight * past_people(stage, people, me, image, antenna, point)
@@ -62,16 +66,153 @@ pub(super) fn past_people(
     point: DVec3,
 ) -> f64 {
     let last = order(image) as usize;
-    let mut corners = stage.room.corners(image, antenna, point);
-    let Some(mut from) = corners.next() else { return 1.0 };
     let mut weight = 1.0;
-    for (leg, to) in corners.enumerate() {
+    stage.room.each_leg(image, antenna, point, |leg, from, to| {
         for (i, other) in people.iter().enumerate() {
             if i != me || leg != last {
                 weight *= shadow::past(from, to, &other.column, stage.wavelength_m);
             }
         }
-        from = to;
-    }
+    });
     weight
+}
+
+/// Added to distances at which columns are left out, for rounding, m.
+const ROUNDING_M: f64 = 1e-6;
+
+/// A column on the ground plan of the unfolded room, where it has an image in every cell of the lattice that a way leads through.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Standing {
+    axis: DVec2,
+    /// Square of the distance from its axis beyond which a way is left alone, m^2.
+    reach_m2: f64,
+    /// It stands in the way only before the last mirror plane above or below.
+    is_own: bool,
+}
+
+impl Standing {
+    /// Whether a straight way on the ground plan comes near.
+    fn is_near(&self, from: DVec2, way: DVec2) -> bool {
+        let offset = self.axis - from;
+        let (along, square) = (offset.dot(way), way.length_squared());
+        if along <= 0.0 {
+            return offset.length_squared() <= self.reach_m2;
+        }
+        if along >= square {
+            return (offset - way).length_squared() <= self.reach_m2;
+        }
+        let cross = offset.perp_dot(way);
+        let is_far = cross * cross > self.reach_m2 * square;
+        !is_far
+    }
+}
+
+/// Columns that may stand in the ways between images and somebody's body at an instant, image by image as they are asked for.
+pub(super) struct Bystanders<'a> {
+    stage: &'a Stage,
+    people: &'a [Snapshot],
+    me: usize,
+    /// Columns of each image; empty before it is asked for, as there are always some.
+    of_images: Vec<Vec<Standing>>,
+}
+
+impl<'a> Bystanders<'a> {
+    /// None are known yet of so many images.
+    pub(super) fn new(stage: &'a Stage, people: &'a [Snapshot], me: usize, images: usize) -> Self {
+        Bystanders { stage, people, me, of_images: vec![Vec::new(); images] }
+    }
+
+    fn standing(&self, [x, y, _]: ImageIndex) -> Vec<Standing> {
+        let mut all = Vec::new();
+        for i in x.min(0)..=x.max(0) {
+            for j in y.min(0)..=y.max(0) {
+                for (person, Snapshot { column, .. }) in self.people.iter().enumerate() {
+                    let axis = self.stage.room.image_position([i, j, 0], DVec3::new(column.x, column.y, 0.0));
+                    let reach_m = column.radius_m + REACH_M + ROUNDING_M;
+                    let is_own = person == self.me && (i, j) == (0, 0);
+                    all.push(Standing { axis: axis.truncate(), reach_m2: reach_m * reach_m, is_own });
+                }
+            }
+        }
+        all
+    }
+
+    /// The same as [`past_people`], which is asked only where somebody stands near the way. `number` is that of the image.
+    pub(super) fn past(&mut self, number: usize, way: &Way, point: DVec3) -> f64 {
+        let (stage, people, me) = (self.stage, self.people, self.me);
+        let exact = || past_people(stage, people, me, way.image, way.antenna, point);
+        let size_m = stage.room.size_m;
+        // Ways to points outside of the room may lead beyond them before they are folded.
+        if !(point.cmpge(DVec3::ZERO).all() && point.cmple(size_m).all()) {
+            return exact();
+        }
+        if self.of_images.get(number).is_some_and(Vec::is_empty) {
+            let standing = self.standing(way.image);
+            self.of_images[number] = standing;
+        }
+        let Some(standing) = self.of_images.get(number) else { return exact() };
+        let (from, all) = (way.source.truncate(), (point - way.source).truncate());
+        // Part of the way before the last mirror plane above or below.
+        let before = match way.image[2] {
+            0 => None,
+            planes => {
+                let plane_m = if planes > 0 { size_m.z } else { 0.0 };
+                Some(all * ((plane_m - way.source.z) / (point.z - way.source.z)))
+            }
+        };
+        let is_near = |standing: &Standing| match (standing.is_own, before) {
+            (false, _) => standing.is_near(from, all),
+            (true, Some(before)) => standing.is_near(from, before),
+            (true, None) => false,
+        };
+        if standing.iter().any(is_near) { exact() } else { 1.0 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use rand::Rng;
+
+    use super::*;
+    use crate::actor::motion::{MotionBuilder, Person};
+    use crate::field::image::images;
+    use crate::random::{Purpose, generator};
+    use crate::scene::Scene;
+
+    /// Two people anywhere in rooms: ways are shaded as they are where everybody is asked.
+    #[test]
+    fn bystanders_leave_what_all_people_leave() {
+        let mut rng = generator(5, Purpose::Build, [0, 0]);
+        let (mut shaded, mut all) = (0, 0);
+        for name in ["corridor", "hall"] {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fixtures/scenes/{name}.toml"));
+            let scene = Scene::load(&path).expect("a fixture").drawn(1).expect("a scene");
+            let stage = Stage::new(&scene, 1, 10.0);
+            let size_m = stage.room.size_m;
+            for i in 0..40u64 {
+                let mut somebody = |number: u64| {
+                    let place = [rng.random_range(0.3..size_m.x - 0.3), rng.random_range(0.3..size_m.y - 0.3)];
+                    let heading_rad = rng.random_range(-3.0..3.0);
+                    MotionBuilder::new(Person::draw(i, [number, 0], 1.75), 0.0, place, heading_rad).stay()
+                };
+                let people = [somebody(0), somebody(1)].map(|motion| Snapshot::new(&motion, 1.0));
+                let mut bystanders = Bystanders::new(&stage, &people, 0, images(2).len());
+                for (number, image) in images(2).into_iter().enumerate() {
+                    let antenna = stage.tx.position;
+                    let way = Way { image, source: stage.room.image_position(image, antenna), antenna };
+                    for segment in people[0].body {
+                        let unit = DVec3::new(rng.random_range(-1.0..1.0), rng.random_range(-1.0..1.0), 0.3);
+                        let point = segment.surface(unit.normalize());
+                        let exact = past_people(&stage, &people, 0, image, antenna, point);
+                        assert_eq!(bystanders.past(number, &way, point), exact, "{name} {i} {image:?} {point}");
+                        shaded += usize::from(exact < 0.9);
+                        all += 1;
+                    }
+                }
+            }
+        }
+        assert!(shaded > all / 50, "{shaded} of {all}");
+    }
 }

@@ -45,16 +45,16 @@ pub struct Highlight {
 }
 
 /// A source nearer to the centre than this, in units of the ellipsoid's own radius, counts as touching it.
-const TOUCHING: f64 = 1.02;
+pub(super) const TOUCHING: f64 = 1.02;
 /// Newton's steps end below this, m: where a limb is most bent, that is a millionth of the amplitude. The path's length errs by the
 /// square of it.
-const LEAST_STEP_M: f64 = 5e-9;
+pub(super) const LEAST_STEP_M: f64 = 5e-9;
 /// Newton takes no more steps than this.
 const MOST_STEPS: usize = 25;
 /// Highlights at smaller cosines of incidence are none.
-const LEAST_COSINE: f64 = 0.1;
+pub(crate) const LEAST_COSINE: f64 = 0.1;
 /// Sources so many times as far as the ellipsoid is long see the highlight where the normal is their bisector.
-const FAR: f64 = 7.0;
+pub(super) const FAR: f64 = 7.0;
 
 impl Ellipsoid {
     /// Point of the surface for a point of the unit sphere.

@@ -206,25 +206,70 @@ impl BoxRoom {
         let departure = element.radar_from_world * Self::image_vector(index, direction);
         let polarisation = Self::image_vector(index, element.polarisation);
         let transverse = polarisation - direction * direction.dot(polarisation);
-        let mut field = Phasor3::real(transverse * element.pattern.field(departure));
+        let field = Phasor3::real(transverse * element.pattern.field(departure));
+        let field = self.carried(element.position, index, source, direction, point, field);
+        Illumination { source, distance_m, direction, field }
+    }
+
+    /// Field at a point of the room of one that leaves an image of `antenna` at `source` in a direction: past all mirror planes
+    /// on the way, and behind the wall where the point lies outside.
+    pub(crate) fn carried(
+        &self,
+        antenna: DVec3,
+        index: ImageIndex,
+        source: DVec3,
+        direction: DVec3,
+        point: DVec3,
+        field: Phasor3,
+    ) -> Phasor3 {
+        let field = self.past_planes(index, source, direction, point, field);
+        if self.transmission
+            && let Some((axis, wall, weight)) = self.behind(antenna, point)
+        {
+            let rest = field.scaled(1.0 - weight);
+            if order(index) > 0 {
+                return rest;
+            }
+            let normal = DVec3::AXES[axis];
+            let through = self.tables[wall].transmission(direction.dot(normal).abs());
+            let (te, tm) = incidence_frame(direction, normal);
+            let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
+            return Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight };
+        }
+        field
+    }
+
+    /// A field past all mirror planes between an image and a point of the room.
+    fn past_planes(
+        &self,
+        index: ImageIndex,
+        source: DVec3,
+        direction: DVec3,
+        point: DVec3,
+        mut field: Phasor3,
+    ) -> Phasor3 {
+        let [x, y, z] = index;
+        // Planes across one axis alone are met in their order, wherever the point is.
+        let only: Option<usize> = match (x != 0, y != 0, z != 0) {
+            (false, false, false) => return field,
+            (true, false, false) => Some(0),
+            (false, true, false) => Some(1),
+            (false, false, true) => Some(2),
+            _ => None,
+        };
+        if let Some(axis) = only {
+            let (n, cosine) = (index[axis], direction[axis].abs());
+            let (first, step) = if n > 0 { (n, -1) } else { (n + 1, 1) };
+            for crossed in 0..n.abs() {
+                let wall = 2 * axis + usize::from((first + crossed * step) % 2 != 0);
+                field = mirrored(field, direction, axis, self.tables[wall].reflection(cosine));
+            }
+            return field;
+        }
         for Crossing { axis, wall, .. } in Crossings::new(index, source, point, self.size_m) {
             field = mirrored(field, direction, axis, self.tables[wall].reflection(direction[axis].abs()));
         }
-        if self.transmission
-            && let Some((axis, wall, weight)) = self.behind(element.position, point)
-        {
-            let rest = field.scaled(1.0 - weight);
-            field = if order(index) > 0 {
-                rest
-            } else {
-                let normal = DVec3::AXES[axis];
-                let through = self.tables[wall].transmission(direction.dot(normal).abs());
-                let (te, tm) = incidence_frame(direction, normal);
-                let behind = Phasor3::combine(through.te * field.along(te), te, through.tm * field.along(tm), tm);
-                Phasor3 { re: rest.re + behind.re * weight, im: rest.im + behind.im * weight }
-            };
-        }
-        Illumination { source, distance_m, direction, field }
+        field
     }
 
     /// Upper bound of the magnitude of an image's field at all points that lie within an angle of a direction from it.
@@ -266,6 +311,11 @@ impl BoxRoom {
     /// how much of it lies between, from 0 at its inner face to 1. `None` for a point in the room.
     fn behind(&self, from: DVec3, to: DVec3) -> Option<(usize, usize, f64)> {
         let (from, to, size) = (from.to_array(), to.to_array(), self.size_m.to_array());
+        // Nearly all points lie in the room.
+        let is_outside = to[0] < 0.0 || to[0] > size[0] || to[1] < 0.0 || to[1] > size[1];
+        if !is_outside {
+            return None;
+        }
         let crossed = [0, 1, 2, 3].map(|wall| {
             let axis = wall / 2;
             let plane = if wall % 2 == 0 { 0.0 } else { size[axis] };
@@ -280,26 +330,41 @@ impl BoxRoom {
     }
 
     /// Corners of the way from an antenna to a point by an image, folded into the room: antenna, bounces, point.
-    pub fn corners(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> impl Iterator<Item = DVec3> {
-        let (source, size_m) = (self.image_position(index, antenna), self.size_m);
-        // The cell of the lattice in which the way is: each crossing leads it one nearer to the room.
-        let mut cell = index;
-        let bounces = Crossings::new(index, source, point, size_m).map(move |Crossing { fraction, axis, .. }| {
-            let at = source.lerp(point, fraction);
-            let corner = DVec3::new(
-                folded(at.x, size_m.x, cell[0]),
-                folded(at.y, size_m.y, cell[1]),
-                folded(at.z, size_m.z, cell[2]),
-            );
-            cell[axis] -= cell[axis].signum();
-            corner
-        });
-        std::iter::once(antenna).chain(bounces).chain(std::iter::once(point))
+    pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
+        let mut corners = Vec::with_capacity(order(index) as usize + 2);
+        corners.push(antenna);
+        self.each_leg(index, antenna, point, |_, _, to| corners.push(to));
+        corners
     }
 
-    /// The same corners in a list.
-    pub fn polyline(&self, index: ImageIndex, antenna: DVec3, point: DVec3) -> Vec<DVec3> {
-        self.corners(index, antenna, point).collect()
+    /// Visits the legs of the way from an antenna to a point by an image, folded into the room: the number of each, where it begins
+    /// and where it ends.
+    pub(crate) fn each_leg(
+        &self,
+        index: ImageIndex,
+        antenna: DVec3,
+        point: DVec3,
+        mut visit: impl FnMut(usize, DVec3, DVec3),
+    ) {
+        let size_m = self.size_m;
+        let (mut from, mut leg) = (antenna, 0);
+        if index != ImageIndex::default() {
+            let source = self.image_position(index, antenna);
+            // The cell of the lattice in which the way is: each crossing leads it one nearer to the room.
+            let mut cell = index;
+            for Crossing { fraction, axis, .. } in Crossings::new(index, source, point, size_m) {
+                let at = source.lerp(point, fraction);
+                let corner = DVec3::new(
+                    folded(at.x, size_m.x, cell[0]),
+                    folded(at.y, size_m.y, cell[1]),
+                    folded(at.z, size_m.z, cell[2]),
+                );
+                cell[axis] -= cell[axis].signum();
+                visit(leg, from, corner);
+                (from, leg) = (corner, leg + 1);
+            }
+        }
+        visit(leg, from, point);
     }
 
     /// Amplitude of the way from a transmitter's image straight to a receiver, relative to the transmitted field and with

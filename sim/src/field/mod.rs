@@ -13,6 +13,7 @@ pub mod facet;
 pub mod fresnel;
 mod gauss_map;
 pub mod highlight;
+pub(crate) mod highlight_rows;
 pub mod image;
 pub mod link;
 pub mod mesh_highlight;

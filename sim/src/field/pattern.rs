@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use crate::lanes;
+
 /// One-way field pattern of one element, in the radar's frame: x boresight, y left, z up.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pattern {
@@ -39,6 +41,16 @@ impl Pattern {
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 
+    /// The same by the forward and left parts of the direction, for loops over lanes.
+    #[inline(always)]
+    pub(crate) fn field_in_lane(&self, x: f64, y: f64) -> f64 {
+        let horizontal = 0.5 * lanes::ln((x * x + y * y).max(f64::MIN_POSITIVE));
+        let ahead = lanes::ln(x.max(f64::MIN_POSITIVE));
+        let lobe = lanes::exp(self.azimuth_exponent * (ahead - horizontal) + self.elevation_exponent * horizontal);
+        let lobe = if x > 0.0 { lobe } else { 0.0 };
+        (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
+    }
+
     /// Upper bound of the field over all directions within an angle of a unit direction.
     pub fn most_within(&self, direction_radar: DVec3, spread_rad: f64) -> f64 {
         let DVec3 { x, y, z } = direction_radar;
@@ -53,7 +65,8 @@ impl Pattern {
         let [ahead, aside] = [x, y.abs()].map(|part| part / horizontal);
         let still = (1.0 - turn * turn).sqrt();
         let ahead = if ahead >= still { 1.0 } else { ahead * still + aside * turn };
-        let lobe = ahead.max(0.0).powf(self.azimuth_exponent) * level.powf(self.elevation_exponent);
+        let [ahead, level] = [ahead, level].map(|part| lanes::ln(part.max(f64::MIN_POSITIVE)));
+        let lobe = lanes::exp(self.azimuth_exponent * ahead + self.elevation_exponent * level);
         (self.floor_power + (1.0 - self.floor_power) * lobe).sqrt()
     }
 }
@@ -72,6 +85,24 @@ mod tests {
         assert!((pattern.field(DVec3::new(c, 0.0, s)).powi(2) - 0.5).abs() < 1e-12);
         assert!((pattern.field(DVec3::X) - 1.0).abs() < 1e-12);
         assert!(pattern.field(-DVec3::X) < 1e-9);
+    }
+
+    #[test]
+    fn lanes_have_the_same_field() {
+        for pattern in [Pattern::new(0.5, 1.1, -20.0), Pattern::new(1.9, 0.4, -200.0), Pattern::isotropic()] {
+            for i in 0..500 {
+                let (azimuth, elevation) = (0.0131 * f64::from(i) - 3.2, 0.0062 * f64::from(i) - 1.55);
+                let z = elevation.sin();
+                let (x, y) = (azimuth.cos() * elevation.cos(), azimuth.sin() * elevation.cos());
+                let field = pattern.field(DVec3::new(x, y, z));
+                assert!((pattern.field_in_lane(x, y) - field).abs() < 1e-12 * field.max(1e-3), "{x} {y}");
+            }
+        }
+        let pattern = Pattern::new(0.5, 1.1, -20.0);
+        for (x, y) in [(0.0, 0.0), (0.0, 1.0), (1e-310, 1.0), (-1.0, 0.0)] {
+            let field = pattern.field(DVec3::new(x, y, 0.0));
+            assert!((pattern.field_in_lane(x, y) - field).abs() < 1e-12, "{x} {y}");
+        }
     }
 
     /// No direction of a cone is louder than its bound, and a cone of no width is its direction.

@@ -9,6 +9,8 @@ use super::Receiver;
 const REFERENCE_OHM: f64 = 50.0;
 /// Poles of the anti-alias filter (datasheet: four; Butterworth assumed).
 const ANTI_ALIAS_POLES: i32 = 4;
+/// Damping of the pole pairs of a Butterworth filter of order four: `2 sin(pi/8)` and `2 sin(3 pi/8)`.
+const DAMPING: [f64; 2] = [0.765_366_864_730_179_6, 1.847_759_065_022_573_5];
 
 /// High-pass (first order) and anti-alias filter of the IF chain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,12 +30,20 @@ impl Filters {
 
     /// Complex response at a true beat frequency (before folding), of either sign.
     pub fn response(&self, frequency_hz: f64) -> Complex64 {
-        let x = frequency_hz / self.high_pass_hz;
-        let high_pass = Complex64::new(0.0, x) / Complex64::new(1.0, x);
-        // Butterworth of order four: two pole pairs with damping 2 sin(pi/8) and 2 sin(3 pi/8).
-        let y = frequency_hz / self.anti_alias_hz;
-        let section = |damping: f64| Complex64::new(1.0 - y * y, damping * y);
-        high_pass / (section(0.765_366_864_730_179_6) * section(1.847_759_065_022_573_5))
+        let [re, im] = self.response_in_lane(frequency_hz);
+        Complex64::new(re, im)
+    }
+
+    /// The same in real and imaginary part, for loops over lanes: all factors above one denominator, and one quotient by that.
+    #[inline(always)]
+    pub(crate) fn response_in_lane(&self, frequency_hz: f64) -> [f64; 2] {
+        let (x, y) = (frequency_hz / self.high_pass_hz, frequency_hz / self.anti_alias_hz);
+        let real = 1.0 - y * y;
+        // Both pole pairs, then with the high-pass `j x / (1 + j x)`.
+        let pairs = [real * real - DAMPING[0] * DAMPING[1] * y * y, (DAMPING[0] + DAMPING[1]) * y * real];
+        let below = [pairs[0] - x * pairs[1], pairs[1] + x * pairs[0]];
+        let per_square = x / (below[0] * below[0] + below[1] * below[1]);
+        [below[1] * per_square, below[0] * per_square]
     }
 
     /// Power response of the high-pass alone.
@@ -72,4 +82,26 @@ pub fn thermal_lsb2(receiver: &Receiver, waveform: &Waveform) -> f64 {
         BOLTZMANN_T0_DBM_PER_HZ + receiver.noise_figure_db + receiver.conversion_gain_db + waveform.request.if_gain_db;
     let volt2_per_hz = 1e-3 * 10f64.powf(0.1 * density_dbm) * REFERENCE_OHM;
     volt2_per_hz * 0.5 * waveform.sample_rate_hz * lsb_per_volt(receiver).powi(2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against the product of a high-pass and two pole pairs, each a complex quotient of its own.
+    #[test]
+    fn responses_are_those_of_the_filters_one_after_another() {
+        let filters = Filters { high_pass_hz: 80e3, anti_alias_hz: 500e3 };
+        for i in -2000..2000 {
+            let frequency_hz = 1e3 * f64::from(i);
+            let (x, y) = (frequency_hz / filters.high_pass_hz, frequency_hz / filters.anti_alias_hz);
+            let high_pass = Complex64::new(0.0, x) / Complex64::new(1.0, x);
+            let section = |damping: f64| Complex64::new(1.0 - y * y, damping * y);
+            let expected = high_pass / section(DAMPING[0]) / section(DAMPING[1]);
+            let got = filters.response(frequency_hz);
+            assert!((got - expected).norm() < 1e-14, "{frequency_hz} Hz: {got} {expected}");
+            let power = filters.high_pass_power(frequency_hz) * filters.anti_alias_power(frequency_hz);
+            assert!((got.norm_sqr() - power).abs() < 1e-12, "{frequency_hz} Hz: {got} {power}");
+        }
+    }
 }

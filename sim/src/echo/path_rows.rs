@@ -1,0 +1,194 @@
+//! Echoes of paths side by side, by way of one segment each: fields that leave the antennas, what skin reflects of them, and what
+//! receivers hear. Lane by lane it is what [`super::Paths::trace`] makes of one path.
+
+// Lanes are counted: several rows go together, and loops over their numbers are compiled to vectors.
+#![allow(clippy::needless_range_loop)]
+
+use num_complex::Complex64;
+use radome_dsp::SPEED_OF_LIGHT_M_PER_S;
+
+use super::LEAST_DISTANCE_M;
+use crate::field::highlight_rows::HighlightRows;
+use crate::field::image::Element;
+use crate::lanes::vector::{Vector, add, choose, cross, dot, normalized, scale, store, subtract, tangent, times};
+use crate::lanes::{WIDE, WideRow, WideRow3, compiled_for_levels, wide_lane};
+use crate::stage::Stage;
+
+/// Fields side by side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct WideFields {
+    pub(super) re: WideRow3,
+    pub(super) im: WideRow3,
+}
+
+/// What a receiver hears of paths side by side.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct HeardRows {
+    pub(super) delay_s: WideRow,
+    pub(super) delay_rate: WideRow,
+    /// At the ADC, LSB: real and imaginary part.
+    pub(super) amplitude: [WideRow; 2],
+}
+
+/// How the material of a segment moves: velocity of its centre, m/s, and velocities by the components of a place on the unit
+/// sphere.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Drift(pub(super) [Vector; 4]);
+
+compiled_for_levels! {
+    /// Computes what an antenna's images send to points that see them in these directions, before any wall. `signs` are those of
+    /// the images' axes.
+    pub(super) fn launched(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) = launched_body;
+}
+
+#[inline(always)]
+fn launched_body(element: &Element, signs: &WideRow3, towards: &WideRow3, field: &mut WideRow3) {
+    let turn = &element.radar_from_world;
+    let ahead = [turn.x_axis.x, turn.y_axis.x, turn.z_axis.x];
+    let left = [turn.x_axis.y, turn.y_axis.y, turn.z_axis.y];
+    let own = [element.polarisation.x, element.polarisation.y, element.polarisation.z];
+    for l in 0..WIDE {
+        let (direction, sign) = (scale(wide_lane(towards, l), -1.0), wide_lane(signs, l));
+        let departure = times(direction, sign);
+        let gain = element.pattern.field_in_lane(dot(ahead, departure), dot(left, departure));
+        let polarisation = times(own, sign);
+        let transverse = subtract(polarisation, scale(direction, dot(direction, polarisation)));
+        store(field, l, scale(transverse, gain));
+    }
+}
+
+compiled_for_levels! {
+    /// Computes amplitudes of paths but for their phases, real and imaginary part: fields of both antennas at the highlights, skin
+    /// between them, spreading, and a factor of each path.
+    pub(super) fn reflected(
+        permittivity: Complex64,
+        seen: &HighlightRows,
+        fields: &[WideFields; 2],
+        factors: &WideRow,
+        amplitude: &mut [WideRow; 2],
+    ) = reflected_body;
+}
+
+#[inline(always)]
+fn reflected_body(
+    permittivity: Complex64,
+    seen: &HighlightRows,
+    fields: &[WideFields; 2],
+    factors: &WideRow,
+    amplitude: &mut [WideRow; 2],
+) {
+    let [there, back] = fields;
+    let (mut re, mut im) = ([0.0; WIDE], [0.0; WIDE]);
+    for l in 0..WIDE {
+        let (direction, normal) = (scale(wide_lane(&seen.towards[0], l), -1.0), wide_lane(&seen.normal, l));
+        let cosine = -dot(direction, normal);
+        let cosine = if cosine > 0.0 { cosine } else { 0.0 };
+        let cosine = if cosine < 1.0 { cosine } else { 1.0 };
+        // Across the plane of incidence and in it; at normal incidence there is none.
+        let across = cross(direction, normal);
+        let te = choose(dot(across, across) < 1e-12, tangent(direction), normalized(across));
+        let tm = cross(te, direction);
+        let tm_out = cross(te, add(direction, scale(normal, 2.0 * cosine)));
+        let (r_te, r_tm) = skin([permittivity.re, permittivity.im], cosine);
+        let (e_re, e_im) = (wide_lane(&there.re, l), wide_lane(&there.im, l));
+        let (b_re, b_im) = (wide_lane(&back.re, l), wide_lane(&back.im, l));
+        let by_te = multiply(multiply(r_te, [dot(e_re, te), dot(e_im, te)]), [dot(b_re, te), dot(b_im, te)]);
+        let by_tm = multiply(multiply(r_tm, [dot(e_re, tm), dot(e_im, tm)]), [dot(b_re, tm_out), dot(b_im, tm_out)]);
+        let (t_m, r_m) = (seen.distances_m[0][l], seen.distances_m[1][l]);
+        let t_m = if t_m > LEAST_DISTANCE_M { t_m } else { LEAST_DISTANCE_M };
+        let r_m = if r_m > LEAST_DISTANCE_M { r_m } else { LEAST_DISTANCE_M };
+        let spreading = factors[l] * seen.cosine[l] / (seen.det_j[l].sqrt() * t_m * r_m);
+        re[l] = spreading * (by_te[0] + by_tm[0]);
+        im[l] = spreading * (by_te[1] + by_tm[1]);
+    }
+    *amplitude = [re, im];
+}
+
+#[inline(always)]
+fn multiply(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
+}
+
+#[inline(always)]
+fn divide(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    let per_square = 1.0 / (b[0] * b[0] + b[1] * b[1]);
+    [(a[0] * b[0] + a[1] * b[1]) * per_square, (a[1] * b[0] - a[0] * b[1]) * per_square]
+}
+
+/// Reflection of a lossy half-space, TE and TM ([`crate::field::fresnel::half_space`]): of a permittivity whose real part is more
+/// than one.
+#[inline(always)]
+fn skin(permittivity: [f64; 2], cosine: f64) -> ([f64; 2], [f64; 2]) {
+    let [eps_re, eps_im] = permittivity;
+    let real = eps_re - (1.0 - cosine * cosine);
+    let modulus = (real * real + eps_im * eps_im).sqrt();
+    let q_re = (0.5 * (modulus + real)).sqrt();
+    let q_im = 0.5 * eps_im / q_re;
+    let (c_re, c_im) = (eps_re * cosine, eps_im * cosine);
+    let te = divide([cosine - q_re, -q_im], [cosine + q_re, q_im]);
+    let tm = divide([c_re - q_re, c_im - q_im], [c_re + q_re, c_im + q_im]);
+    (te, tm)
+}
+
+compiled_for_levels! {
+    /// Computes what a receiver hears whose images are at `sinks`.
+    pub(super) fn heard(
+        stage: &Stage,
+        lsb: f64,
+        seen: &HighlightRows,
+        drift: &Drift,
+        sinks: &WideRow3,
+        amplitude: &[WideRow; 2],
+        out: &mut HeardRows,
+    ) = heard_body;
+}
+
+#[inline(always)]
+fn heard_body(
+    stage: &Stage,
+    lsb: f64,
+    seen: &HighlightRows,
+    drift: &Drift,
+    sinks: &WideRow3,
+    amplitude: &[WideRow; 2],
+    out: &mut HeardRows,
+) {
+    let (chirp, filters) = (stage.chirp, stage.filters);
+    let [centre, x, y, z] = drift.0;
+    let per_m = 1.0 / SPEED_OF_LIGHT_M_PER_S;
+    for l in 0..WIDE {
+        let unit = wide_lane(&seen.unit, l);
+        let velocity = add(add(centre, scale(x, unit[0])), add(scale(y, unit[1]), scale(z, unit[2])));
+        let to_rx = subtract(wide_lane(sinks, l), wide_lane(&seen.point, l));
+        let distance_m = dot(to_rx, to_rx).sqrt();
+        let least_m = if distance_m > 1e-9 { distance_m } else { 1e-9 };
+        let rate = dot(wide_lane(&seen.towards[0], l), velocity) + dot(to_rx, velocity) / least_m;
+        let delay_s = (seen.distances_m[0][l] + distance_m) * per_m;
+        let delay_rate = -rate * per_m;
+        let response = filters.response_in_lane(chirp.beat_hz(delay_s, delay_rate));
+        let at_adc = multiply([lsb * amplitude[0][l], -lsb * amplitude[1][l]], response);
+        out.delay_s[l] = delay_s;
+        out.delay_rate[l] = delay_rate;
+        out.amplitude[0][l] = at_adc[0];
+        out.amplitude[1][l] = at_adc[1];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::field::fresnel::half_space;
+    use crate::scene::material::SKIN_PERMITTIVITY;
+
+    #[test]
+    fn lanes_have_the_skin_of_the_half_space() {
+        for i in 0..=1000 {
+            let cosine = 1e-3 * f64::from(i);
+            let expected = half_space(SKIN_PERMITTIVITY, cosine);
+            let (te, tm) = skin([SKIN_PERMITTIVITY.re, SKIN_PERMITTIVITY.im], cosine);
+            for (got, expected) in [(te, expected.te), (tm, expected.tm)] {
+                assert!((Complex64::new(got[0], got[1]) - expected).norm() < 1e-14, "{cosine}: {got:?} {expected}");
+            }
+        }
+    }
+}
