@@ -555,7 +555,7 @@ fn a_spec_gives_a_scene_another_waveform() {
     let maps = expected.keys().find(|name| name.starts_with("maps")).expect("maps");
     assert!(!expected[maps].is_empty() && expected[maps] == given[maps], "{maps}");
     let samples = std::fs::read_to_string(path("given").join("dataset.json")).expect("reads");
-    assert!(samples.contains("\"samples_per_chirp\":64"), "{samples}");
+    assert!(samples.contains("\"samples_per_chirp\": 64"), "{samples}");
 
     let said = failure(&mut built("own", "waveform = { chirps = 16 }", "no"));
     assert!(said.contains("own.toml") && said.contains("unknown field `chirps`"), "{said}");
