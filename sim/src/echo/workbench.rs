@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 
 use glam::DVec3;
-use num_complex::{Complex, Complex64};
+use num_complex::Complex64;
 
-use super::chirp_sum::{ChirpSums, Direction};
+use super::chirp_sum::ChirpSums;
 use super::demand::{Fineness, Missed};
 use super::key_rows::{KeyRows, Parts, StrengthRows, key_rows};
 use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
@@ -21,7 +21,7 @@ use crate::field::quadrature::rule_for;
 use crate::lanes::{LANES, Row};
 use crate::scene::material::SKIN_PERMITTIVITY;
 use crate::stage::Stage;
-use crate::synthesis::{ChirpGrids, EchoChirps, EchoPass, EchoWay, phasor};
+use crate::synthesis::{ChirpGrids, Echo, EchoWay, phasor};
 
 /// Step over which fields are differentiated, m.
 const FIELD_STEP_M: f64 = 0.03;
@@ -84,10 +84,8 @@ pub(super) struct Workbench {
     keys: Vec<KeyRows>,
     level: usize,
     sums: ChirpSums,
-    /// There and back, by receiver.
-    responses: Vec<[Complex<f32>; 2]>,
-    ways: [Vec<EchoWay>; 2],
-    chirps: [Vec<EchoChirps>; 2],
+    /// What each receiver makes of a patch.
+    ways: Vec<EchoWay>,
     /// Of the patch, in the middle pose.
     area_m2: f32,
     /// Field below which a patch is left out.
@@ -115,9 +113,7 @@ impl Workbench {
             keys: Vec::new(),
             level: 0,
             sums: ChirpSums::new(work.integrator.level),
-            responses: Vec::new(),
-            ways: Default::default(),
-            chirps: Default::default(),
+            ways: Vec::new(),
             area_m2: 0.0,
             least,
             left_out: 0.0,
@@ -258,7 +254,8 @@ impl Workbench {
     pub(super) fn add_tone(&mut self, work: &Work, pair: &Pair, grids: &mut ChirpGrids) -> bool {
         let (stage, times) = (work.stage, work.times[self.level]);
         let in_phase = |keys: &KeyRows| keys.powers().into_iter().map(f32::sqrt).sum::<f32>();
-        let ways = if pair.images[0] == pair.images[1] { 1.0 } else { 2.0 };
+        let is_both = pair.images[0] != pair.images[1];
+        let ways = if is_both { 2.0 } else { 1.0 };
         if self.keys.iter().map(in_phase).fold(0.0, f32::max) < self.least {
             // As if its triangles had nothing to do with each other.
             let power = |keys: &KeyRows| keys.powers().into_iter().sum::<f32>();
@@ -266,8 +263,6 @@ impl Workbench {
             return false;
         }
         let between = pair.images.map(|i| &work.places[i]);
-        let both = [between, [between[1], between[0]]];
-        let directions = if pair.images[0] == pair.images[1] { &both[..1] } else { &both[..] };
         let (keys, sums) = (&self.keys, &mut self.sums);
         let Some(patch) = Patch::new(keys, work.origin, between, times, stage.wavelength_m, sums) else { return false };
         let loudest = sums.loudest();
@@ -276,18 +271,10 @@ impl Workbench {
             return false;
         }
         let count = times.chirps_s.len();
-        self.responses.clear();
-        self.responses.extend((0..stage.rx.len()).map(|rx| patch.response(stage, rx, count)));
-        self.ways.iter_mut().for_each(Vec::clear);
-        let both =
-            directions.iter().zip([Direction::There, Direction::Reverse]).zip(&mut self.ways).zip(&mut self.chirps);
-        for (((way, direction), ways), chirps) in both {
-            sums.chirps(direction, chirps);
-            let of_receivers = self.responses.iter().enumerate();
-            ways.extend(of_receivers.map(|(rx, response)| patch.way(stage, *way, rx, *response, count)));
-        }
-        let [there, back] = [0, 1].map(|i| EchoPass { ways: &self.ways[i], chirps: &self.chirps[i] });
-        grids.add(&stage.chirp, &[there, back][..directions.len()]);
+        self.ways.clear();
+        self.ways.extend((0..stage.rx.len()).map(|rx| patch.way(stage, between, is_both, rx, count)));
+        let (ways, chirps) = (self.ways.as_slice(), sums.chirps());
+        grids.add(&Echo { chirp: &stage.chirp, wavelength_m: stage.wavelength_m, ways, chirps });
         true
     }
 }
