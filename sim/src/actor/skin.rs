@@ -24,6 +24,10 @@ const BLEND_M: f64 = 0.014;
 const NEGLIGIBLE: f64 = 20.0;
 /// A segment moves skin up to this far from its own surface, m.
 const REACH_M: f64 = 0.085;
+/// Beyond this nothing of a part is left, neither skin nor what it moves, with all that blending brings nearer, m.
+const FAR_M: f64 = 0.15;
+/// More parts than any body has.
+const MOST_PARTS: usize = 32;
 /// Rest pose: arms and legs lifted sideways, rad, so that they do not grow together.
 const ARM_APART_RAD: f64 = 0.5;
 const LEG_APART_RAD: f64 = 0.10;
@@ -93,6 +97,34 @@ impl Part {
             }
         }
     }
+}
+
+/// Distance to what is nearest of parts, less what the rest adds, m: `-BLEND_M ln sum exp(-d / BLEND_M)`, the largest taken out.
+/// Of places that are [`FAR_M`] from all of them a bound from below.
+fn blended_m(p: DVec3, parts: &[(Part, Reach)]) -> f64 {
+    let mut at_least_m = [f64::INFINITY; MOST_PARTS];
+    let (mut nearest, mut nearest_m) = (0, f64::INFINITY);
+    for (i, (at_least, (_, reach))) in at_least_m.iter_mut().zip(parts).enumerate() {
+        *at_least = reach.least_distance_m(p);
+        (nearest, nearest_m) = if *at_least < nearest_m { (i, *at_least) } else { (nearest, nearest_m) };
+    }
+    let Some((first, _)) = parts.get(nearest) else { return f64::INFINITY };
+    if nearest_m > FAR_M {
+        return nearest_m - BLEND_M * (parts.len() as f64).ln();
+    }
+    // What cannot matter beside the part that seems the nearest is passed over.
+    let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
+    let (mut least, mut sum) = (f64::INFINITY, 0.0);
+    for ((part, _), _) in parts.iter().zip(at_least_m).filter(|(_, at_least)| *at_least < farthest) {
+        let d = part.distance_m(p);
+        if d < least {
+            sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
+            least = d;
+        } else if d - least < NEGLIGIBLE * BLEND_M {
+            sum += ((least - d) / BLEND_M).exp();
+        }
+    }
+    least - BLEND_M * f64::ln(sum)
 }
 
 /// What moves a vertex: bones, weights that sum to one, and the point in each bone's own frame (for the walker's, in units of
@@ -166,30 +198,13 @@ impl Skin {
     pub fn new(build: &Build, edge_m: f64) -> Self {
         let segments = apart(build);
         let parts: Vec<(Part, Reach)> = parts(&segments, build).into_iter().map(|part| (part, part.reach())).collect();
-        // Distance to what is nearest, less what the rest adds: -BLEND ln sum exp(-d / BLEND), the largest taken out.
-        let blended = |p: DVec3, of: &dyn Fn(&Part) -> bool| {
-            let near =
-                || parts.iter().filter(|(part, _)| of(part)).map(|(part, reach)| (part, reach.least_distance_m(p)));
-            // What cannot matter beside the part that seems the nearest is passed over.
-            let Some((first, _)) = near().min_by(|a, b| a.1.total_cmp(&b.1)) else { return f64::INFINITY };
-            let farthest = first.distance_m(p) + NEGLIGIBLE * BLEND_M;
-            let (mut least, mut sum) = (f64::INFINITY, 0.0);
-            for (part, _) in near().filter(|(_, at_least)| *at_least < farthest) {
-                let d = part.distance_m(p);
-                if d < least {
-                    sum = sum * ((d - least) / BLEND_M).exp() + 1.0;
-                    least = d;
-                } else if d - least < NEGLIGIBLE * BLEND_M {
-                    sum += ((least - d) / BLEND_M).exp();
-                }
-            }
-            least - BLEND_M * f64::ln(sum)
-        };
+        let of_segment = |segment: usize| parts.iter().filter(|(part, _)| part.segment() == segment).copied().collect();
+        let by_segment: [Vec<(Part, Reach)>; SEGMENTS] = std::array::from_fn(of_segment);
         let around = segments.iter().map(|e| (e.centre, super::program::half_extent(e)));
         let (least, greatest) =
             around.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(l, g), (c, half)| (l.min(c - half), g.max(c + half)));
         let margin = DVec3::splat(0.06 + 2.0 * edge_m);
-        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended(p, &|_| true));
+        let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
 
         let (rest, patches, _) = in_patch_order(&rest);
         let (edges, sides) = skin_edges(&rest);
@@ -200,7 +215,7 @@ impl Skin {
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
-                let distance = blended(vertex, &|part| part.segment() == segment).max(0.0);
+                let distance = blended_m(vertex, &by_segment[segment]).max(0.0);
                 (1.0 - distance / REACH_M).max(0.0).powi(3)
             };
             let weights: [f64; SEGMENTS] = std::array::from_fn(weight);
