@@ -51,12 +51,6 @@ pub struct ViewRows {
 const SIX: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
 
-/// What the [`SIX`] weigh in the parabola through them, by the weights of the corners at a place.
-#[inline(always)]
-fn parabola([a, b, c]: [f32; 3]) -> [f32; 6] {
-    [a * (2.0 * a - 1.0), b * (2.0 * b - 1.0), c * (2.0 * c - 1.0), 4.0 * a * b, 4.0 * b * c, 4.0 * c * a]
-}
-
 /// Places of a rule on curved triangles.
 #[derive(Debug, Clone, Default)]
 pub struct Nodes {
@@ -65,9 +59,8 @@ pub struct Nodes {
 
 #[derive(Debug, Clone, Copy)]
 struct Node {
-    /// What the second and third corner weigh, and what the [`SIX`] do.
+    /// What the second and third corner weigh.
     corners: [f32; 2],
-    six: [f32; 6],
     /// Area that the place stands for, m^2.
     area: Row,
 }
@@ -138,6 +131,28 @@ impl TriangleRows {
         place
     }
 
+    /// How a place moves as weight goes from the first corner to the second, and to the third: in the first corner, and its
+    /// changes by what the second and the third weigh.
+    #[inline(always)]
+    fn tangents(&self) -> [[Row3; 3]; 2] {
+        let (corners, bulges) = (&self.corners, &self.bulges);
+        let mut tangents: [[Row3; 3]; 2] = Default::default();
+        for axis in 0..3 {
+            for l in 0..LANES {
+                let (p, q, r) = (corners[0][axis][l], corners[1][axis][l], corners[2][axis][l]);
+                let (pq, qr, rp) = (4.0 * bulges[0][axis][l], 4.0 * bulges[1][axis][l], 4.0 * bulges[2][axis][l]);
+                let across = qr - rp - pq;
+                tangents[0][0][axis][l] = (q - p) + pq;
+                tangents[0][1][axis][l] = -2.0 * pq;
+                tangents[0][2][axis][l] = across;
+                tangents[1][0][axis][l] = (r - p) + rp;
+                tangents[1][1][axis][l] = across;
+                tangents[1][2][axis][l] = -2.0 * rp;
+            }
+        }
+        tangents
+    }
+
     /// Twice the area that a place stands for, relative to that of the triangle of weights, m^2.
     #[inline(always)]
     fn twice_area(&self, [a, b, c]: [f32; 3], l: usize) -> f32 {
@@ -206,12 +221,18 @@ compiled_for_levels! {
 fn nodes_body(triangles: &TriangleRows, rule: &Rule, out: &mut Nodes) {
     out.all.clear();
     let turns = &triangles.turns;
-    for &(weights, part) in &rule.places {
-        let [a, b, c] = weights;
-        let mut node = Node { corners: [b, c], six: parabola(weights), area: [0.0; LANES] };
+    let [second, third] = &triangles.tangents();
+    for &([a, b, c], part) in &rule.places {
+        let mut node = Node { corners: [b, c], area: [0.0; LANES] };
         for l in 0..LANES {
+            let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
+            for axis in 0..3 {
+                u[axis] = second[0][axis][l] + b * second[1][axis][l] + c * second[2][axis][l];
+                v[axis] = third[0][axis][l] + b * third[1][axis][l] + c * third[2][axis][l];
+            }
+            let (x, y, z) = (u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]);
             let above = 1.0 + turns[0][l] * (a * b) + turns[1][l] * (b * c) + turns[2][l] * (c * a);
-            node.area[l] = (0.5 * part) * triangles.twice_area(weights, l) * above;
+            node.area[l] = (0.5 * part) * (x * x + y * y + z * z).sqrt() * above;
         }
         out.all.push(node);
     }
@@ -243,19 +264,27 @@ compiled_for_levels! {
 
 #[inline(always)]
 fn moments_body(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows {
-    let mut turns = [[0.0; LANES]; 6];
-    for (turns, (a, b)) in turns.iter_mut().zip(views[0].longer.iter().zip(&views[1].longer)) {
-        for l in 0..LANES {
-            turns[l] = -(a[l] + b[l]);
-        }
+    // The parabola by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
+    let mut turns = [[0f32; LANES]; 6];
+    let [p, q, r, pq, qr, rp] = &views[0].longer;
+    let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
+    for l in 0..LANES {
+        let (p, q, r) = (p[l] + p2[l], q[l] + q2[l], r[l] + r2[l]);
+        let (pq, qr, rp) = (pq[l] + pq2[l], qr[l] + qr2[l], rp[l] + rp2[l]);
+        turns[0][l] = -p;
+        turns[1][l] = 3.0 * p + q - 4.0 * pq;
+        turns[2][l] = 3.0 * p + r - 4.0 * rp;
+        turns[3][l] = 4.0 * pq - 2.0 * (p + q);
+        turns[4][l] = 4.0 * ((pq + rp) - (p + qr));
+        turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
     // Of the field, and of it times the weights of the second and third corner: the first has the rest.
     let mut sums = MomentRows::default();
     for node in &nodes.all {
-        let ([b, c], six) = (node.corners, node.six);
+        let [b, c] = node.corners;
         for l in 0..LANES {
-            let turn = (turns[0][l] * six[0] + turns[1][l] * six[1] + turns[2][l] * six[2])
-                + (turns[3][l] * six[3] + turns[4][l] * six[4] + turns[5][l] * six[5]);
+            let along = turns[1][l] + (b * turns[3][l] + c * turns[4][l]);
+            let turn = turns[0][l] + (b * along + c * (turns[2][l] + c * turns[5][l]));
             let (cosine, sine) = cos_sin_of_turns(turn);
             let (x, y) = (cosine * node.area[l], sine * node.area[l]);
             sums.re[0][l] += x;
