@@ -59,6 +59,8 @@ pub(super) struct Work<'a> {
     pub(super) weights: Vec<Vec<(f64, Vec<f64>)>>,
     /// Roughness of what somebody wears.
     pub(super) folds: Option<&'a Folds>,
+    /// Part of a patch's own field that may be missed between keys.
+    pub(super) missed_between_keys: f64,
 }
 
 /// A patch at one of the finer keys.
@@ -200,9 +202,9 @@ impl Workbench {
         let rule = rule_for(most, pair.fineness.ease);
         self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
         self.find_keys(work, patch, pair, 0);
-        let (missed, _) = self.missed_between_keys(work);
+        let (missed, power) = self.missed_between_keys(work);
         // Cubics err with the fourth power of the step.
-        if missed.sqrt() / 16.0 > f64::from(self.least) {
+        if missed.sqrt() / 16.0 > f64::from(self.least).max(work.missed_between_keys * power.sqrt()) {
             if !self.between {
                 for key in (1..self.poses.len()).step_by(2) {
                     self.pose_at(work, patch, key);
