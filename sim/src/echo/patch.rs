@@ -4,7 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use glam::DVec3;
-use num_complex::{Complex, Complex64};
+use num_complex::Complex;
 use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::chirp_sum::{ChirpSums, StretchChirps, TrackRows, stretches_of};
@@ -121,40 +121,70 @@ impl Patch {
         Some(Patch { places })
     }
 
-    /// What a receiver makes of it by the way between two images, and by its reverse if it is both.
-    pub(super) fn way(&self, stage: &Stage, between: [&Place; 2], is_both: bool, rx: usize, chirps: usize) -> EchoWay {
-        let delay_s = |key: usize| self.places.get(key).map_or(0.0, |p| p.length_m / SPEED_OF_LIGHT_M_PER_S);
-        let response = |key: usize| {
-            let rate = self.places.get(key).map_or(0.0, |p| p.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
-            let a = stage.at_adc(rx, Complex64::ONE, stage.chirp.beat_hz(delay_s(key), rate));
-            Complex::new(a.re as f32, a.im as f32)
-        };
+    /// What each receiver makes of it by the way between two images, and by its reverse if it is both.
+    pub(super) fn ways(
+        &self,
+        stage: &Stage,
+        between: [&Place; 2],
+        is_both: bool,
+        chirps: usize,
+        ways: &mut Vec<EchoWay>,
+    ) {
+        ways.clear();
         let last = self.places.len().saturating_sub(1);
-        let [begins, ends] = [0, last].map(response);
-        // Both by what the way by transmitter and receiver is longer than that by their middles.
-        let turn = |key: usize, [out, back]: [&Place; 2]| {
-            let place = self.places.get(key).map_or(DVec3::ZERO, |p| p.place);
-            let by_middles = out.middle.distance(place) + back.middle.distance(place);
-            let by_antennas = out.tx.distance(place) + back.rx.get(rx).map_or(0.0, |sink| sink.distance(place));
-            let later_s = (by_antennas - by_middles) / SPEED_OF_LIGHT_M_PER_S;
-            let delay_s = delay_s(key);
-            phasor(stage.chirp.phase_cycles(delay_s + later_s) - stage.chirp.phase_cycles(delay_s))
+        let (Some(begin), Some(middle), Some(end)) =
+            (self.places.first(), self.places.get(last / 2), self.places.last())
+        else {
+            return;
         };
-        let factors = [0, last / 2, last].map(|key| {
-            let part = if last > 0 { key as f32 / last as f32 } else { 0.0 };
-            let response = begins + (ends - begins) * part;
-            let there = response * turn(key, between);
-            if is_both {
-                let reverse = response * turn(key, [between[1], between[0]]);
-                (there + reverse, there - reverse)
-            } else {
-                (there, there)
+        let [begins, ends] = [begin, end].map(|place| place.response(stage));
+        let at_middle = if last > 0 { (last / 2) as f32 / last as f32 } else { 0.0 };
+        let responses = [begins, begins + (ends - begins) * at_middle, ends];
+        let passes = [between, [between[1], between[0]]];
+        let keys = [begin, middle, end].map(|place| (place, passes.map(|pass| place.detour_but_for_receiver_m(pass))));
+        for (rx, lsb) in stage.lsb.iter().enumerate().take(stage.rx.len()) {
+            let mut factors = [(Complex::default(), Complex::default()); 3];
+            for ((factor, response), (place, detours_m)) in factors.iter_mut().zip(responses).zip(&keys) {
+                let response = response * *lsb as f32;
+                let turn = |pass: usize| {
+                    let to_receiver_m = passes[pass][1].rx.get(rx).map_or(0.0, |sink| sink.distance(place.place));
+                    place.turn(stage, detours_m[pass] + to_receiver_m)
+                };
+                let there = response * turn(0);
+                let reverse = if is_both { response * turn(1) } else { Complex::default() };
+                *factor = (there + reverse, there - reverse);
             }
-        });
-        EchoWay {
-            both: parabola(factors.map(|(both, _)| both), last, chirps),
-            apart: parabola(factors.map(|(_, apart)| apart), last, chirps),
+            ways.push(EchoWay {
+                both: parabola(factors.map(|(both, _)| both), last, chirps),
+                apart: parabola(factors.map(|(_, apart)| apart), last, chirps),
+            });
         }
+    }
+}
+
+impl PatchPlace {
+    fn delay_s(&self) -> f64 {
+        self.length_m / SPEED_OF_LIGHT_M_PER_S
+    }
+
+    /// What filters make of its field, as it multiplies `exp(+j ...)`.
+    fn response(&self, stage: &Stage) -> Complex<f32> {
+        let beat_hz = stage.chirp.beat_hz(self.delay_s(), self.rate_m_per_s / SPEED_OF_LIGHT_M_PER_S);
+        let response = stage.filters.response(beat_hz);
+        Complex::new(response.re as f32, response.im as f32)
+    }
+
+    /// How much longer the way from the transmitter is than that by the antennas' middles there and back, m: a receiver's own
+    /// distance is to be added.
+    fn detour_but_for_receiver_m(&self, [out, back]: [&Place; 2]) -> f64 {
+        let by_middles_m = out.middle.distance(self.place) + back.middle.distance(self.place);
+        out.tx.distance(self.place) - by_middles_m
+    }
+
+    /// The phasor of a path that is so much longer.
+    fn turn(&self, stage: &Stage, longer_m: f64) -> Complex<f32> {
+        let (delay_s, later_s) = (self.delay_s(), longer_m / SPEED_OF_LIGHT_M_PER_S);
+        phasor(stage.chirp.phase_cycles(delay_s + later_s) - stage.chirp.phase_cycles(delay_s))
     }
 }
 

@@ -1,8 +1,6 @@
 //! Where a skin's patches are worked on, one after the other: posed at the keys, integrated between pairs of images, and laid down
 //! as tones.
 
-use std::collections::BTreeMap;
-
 use glam::DVec3;
 use num_complex::Complex64;
 
@@ -272,9 +270,7 @@ impl Workbench {
             self.left_out += ways * f64::from(loudest * loudest);
             return false;
         }
-        let count = times.chirps_s.len();
-        self.ways.clear();
-        self.ways.extend((0..stage.rx.len()).map(|rx| patch.way(stage, between, is_both, rx, count)));
+        patch.ways(stage, between, is_both, times.chirps_s.len(), &mut self.ways);
         let (ways, chirps) = (self.ways.as_slice(), sums.chirps());
         grids.add(&Echo { chirp: &stage.chirp, wavelength_m: stage.wavelength_m, ways, chirps });
         true
@@ -369,14 +365,19 @@ fn rates(poses: &[&Pose], key: usize, times_s: &[f64]) -> (Row, Row) {
 /// Path lengths that are told apart where a field is compared to a coarser one, m: about a cell of the range axis.
 const APART_M: f64 = 0.15;
 
+/// Farthest path lengths in that, as their number: what is longer is not told apart.
+const MOST_APART: usize = 4096;
+
+/// Difference to a coarser field, and the field itself.
+type Difference = [Complex64; 2];
+
 /// What is missed of a pair's field.
 #[derive(Debug, Default)]
 pub(super) struct Tally {
     /// Squares of what is missed and of the fields.
     between_keys: [f64; 2],
-    /// Difference to the coarser field and the field itself, by key and path length: far from highlights neighbours cancel, and
-    /// what is left of each must not be counted by itself.
-    by_integration: BTreeMap<(usize, i64), [Complex64; 2]>,
+    /// By key and path length: far from highlights neighbours cancel, and what is left of each must not be counted by itself.
+    by_integration: Vec<Vec<Difference>>,
 }
 
 impl Tally {
@@ -386,20 +387,32 @@ impl Tally {
 
     fn add_integration(&mut self, key: usize, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
         let field = |of: &KeyRows, l: usize| Complex64::new(of.field[0][l].into(), of.field[1][l].into());
+        if self.by_integration.len() <= key {
+            self.by_integration.resize(key + 1, Vec::new());
+        }
+        let Some(by_length) = self.by_integration.get_mut(key) else { return };
         for l in 0..LANES {
+            let (fine_field, coarse_field) = (field(fine, l), field(coarse, l));
+            if fine_field == Complex64::ZERO && coarse_field == Complex64::ZERO {
+                continue;
+            }
+            let number = ((fine.length_m[l] / APART_M) as usize).min(MOST_APART);
+            if by_length.len() <= number {
+                by_length.resize(number + 1, Difference::default());
+            }
+            let Some([apart, sum]) = by_length.get_mut(number) else { continue };
             let turn = phasor(-fine.length_m[l] / wavelength_m);
             let turn = Complex64::new(turn.re.into(), turn.im.into());
-            let [apart, sum] = self.by_integration.entry((key, (fine.length_m[l] / APART_M) as i64)).or_default();
-            *apart += (field(fine, l) - field(coarse, l)) * turn;
-            *sum += field(fine, l) * turn;
+            *apart += (fine_field - coarse_field) * turn;
+            *sum += fine_field * turn;
         }
     }
 
     /// Relative to the field.
     pub(super) fn missed(&self) -> Missed {
         let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
-        let add = |[a, b]: [f64; 2], [apart, sum]: &[Complex64; 2]| [a + apart.norm_sqr(), b + sum.norm_sqr()];
-        let by_integration = self.by_integration.values().fold([0.0; 2], add);
+        let add = |[a, b]: [f64; 2], [apart, sum]: &Difference| [a + apart.norm_sqr(), b + sum.norm_sqr()];
+        let by_integration = self.by_integration.iter().flatten().fold([0.0; 2], add);
         // Cubics err with the fourth power of the step.
         Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
     }

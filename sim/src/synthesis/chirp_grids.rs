@@ -16,7 +16,7 @@ use radome_dsp::{KernelLevel, SPEED_OF_LIGHT_M_PER_S};
 
 use super::held::{PLACES, taps_by_place};
 use super::spread::{CHIRPS, Cell, Grids, Row, window};
-use super::{DEGREE, Grid, LANES, Synthesiser, WIDTH, nearest_integer};
+use super::{DEGREE, LANES, Synthesiser, WIDTH, nearest_integer};
 use crate::chirp::Chirp;
 use crate::lanes::{compiled_for_levels, cos_sin_of_turns};
 
@@ -119,12 +119,14 @@ impl ChirpGrids {
         lay_echo(self.level, &self.kernel, echo, false, &mut self.blocks);
     }
 
-    /// Adds a chirp's grid to another.
-    pub(crate) fn add_to(&self, receiver: usize, chirp: usize, grid: &mut Grid) {
-        let block = self.blocks.get(receiver).and_then(|blocks| blocks.get(chirp / CHIRPS));
-        let Some(block) = block else { return };
-        for (to, cell) in grid.cells.iter_mut().zip(&block.cells) {
-            *to += Complex::new(cell.re[chirp % CHIRPS], cell.im[chirp % CHIRPS]);
+    /// Adds a block of chirps to another.
+    pub(crate) fn add_block(&self, receiver: usize, block: usize, grids: &mut Grids) {
+        let Some(own) = self.blocks.get(receiver).and_then(|blocks| blocks.get(block)) else { return };
+        for (to, cell) in grids.cells.iter_mut().zip(&own.cells) {
+            for i in 0..CHIRPS {
+                to.re[i] += cell.re[i];
+                to.im[i] += cell.im[i];
+            }
         }
     }
 }
@@ -446,8 +448,9 @@ mod tests {
 
     fn samples(grids: &ChirpGrids, receiver: usize, chirp: usize) -> Vec<f32> {
         let synthesiser = Synthesiser::new(SAMPLES);
-        let (mut grid, mut samples) = (synthesiser.grid(), vec![0f32; SAMPLES]);
-        grids.add_to(receiver, chirp, &mut grid);
+        let (mut block, mut grid, mut samples) = (synthesiser.grids(), synthesiser.grid(), vec![0f32; SAMPLES]);
+        grids.add_block(receiver, chirp / CHIRPS, &mut block);
+        block.extract(chirp % CHIRPS, &mut grid);
         synthesiser.transform(&grid, &mut samples, &mut SynthesisScratch::default());
         samples
     }
