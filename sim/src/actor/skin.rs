@@ -13,7 +13,7 @@ use glam::{DMat3, DVec3};
 use super::body::{Build, CHEST, PELVIS, SEGMENTS};
 use super::motion::{Motion, Steps};
 use crate::field::highlight::Ellipsoid;
-use crate::geometry::{Mesh, edges, isosurface, one_ring_normals};
+use crate::geometry::{Edge, Mesh, edges, isosurface, one_ring_normals};
 use crate::lanes::LANES;
 
 /// Length of edges at which a person of 1.75 m has about 14000 triangles, m.
@@ -142,8 +142,6 @@ pub struct Skin {
     /// The segment of the body to which each bone belongs.
     segment_of: Vec<usize>,
     edges: Vec<SkinEdge>,
-    /// Edges of each triangle: first to second corner, second to third, third to first.
-    sides: Vec<[u32; 3]>,
     bindings: Vec<Binding>,
     influences: Vec<(usize, f64, DVec3)>,
     patches: Vec<SkinPatch>,
@@ -179,9 +177,13 @@ pub struct PosedSkin {
     pub velocities_m_per_s: Vec<DVec3>,
     /// Unit normals there.
     pub normals: Vec<DVec3>,
-    /// How far the surface lies beside the middle of each edge, m: the cubic over the edge that is tangential to the surface at
-    /// both ends.
-    pub bulges: Vec<DVec3>,
+}
+
+/// How far the surface lies beside the middle of an edge, m, from its ends and the unit normals there: the cubic over the edge that
+/// is tangential to the surface at both ends.
+pub fn bulge([a, b]: [DVec3; 2], [normal_a, normal_b]: [DVec3; 2]) -> DVec3 {
+    let d = b - a;
+    0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
 }
 
 /// Vertices of a skin at one time.
@@ -207,11 +209,11 @@ impl Skin {
         let rest = isosurface(least - margin, greatest + margin, edge_m, |p| blended_m(p, &parts));
 
         let (rest, patches, _) = in_patch_order(&rest);
-        let (edges, sides) = skin_edges(&rest);
+        let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
         let segment_of = (0..SEGMENTS).collect();
         let (bindings, influences) = Default::default();
-        let mut skin = Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing };
+        let mut skin = Skin { rest, segment_of, edges, bindings, influences, patches, narrowing };
         for &vertex in &skin.rest.vertices {
             let first = skin.influences.len();
             let weight = |segment: usize| {
@@ -233,14 +235,14 @@ impl Skin {
     /// the point in the bone's frame; weights sum to one. Of each bone, the segment of the body to which it belongs.
     pub(super) fn bound(rest: &Mesh, bound: &[Vec<(usize, f64, DVec3)>], segment_of: Vec<usize>) -> Self {
         let (rest, patches, from) = in_patch_order(rest);
-        let (edges, sides) = skin_edges(&rest);
+        let edges = skin_edges(&rest);
         let narrowing = narrowing(&rest, &edges);
         let (mut bindings, mut influences) = (Vec::new(), Vec::new());
         for of in from.iter().map(|&v| bound.get(v as usize).map(Vec::as_slice).unwrap_or_default()) {
             bindings.push(Binding { first: influences.len() as u32, count: of.len() as u32 });
             influences.extend_from_slice(of);
         }
-        Skin { rest, segment_of, edges, sides, bindings, influences, patches, narrowing }
+        Skin { rest, segment_of, edges, bindings, influences, patches, narrowing }
     }
 
     /// The mesh in its rest pose, over the origin, facing +x.
@@ -251,11 +253,6 @@ impl Skin {
     /// The edges.
     pub fn edges(&self) -> &[SkinEdge] {
         &self.edges
-    }
-
-    /// Edges of each triangle: first to second corner, second to third, third to first.
-    pub fn sides(&self) -> &[[u32; 3]] {
-        &self.sides
     }
 
     /// Small connected patches of triangles, which together are all of them.
@@ -316,32 +313,17 @@ fn narrowing(mesh: &Mesh, edges: &[SkinEdge]) -> Vec<f32> {
     curvatures.iter().map(|c| (1.0 / (c * LIMB_RADIUS_M).max(1e-3)).sqrt().clamp(1.0, 3.0) as f32).collect()
 }
 
-/// Edges of a mesh, and those of each triangle: first to second corner, second to third, third to first.
-fn skin_edges(mesh: &Mesh) -> (Vec<SkinEdge>, Vec<[u32; 3]>) {
-    let mut sides = vec![[0; 3]; mesh.triangles.len()];
-    let edges = edges(mesh)
-        .iter()
-        .enumerate()
-        .map(|(number, edge)| {
-            let triangles = [edge.left, edge.right.unwrap_or(edge.left)];
-            for triangle in triangles {
-                let Some(&[a, b, c]) = mesh.triangles.get(triangle as usize) else { continue };
-                let [p, q] = edge.vertices;
-                let side = [(a, b), (b, c), (c, a)].iter().position(|&s| s == (p, q) || s == (q, p));
-                if let (Some(side), Some(of)) = (side, sides.get_mut(triangle as usize)) {
-                    of[side] = number as u32;
-                }
-            }
-            SkinEdge { vertices: edge.vertices, triangles }
-        })
-        .collect();
-    (edges, sides)
+/// Edges of a mesh.
+fn skin_edges(mesh: &Mesh) -> Vec<SkinEdge> {
+    let edge =
+        |edge: &Edge| SkinEdge { vertices: edge.vertices, triangles: [edge.left, edge.right.unwrap_or(edge.left)] };
+    edges(mesh).iter().map(edge).collect()
 }
 
 /// The same mesh with triangles numbered patch by patch and vertices as they need them: what is worked on together lies
 /// together in memory. And of every vertex, which it was.
 fn in_patch_order(mesh: &Mesh) -> (Mesh, Vec<SkinPatch>, Vec<u32>) {
-    let numbers_of = patches(mesh, &skin_edges(mesh).0);
+    let numbers_of = patches(mesh, &skin_edges(mesh));
     let mut order: Vec<usize> = (0..mesh.triangles.len()).collect();
     order.sort_by_key(|&t| numbers_of[t]);
     let mut numbers = vec![u32::MAX; mesh.vertices.len()];
@@ -537,15 +519,7 @@ impl WalkingMesh {
     pub fn posed(&self, time_s: f64) -> PosedSkin {
         let MovingVertices { vertices, velocities_m_per_s } = self.at(time_s);
         let normals = one_ring_normals(&vertices, &self.skin.rest.triangles);
-        let at = |of: &[DVec3], i: u32| of.get(i as usize).copied().unwrap_or_default();
-        let bulge = |edge: &SkinEdge| {
-            let [a, b] = edge.vertices;
-            let (normal_a, normal_b) = (at(&normals, a), at(&normals, b));
-            let d = at(&vertices, b) - at(&vertices, a);
-            0.125 * (normal_b * d.dot(normal_b) - normal_a * d.dot(normal_a))
-        };
-        let bulges = self.skin.edges.iter().map(bulge).collect();
-        PosedSkin { vertices, velocities_m_per_s, normals, bulges }
+        PosedSkin { vertices, velocities_m_per_s, normals }
     }
 
     /// The mesh at a time, in the room.

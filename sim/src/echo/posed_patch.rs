@@ -6,7 +6,9 @@ use radome_dsp::KernelLevel;
 use super::inside_room;
 use super::strength::{LightRows, VertexRows, light_rows};
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
-use crate::field::curved_triangle::{Integrator, Nodes, TriangleRows, ViewRows, place_nodes, triangle_rows, view_rows};
+use crate::field::curved_triangle::{
+    Integrator, Nodes, TriangleRows, ViewRows, bulge_rows, place_nodes, triangle_rows, view_rows,
+};
 use crate::lanes::{LANES, Row, Row3};
 use crate::stage::Stage;
 
@@ -85,18 +87,9 @@ impl PosedPatch {
             let velocity = posed.velocities_m_per_s[v as usize];
             (0..3).for_each(|axis| velocities[axis][l] = velocity[axis] as f32);
         }
-        let mut bulges: [Row3; 3] = Default::default();
-        for (l, sides) in skin.sides().get(patch.triangles.clone()).unwrap_or_default().iter().enumerate() {
-            for (bulges, &side) in bulges.iter_mut().zip(sides) {
-                let bulge = posed.bulges[side as usize];
-                (0..3).for_each(|axis| bulges[axis][l] = bulge[axis] as f32);
-            }
-        }
-        for (l, _) in patch.corners.iter().enumerate().skip(patch.triangles.len()) {
-            bulges.iter_mut().flatten().for_each(|row| row[l] = 0.0);
-        }
         let corners = vectors_at_corners(&places, &patch.corners);
         let corner_normals = vectors_at_corners(&normals, &patch.corners);
+        let bulges = bulge_rows(level, &corners, &corner_normals);
         self.triangles = triangle_rows(level, &corners, &corner_normals, &bulges);
         let all = vectors_at_corners(&velocities, &patch.corners);
         self.velocity = std::array::from_fn(|axis| {

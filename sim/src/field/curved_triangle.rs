@@ -203,6 +203,29 @@ impl ViewRows {
 }
 
 compiled_for_levels! {
+    /// How far the surface lies beside the middles of the edges, m, from corners and unit normals there: the cubic over an edge
+    /// that is tangential to the surface at both ends.
+    pub fn bulge_rows(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] = bulges_body;
+}
+
+#[inline(always)]
+fn bulges_body(corners: &[Row3; 3], normals: &[Row3; 3]) -> [Row3; 3] {
+    let mut bulges: [Row3; 3] = Default::default();
+    for (bulge, (a, b)) in bulges.iter_mut().zip([(0, 1), (1, 2), (2, 0)]) {
+        let (p, q, m, n) = (&corners[a], &corners[b], &normals[a], &normals[b]);
+        for l in 0..LANES {
+            let (x, y, z) = (q[0][l] - p[0][l], q[1][l] - p[1][l], q[2][l] - p[2][l]);
+            let along_m = 0.125 * (x * m[0][l] + y * m[1][l] + z * m[2][l]);
+            let along_n = 0.125 * (x * n[0][l] + y * n[1][l] + z * n[2][l]);
+            bulge[0][l] = n[0][l] * along_n - m[0][l] * along_m;
+            bulge[1][l] = n[1][l] * along_n - m[1][l] * along_m;
+            bulge[2][l] = n[2][l] * along_n - m[2][l] * along_m;
+        }
+    }
+    bulges
+}
+
+compiled_for_levels! {
     /// Triangles from their corners.
     pub fn triangle_rows(corners: &[Row3; 3], normals: &[Row3; 3], bulges: &[Row3; 3]) -> TriangleRows = TriangleRows::new;
 }
