@@ -87,7 +87,7 @@ impl<const N: usize> Nodes<N> {
         let places = nodes::<N>();
         // Lagrange's polynomials.
         let below = places.map(|own| others(&places, own).map(|other| own - other).product::<f64>());
-        let weights = |row: &ChirpRow| {
+        let weights = |row: &ChirpRow| -> [[f32; CHIRPS]; N] {
             std::array::from_fn(|k| {
                 let weight = |i: usize| {
                     let u = f64::from(row.places[i]);

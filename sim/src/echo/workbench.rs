@@ -235,19 +235,19 @@ impl Workbench {
         missed_between_keys(work.integrator.level, &self.keys, step_s, work.stage.wavelength_m)
     }
 
-    /// Adds what is missed of a pair that has been integrated: between keys, and at each of them against a coarser field.
+    /// Adds what is missed of a pair that has been integrated: between keys, and in the middle of the frame against a coarser field.
     pub(super) fn add_missed(&mut self, work: &Work, patch: &SkinPatch, pair: &Pair, missed: &mut Tally) {
         let coarse = &pair.fineness.coarser();
         let [out, back] = pair.images;
         missed.add_between_keys(self.missed_between_keys(work));
-        let found = self.keys.iter().step_by(1 + self.level);
-        for (key, (pose, fine)) in self.poses.iter_mut().step_by(2).zip(found).enumerate() {
-            let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
-            let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
-            let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
-            pose.find_moments(work, pair, rule_for(span, coarse.ease));
-            missed.add_integration(key, fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
-        }
+        let middle = self.poses.len() / 4;
+        let found = self.keys.get(middle * (1 + self.level));
+        let (Some(pose), Some(fine)) = (self.poses.get_mut(2 * middle), found) else { return };
+        let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
+        let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
+        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
+        pose.find_moments(work, pair, rule_for(span, coarse.ease));
+        missed.add_integration(fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
     }
 
     /// Adds what the patch sends back between two images in every chirp. Whether it is loud enough to.
@@ -376,8 +376,8 @@ type Difference = [Complex64; 2];
 pub(super) struct Tally {
     /// Squares of what is missed and of the fields.
     between_keys: [f64; 2],
-    /// By key and path length: far from highlights neighbours cancel, and what is left of each must not be counted by itself.
-    by_integration: Vec<Vec<Difference>>,
+    /// By path length: far from highlights neighbours cancel, and what is left of each must not be counted by itself.
+    by_integration: Vec<Difference>,
 }
 
 impl Tally {
@@ -385,12 +385,9 @@ impl Tally {
         self.between_keys = [self.between_keys[0] + missed, self.between_keys[1] + power];
     }
 
-    fn add_integration(&mut self, key: usize, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
+    fn add_integration(&mut self, fine: &KeyRows, coarse: &KeyRows, wavelength_m: f64) {
         let field = |of: &KeyRows, l: usize| Complex64::new(of.field[0][l].into(), of.field[1][l].into());
-        if self.by_integration.len() <= key {
-            self.by_integration.resize(key + 1, Vec::new());
-        }
-        let Some(by_length) = self.by_integration.get_mut(key) else { return };
+        let by_length = &mut self.by_integration;
         for l in 0..LANES {
             let (fine_field, coarse_field) = (field(fine, l), field(coarse, l));
             if fine_field == Complex64::ZERO && coarse_field == Complex64::ZERO {
@@ -412,7 +409,7 @@ impl Tally {
     pub(super) fn missed(&self) -> Missed {
         let part = |[missed, power]: [f64; 2]| if power > 0.0 { (missed / power).sqrt() } else { 0.0 };
         let add = |[a, b]: [f64; 2], [apart, sum]: &Difference| [a + apart.norm_sqr(), b + sum.norm_sqr()];
-        let by_integration = self.by_integration.iter().flatten().fold([0.0; 2], add);
+        let by_integration = self.by_integration.iter().fold([0.0; 2], add);
         // Cubics err with the fourth power of the step.
         Missed { between_keys: part(self.between_keys) / 16.0, by_integration: part(by_integration), left_out: 0.0 }
     }
