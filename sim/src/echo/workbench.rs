@@ -8,12 +8,12 @@ use super::chirp_sum::ChirpSums;
 use super::demand::{Fineness, Missed};
 use super::key_rows::{KeyRows, Parts, StrengthRows, key_rows};
 use super::patch::{FrameTimes, Patch, Place, missed_between_keys};
-use super::posed_patch::PosedPatch;
+use super::posed_patch::{PosedPatch, Rules};
 use super::strength::{Between, FieldAround, FieldRows, common_factor, field_rows, strengths};
 use crate::actor::clothing::Folds;
 use crate::actor::skin::{PosedSkin, Skin, SkinPatch};
 use crate::field::Phasor3;
-use crate::field::curved_triangle::{Integrator, MomentRows, moments, spans_rad};
+use crate::field::curved_triangle::{HALVES, Integrator, MomentRows, moments, spans_rad};
 use crate::field::image::{Element, ImageIndex};
 use crate::field::quadrature::rule_for;
 use crate::lanes::{LANES, Row};
@@ -188,17 +188,15 @@ impl Workbench {
         let Some(middle) = self.poses.get(self.poses.len() / 4 * 2) else { return false };
         let spans = spans_rad(work.integrator.level, [&middle.patch.views[out], &middle.patch.views[back]]);
         let corners_live = |l: usize| patch.corners[l].iter().any(|&v| live[v % LANES]);
-        let (mut least, mut most) = (f32::INFINITY, 0f32);
-        for l in (0..patch.triangles.len()).filter(|&l| corners_live(l)) {
-            (least, most) = (least.min(spans[l]), most.max(spans[l]));
-        }
+        let lanes_live = (0..patch.triangles.len()).filter(|&l| corners_live(l));
+        let least = lanes_live.clone().map(|l| spans[l]).fold(f32::INFINITY, f32::min);
         // A wave that runs across a triangle leaves less than two over its span, and of a patch still less: what is not heard
         // even so needs no integral.
         if strongest == 0.0 || strongest.sqrt() * self.area_m2 * (RUN_RAD / least).min(1.0) < self.least {
             return false;
         }
-        let rule = rule_for(most, pair.fineness.ease);
-        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rule));
+        let rules = rules_for(&spans, lanes_live, pair.fineness.ease);
+        self.poses.iter_mut().step_by(2).for_each(|pose| pose.find_moments(work, pair, rules));
         self.find_keys(work, patch, pair, 0);
         let (missed, power) = self.missed_between_keys(work);
         // Cubics err with the fourth power of the step.
@@ -211,7 +209,7 @@ impl Workbench {
             }
             for pose in self.poses.iter_mut().skip(1).step_by(2) {
                 pose.strengths = pose.strengths(work, pair, &pair.fineness);
-                pose.find_moments(work, pair, rule);
+                pose.find_moments(work, pair, rules);
             }
             self.find_keys(work, patch, pair, 1);
         }
@@ -245,8 +243,7 @@ impl Workbench {
         let (Some(pose), Some(fine)) = (self.poses.get_mut(2 * middle), found) else { return };
         let strengths = StrengthRows { now: pose.strengths(work, pair, coarse), ..StrengthRows::default() };
         let spans = spans_rad(work.integrator.level, [&pose.patch.views[out], &pose.patch.views[back]]);
-        let span = spans.iter().take(patch.triangles.len()).copied().fold(0.0, f32::max);
-        pose.find_moments(work, pair, rule_for(span, coarse.ease));
+        pose.find_moments(work, pair, rules_for(&spans, 0..patch.triangles.len(), coarse.ease));
         missed.add_integration(fine, &pose.keys(work, patch, pair, &strengths), work.stage.wavelength_m);
     }
 
@@ -314,12 +311,23 @@ impl Pose {
         key_rows(work.integrator.level, &parts)
     }
 
-    fn find_moments(&mut self, work: &Work, pair: &Pair, rule: usize) {
+    fn find_moments(&mut self, work: &Work, pair: &Pair, rules: Rules) {
         let [out, back] = pair.images;
-        self.patch.nodes(rule, work.integrator);
+        self.patch.find_nodes(rules, work.integrator);
         let views = [&self.patch.views[out], &self.patch.views[back]];
-        self.moments = moments(work.integrator.level, self.patch.found(rule), views);
+        self.moments = moments(work.integrator.level, self.patch.nodes(rules), views);
     }
+}
+
+/// The rule for the widest span of phase among these lanes, rad, in each half of all.
+fn rules_for(spans: &Row, lanes: impl Iterator<Item = usize>, ease: f32) -> Rules {
+    let mut widest: [Option<f32>; HALVES] = [None; HALVES];
+    for l in lanes {
+        if let Some(widest) = widest.get_mut(l * HALVES / LANES) {
+            *widest = Some(widest.map_or(spans[l], |most| most.max(spans[l])));
+        }
+    }
+    widest.map(|span| span.map(|span| rule_for(span, ease)))
 }
 
 /// Weights of an image's light at a patch's vertices at a key, from those at the keys on either side where they are known.

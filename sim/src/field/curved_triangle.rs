@@ -51,7 +51,11 @@ pub struct ViewRows {
 const SIX: [[f32; 3]; 6] =
     [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]];
 
-/// Places of a rule on curved triangles.
+/// Halves of the lanes are integrated each by a rule of its own.
+pub const HALVES: usize = 2;
+const HALF: usize = LANES / HALVES;
+
+/// Places of a rule on the triangles of half of the lanes; none where these need no integral.
 #[derive(Debug, Clone, Default)]
 pub struct Nodes {
     all: Vec<Node>,
@@ -62,7 +66,14 @@ struct Node {
     /// What the second and third corner weigh.
     corners: [f32; 2],
     /// Area that the place stands for, m^2.
-    area: Row,
+    area: [f32; HALF],
+}
+
+/// One half of the lanes.
+#[inline(always)]
+fn half_of(row: &Row, half: usize) -> [f32; HALF] {
+    let (halves, _) = row.as_chunks::<HALF>();
+    if half == 0 { halves[0] } else { halves[1] }
 }
 
 /// Rules of quadrature, and the instructions to use.
@@ -236,18 +247,27 @@ compiled_for_levels! {
 }
 
 compiled_for_levels! {
-    /// Puts the places of a rule on triangles.
-    pub fn place_nodes(triangles: &TriangleRows, rule: &Rule, out: &mut Nodes) = nodes_body;
+    /// Puts the places of a rule on the triangles of one half of the lanes.
+    pub fn place_nodes(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) = nodes_body;
 }
 
 #[inline(always)]
-fn nodes_body(triangles: &TriangleRows, rule: &Rule, out: &mut Nodes) {
+fn nodes_body(triangles: &TriangleRows, half: usize, rule: &Rule, out: &mut Nodes) {
     out.all.clear();
-    let turns = &triangles.turns;
-    let [second, third] = &triangles.tangents();
+    let mut tangents = [[[[0f32; HALF]; 3]; 3]; 2];
+    for (tangents, rows) in tangents.iter_mut().zip(&triangles.tangents()) {
+        for (tangents, rows) in tangents.iter_mut().zip(rows) {
+            for (tangents, row) in tangents.iter_mut().zip(rows) {
+                *tangents = half_of(row, half);
+            }
+        }
+    }
+    let [second, third] = &tangents;
+    let turns =
+        [half_of(&triangles.turns[0], half), half_of(&triangles.turns[1], half), half_of(&triangles.turns[2], half)];
     for &([a, b, c], part) in &rule.places {
-        let mut node = Node { corners: [b, c], area: [0.0; LANES] };
-        for l in 0..LANES {
+        let mut node = Node { corners: [b, c], area: [0.0; HALF] };
+        for l in 0..HALF {
             let (mut u, mut v) = ([0f32; 3], [0f32; 3]);
             for axis in 0..3 {
                 u[axis] = second[0][axis][l] + b * second[1][axis][l] + c * second[2][axis][l];
@@ -281,17 +301,38 @@ fn spans_body(views: [&ViewRows; 2]) -> Row {
 }
 
 compiled_for_levels! {
-    /// Moments of triangles between two antennas.
-    pub fn moments(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows = moments_body;
+    /// Moments of triangles between two antennas, by the places of both halves of the lanes.
+    pub fn moments(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows = moments_body;
 }
 
 #[inline(always)]
-fn moments_body(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows {
-    // The parabola by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
-    let mut turns = [[0f32; LANES]; 6];
+fn moments_body(nodes: [&Nodes; HALVES], views: [&ViewRows; 2]) -> MomentRows {
+    let mut rows = MomentRows::default();
+    for (half, nodes) in nodes.into_iter().enumerate() {
+        if nodes.all.is_empty() {
+            continue;
+        }
+        let [a, b, c, d, e, f] = half_moments(nodes, half, views);
+        for (row, found) in rows.re.iter_mut().chain(&mut rows.im).zip([a, b, c, d, e, f]) {
+            let (halves, _) = row.as_chunks_mut::<HALF>();
+            halves[half] = found;
+        }
+    }
+    rows
+}
+
+/// Real parts of the moments of one half of the lanes, then imaginary ones.
+#[inline(always)]
+fn half_moments(nodes: &Nodes, half: usize, views: [&ViewRows; 2]) -> [[f32; HALF]; 6] {
+    // The parabola of paths by powers of what the second and third corner weigh: 1, b, c, b b, b c, c c.
+    let mut turns = [[0f32; HALF]; 6];
     let [p, q, r, pq, qr, rp] = &views[0].longer;
     let [p2, q2, r2, pq2, qr2, rp2] = &views[1].longer;
-    for l in 0..LANES {
+    let (p, q, r) = (half_of(p, half), half_of(q, half), half_of(r, half));
+    let (p2, q2, r2) = (half_of(p2, half), half_of(q2, half), half_of(r2, half));
+    let (pq, qr, rp) = (half_of(pq, half), half_of(qr, half), half_of(rp, half));
+    let (pq2, qr2, rp2) = (half_of(pq2, half), half_of(qr2, half), half_of(rp2, half));
+    for l in 0..HALF {
         let (p, q, r) = (p[l] + p2[l], q[l] + q2[l], r[l] + r2[l]);
         let (pq, qr, rp) = (pq[l] + pq2[l], qr[l] + qr2[l], rp[l] + rp2[l]);
         turns[0][l] = -p;
@@ -302,27 +343,27 @@ fn moments_body(nodes: &Nodes, views: [&ViewRows; 2]) -> MomentRows {
         turns[5][l] = 4.0 * rp - 2.0 * (p + r);
     }
     // Of the field, and of it times the weights of the second and third corner: the first has the rest.
-    let mut sums = MomentRows::default();
+    let (mut re, mut im) = ([[0f32; HALF]; 3], [[0f32; HALF]; 3]);
     for node in &nodes.all {
         let [b, c] = node.corners;
-        for l in 0..LANES {
+        for l in 0..HALF {
             let along = turns[1][l] + (b * turns[3][l] + c * turns[4][l]);
             let turn = turns[0][l] + (b * along + c * (turns[2][l] + c * turns[5][l]));
             let (cosine, sine) = cos_sin_of_turns(turn);
             let (x, y) = (cosine * node.area[l], sine * node.area[l]);
-            sums.re[0][l] += x;
-            sums.re[1][l] += b * x;
-            sums.re[2][l] += c * x;
-            sums.im[0][l] += y;
-            sums.im[1][l] += b * y;
-            sums.im[2][l] += c * y;
+            re[0][l] += x;
+            re[1][l] += b * x;
+            re[2][l] += c * x;
+            im[0][l] += y;
+            im[1][l] += b * y;
+            im[2][l] += c * y;
         }
     }
-    for l in 0..LANES {
-        sums.re[0][l] -= sums.re[1][l] + sums.re[2][l];
-        sums.im[0][l] -= sums.im[1][l] + sums.im[2][l];
+    for l in 0..HALF {
+        re[0][l] -= re[1][l] + re[2][l];
+        im[0][l] -= im[1][l] + im[2][l];
     }
-    sums
+    [re[0], re[1], re[2], im[0], im[1], im[2]]
 }
 
 /// A quadratic patch.
@@ -428,10 +469,16 @@ mod tests {
         let rows = rows(triangle, level);
         let [t, r] = antennas.map(|a| view_rows(level, a, ORIGIN, &rows, WAVELENGTH_M));
         let span = spans_rad(level, [&t, &r])[0];
-        let mut nodes = Nodes::default();
-        place_nodes(level, &rows, &rules()[rule_for(span, 1.0)], &mut nodes);
-        let found = moments(level, &nodes, [&t, &r]);
-        (std::array::from_fn(|i| Complex::new(found.re[i][3], found.im[i][3])), span)
+        let mut nodes = [Nodes::default(), Nodes::default()];
+        for (half, nodes) in nodes.iter_mut().enumerate() {
+            place_nodes(level, &rows, half, &rules()[rule_for(span, 1.0)], nodes);
+        }
+        let found = moments(level, nodes.each_ref(), [&t, &r]);
+        let at = |lane: usize| -> [Complex<f32>; 3] {
+            std::array::from_fn(|i| Complex::new(found.re[i][lane], found.im[i][lane]))
+        };
+        assert_eq!(at(3), at(LANES - 1), "the same in both halves");
+        (at(3), span)
     }
 
     #[test]
