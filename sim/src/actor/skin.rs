@@ -277,9 +277,16 @@ impl Skin {
         self.influences.get(first..first + binding.count as usize).unwrap_or_default().iter()
     }
 
-    /// Vertices for a pose of the bones; their velocities for its rate.
+    /// Vertices for a pose of the bones.
     pub(super) fn pose(&self, maps: &[Map]) -> Vec<DVec3> {
         self.bindings.iter().map(|b| self.follow(b, maps)).collect()
+    }
+
+    /// Vertices for a pose of the bones, and their velocities for its rate.
+    fn pose_moving(&self, maps: &[Map], rates: &[Map]) -> MovingVertices {
+        let both = self.bindings.iter().map(|b| (self.follow(b, maps), self.follow(b, rates)));
+        let (vertices, velocities_m_per_s) = both.unzip();
+        MovingVertices { vertices, velocities_m_per_s }
     }
 
     fn follow(&self, binding: &Binding, maps: &[Map]) -> DVec3 {
@@ -512,7 +519,7 @@ impl WalkingMesh {
                 stretch: (a.stretch - d.stretch + (c.stretch - b.stretch) * 8.0) * (1.0 / (12.0 * h)),
             })
             .collect();
-        MovingVertices { vertices: self.skin.pose(&self.maps(time_s)), velocities_m_per_s: self.skin.pose(&rates) }
+        self.skin.pose_moving(&self.maps(time_s), &rates)
     }
 
     /// The skin at a time, in the room, with what a surface integral needs.
