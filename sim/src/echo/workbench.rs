@@ -67,6 +67,8 @@ struct Pose {
     /// By image.
     fields: Vec<FieldRows>,
     weights: Vec<Row>,
+    /// Whether it has been looked at.
+    is_seen: Vec<bool>,
     /// Between the images that are being worked on.
     strengths: (Row, Row),
     moments: MomentRows,
@@ -102,6 +104,7 @@ impl Workbench {
             patch: PosedPatch::new(images, work.integrator),
             fields: vec![FieldRows::default(); images],
             weights: vec![[1.0; LANES]; images],
+            is_seen: vec![false; images],
             strengths: ([0.0; LANES], [0.0; LANES]),
             moments: MomentRows::default(),
         };
@@ -134,7 +137,13 @@ impl Workbench {
         self.images.dedup();
         self.between = false;
         self.around = self.fields_around(work, patch);
-        let clamped = (0..self.poses.len()).step_by(2).map(|key| self.pose_at(work, patch, key)).sum();
+        let mut clamped = 0;
+        for key in (0..self.poses.len()).step_by(2) {
+            self.pose_at(work, patch, key);
+            for number in 0..self.images.len() {
+                clamped += self.look(work, patch, key, self.images[number]);
+            }
+        }
         self.area_m2 = self.poses.get(work.posed.len() / 2).map_or(0.0, |pose| pose.patch.triangles.area_m2());
         clamped
     }
@@ -157,18 +166,25 @@ impl Workbench {
         self.images.iter().map(around).collect()
     }
 
-    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) -> usize {
+    fn pose_at(&mut self, work: &Work, patch: &SkinPatch, key: usize) {
+        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return };
+        pose.patch.pose(work.stage, work.integrator.level, work.skin, patch, posed, work.cloth, work.origin);
+        pose.is_seen.fill(false);
+    }
+
+    /// Looks at a patch that is posed at a key from one of the images around it, if that has not been done. Returns how many of the
+    /// distances are less than amplitudes are made for.
+    fn look(&mut self, work: &Work, patch: &SkinPatch, key: usize, image: usize) -> usize {
         let level = work.integrator.level;
-        let Some((pose, posed)) = self.poses.get_mut(key).zip(work.posed.get(key)) else { return 0 };
-        pose.patch.pose(work.stage, level, work.skin, patch, posed, work.cloth, work.origin);
-        let mut clamped = 0;
-        for (&image, around) in self.images.iter().zip(&self.around) {
-            pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
-            clamped += pose.patch.lights[image].clamped();
-            pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
-            pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
+        let around = self.images.binary_search(&image).ok().and_then(|number| self.around.get(number));
+        let (Some(pose), Some(around)) = (self.poses.get_mut(key), around) else { return 0 };
+        if std::mem::replace(&mut pose.is_seen[image], true) {
+            return 0;
         }
-        clamped
+        pose.patch.look(image, work.places[image].middle, work.origin, work.stage.wavelength_m, level);
+        pose.fields[image] = field_rows(level, around, &pose.patch.vertices.places);
+        pose.weights[image] = weights_at(&work.weights[image], key as f64, patch);
+        pose.patch.lights[image].clamped()
     }
 
     /// Finds the patch's triangles between two images at as many keys as they need. Whether there is anything.
@@ -206,6 +222,11 @@ impl Workbench {
                     self.pose_at(work, patch, key);
                 }
                 self.between = true;
+            }
+            for key in (1..self.poses.len()).step_by(2) {
+                for image in pair.images {
+                    self.look(work, patch, key, image);
+                }
             }
             for pose in self.poses.iter_mut().skip(1).step_by(2) {
                 pose.strengths = pose.strengths(work, pair, &pair.fineness);
